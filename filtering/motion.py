@@ -1,0 +1,111 @@
+"""How the camera moved between two images, and how particles move with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Relative motion of the camera from one image to the next.
+
+    Attributes:
+        previous_from_current: One pose: the camera now, in the camera frame at the previous image.
+        covariance: Covariance of ξ = (v, ω) in metres and radians, where the true motion is
+            `previous_from_current @ Poses.exp(ξ)`; symmetric, positive semidefinite, in the current camera frame.
+    """
+
+    previous_from_current: Poses
+    covariance: Float64[np.ndarray, "6 6"]
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """Stated noise of odometry whose messages carry no covariance (Thrun et al. 2005, §5.4, in three dimensions).
+
+    Standard deviations of an increment grow in proportion to what it moved, above a floor that grows with the
+    square root of time.
+    """
+
+    translation_per_m: float = 0.05
+    """Metres of error per metre moved."""
+    translation_per_rad: float = 0.02
+    """Metres of error per radian turned."""
+    rotation_per_m: float = 0.02
+    """Radians of error per metre moved."""
+    rotation_per_rad: float = 0.05
+    """Radians of error per radian turned."""
+    translation_per_sqrt_s: float = 0.01
+    """Metres of error after one second at rest."""
+    rotation_per_sqrt_s: float = 0.01
+    """Radians of error after one second at rest."""
+
+    def covariance(self, previous_from_current: Poses, duration_s: float) -> Float64[np.ndarray, "6 6"]:
+        """Covariance of one increment, in the tangent at the current frame.
+
+        Args:
+            previous_from_current: One pose, the increment.
+            duration_s: Seconds it took.
+        """
+        tangent = previous_from_current.log()
+        moved_m, turned_rad = float(np.linalg.norm(tangent[:3])), float(np.linalg.norm(tangent[3:]))
+        variance_t = (
+            (self.translation_per_m * moved_m) ** 2
+            + (self.translation_per_rad * turned_rad) ** 2
+            + self.translation_per_sqrt_s**2 * duration_s
+        )
+        variance_r = (
+            (self.rotation_per_m * moved_m) ** 2
+            + (self.rotation_per_rad * turned_rad) ** 2
+            + self.rotation_per_sqrt_s**2 * duration_s
+        )
+        return np.diag([variance_t] * 3 + [variance_r] * 3)
+
+
+def covariance_factor(covariance: Float64[np.ndarray, "6 6"]) -> Float64[np.ndarray, "6 6"]:
+    """A matrix F with F Fᵀ = covariance; a singular covariance is fine.
+
+    Raises:
+        VaporTrackError: the covariance is not finite, not symmetric, or has a negative eigenvalue.
+    """
+    if not np.isfinite(covariance).all():
+        raise VaporTrackError(f"odometry covariance is not finite: {covariance.tolist()}")
+    scale = max(float(np.abs(covariance).max()), 1e-300)
+    if np.abs(covariance - covariance.T).max() > 1e-6 * scale:
+        raise VaporTrackError(f"odometry covariance is not symmetric: {covariance.tolist()}")
+    eigenvalues, eigenvectors = np.linalg.eigh((covariance + covariance.T) / 2)
+    if eigenvalues[0] < -1e-9 * scale:
+        raise VaporTrackError(
+            f"odometry covariance has the negative eigenvalue {eigenvalues[0]:.3g}, expected positive semidefinite"
+        )
+    return eigenvectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
+
+
+def propagate(
+    poses: Poses,
+    odometry: Odometry,
+    *,
+    rng: np.random.Generator,
+    jitter_std: tuple[float, float] = (0.0, 0.0),
+) -> Poses:
+    """Draw from the motion model: move every pose by the odometry and its noise.
+
+    Args:
+        poses: world_from_camera at the previous image, batch (n,).
+        odometry: The motion since.
+        rng: Source of the noise.
+        jitter_std: Further isotropic noise (metres, radians), the regularisation of resampled particles.
+
+    Returns:
+        world_from_camera now, batch (n,).
+    """
+    jitter = np.repeat(np.square(jitter_std), 3)
+    factor = covariance_factor(odometry.covariance + np.diag(jitter))
+    noise = rng.standard_normal((len(poses), 6)) @ factor.T
+    return poses @ (odometry.previous_from_current @ Poses.exp(noise))

@@ -1,0 +1,191 @@
+"""What one image says about the camera's pose: two protocols, and the kernel density that fulfils them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.special import ive
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+
+_BLOCK = 2048  # rows of a kernel matrix at a time: 2048 × 1000 float32 stay in the second-level cache's reach
+
+
+class PosePosterior(Protocol):
+    """The distribution of camera poses for one image."""
+
+    def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
+        """Draw world_from_camera poses, batch (num_samples,), from p(pose | image)."""
+        ...
+
+    def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
+        """Log p(pose | image) of poses (n,), per m³ rad³, normalised."""
+        ...
+
+    def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
+        """Log p(image | pose) of poses (n,), up to a constant of the image."""
+        ...
+
+
+class ObservationModel(Protocol):
+    """Maps an image to its posterior: one network call per image."""
+
+    def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
+        """The posterior of one image, (H, W, 3) uint8 RGB."""
+        ...
+
+
+@dataclass(frozen=True)
+class KernelDensity:
+    """Mixture of equal kernels on SE(3), one at each centre, in the chordal metric.
+
+    The kernel is Gaussian in translation and isotropic matrix-Fisher in rotation, exp((cos θ − 1)/h_r²). Both are
+    −½ of a squared Euclidean distance between embeddings [t/h_t, vec(R)/(√2 h_r)] ∈ R¹², so a kernel matrix is one
+    matrix product. Near its centre the rotation kernel is a Gaussian of width h_r in the rotation vector.
+
+    Attributes:
+        centres: Batch (m,), m ≥ 1.
+        bandwidth_translation_m: h_t, metres, one standard deviation along each axis.
+        bandwidth_rotation_rad: h_r, radians, one standard deviation about each axis.
+        log_weights: Log weights of the centres, normalised, (m,); None for equal weights.
+    """
+
+    centres: Poses
+    bandwidth_translation_m: float
+    bandwidth_rotation_rad: float
+    log_weights: Float64[np.ndarray, " m"] | None = field(default=None)
+
+    def __post_init__(self) -> None:
+        if len(self.centres) == 0:
+            raise VaporTrackError("a kernel density needs at least one centre, got an empty batch of poses")
+        if not (self.bandwidth_translation_m > 0 and self.bandwidth_rotation_rad > 0):
+            raise VaporTrackError(
+                f"kernel bandwidths must be positive, got {self.bandwidth_translation_m} m"
+                f" and {self.bandwidth_rotation_rad} rad"
+            )
+
+    @cached_property
+    def log_normaliser(self) -> float:
+        """Log of the kernel's integral over R³ × SO(3), with rotation volume 8π² (Lebesgue at the identity)."""
+        k = 1.0 / self.bandwidth_rotation_rad**2
+        rotation = 8 * np.pi**2 * (ive(0, k) - ive(1, k))
+        return float(1.5 * np.log(2 * np.pi * self.bandwidth_translation_m**2) + np.log(rotation))
+
+    def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
+        """Log density of poses (n,), per m³ rad³.
+
+        The kernel matrix is float32 and its exponents are relative to each row's maximum, so a pose far from every
+        centre gets its true, very small log density rather than −∞.
+        """
+        origin = self.centres.translation.mean(axis=0)
+        centres = self._embed(self.centres, origin)
+        # log kernel = a·c − ½|a|² − ½|c|²: the centre's own terms enter the product as one more column.
+        own = -0.5 * np.sum(centres.astype(np.float64) ** 2, axis=1)
+        own += np.full(len(own), -np.log(len(own))) if self.log_weights is None else self.log_weights
+        right = np.concatenate([centres.T, own[None].astype(np.float32)])
+        density = np.empty(len(poses))
+        for start in range(0, len(poses), _BLOCK):
+            block = self._embed(poses[start : start + _BLOCK], origin)
+            left = np.concatenate([block, np.ones((len(block), 1), np.float32)], axis=1)
+            exponent = left @ right
+            top = exponent.max(axis=1, keepdims=True)
+            exponent -= top
+            np.exp(exponent, out=exponent)
+            total = exponent.sum(axis=1, dtype=np.float64)
+            norm = 0.5 * np.sum(block.astype(np.float64) ** 2, axis=1)
+            density[start : start + _BLOCK] = np.log(total) + top[:, 0] - norm
+        return density - self.log_normaliser
+
+    def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
+        """Draw poses (num_samples,) exactly from the density."""
+        p = None if self.log_weights is None else np.exp(self.log_weights)
+        centres = self.centres[rng.choice(len(self.centres), size=num_samples, p=p)]
+        return self.perturb(centres, rng=rng)
+
+    def perturb(self, poses: Poses, *, rng: np.random.Generator) -> Poses:
+        """Draw from the kernel around each of the poses (n,)."""
+        n = len(poses)
+        axis = rng.standard_normal((n, 3))
+        axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+        angle = np.interp(rng.random(n), *self._angle_quantiles)
+        rotation = Poses.exp(np.concatenate([np.zeros((n, 3)), angle[:, None] * axis], axis=1)).rotation
+        shift = self.bandwidth_translation_m * rng.standard_normal((n, 3))
+        return Poses(poses.rotation @ rotation, poses.translation + shift)
+
+    @cached_property
+    def _angle_quantiles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Cumulative distribution of the rotation kernel's angle, p(θ) ∝ exp((cos θ − 1)/h²)(1 − cos θ)."""
+        k = 1.0 / self.bandwidth_rotation_rad**2
+        angle = np.linspace(0.0, min(np.pi, 9.0 * self.bandwidth_rotation_rad), 2049)
+        density = np.exp(k * (np.cos(angle) - 1)) * (1 - np.cos(angle))
+        cumulative = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
+        return cumulative / cumulative[-1], angle
+
+    def _embed(self, poses: Poses, origin: np.ndarray) -> np.ndarray:
+        """[t/h_t, vec(R)/(√2 h_r)] as float32 (n, 12), translations relative to an origin for precision."""
+        embedding = np.empty((len(poses), 12), np.float32)
+        embedding[:, :3] = (poses.translation - origin) / self.bandwidth_translation_m
+        embedding[:, 3:] = poses.rotation.reshape(-1, 9) / (np.sqrt(2.0) * self.bandwidth_rotation_rad)
+        return embedding
+
+
+@dataclass(frozen=True)
+class LikelihoodModel:
+    """How a posterior becomes a likelihood: L(y) = [(1 − ε) p̂(y|x)/max(π(y), π_min) + ε]^β, divided by ε^β.
+
+    Attributes:
+        prior: π, the density of training poses; None where it is unknown and taken as flat.
+        outlier_floor: ε of an image that says nothing, in units of the ratio p̂/π.
+        temper: β ≤ 1: neighbouring images share their errors, and samples of the network are not calibrated.
+        prior_floor: π_min, per m³ rad³; the flat prior where `prior` is None.
+    """
+
+    prior: KernelDensity | None = None
+    outlier_floor: float = 0.05
+    temper: float = 0.3
+    prior_floor: float = 1e-4
+
+    def log_likelihood(
+        self, log_density: Float64[np.ndarray, " n"], poses: Poses
+    ) -> Float64[np.ndarray, " n"]:
+        """Log likelihood of poses (n,) whose log p̂ is known."""
+        log_prior = np.full(len(poses), np.log(self.prior_floor))
+        if self.prior is not None:
+            log_prior = np.maximum(log_prior, self.prior.log_density(poses))
+        ratio = np.log1p(-self.outlier_floor) - np.log(self.outlier_floor) + log_density - log_prior
+        return self.temper * np.logaddexp(ratio, 0.0)
+
+
+@dataclass(frozen=True)
+class PosteriorSamples:
+    """A posterior given by samples: their kernel density, and the likelihood it implies.
+
+    Attributes:
+        density: Kernel density over the samples, p̂.
+        likelihood: How p̂ becomes a likelihood.
+    """
+
+    density: KernelDensity
+    likelihood: LikelihoodModel = field(default_factory=LikelihoodModel)
+
+    @property
+    def poses(self) -> Poses:
+        """The samples themselves, world_from_camera, batch (m,)."""
+        return self.density.centres
+
+    def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
+        """Draw poses (num_samples,) from the kernel density."""
+        return self.density.sample(num_samples, rng=rng)
+
+    def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
+        """Log p̂(pose | image) of poses (n,), per m³ rad³."""
+        return self.density.log_density(poses)
+
+    def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
+        """Log p(image | pose) of poses (n,), 0 where only the outlier floor is left."""
+        return self.likelihood.log_likelihood(self.density.log_density(poses), poses)

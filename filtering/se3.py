@@ -1,0 +1,215 @@
+"""Rigid transforms of SE(3), in batches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.spatial.transform import Rotation
+
+from filtering.errors import VaporTrackError
+
+
+@dataclass(frozen=True)
+class Poses:
+    """A batch of poses `a_from_b`: each maps points in frame b to points in frame a.
+
+    Right-handed, metres. The batch shape may be empty, `()`, for one pose. Tangent vectors are
+    ξ = (v, ω) = (vx, vy, vz, ωx, ωy, ωz), translation first, and act on the right: `T @ Poses.exp(ξ)`,
+    so ξ and every covariance of it live in frame b.
+
+    Attributes:
+        rotation: Rotation matrices, float64.
+        translation: Translations in metres, float64.
+    """
+
+    rotation: Float64[np.ndarray, "*batch 3 3"]
+    translation: Float64[np.ndarray, "*batch 3"]
+
+    # --- factories ---------------------------------------------------------------------------------
+
+    @staticmethod
+    def identity(*batch: int) -> Poses:
+        """Identity poses of the given batch shape."""
+        return Poses(np.broadcast_to(np.eye(3), (*batch, 3, 3)).copy(), np.zeros((*batch, 3)))
+
+    @staticmethod
+    def from_matrix(matrix: np.ndarray) -> Poses:
+        """Poses from homogeneous matrices of shape (*batch, 4, 4)."""
+        matrix = np.asarray(matrix, np.float64)
+        return Poses(matrix[..., :3, :3].copy(), matrix[..., :3, 3].copy())
+
+    @staticmethod
+    def from_quat_xyzw(translation: np.ndarray, quat_xyzw: np.ndarray) -> Poses:
+        """Poses from translations (*batch, 3) and quaternions (*batch, 4) in x, y, z, w order.
+
+        Quaternions are normalised. Raises:
+            VaporTrackError: a value is not finite, or a quaternion has no length.
+        """
+        translation = np.asarray(translation, np.float64)
+        quat_xyzw = np.asarray(quat_xyzw, np.float64)
+        norm = np.linalg.norm(quat_xyzw, axis=-1)
+        if not (np.isfinite(translation).all() and np.isfinite(quat_xyzw).all()):
+            raise VaporTrackError(
+                f"pose is not finite: translation {translation.tolist()}, quaternion xyzw {quat_xyzw.tolist()}"
+            )
+        if (norm < 1e-6).any():
+            raise VaporTrackError(
+                f"quaternion xyzw {quat_xyzw.tolist()} has zero length, expected a unit quaternion"
+            )
+        return Poses(rotation_from_quat_xyzw(quat_xyzw / norm[..., None]), translation.copy())
+
+    @staticmethod
+    def exp(tangent: Float64[np.ndarray, "*batch 6"]) -> Poses:
+        """Exponential map of tangent vectors (v, ω)."""
+        v, omega = tangent[..., :3], tangent[..., 3:]
+        angle_sq = np.sum(omega**2, axis=-1)[..., None, None]
+        a, b, c = _exp_coefficients(angle_sq)
+        skew = _skew(omega)
+        skew_sq = skew @ skew
+        rotation = np.eye(3) + a * skew + b * skew_sq
+        left_jacobian = np.eye(3) + b * skew + c * skew_sq
+        return Poses(rotation, (left_jacobian @ v[..., None])[..., 0])
+
+    @staticmethod
+    def concatenate(parts: Sequence[Poses]) -> Poses:
+        """Join batches along their first axis."""
+        return Poses(
+            np.concatenate([p.rotation for p in parts]), np.concatenate([p.translation for p in parts])
+        )
+
+    @staticmethod
+    def stack(parts: Sequence[Poses]) -> Poses:
+        """Stack equally shaped batches along a new first axis."""
+        return Poses(np.stack([p.rotation for p in parts]), np.stack([p.translation for p in parts]))
+
+    # --- accessors ---------------------------------------------------------------------------------
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """Shape of the batch; `()` for one pose."""
+        return self.translation.shape[:-1]
+
+    def __len__(self) -> int:
+        if not self.batch_shape:
+            raise TypeError("a single pose has no length")
+        return len(self.translation)
+
+    def __getitem__(self, index: object) -> Poses:
+        return Poses(self.rotation[index], self.translation[index])  # pyright: ignore[reportArgumentType]
+
+    def as_matrix(self) -> Float64[np.ndarray, "*batch 4 4"]:
+        """Homogeneous matrices."""
+        matrix = np.zeros((*self.batch_shape, 4, 4))
+        matrix[..., :3, :3] = self.rotation
+        matrix[..., :3, 3] = self.translation
+        matrix[..., 3, 3] = 1.0
+        return matrix
+
+    def as_quat_xyzw(self) -> Float64[np.ndarray, "*batch 4"]:
+        """Unit quaternions in x, y, z, w order, w ≥ 0."""
+        flat = Rotation.from_matrix(self.rotation.reshape(-1, 3, 3)).as_quat(canonical=True)
+        return flat.reshape(*self.batch_shape, 4)
+
+    def is_finite(self) -> Bool[np.ndarray, "*batch"]:
+        """Which poses have no NaN and no infinity."""
+        return np.isfinite(self.rotation).all(axis=(-2, -1)) & np.isfinite(self.translation).all(axis=-1)
+
+    # --- operations --------------------------------------------------------------------------------
+
+    def __matmul__(self, other: Poses) -> Poses:
+        """Compose: `a_from_b @ b_from_c` is `a_from_c`; batch shapes broadcast."""
+        rotation = self.rotation @ other.rotation
+        translation = (self.rotation @ other.translation[..., None])[..., 0] + self.translation
+        return Poses(rotation, translation)
+
+    def inverse(self) -> Poses:
+        """`b_from_a` of every `a_from_b`."""
+        transposed = np.swapaxes(self.rotation, -1, -2)
+        return Poses(np.ascontiguousarray(transposed), -(transposed @ self.translation[..., None])[..., 0])
+
+    def apply(self, points: Float64[np.ndarray, "*batch_or_n 3"]) -> Float64[np.ndarray, "..."]:
+        """Map points (..., 3) in frame b to frame a; the batch broadcasts against the leading axes."""
+        return (self.rotation @ points[..., None])[..., 0] + self.translation
+
+    def log(self) -> Float64[np.ndarray, "*batch 6"]:
+        """Tangent vectors (v, ω), with |ω| ≤ π; the inverse of `exp`."""
+        omega = Rotation.from_matrix(self.rotation.reshape(-1, 3, 3)).as_rotvec()
+        omega = omega.reshape(*self.batch_shape, 3)
+        angle_sq = np.sum(omega**2, axis=-1)[..., None, None]
+        skew = _skew(omega)
+        inverse_jacobian = np.eye(3) - 0.5 * skew + _log_coefficient(angle_sq) * (skew @ skew)
+        return np.concatenate([(inverse_jacobian @ self.translation[..., None])[..., 0], omega], axis=-1)
+
+    def adjoint(self) -> Float64[np.ndarray, "*batch 6 6"]:
+        """Adjoint A with `T exp(ξ) T⁻¹ = exp(A ξ)`, for the (v, ω) order."""
+        adjoint = np.zeros((*self.batch_shape, 6, 6))
+        adjoint[..., :3, :3] = self.rotation
+        adjoint[..., 3:, 3:] = self.rotation
+        adjoint[..., :3, 3:] = _skew(self.translation) @ self.rotation
+        return adjoint
+
+    def interpolate(self, other: Poses, fraction: Float64[np.ndarray, "*batch"] | float) -> Poses:
+        """The pose a fraction of the way to `other` along the geodesic `self @ exp(s log(self⁻¹ other))`."""
+        return self @ Poses.exp(np.asarray(fraction, np.float64)[..., None] * (self.inverse() @ other).log())
+
+    def distance(self, other: Poses) -> tuple[Float64[np.ndarray, "..."], Float64[np.ndarray, "..."]]:
+        """Translation distance in metres and rotation angle in radians; batch shapes broadcast.
+
+        The angle is 2·asin(‖R₁ − R₂‖_F / √8): exact, accurate near zero and free of NaN at π.
+        """
+        translation_m = np.linalg.norm(self.translation - other.translation, axis=-1)
+        chord = np.linalg.norm(self.rotation - other.rotation, axis=(-2, -1))
+        return translation_m, 2.0 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0.0, 1.0))
+
+    def mean(self, weights: Float64[np.ndarray, " n"] | None = None) -> Poses:
+        """Weighted mean of a batch (n,): arithmetic for translations, chordal L2 for rotations.
+
+        The chordal mean is the rotation nearest to the mean matrix (Hartley et al., IJCV 2013). It is a
+        point between the modes of a multimodal batch: take it over one mode only.
+        """
+        if weights is None:
+            weights = np.full(len(self), 1.0 / len(self))
+        weights = weights / weights.sum()
+        u, _, vt = np.linalg.svd(np.tensordot(weights, self.rotation, axes=1))
+        u[:, 2] *= np.linalg.det(u @ vt)
+        return Poses(u @ vt, weights @ self.translation)
+
+
+def rotation_from_quat_xyzw(quat_xyzw: Float64[np.ndarray, "*batch 4"]) -> Float64[np.ndarray, "*batch 3 3"]:
+    """Rotation matrices of unit quaternions in x, y, z, w order."""
+    flat = Rotation.from_quat(quat_xyzw.reshape(-1, 4)).as_matrix()
+    return flat.reshape(*quat_xyzw.shape[:-1], 3, 3)
+
+
+def _skew(v: np.ndarray) -> np.ndarray:
+    skew = np.zeros((*v.shape[:-1], 3, 3))
+    skew[..., 2, 1] = v[..., 0]
+    skew[..., 1, 2] = -v[..., 0]
+    skew[..., 0, 2] = v[..., 1]
+    skew[..., 2, 0] = -v[..., 1]
+    skew[..., 1, 0] = v[..., 2]
+    skew[..., 0, 1] = -v[..., 2]
+    return skew
+
+
+def _exp_coefficients(angle_sq: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """sin θ/θ, (1 − cos θ)/θ², (θ − sin θ)/θ³, by series below 1e-2 rad where the quotients cancel."""
+    small = angle_sq < 1e-4
+    safe = np.where(small, 1.0, angle_sq)
+    angle = np.sqrt(safe)
+    a = np.where(small, 1 - angle_sq / 6 + angle_sq**2 / 120, np.sin(angle) / angle)
+    b = np.where(small, 0.5 - angle_sq / 24 + angle_sq**2 / 720, 2 * np.sin(angle / 2) ** 2 / safe)
+    c = np.where(small, 1 / 6 - angle_sq / 120 + angle_sq**2 / 5040, (angle - np.sin(angle)) / (safe * angle))
+    return a, b, c
+
+
+def _log_coefficient(angle_sq: np.ndarray) -> np.ndarray:
+    """1/θ² − (1 + cos θ)/(2 θ sin θ), by series near zero and in a form that is finite at π."""
+    small = angle_sq < 1e-4
+    safe = np.where(small, 1.0, angle_sq)
+    half = np.sqrt(safe) / 2
+    value = (1 - half / np.tan(half)) / safe
+    return np.where(small, 1 / 12 + angle_sq / 720 + angle_sq**2 / 30240, value)

@@ -1,0 +1,1 @@
+"""Recorded and synthetic sequences: readers, writers, data sets and rendered scenes."""

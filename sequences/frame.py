@@ -1,0 +1,62 @@
+"""What a sequence is made of: cameras, frames and trajectories."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int64, UInt8
+
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole camera, in pixels; axes x right, y down, z forward (OpenCV).
+
+    Pixel centres lie at integer coordinates: the image spans [−½, width − ½] × [−½, height − ½].
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image of a sequence, with what is known about it.
+
+    Attributes:
+        time_ns: Header stamp of the image, integer nanoseconds.
+        image: RGB, uint8.
+        odometry: Motion of the camera since the previous frame that was yielded; None for the first frame, and for
+            sequences without odometry.
+        world_from_camera: True pose, one pose; None where unknown.
+        camera: Intrinsics, None where unknown.
+    """
+
+    time_ns: int
+    image: UInt8[np.ndarray, "height width 3"]
+    odometry: Odometry | None = None
+    world_from_camera: Poses | None = None
+    camera: Camera | None = None
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Time-stamped poses, in increasing order of time.
+
+    Attributes:
+        times_ns: Stamps in integer nanoseconds, strictly increasing.
+        poses: world_from_camera, batch (n,).
+    """
+
+    times_ns: Int64[np.ndarray, " n"]
+    poses: Poses
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
