@@ -150,9 +150,7 @@ class LikelihoodModel:
     temper: float = 0.3
     prior_floor: float = 1e-4
 
-    def log_likelihood(
-        self, log_density: Float64[np.ndarray, " n"], poses: Poses
-    ) -> Float64[np.ndarray, " n"]:
+    def log_likelihood(self, log_density: Float64[np.ndarray, " n"], poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log likelihood of poses (n,) whose log p̂ is known."""
         log_prior = np.full(len(poses), np.log(self.prior_floor))
         if self.prior is not None:

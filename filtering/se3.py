@@ -56,9 +56,7 @@ class Poses:
                 f"pose is not finite: translation {translation.tolist()}, quaternion xyzw {quat_xyzw.tolist()}"
             )
         if (norm < 1e-6).any():
-            raise VaporTrackError(
-                f"quaternion xyzw {quat_xyzw.tolist()} has zero length, expected a unit quaternion"
-            )
+            raise VaporTrackError(f"quaternion xyzw {quat_xyzw.tolist()} has zero length, expected a unit quaternion")
         return Poses(rotation_from_quat_xyzw(quat_xyzw / norm[..., None]), translation.copy())
 
     @staticmethod
@@ -76,9 +74,7 @@ class Poses:
     @staticmethod
     def concatenate(parts: Sequence[Poses]) -> Poses:
         """Join batches along their first axis."""
-        return Poses(
-            np.concatenate([p.rotation for p in parts]), np.concatenate([p.translation for p in parts])
-        )
+        return Poses(np.concatenate([p.rotation for p in parts]), np.concatenate([p.translation for p in parts]))
 
     @staticmethod
     def stack(parts: Sequence[Poses]) -> Poses:
