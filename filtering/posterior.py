@@ -8,12 +8,12 @@ from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.special import ive
+from scipy.special import ive, logsumexp
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 
-_BLOCK = 2048  # rows of a kernel matrix at a time: 2048 × 1000 float32 stay in the second-level cache's reach
+_BLOCK = 128  # kernel rows at a time: 128 × 1000 float32 fit a core's second-level cache and need no BLAS threads
 
 
 class PosePosterior(Protocol):
@@ -25,6 +25,10 @@ class PosePosterior(Protocol):
 
     def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log p(pose | image) of poses (n,), per m³ rad³, normalised."""
+        ...
+
+    def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
+        """Log π(pose) of poses (n,), per m³ rad³: where a camera can be before any image is seen."""
         ...
 
     def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
@@ -79,26 +83,24 @@ class KernelDensity:
     def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log density of poses (n,), per m³ rad³.
 
-        The kernel matrix is float32 and its exponents are relative to each row's maximum, so a pose far from every
-        centre gets its true, very small log density rather than −∞.
+        The kernel matrix is float32. A pose so far from every centre that all its kernels underflow is computed
+        again relative to its largest exponent: it gets its true, very small log density rather than −∞.
         """
         origin = self.centres.translation.mean(axis=0)
-        centres = self._embed(self.centres, origin)
-        # log kernel = a·c − ½|a|² − ½|c|²: the centre's own terms enter the product as one more column.
-        own = -0.5 * np.sum(centres.astype(np.float64) ** 2, axis=1)
-        own += np.full(len(own), -np.log(len(own))) if self.log_weights is None else self.log_weights
-        right = np.concatenate([centres.T, own[None].astype(np.float32)])
-        density = np.empty(len(poses))
-        for start in range(0, len(poses), _BLOCK):
-            block = self._embed(poses[start : start + _BLOCK], origin)
-            left = np.concatenate([block, np.ones((len(block), 1), np.float32)], axis=1)
-            exponent = left @ right
-            top = exponent.max(axis=1, keepdims=True)
-            exponent -= top
-            np.exp(exponent, out=exponent)
-            total = exponent.sum(axis=1, dtype=np.float64)
-            norm = 0.5 * np.sum(block.astype(np.float64) ** 2, axis=1)
-            density[start : start + _BLOCK] = np.log(total) + top[:, 0] - norm
+        centres, half_norm = self._embed(self.centres, origin)
+        log_weights = -np.log(len(half_norm)) if self.log_weights is None else self.log_weights
+        # log kernel = a·c − ½|c|² − ½|a|²: the norms enter the product as two more columns.
+        right = np.vstack([centres.T, log_weights - half_norm, np.ones(len(half_norm))]).astype(np.float32)
+        rows, row_half_norm = self._embed(poses, origin)
+        left = np.column_stack([rows, np.ones(len(rows)), -row_half_norm]).astype(np.float32)
+        density = np.empty(len(left))
+        for start in range(0, len(left), _BLOCK):
+            exponent = left[start : start + _BLOCK] @ right
+            density[start : start + _BLOCK] = np.exp(exponent, out=exponent).sum(axis=1)
+        far = density < 1e-30
+        density[~far] = np.log(density[~far])
+        if far.any():
+            density[far] = logsumexp((left[far] @ right).astype(np.float64), axis=1)
         return density - self.log_normaliser
 
     def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
@@ -126,12 +128,12 @@ class KernelDensity:
         cumulative = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
         return cumulative / cumulative[-1], angle
 
-    def _embed(self, poses: Poses, origin: np.ndarray) -> np.ndarray:
-        """[t/h_t, vec(R)/(√2 h_r)] as float32 (n, 12), translations relative to an origin for precision."""
-        embedding = np.empty((len(poses), 12), np.float32)
+    def _embed(self, poses: Poses, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """[t/h_t, vec(R)/(√2 h_r)] (n, 12) and half its squared norm (n,); an origin near by keeps float32 exact."""
+        embedding = np.empty((len(poses), 12))
         embedding[:, :3] = (poses.translation - origin) / self.bandwidth_translation_m
         embedding[:, 3:] = poses.rotation.reshape(-1, 9) / (np.sqrt(2.0) * self.bandwidth_rotation_rad)
-        return embedding
+        return embedding, 0.5 * np.einsum("ij,ij->i", embedding, embedding)
 
 
 @dataclass(frozen=True)
@@ -139,10 +141,10 @@ class LikelihoodModel:
     """How a posterior becomes a likelihood: L(y) = [(1 − ε) p̂(y|x)/max(π(y), π_min) + ε]^β, divided by ε^β.
 
     Attributes:
-        prior: π, the density of training poses; None where it is unknown and taken as flat.
+        prior: π, the density of training poses; None where it is unknown and taken as flat, π_min.
         outlier_floor: ε of an image that says nothing, in units of the ratio p̂/π.
         temper: β ≤ 1: neighbouring images share their errors, and samples of the network are not calibrated.
-        prior_floor: π_min, per m³ rad³; the flat prior where `prior` is None.
+        prior_floor: π_min, per m³ rad³.
     """
 
     prior: KernelDensity | None = None
@@ -150,11 +152,15 @@ class LikelihoodModel:
     temper: float = 0.3
     prior_floor: float = 1e-4
 
-    def log_likelihood(self, log_density: Float64[np.ndarray, " n"], poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log likelihood of poses (n,) whose log p̂ is known."""
-        log_prior = np.full(len(poses), np.log(self.prior_floor))
-        if self.prior is not None:
-            log_prior = np.maximum(log_prior, self.prior.log_density(poses))
+    def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
+        """Log of max(π, π_min) at poses (n,)."""
+        floor = np.full(len(poses), np.log(self.prior_floor))
+        return floor if self.prior is None else np.maximum(floor, self.prior.log_density(poses))
+
+    def log_likelihood(
+        self, log_density: Float64[np.ndarray, " n"], log_prior: Float64[np.ndarray, " n"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Log L from log p̂ and log π at the same poses, (n,); 0 where only the outlier floor is left."""
         ratio = np.log1p(-self.outlier_floor) - np.log(self.outlier_floor) + log_density - log_prior
         return self.temper * np.logaddexp(ratio, 0.0)
 
@@ -170,6 +176,7 @@ class PosteriorSamples:
 
     density: KernelDensity
     likelihood: LikelihoodModel = field(default_factory=LikelihoodModel)
+    _evaluated: list[tuple[Poses, np.ndarray, np.ndarray]] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def poses(self) -> Poses:
@@ -182,8 +189,19 @@ class PosteriorSamples:
 
     def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log p̂(pose | image) of poses (n,), per m³ rad³."""
-        return self.density.log_density(poses)
+        return self._evaluate(poses)[0]
+
+    def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
+        """Log π(pose) of poses (n,), per m³ rad³."""
+        return self._evaluate(poses)[1]
 
     def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log p(image | pose) of poses (n,), 0 where only the outlier floor is left."""
-        return self.likelihood.log_likelihood(self.density.log_density(poses), poses)
+        return self.likelihood.log_likelihood(*self._evaluate(poses))
+
+    def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+        """Log p̂ and log π; the filter asks all three densities of the same poses, the kernels are summed once."""
+        if not self._evaluated or self._evaluated[0][0] is not poses:
+            values = self.density.log_density(poses), self.likelihood.log_prior(poses)
+            self._evaluated[:] = [(poses, *values)]
+        return self._evaluated[0][1:]

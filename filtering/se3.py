@@ -63,13 +63,14 @@ class Poses:
     def exp(tangent: Float64[np.ndarray, "*batch 6"]) -> Poses:
         """Exponential map of tangent vectors (v, ω)."""
         v, omega = tangent[..., :3], tangent[..., 3:]
-        angle_sq = np.sum(omega**2, axis=-1)[..., None, None]
-        a, b, c = _exp_coefficients(angle_sq)
-        skew = _skew(omega)
-        skew_sq = skew @ skew
-        rotation = np.eye(3) + a * skew + b * skew_sq
-        left_jacobian = np.eye(3) + b * skew + c * skew_sq
-        return Poses(rotation, (left_jacobian @ v[..., None])[..., 0])
+        a, b, c = _exp_coefficients(np.sum(omega**2, axis=-1)[..., None])
+        # Rodrigues with cos θ = 1 − b θ²: R = (1 − bθ²) I + a [ω]× + b ω ωᵀ, and alike for the left Jacobian.
+        rotation = (b * omega)[..., :, None] * omega[..., None, :] + _skew(a * omega)
+        cosine = 1.0 - b[..., 0] * np.sum(omega**2, axis=-1)
+        for axis in range(3):
+            rotation[..., axis, axis] += cosine
+        along = np.sum(omega * v, axis=-1)[..., None]
+        return Poses(rotation, a * v + b * np.cross(omega, v) + c * along * omega)
 
     @staticmethod
     def concatenate(parts: Sequence[Poses]) -> Poses:

@@ -1,0 +1,172 @@
+"""The particle filter: image by image, from posterior samples and odometry to an estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from filtering.errors import VaporTrackError
+from filtering.estimate import Estimate, Mode, ModeConfig, Status, find_modes
+from filtering.motion import Odometry
+from filtering.particles import Particles
+from filtering.posterior import ObservationModel, PosePosterior
+from filtering.proposal import mixture_log_weights, propose
+from filtering.se3 import Poses
+
+
+@dataclass(frozen=True)
+class LocalizerConfig:
+    """Settings of the filter; the defaults serve a hand-held camera or a slow robot in a building."""
+
+    num_particles: int = 2000
+    """Particles that carry the belief."""
+    injection_fraction: float = 0.1
+    """φ: share of the particles that every image's posterior draws anew."""
+    kidnap_probability: float = 0.01
+    """κ: chance per image that the camera was carried elsewhere without odometry noticing."""
+    jitter_m: float = 0.01
+    """Standard deviation in metres that separates duplicated particles."""
+    jitter_rad: float = 0.005
+    """Standard deviation in radians that separates duplicated particles."""
+    predicted_bandwidth_m: float = 0.1
+    """Kernel width in metres with which the density of the carried belief is evaluated."""
+    predicted_bandwidth_rad: float = 0.1
+    """Kernel width in radians with which the density of the carried belief is evaluated."""
+    num_predicted_centres: int = 500
+    """Particles from which the density of the carried belief is evaluated, at most."""
+    converged_weight: float = 0.8
+    """Status is "converged" from this share of the belief in the best mode on."""
+    converged_std_m: float = 0.5
+    """And with at most this standard deviation of its position, in metres, along its widest axis."""
+    lost_log_evidence: float = 0.2
+    """Status is "lost" while the running mean of the log evidence is below this (0: every image an outlier)."""
+    evidence_decay: float = 0.9
+    """Share of the running mean of the log evidence that an image leaves unchanged."""
+    switch_ratio: float = 1.5
+    """Another mode becomes the best one when it outweighs the present best by this factor."""
+    modes: ModeConfig = field(default_factory=ModeConfig)
+    """What counts as one hypothesis."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("num_particles", 1, 10**7),
+            ("injection_fraction", 0.0, 0.99),
+            ("kidnap_probability", 0.0, 1.0),
+            ("converged_weight", 0.0, 1.0),
+            ("evidence_decay", 0.0, 0.9999),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise VaporTrackError(f"{name} is {value}, expected between {low} and {high}")
+
+
+class ParticleLocalizer:
+    """Localizes a camera from images and odometry; the filter's one mutable object.
+
+    Args:
+        model: Maps an image to its posterior over poses.
+        config: Settings of the filter.
+        rng: Source of all randomness; the model's draws and the filter's come from two streams spawned from it.
+    """
+
+    def __init__(
+        self, model: ObservationModel, config: LocalizerConfig | None = None, *, rng: np.random.Generator
+    ) -> None:
+        self.model = model
+        self.config = config or LocalizerConfig()
+        self._model_rng, self._filter_rng = rng.spawn(2)
+        self._belief: Particles | None = None
+        self._best: Poses | None = None
+        self._mean_log_evidence: float | None = None
+
+    def step(self, image: np.ndarray, odom: Odometry | None) -> Estimate:
+        """Localize one image.
+
+        Args:
+            image: RGB, uint8, (H, W, 3).
+            odom: Motion of the camera since the previous step. On the first step there is no previous image, and it
+                is not used. None on a later step means that the motion is unknown: the belief starts anew.
+
+        Raises:
+            VaporTrackError: the odometry covariance is no covariance, or the posterior yields weights that are NaN.
+        """
+        return self.update(self.model.observe(image, rng=self._model_rng), odom)
+
+    def update(self, posterior: PosePosterior, odom: Odometry | None) -> Estimate:
+        """Localize one image whose posterior is at hand; `step` without the observation model."""
+        if self._belief is None or odom is None:
+            self._best = None
+            particles, log_evidence = self._start(posterior)
+        else:
+            if self._best is not None:
+                self._best = self._best @ odom.previous_from_current
+            particles, log_evidence = self._continue(self._belief, posterior, odom)
+        self._belief = particles
+        modes = self._order(find_modes(particles, self.config.modes, rng=self._filter_rng))
+        self._best = modes[0].world_from_camera
+        return Estimate(
+            modes,
+            self._status(modes, log_evidence),
+            particles.poses,
+            particles.log_weights,
+            particles.effective_sample_size,
+            log_evidence,
+        )
+
+    def _start(self, posterior: PosePosterior) -> tuple[Particles, float]:
+        """Draw the first belief from the image; its weight is L π / p̂, as the belief before it is the prior π."""
+        poses = posterior.sample(self.config.num_particles, rng=self._filter_rng)
+        log_weights = posterior.log_likelihood(poses) + posterior.log_prior(poses) - posterior.log_density(poses)
+        return Particles.from_unnormalised(poses, log_weights)
+
+    def _continue(self, belief: Particles, posterior: PosePosterior, odom: Odometry) -> tuple[Particles, float]:
+        """Propagate, inject, weigh."""
+        c = self.config
+        proposal = propose(
+            belief,
+            odom,
+            posterior,
+            num_particles=c.num_particles,
+            injection_fraction=c.injection_fraction,
+            jitter_std=(c.jitter_m, c.jitter_rad),
+            predicted_bandwidth=(c.predicted_bandwidth_m, c.predicted_bandwidth_rad),
+            num_predicted_centres=c.num_predicted_centres,
+            rng=self._filter_rng,
+        )
+        log_likelihood = posterior.log_likelihood(proposal.poses)
+        log_weights = mixture_log_weights(
+            log_likelihood,
+            proposal.log_predicted,
+            proposal.log_image,
+            posterior.log_prior(proposal.poses),
+            injection_fraction=c.injection_fraction,
+            kidnap_probability=c.kidnap_probability,
+        )
+        particles, _ = Particles.from_unnormalised(proposal.poses, log_weights)
+        expected = log_likelihood[: proposal.num_from_motion]
+        return particles, float(np.logaddexp.reduce(expected) - np.log(len(expected)))
+
+    def _order(self, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
+        """Keep the previous best mode first unless another clearly outweighs it."""
+        if self._best is None or len(modes) == 1:
+            return modes
+        radius = self.config.modes
+        for k, mode in enumerate(modes):
+            translation_m, rotation_rad = mode.world_from_camera.distance(self._best)
+            if translation_m <= radius.radius_m and rotation_rad <= radius.radius_rad:
+                if modes[0].weight < self.config.switch_ratio * mode.weight:
+                    return (mode, *modes[:k], *modes[k + 1 :])
+                break
+        return modes
+
+    def _status(self, modes: tuple[Mode, ...], log_evidence: float) -> Status:
+        previous = log_evidence if self._mean_log_evidence is None else self._mean_log_evidence
+        decay = self.config.evidence_decay
+        self._mean_log_evidence = decay * previous + (1 - decay) * log_evidence
+        if self._mean_log_evidence < self.config.lost_log_evidence:
+            return "lost"
+        widest_std_m = float(np.sqrt(np.linalg.eigvalsh(modes[0].covariance[:3, :3])[-1]))
+        if modes[0].weight >= self.config.converged_weight and widest_std_m <= self.config.converged_std_m:
+            return "converged"
+        return "ambiguous"

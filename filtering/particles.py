@@ -1,0 +1,60 @@
+"""The belief: weighted particles on SE(3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.special import logsumexp
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+
+
+@dataclass(frozen=True)
+class Particles:
+    """Weighted samples of the belief.
+
+    Attributes:
+        poses: world_from_camera, batch (n,).
+        log_weights: Log weights, normalised so that Σ exp = 1, (n,).
+    """
+
+    poses: Poses
+    log_weights: Float64[np.ndarray, " n"]
+
+    @staticmethod
+    def from_unnormalised(poses: Poses, log_weights: Float64[np.ndarray, " n"]) -> tuple[Particles, float]:
+        """Normalise importance weights.
+
+        Returns:
+            The particles, and the log of the mean unnormalised weight: the evidence, which normalising destroys.
+
+        Raises:
+            VaporTrackError: a weight is NaN or +∞, or all are zero.
+        """
+        bad = np.isnan(log_weights) | (log_weights == np.inf)
+        if bad.any():
+            first = int(np.argmax(bad))
+            raise VaporTrackError(
+                f"log weight of particle {first} is {log_weights[first]}, expected a finite number or −∞ "
+                f"({int(bad.sum())} of {len(bad)} particles are so)"
+            )
+        total = float(logsumexp(log_weights))
+        if total == -np.inf:
+            raise VaporTrackError(f"all {len(log_weights)} particle weights are zero, expected at least one positive")
+        return Particles(poses, log_weights - total), total - float(np.log(len(log_weights)))
+
+    @property
+    def weights(self) -> Float64[np.ndarray, " n"]:
+        """Normalised weights, (n,)."""
+        return np.exp(self.log_weights)
+
+    @property
+    def effective_sample_size(self) -> float:
+        """1 / Σ w², between 1 and n (Kong et al. 1994)."""
+        return float(np.exp(-logsumexp(2 * self.log_weights)))
+
+    def __len__(self) -> int:
+        return len(self.log_weights)
