@@ -12,6 +12,7 @@ from filtering.motion import Odometry
 from filtering.particles import Particles
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.proposal import mixture_log_weights, propose
+from filtering.recovery import Recovery, RecoveryConfig, agreement
 from filtering.se3 import Poses
 
 
@@ -23,18 +24,12 @@ class LocalizerConfig:
     """Particles that carry the belief."""
     injection_fraction: float = 0.1
     """φ: share of the particles that every image's posterior draws anew."""
-    kidnap_probability: float = 0.01
-    """κ: chance per image that the camera was carried elsewhere without odometry noticing."""
     jitter_m: float = 0.01
     """Standard deviation in metres that separates duplicated particles."""
     jitter_rad: float = 0.005
     """Standard deviation in radians that separates duplicated particles."""
-    predicted_bandwidth_m: float = 0.1
-    """Kernel width in metres with which the density of the carried belief is evaluated."""
-    predicted_bandwidth_rad: float = 0.1
-    """Kernel width in radians with which the density of the carried belief is evaluated."""
-    num_predicted_centres: int = 500
-    """Particles from which the density of the carried belief is evaluated, at most."""
+    max_kernels: int = 1000
+    """Kernels from which the density of the carried belief is built, at most: bounds the cost of a step."""
     converged_weight: float = 0.8
     """Status is "converged" from this share of the belief in the best mode on."""
     converged_std_m: float = 0.5
@@ -45,6 +40,8 @@ class LocalizerConfig:
     """Share of the running mean of the log evidence that an image leaves unchanged."""
     switch_ratio: float = 1.5
     """Another mode becomes the best one when it outweighs the present best by this factor."""
+    recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
+    """When the belief is doubted."""
     modes: ModeConfig = field(default_factory=ModeConfig)
     """What counts as one hypothesis."""
 
@@ -52,7 +49,6 @@ class LocalizerConfig:
         for name, low, high in (
             ("num_particles", 1, 10**7),
             ("injection_fraction", 0.0, 0.99),
-            ("kidnap_probability", 0.0, 1.0),
             ("converged_weight", 0.0, 1.0),
             ("evidence_decay", 0.0, 0.9999),
         ):
@@ -79,6 +75,7 @@ class ParticleLocalizer:
         self._belief: Particles | None = None
         self._best: Poses | None = None
         self._mean_log_evidence: float | None = None
+        self._recovery = Recovery()
 
     def step(self, image: np.ndarray, odom: Odometry | None) -> Estimate:
         """Localize one image.
@@ -130,22 +127,25 @@ class ParticleLocalizer:
             num_particles=c.num_particles,
             injection_fraction=c.injection_fraction,
             jitter_std=(c.jitter_m, c.jitter_rad),
-            predicted_bandwidth=(c.predicted_bandwidth_m, c.predicted_bandwidth_rad),
-            num_predicted_centres=c.num_predicted_centres,
+            max_kernels=c.max_kernels,
             rng=self._filter_rng,
         )
         log_likelihood = posterior.log_likelihood(proposal.poses)
+        from_motion, from_image = np.split(log_likelihood, [proposal.num_from_motion])
+        if len(from_image):
+            self._recovery = self._recovery.update(agreement(from_motion, from_image), c.recovery)
         log_weights = mixture_log_weights(
             log_likelihood,
             proposal.log_predicted,
             proposal.log_image,
             posterior.log_prior(proposal.poses),
             injection_fraction=c.injection_fraction,
-            kidnap_probability=c.kidnap_probability,
+            kidnap_probability=self._recovery.kidnap_probability(c.recovery),
         )
         particles, _ = Particles.from_unnormalised(proposal.poses, log_weights)
-        expected = log_likelihood[: proposal.num_from_motion]
-        return particles, float(np.logaddexp.reduce(expected) - np.log(len(expected)))
+        if particles.weights[proposal.num_from_motion :].sum() > 0.5:
+            self._recovery = self._recovery.reset()
+        return particles, float(np.logaddexp.reduce(from_motion) - np.log(len(from_motion)))
 
     def _order(self, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
         """Keep the previous best mode first unless another clearly outweighs it."""

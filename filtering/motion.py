@@ -1,4 +1,4 @@
-"""How the camera moved between two images, and how particles move with it."""
+"""How the camera moved between two images, and how uncertain that is."""
 
 from __future__ import annotations
 
@@ -87,25 +87,19 @@ def covariance_factor(covariance: Float64[np.ndarray, "6 6"]) -> Float64[np.ndar
     return eigenvectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
 
 
-def propagate(
-    poses: Poses,
-    odometry: Odometry,
-    *,
-    rng: np.random.Generator,
-    jitter_std: tuple[float, float] = (0.0, 0.0),
-) -> Poses:
-    """Draw from the motion model: move every pose by the odometry and its noise.
+def isotropic_std(
+    covariance: Float64[np.ndarray, "6 6"], least_std: tuple[float, float]
+) -> tuple[float, float]:
+    """Standard deviations (metres, radians) of the isotropic noise that covers a covariance and adds a least noise.
 
     Args:
-        poses: world_from_camera at the previous image, batch (n,).
-        odometry: The motion since.
-        rng: Source of the noise.
-        jitter_std: Further isotropic noise (metres, radians), the regularisation of resampled particles.
+        covariance: Of ξ = (v, ω).
+        least_std: Noise added in quadrature, metres and radians.
 
-    Returns:
-        world_from_camera now, batch (n,).
+    Raises:
+        VaporTrackError: as `covariance_factor`.
     """
-    jitter = np.repeat(np.square(jitter_std), 3)
-    factor = covariance_factor(odometry.covariance + np.diag(jitter))
-    noise = rng.standard_normal((len(poses), 6)) @ factor.T
-    return poses @ (odometry.previous_from_current @ Poses.exp(noise))
+    factor = covariance_factor(covariance)
+    translation_m = np.linalg.norm(factor[:3], 2)
+    rotation_rad = np.linalg.norm(factor[3:], 2)
+    return float(np.hypot(translation_m, least_std[0])), float(np.hypot(rotation_rad, least_std[1]))

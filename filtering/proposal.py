@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.motion import Odometry, propagate
+from filtering.motion import Odometry, isotropic_std
 from filtering.particles import Particles
 from filtering.posterior import KernelDensity, PosePosterior
 from filtering.resampling import systematic
@@ -43,11 +43,15 @@ def propose(
     num_particles: int,
     injection_fraction: float,
     jitter_std: tuple[float, float],
-    predicted_bandwidth: tuple[float, float],
-    num_predicted_centres: int,
+    max_kernels: int,
     rng: np.random.Generator,
 ) -> Proposal:
     """Draw (1 − φ) n particles from the motion model and φ n from the image's posterior.
+
+    The predicted belief p⁻ is a kernel density, and the particles are drawn from that very density: its centres are
+    particles resampled by weight and moved by the odometry, its kernel the odometry's noise with the jitter added,
+    made isotropic on the safe side. So p⁻ is evaluated exactly, and the mixture weights owe nothing to a bandwidth.
+    (Evaluating a smoother density than the one drawn from makes large modes grow at the cost of small ones.)
 
     Args:
         belief: The belief after the previous image.
@@ -55,19 +59,21 @@ def propose(
         posterior: The posterior of the present image.
         num_particles: n, all particles together.
         injection_fraction: φ, the share drawn from the image, in [0, 1).
-        jitter_std: Regularisation of duplicated particles, metres and radians.
-        predicted_bandwidth: Kernel widths, metres and radians, with which p⁻ is evaluated.
-        num_predicted_centres: How many of the propagated particles p⁻ is evaluated from, at most.
+        jitter_std: Least kernel widths, metres and radians: regularisation of duplicated particles.
+        max_kernels: p⁻ has at most this many kernels, which bounds the cost of evaluating it.
         rng: Source of all draws.
+
+    Raises:
+        VaporTrackError: the odometry covariance is no covariance.
     """
     num_injected = round(injection_fraction * num_particles)
     num_from_motion = num_particles - num_injected
-    ancestors = systematic(belief.weights, num_from_motion, rng=rng)
-    moved = propagate(belief.poses[ancestors], odometry, rng=rng, jitter_std=jitter_std)
+    num_kernels = min(num_from_motion, max_kernels)
+    centres = belief.poses[systematic(belief.weights, num_kernels, rng=rng)] @ odometry.previous_from_current
+    predicted = KernelDensity(centres, *isotropic_std(odometry.covariance, jitter_std))
+    # Every kernel gives as many particles as any other, up to rounding: stratified draws from the density.
+    moved = predicted.perturb(centres[np.arange(num_from_motion) * num_kernels // num_from_motion], rng=rng)
     poses = Poses.concatenate([moved, posterior.sample(num_injected, rng=rng)]) if num_injected else moved
-    # Ancestors are sorted, so equal steps through them are a stratified subsample.
-    stride = max(1, -(-num_from_motion // num_predicted_centres))
-    predicted = KernelDensity(moved[rng.integers(stride) :: stride], *predicted_bandwidth)
     return Proposal(poses, num_from_motion, predicted.log_density(poses), posterior.log_density(poses))
 
 

@@ -1,0 +1,74 @@
+"""How much to distrust the belief: the chance that the camera is not where the particles are.
+
+Source: augmented Monte Carlo localization (Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, §8.3.5), with the
+averaged quantity taken before normalisation and relative to what the image could have given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+
+@dataclass(frozen=True)
+class RecoveryConfig:
+    """When the belief is doubted."""
+
+    min_kidnap_probability: float = 0.01
+    """κ while the images fit the belief: chance per image that the camera was carried elsewhere unnoticed."""
+    max_kidnap_probability: float = 0.5
+    """κ at most, however badly the images fit."""
+    slow_rate: float = 0.02
+    """Share of the long-term average that one image replaces."""
+    fast_rate: float = 0.25
+    """Share of the short-term average that one image replaces."""
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """Long- and short-term averages of how well images fit the belief, each relative to the best they could.
+
+    Attributes:
+        slow: Long-term average, in [0, 1]; None before the first image.
+        fast: Short-term average, in [0, 1].
+    """
+
+    slow: float | None = None
+    fast: float = 0.0
+
+    def update(self, agreement: float, config: RecoveryConfig) -> Recovery:
+        """The averages after an image with this `agreement`."""
+        if self.slow is None:
+            return Recovery(agreement, agreement)
+        return Recovery(
+            self.slow + config.slow_rate * (agreement - self.slow),
+            self.fast + config.fast_rate * (agreement - self.fast),
+        )
+
+    def kidnap_probability(self, config: RecoveryConfig) -> float:
+        """κ = 1 − fast/slow, between its limits."""
+        if self.slow is None or self.slow <= 0.0:
+            return config.min_kidnap_probability
+        doubt = 1.0 - self.fast / self.slow
+        return float(np.clip(doubt, config.min_kidnap_probability, config.max_kidnap_probability))
+
+    def reset(self) -> Recovery:
+        """The averages once the belief has moved: the past doubt does not count against the new place."""
+        return self if self.slow is None else replace(self, fast=self.slow)
+
+
+def agreement(
+    log_likelihood_predicted: Float64[np.ndarray, " n"], log_likelihood_image: Float64[np.ndarray, " m"]
+) -> float:
+    """Mean likelihood over the belief relative to the mean over the image's own posterior, at most 1.
+
+    Both are means of unnormalised likelihoods: normalised weights always average 1/n and could tell nothing.
+    """
+    log_ratio = _log_mean(log_likelihood_predicted) - _log_mean(log_likelihood_image)
+    return float(np.exp(min(0.0, log_ratio)))
+
+
+def _log_mean(log_values: np.ndarray) -> float:
+    return float(np.logaddexp.reduce(log_values) - np.log(len(log_values)))
