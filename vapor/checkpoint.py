@@ -1,0 +1,248 @@
+"""A trained model as one safetensors file: weights, configuration, scene box, calibration and provenance."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from filtering.errors import VaporTrackError
+from filtering.posterior import KernelDensity, LikelihoodModel
+from filtering.se3 import Poses
+from sequences.atomic import atomic_output
+from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
+
+FORMAT = "vapor-track model"
+VERSION = 1
+MAX_TRAINING_POSES = 2000
+_SHIPPED = Path(__file__).parent / "models"
+_NETWORK = "network."
+_ROTATION, _TRANSLATION = "training_poses.rotation", "training_poses.translation"
+
+Config = TypeVar("Config")
+
+
+class CheckpointError(VaporTrackError):
+    """A model file cannot be used."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How samples become a density, and the density a likelihood; see `LikelihoodModel` for the formula."""
+
+    bandwidth_translation_m: float = 0.1
+    """Kernel width of the posterior samples along each axis, metres."""
+    bandwidth_rotation_rad: float = 0.1
+    """Kernel width of the posterior samples about each axis, radians."""
+    outlier_floor: float = 0.05
+    """ε: how much of the likelihood is left when the image says nothing."""
+    temper: float = 0.3
+    """β: exponent of the likelihood, below 1 as neighbouring images share their errors."""
+    prior_floor: float = 1e-4
+    """π_min: least density of training poses that is divided by, per m³ rad³."""
+    prior_bandwidth_translation_m: float = 0.3
+    """Kernel width of the training poses along each axis, metres."""
+    prior_bandwidth_rotation_rad: float = 0.3
+    """Kernel width of the training poses about each axis, radians."""
+
+    def density(self, samples: Poses) -> KernelDensity:
+        """p̂, the kernel density of posterior samples (m,)."""
+        return KernelDensity(samples, self.bandwidth_translation_m, self.bandwidth_rotation_rad)
+
+    def likelihood(self, training_poses: Poses) -> LikelihoodModel:
+        """How p̂ becomes a likelihood, π being the kernel density of the training poses (n,)."""
+        prior = KernelDensity(training_poses, self.prior_bandwidth_translation_m, self.prior_bandwidth_rotation_rad)
+        return LikelihoodModel(prior, self.outlier_floor, self.temper, self.prior_floor)
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Everything that `observe` needs.
+
+    Attributes:
+        network: Shape of the network.
+        box: Box of predicted positions.
+        calibration: Of densities and likelihoods.
+        training_poses: world_from_camera of the training images, batch (n,), n ≤ 2000; their density is π.
+        state_dict: Parameters and BatchNorm statistics of `VariationalPoseRegressor`, float32 on the CPU.
+        training: Where it came from (data names, seed, images seen, validation figures); any JSON.
+    """
+
+    network: NetworkConfig
+    box: SceneBox
+    calibration: Calibration
+    training_poses: Poses
+    state_dict: Mapping[str, Tensor]
+    training: dict[str, Any] = field(default_factory=dict)
+
+    def build_network(self) -> VariationalPoseRegressor:
+        """The network with its weights, on the CPU, in evaluation mode."""
+        network = VariationalPoseRegressor(self.network, self.box)
+        network.load_state_dict(dict(self.state_dict))
+        return network.eval()
+
+
+def thin_poses(poses: Poses, limit: int = MAX_TRAINING_POSES) -> Poses:
+    """At most `limit` of the poses (n,), evenly spaced in their order."""
+    if len(poses) <= limit:
+        return poses
+    return poses[np.linspace(0, len(poses) - 1, limit).round().astype(int)]
+
+
+def save_checkpoint(path: Path, checkpoint: Checkpoint, *, half: bool = False) -> None:
+    """Write a model file, complete or not at all.
+
+    Args:
+        path: A file name, usually *.safetensors.
+        checkpoint: What to write; more than 2000 training poses are thinned evenly.
+        half: Store weight matrices as float16, for half the size; biases and BatchNorm stay float32.
+    """
+    poses = thin_poses(checkpoint.training_poses)
+    tensors = {_ROTATION: torch.from_numpy(poses.rotation), _TRANSLATION: torch.from_numpy(poses.translation)}
+    for name, value in checkpoint.state_dict.items():
+        smaller = half and value.is_floating_point() and value.ndim > 1
+        tensors[_NETWORK + name] = value.to(torch.float16) if smaller else value
+    config = {
+        "network": asdict(checkpoint.network),
+        "box": asdict(checkpoint.box),
+        "calibration": asdict(checkpoint.calibration),
+        "training": checkpoint.training,
+    }
+    metadata = {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config, allow_nan=False)}
+    with atomic_output(path) as temporary:
+        save_file({name: value.contiguous() for name, value in tensors.items()}, temporary, metadata)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Read a model file, strictly.
+
+    Raises:
+        CheckpointError: no such file, no safetensors file, another format or version, a configuration with missing,
+            surplus or unusable values, tensors that are missing, surplus, misshapen or not finite.
+    """
+    metadata, tensors = read_safetensors(path)
+    found = metadata.get("format")
+    if found != FORMAT:
+        raise CheckpointError(f"{path}: format is {found!r} in its metadata, expected {FORMAT!r}")
+    if metadata.get("version") != str(VERSION):
+        raise CheckpointError(f"{path}: format version is {metadata.get('version')!r}, expected '{VERSION}'")
+    config = read_json(path, metadata.get("config"))
+    network = parse_config(path, "network", NetworkConfig, config.get("network"))
+    raw_box = parse_config(path, "box", SceneBox, config.get("box"))
+    try:
+        box = SceneBox(_three(raw_box.lower), _three(raw_box.upper))
+    except (TypeError, ValueError) as error:
+        raise CheckpointError(f"{path}: box is {raw_box}, expected three numbers each") from error
+    calibration = parse_config(path, "calibration", Calibration, config.get("calibration"))
+    training = config.get("training")
+    if not isinstance(training, dict):
+        raise CheckpointError(f"{path}: training is {type(training).__name__} in its configuration, expected an object")
+
+    with torch.device("meta"):  # names and shapes only, no memory
+        shapes = {name: value.shape for name, value in VariationalPoseRegressor(network, box).state_dict().items()}
+    check_tensors(path, tensors, {_NETWORK + name: shape for name, shape in shapes.items()})
+    state = {name: tensors[_NETWORK + name] for name in shapes}
+    state = {name: value.float() if value.is_floating_point() else value for name, value in state.items()}
+    poses = Poses(tensors[_ROTATION].double().numpy(), tensors[_TRANSLATION].double().numpy())
+    return Checkpoint(network, box, calibration, poses, state, training)
+
+
+def find_model(name_or_path: str) -> Path:
+    """The file of a model: a path, or the name of a model that ships with the package.
+
+    Raises:
+        CheckpointError: neither a file nor a shipped model; lists those that ship.
+    """
+    path = Path(name_or_path)
+    if path.is_file():
+        return path
+    shipped = _SHIPPED / f"{name_or_path}.safetensors"
+    if path.name == name_or_path and shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(p.stem for p in _SHIPPED.glob("*.safetensors"))) or "none"
+    raise CheckpointError(f"{name_or_path}: no such model file, expected one, or a model that ships: {names}")
+
+
+def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Metadata and tensors of a safetensors file, on the CPU.
+
+    Raises:
+        CheckpointError: no such file, or no safetensors file.
+    """
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such file, expected a safetensors file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise CheckpointError(f"{path}: cannot be read ({reason}), expected a safetensors file") from error
+
+
+def read_json(path: Path, text: str | None) -> dict[str, Any]:
+    """The JSON object in a file's metadata.
+
+    Raises:
+        CheckpointError: absent, or no JSON object.
+    """
+    try:
+        value = json.loads(text or "null")
+    except json.JSONDecodeError as error:
+        raise CheckpointError(f"{path}: configuration in its metadata is not JSON ({error})") from error
+    if not isinstance(value, dict):
+        raise CheckpointError(f"{path}: configuration in its metadata is {text!r}, expected a JSON object")
+    return value
+
+
+def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Config:
+    """A configuration dataclass from JSON, every field given and no other.
+
+    Raises:
+        CheckpointError: missing or surplus fields, or values that the dataclass refuses.
+    """
+    expected = {f.name for f in fields(kind)}  # pyright: ignore[reportArgumentType]
+    found = set(values) if isinstance(values, dict) else set()
+    if found != expected:
+        raise CheckpointError(
+            f"{path}: {name} configuration lacks {sorted(expected - found)} and has surplus {sorted(found - expected)},"
+            f" expected {sorted(expected)}"
+        )
+    try:
+        return kind(**values)
+    except (VaporTrackError, TypeError) as error:
+        raise CheckpointError(f"{path}: {name} configuration: {error}") from error
+
+
+def check_tensors(path: Path, tensors: Mapping[str, Tensor], shapes: Mapping[str, torch.Size]) -> None:
+    """Check that exactly the network's tensors and the training poses are there, in their shapes, finite."""
+    expected = set(shapes) | {_ROTATION, _TRANSLATION}
+    for what, names in (("lacks", expected - tensors.keys()), ("has surplus", tensors.keys() - expected)):
+        if names:
+            raise CheckpointError(
+                f"{path}: {what} tensor {min(names)} ({len(names)} such), expected exactly the {len(expected)} tensors"
+                " of its configuration"
+            )
+    count = tensors[_TRANSLATION].shape[0] if tensors[_TRANSLATION].ndim else 0
+    if count == 0:
+        raise CheckpointError(f"{path}: tensor {_TRANSLATION} is empty, expected at least one training pose")
+    poses = {_ROTATION: torch.Size((count, 3, 3)), _TRANSLATION: torch.Size((count, 3))}
+    for name, shape in {**shapes, **poses}.items():
+        if tensors[name].shape != shape:
+            raise CheckpointError(
+                f"{path}: tensor {name} has shape {tuple(tensors[name].shape)}, expected {tuple(shape)}"
+            )
+        if not torch.isfinite(tensors[name]).all():
+            raise CheckpointError(f"{path}: tensor {name} has values that are not finite")
+
+
+def _three(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z

