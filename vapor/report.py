@@ -1,0 +1,92 @@
+"""What a run says about itself: `report.json`, and the table that the command prints."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sequences.atomic import atomic_output
+from vapor.evaluate import FILES, THRESHOLDS, associate, evaluate_methods
+from vapor.pictures import LABELS, write_pictures
+from vapor.record import RunRecord, RunRecorder
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+__all__ = ["RunRecord", "RunRecorder", "build_report", "format_table", "write_pictures", "write_report"]
+
+
+def build_report(record: RunRecord) -> dict[str, Any]:
+    """The content of `report.json`; the same for the same run but for `step_ms` and `peak_rss_mb`.
+
+    Returns:
+        `frames`, `skipped`, `duration_s`, `status` (share of the images by verdict), `particles` (median), `step_ms`,
+        `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each method's metrics.
+    """
+    verdicts = Counter(record.status)
+    frames = len(record.times_ns)
+    p50, p95 = np.percentile(record.step_ms, [50, 95])
+    found = 0 if record.truth is None else int(associate(record.times_ns, record.truth)[0].sum())
+    report: dict[str, Any] = {
+        "frames": frames,
+        "frames_with_true_pose": found,
+        "skipped": dict(record.skipped),
+        "duration_s": float(record.times_ns[-1] - record.times_ns[0]) / 1e9,
+        "status": {name: verdicts[name] / frames for name in ("converged", "ambiguous", "lost")},
+        "particles": int(np.median(record.num_particles)),
+        "step_ms": {"p50": float(p50), "p95": float(p95)},
+        "peak_rss_mb": record.peak_rss_mb,
+    }
+    if record.truth is not None:
+        report |= evaluate_methods(record.methods, record.truth)
+    return _rounded(report)
+
+
+def write_report(path: Path, report: Mapping[str, Any]) -> None:
+    """Write a report as JSON, keys sorted; the file appears under its name only when complete."""
+    text = json.dumps(_rounded(report), indent=2, sort_keys=True, allow_nan=False) + "\n"
+    with atomic_output(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def format_table(report: Mapping[str, Any], *, title: str | None = None) -> Table:
+    """The methods of a report side by side: medians, recalls, and when each converged.
+
+    Without true poses the table has no rows.
+    """
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", caption_justify="left")
+    table.add_column("")
+    table.add_column("median error", justify="right")
+    for threshold in THRESHOLDS:
+        table.add_column(threshold.replace("m/", " m\n").replace("deg", "°"), justify="right")
+    table.add_column("converged", justify="right")
+    for name in FILES:
+        if name not in report:
+            continue
+        metrics = report[name]
+        converged_at_s = metrics.get("converged_at_s")
+        converged = "" if "success" not in metrics else "no" if converged_at_s is None else f"{converged_at_s:.1f} s"
+        table.add_row(
+            LABELS[name],
+            f"{metrics['median_translation_m']:.2f} m  {metrics['median_rotation_deg']:5.1f}°",
+            *(f"{100 * metrics['recall'][threshold]:.0f} %" for threshold in THRESHOLDS),
+            converged,
+            style="bold" if name == "filter" else None,
+        )
+    return table
+
+
+def _rounded(value: Any) -> Any:  # noqa: ANN401
+    """Every float to six decimals: finer than any sensor, coarser than the last bits of a sum."""
+    if isinstance(value, Mapping):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return round(value, 6)
+    return value
