@@ -1,0 +1,162 @@
+"""Data sets on disk -> MCAP sequences, with recorded or simulated odometry."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from filtering.se3 import Poses
+from sequences.datasets import SEVEN_SCENES_HZ, PosedImages, list_images, read_image_bytes
+from sequences.errors import SequenceError
+from sequences.messages import decode_image_bytes
+from sequences.pairing import interpolate
+from sequences.reader import MAX_ODOMETRY_GAP_S
+from sequences.tum import read_tum
+from sequences.writer import SequenceWriter
+
+if TYPE_CHECKING:
+    from sequences.odometry import OdometryNoise
+
+
+@dataclass(frozen=True)
+class ConversionSummary:
+    """What a conversion did.
+
+    Attributes:
+        num_images: Images written.
+        skipped: Images left out, by reason.
+        odometry: Where the odometry comes from, as the file says it too.
+    """
+
+    num_images: int
+    skipped: dict[str, int]
+    odometry: str
+
+
+@dataclass(frozen=True)
+class _OdometryTrack:
+    """Odometry of the camera: stamps (k,), poses (k,) in any frame, twist covariances (k, 6, 6), and its origin."""
+
+    times_ns: np.ndarray
+    odom_from_camera: Poses
+    twist_covariances: np.ndarray
+    description: str
+
+
+def convert(
+    dataset: Path,
+    output: Path,
+    *,
+    odometry: Path | None = None,
+    odometry_noise: OdometryNoise | None = None,
+    frames: slice = slice(None),
+    seed: int = 0,
+) -> ConversionSummary:
+    """Write a TUM RGB-D or 7-Scenes folder as an MCAP sequence; images are copied, not encoded again.
+
+    Base and camera are one frame. Time stamps of 7-Scenes, which has none, are made up at 30 Hz.
+
+    Args:
+        dataset: Folder of the data set.
+        output: File to write.
+        odometry: Recorded odometry, a TUM trajectory of the camera in any frame: only its relative motion counts.
+        odometry_noise: How to simulate odometry from the true poses, instead; None for no odometry at all where there
+            is no recorded one either.
+        frames: Which of the images.
+        seed: Of the simulated odometry.
+
+    Raises:
+        SequenceError: a file is missing, damaged or of an unknown layout, or no image is left.
+    """
+    images = list_images(dataset)
+    skipped = Counter(images.skipped)
+    images = images[frames]
+    if not len(images):
+        raise SequenceError(f"{dataset}: no images in frames {frames.start}:{frames.stop}:{frames.step}")
+    track = _odometry(images, odometry, odometry_noise, seed)
+    images = _covered(images, track, skipped)
+    description = track.description if track else "none"
+    metadata = {"odometry": description, "dataset": f"{images.layout} {Path(dataset).resolve().name}"}
+    if images.layout == "7-Scenes":
+        metadata["time_stamps"] = f"assumed, {SEVEN_SCENES_HZ} Hz"
+    num_images = 0
+    with SequenceWriter(output, camera=images.camera, base_from_camera=Poses.identity(), metadata=metadata) as writer:
+        next_odometry = 0
+        for i, file in enumerate(images.files):
+            time_ns = int(images.times_ns[i])
+            try:
+                data = read_image_bytes(file)
+                decode_image_bytes(data)
+            except SequenceError:
+                skipped["undecodable image"] += 1
+                continue
+            if track is not None:
+                next_odometry = _write_odometry(writer, track, next_odometry, time_ns)
+            writer.write_true_pose(time_ns, images.world_from_camera[i])
+            writer.write_encoded_image(time_ns, data, "png" if data[:4] == b"\x89PNG" else "jpeg")
+            num_images += 1
+        if num_images == 0:
+            raise SequenceError(f"{dataset}: no image left: {dict(skipped)}; expected at least one that can be used")
+    return ConversionSummary(num_images, dict(skipped), description)
+
+
+def _odometry(
+    images: PosedImages, recorded: Path | None, noise: OdometryNoise | None, seed: int
+) -> _OdometryTrack | None:
+    """Recorded odometry where there is some, else simulated, else none."""
+    if recorded is not None:
+        trajectory = read_tum(recorded)
+        # The last pose before the images to the first one after them: what their increments need.
+        begin = max(int(np.searchsorted(trajectory.times_ns, images.times_ns[0], side="right")) - 1, 0)
+        end = int(np.searchsorted(trajectory.times_ns, images.times_ns[-1], side="left")) + 1
+        times_ns = trajectory.times_ns[begin:end]
+        unknown = np.zeros((len(times_ns), 6, 6))
+        return _OdometryTrack(times_ns, trajectory.poses[begin:end], unknown, f"recorded: {Path(recorded).name}")
+    if noise is None:
+        return None
+    from sequences.odometry import simulate_odometry
+
+    rng = np.random.default_rng(seed)
+    poses, covariances = simulate_odometry(images.times_ns, images.world_from_camera, noise, rng=rng)
+    settings = ", ".join(f"{key} {value:g}" for key, value in asdict(noise).items())
+    return _OdometryTrack(images.times_ns, poses, covariances, f"simulated: {settings}, seed {seed}")
+
+
+def _covered(images: PosedImages, track: _OdometryTrack | None, skipped: Counter[str]) -> PosedImages:
+    """The images that odometry covers; those that it does not are counted."""
+    if track is None:
+        return images
+    if not len(track.times_ns):
+        raise SequenceError(f"odometry ({track.description}) does not overlap the images in time")
+    _, covered = interpolate(track.times_ns, track.odom_from_camera, images.times_ns, max_gap_s=MAX_ODOMETRY_GAP_S)
+    if not covered.any():
+        raise SequenceError(
+            f"odometry ({track.description}) from {track.times_ns[0]} to {track.times_ns[-1]} ns covers no image from"
+            f" {images.times_ns[0]} to {images.times_ns[-1]} ns, expected it to overlap"
+        )
+    if not covered.all():
+        skipped["odometry does not cover"] += int((~covered).sum())
+    kept = np.flatnonzero(covered)
+    return PosedImages(
+        images.layout,
+        [images.files[i] for i in kept],
+        images.times_ns[kept],
+        images.world_from_camera[kept],
+        images.camera,
+        images.skipped,
+    )
+
+
+def _write_odometry(writer: SequenceWriter, track: _OdometryTrack, begin: int, until_ns: int) -> int:
+    """Write odometry up to the first message that reaches a time; gives the next one to write."""
+    while begin < len(track.times_ns):
+        time_ns = int(track.times_ns[begin])
+        writer.write_odometry(time_ns, track.odom_from_camera[begin], track.twist_covariances[begin])
+        begin += 1
+        if time_ns >= until_ns:
+            break
+    return begin

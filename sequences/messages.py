@@ -1,0 +1,210 @@
+"""One decoded ROS 2 message -> numpy and the types of this project, without side effects.
+
+The conventions of ROS end here: pose covariances about the axes of the parent frame, twist covariances in the child
+frame, quaternions in x, y, z, w order, frame names with or without a leading slash.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.frame import Camera
+
+# Encoding -> element type, channels, OpenCV conversion to RGB. OpenCV's newer Bayer names (RGGB) name the mosaic
+# as ROS does; its older ones (BG) name the second row, and are off by one.
+_ENCODINGS: dict[str, tuple[str, int, int | None]] = {
+    "rgb8": ("u1", 3, None),
+    "bgr8": ("u1", 3, cv2.COLOR_BGR2RGB),
+    "rgba8": ("u1", 4, cv2.COLOR_RGBA2RGB),
+    "bgra8": ("u1", 4, cv2.COLOR_BGRA2RGB),
+    "mono8": ("u1", 1, cv2.COLOR_GRAY2RGB),
+    "8UC1": ("u1", 1, cv2.COLOR_GRAY2RGB),
+    "8UC3": ("u1", 3, cv2.COLOR_BGR2RGB),
+    "rgb16": ("u2", 3, None),
+    "bgr16": ("u2", 3, cv2.COLOR_BGR2RGB),
+    "mono16": ("u2", 1, cv2.COLOR_GRAY2RGB),
+    "bayer_rggb8": ("u1", 1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": ("u1", 1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": ("u1", 1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": ("u1", 1, cv2.COLOR_BayerGRBG2RGB),
+    "bayer_rggb16": ("u2", 1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr16": ("u2", 1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg16": ("u2", 1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg16": ("u2", 1, cv2.COLOR_BayerGRBG2RGB),
+    "yuv422": ("u1", 2, cv2.COLOR_YUV2RGB_UYVY),
+    "uyvy": ("u1", 2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuyv": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
+}
+
+
+@dataclass(frozen=True)
+class OdometrySample:
+    """One odometry message.
+
+    Attributes:
+        time_ns: Header stamp.
+        odom_from_base: Pose of the child frame in the odometry frame.
+        twist_covariance: Covariance of the velocity (v, ω) in the child frame, per second squared; zero if unknown.
+    """
+
+    time_ns: int
+    odom_from_base: Poses
+    twist_covariance: Float64[np.ndarray, "6 6"]
+
+
+@dataclass(frozen=True)
+class FrameTransform:
+    """One transform of a tf message: `parent_from_child`, with the names of both frames."""
+
+    parent: str
+    child: str
+    parent_from_child: Poses
+
+
+def stamp_ns(header: SimpleNamespace) -> int:
+    """Header stamp in integer nanoseconds."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def frame_name(frame_id: str) -> str:
+    """Name of a frame without the leading slash that older recordings carry."""
+    return frame_id.lstrip("/")
+
+
+def decode_image_bytes(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
+    """JPEG, PNG or whatever else OpenCV reads -> RGB. Orientation tags are ignored: intrinsics are of stored pixels.
+
+    Raises:
+        SequenceError: the bytes are no image, or a JPEG that is cut off.
+    """
+    # A cut-off JPEG decodes to a picture that is grey below: no image at all is the better answer.
+    if data[:2] == b"\xff\xd8" and b"\xff\xd9" not in data[-256:]:
+        raise SequenceError(f"JPEG of {len(data)} bytes is cut off, expected an end marker")
+    try:
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
+    except cv2.error as error:
+        raise SequenceError(f"image of {len(data)} bytes cannot be decoded: {error.err}") from error
+    if image is None:
+        raise SequenceError(f"{len(data)} bytes are no image that OpenCV reads, expected JPEG or PNG")
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)  # pyright: ignore[reportReturnType]
+
+
+def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
+    """sensor_msgs/CompressedImage -> RGB. Raises SequenceError where it cannot be decoded."""
+    return decode_image_bytes(message.data)
+
+
+def decode_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
+    """sensor_msgs/Image -> RGB; 16-bit values keep their upper 8 bits.
+
+    Raises:
+        SequenceError: the encoding is unknown, or the data do not fill the image.
+    """
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    if message.encoding not in _ENCODINGS:
+        raise SequenceError(
+            f"image encoding {message.encoding!r} is not known, expected one of {', '.join(_ENCODINGS)}"
+        )
+    kind, channels, conversion = _ENCODINGS[message.encoding]
+    dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    row = width * channels * dtype.itemsize
+    if height < 1 or width < 1 or step < row or len(message.data) < step * (height - 1) + row:
+        raise SequenceError(
+            f"image of {width} x {height} {message.encoding} has {len(message.data)} bytes in rows of {step},"
+            f" expected {row * height} or more in rows of {row} or more"
+        )
+    # The last row may lack the padding that the others have.
+    data = np.frombuffer(message.data, np.uint8, count=step * (height - 1) + row)
+    pixels = np.lib.stride_tricks.as_strided(data, (height, row), (step, 1), writeable=False)
+    pixels = np.ascontiguousarray(pixels).view(dtype).reshape(height, width, channels)
+    if dtype.itemsize == 2:
+        pixels = (pixels >> 8).astype(np.uint8)
+    if conversion is None:
+        return pixels.copy() if pixels.base is data else pixels
+    try:
+        return cv2.cvtColor(pixels, conversion)  # pyright: ignore[reportReturnType]
+    except cv2.error as error:
+        raise SequenceError(
+            f"image of {width} x {height} {message.encoding} cannot be converted: {error.err}"
+        ) from error
+
+
+def pose_from_message(message: SimpleNamespace) -> Poses:
+    """geometry_msgs/Pose -> one pose. Raises VaporTrackError where it is not finite or the quaternion has no length."""
+    p, q = message.position, message.orientation
+    return Poses.from_quat_xyzw(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+
+
+def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
+    """nav_msgs/Odometry -> a sample.
+
+    The pose covariance is left: it accumulates from the start, or is a constant placeholder, and says nothing about
+    the motion between two images. The twist covariance speaks about just that. −1 in its first element, the mark of an
+    unknown covariance, becomes zeros.
+
+    Raises:
+        VaporTrackError: the pose or the twist covariance is not finite, or no covariance.
+    """
+    pose = pose_from_message(message.pose.pose)
+    covariance = np.array(message.twist.covariance, np.float64).reshape(6, 6)
+    if not np.isfinite(covariance).all():
+        raise VaporTrackError("twist covariance of an odometry message is not finite")
+    if covariance[0, 0] == -1.0:
+        covariance = np.zeros((6, 6))
+    if covariance.any():
+        covariance = (covariance + covariance.T) / 2
+        eigenvalue = float(np.linalg.eigvalsh(covariance)[0])
+        if eigenvalue < -1e-9 * np.abs(covariance).max():
+            raise VaporTrackError(f"twist covariance has the negative eigenvalue {eigenvalue:.3g}")
+    return OdometrySample(stamp_ns(message.header), pose, covariance)
+
+
+def camera_from_message(message: SimpleNamespace) -> Camera | None:
+    """sensor_msgs/CameraInfo -> intrinsics of the stored (not rectified) image; None for an uncalibrated camera."""
+    k = [float(value) for value in message.k]
+    if not (np.isfinite(k).all() and k[0] > 0 and k[4] > 0):
+        return None
+    return Camera(int(message.width), int(message.height), fx=k[0], fy=k[4], cx=k[2], cy=k[5])
+
+
+def transforms_from_message(message: SimpleNamespace) -> list[FrameTransform]:
+    """tf2_msgs/TFMessage -> its transforms. Raises SequenceError, naming the frames, where one is not finite."""
+    transforms = []
+    for stamped in message.transforms:
+        parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
+        t, q = stamped.transform.translation, stamped.transform.rotation
+        try:
+            pose = Poses.from_quat_xyzw(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]))
+        except VaporTrackError as error:
+            raise SequenceError(f"transform {parent} -> {child}: {error}") from error
+        transforms.append(FrameTransform(parent, child, pose))
+    return transforms
+
+
+def covariance_to_ros(covariance: Float64[np.ndarray, "6 6"], pose: Poses) -> Float64[np.ndarray, "6 6"]:
+    """Covariance in the tangent at a pose (axes of its child frame) -> as ROS has it, about the parent's axes."""
+    turn = _turn(pose)
+    return turn @ covariance @ turn.T
+
+
+def covariance_from_ros(covariance: Float64[np.ndarray, "6 6"], pose: Poses) -> Float64[np.ndarray, "6 6"]:
+    """Covariance of a pose as ROS has it, about the parent's axes -> in the tangent at the pose."""
+    turn = _turn(pose)
+    return turn.T @ covariance @ turn
+
+
+def _turn(pose: Poses) -> np.ndarray:
+    """Both halves of a tangent vector turned from the child's axes to the parent's."""
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = pose.rotation
+    return turn
