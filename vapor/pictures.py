@@ -82,7 +82,7 @@ def _trajectory_figure(record: RunRecord, title: str) -> Figure:
     height = 5.6
     widths = np.clip(height * sizes[:, 0] / sizes[:, 1], 2.2, 8.5)
     figure = _figure(float(widths.sum()) + 1.0 * len(planes) + 1.9, height + 1.0)
-    axes = figure.subplots(1, len(planes), squeeze=False, width_ratios=widths)[0]
+    axes = figure.subplots(1, len(planes), squeeze=False, gridspec_kw={"width_ratios": widths})[0]
     for ax, plane in zip(axes, planes, strict=True):
         _prepare_plane(ax, plane, low, high)
         ax.set_ylabel(f"{_AXES[plane[1]]} [m]")
@@ -145,15 +145,9 @@ def _errors_figure(record: RunRecord, truth: Trajectory, title: str) -> Figure:
         ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         ax.set_ylabel(f"{name} [{unit}]")
         ax.axhline(limit, color=_INK, linewidth=0.8, linestyle=(0, (4, 3)))
-        at = (1.005, limit)
-        ax.annotate(
-            f"{limit:g}{unit}".replace("m", " m"),
-            at,
-            xycoords=("axes fraction", "data"),
-            va="center",
-            fontsize=8,
-            color=_INK,
-        )
+        note = f"{limit:g} m" if unit == "m" else f"{limit:g}°"
+        style = {"xycoords": ("axes fraction", "data"), "va": "center", "fontsize": 8, "color": _INK}
+        ax.annotate(note, (1.005, limit), **style)
         ax.grid(axis="y", color="#e8e8e8", linewidth=0.7)
         ax.set_axisbelow(True)
         _quiet(ax)
@@ -171,8 +165,8 @@ def _floor_log_axis(panels: list[Axes]) -> None:
     """Dead reckoning starts on the truth: an error of 1e-9 m must not stretch the axis to nothing."""
     for ax in panels:
         _, high = ax.get_ylim()
-        drawn = [np.asarray(line.get_ydata(), float) for line in ax.get_lines() if len(line.get_xdata()) > 2]
-        values = np.concatenate([*drawn, [high]])
+        drawn = [np.asarray(line.get_ydata(), float) for line in ax.get_lines()]
+        values = np.concatenate([*(values for values in drawn if len(values) > 2), [high]])
         values = values[values > 1e-6]
         ax.set_ylim(max(float(np.percentile(values, 1)) / 2, high / 1e4), high)
 
@@ -206,7 +200,7 @@ def _particles_figure(record: RunRecord, title: str) -> Figure:
     aspect = moments[0].thumbnail.shape[0] / moments[0].thumbnail.shape[1]
     image_height = panel_width * min(aspect, 1.0)
     figure = _figure(panel_width * len(moments) + 0.8, image_height + panel_height + 1.5)
-    axes = figure.subplots(2, len(moments), squeeze=False, height_ratios=[image_height, panel_height])
+    axes = figure.subplots(2, len(moments), squeeze=False, gridspec_kw={"height_ratios": [image_height, panel_height]})
     for column, moment in enumerate(moments):
         axes[0, column].imshow(moment.thumbnail)
         axes[0, column].set_axis_off()

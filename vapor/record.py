@@ -210,7 +210,7 @@ def telling_moments(moments: list[Moment], count: int) -> list[Moment]:
         fraction = (time[1:-1] - time[:-2]) / np.maximum(gap, 1e-12)
         line = doubt[:-2] + (doubt[2:] - doubt[:-2]) * fraction[:, None]
         nearer = np.minimum(time[1:-1] - time[:-2], time[2:] - time[1:-1])
-        loss = np.linalg.norm(doubt[1:-1] - line, axis=1) * np.sqrt(nearer) + 0.3 * gap
+        loss = np.linalg.norm(doubt[1:-1] - line, axis=1) * np.sqrt(nearer) + 0.2 * gap
         leaving = 1 + int(np.argmin(loss))
         del moments[leaving]
         time, doubt = np.delete(time, leaving), np.delete(doubt, leaving, axis=0)

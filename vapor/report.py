@@ -83,7 +83,7 @@ def format_table(report: Mapping[str, Any], *, title: str | None = None) -> Tabl
     return table
 
 
-def _rounded(value: Any) -> Any:  # noqa: ANN401
+def _rounded(value: Any) -> Any:
     """Every float to six decimals: finer than any sensor, coarser than the last bits of a sum."""
     if isinstance(value, Mapping):
         return {key: _rounded(item) for key, item in value.items()}

@@ -1,0 +1,184 @@
+"""What a run leaves behind: the record, report.json, the table and the pictures."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.frame import Trajectory
+from tests.simulated_run import simulated_record, simulated_steps
+from vapor.evaluate import dead_reckoning
+from vapor.record import RunRecorder, telling_moments, thin
+from vapor.report import build_report, format_table, write_pictures, write_report
+
+
+@pytest.fixture(scope="module")
+def record():
+    return simulated_record(150)
+
+
+def rendered(report) -> str:
+    console = Console(width=120, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(format_table(report))
+    return console.export_text()
+
+
+# --- record ---------------------------------------------------------------------------------------------
+
+
+def test_the_record_holds_every_image_in_order(record):
+    frames, singles, estimates, step_ms = zip(*simulated_steps(150), strict=True)
+    assert record.times_ns.tolist() == [frame.time_ns for frame in frames]
+    assert np.array_equal(record.single_image.translation, np.stack([pose.translation for pose in singles]))
+    assert np.array_equal(record.filter.rotation[70], estimates[70].modes[0].world_from_camera.rotation)
+    assert record.status == tuple(estimate.status for estimate in estimates)
+    assert record.num_modes.tolist() == [len(estimate.modes) for estimate in estimates]
+    assert record.step_ms.tolist() == list(step_ms)
+    expected = dead_reckoning(frames[0].world_from_camera, [frame.odometry for frame in frames])
+    assert np.allclose(record.dead_reckoning.as_matrix(), expected.as_matrix(), atol=1e-12)
+
+
+def test_a_record_of_no_image_is_refused():
+    with pytest.raises(VaporTrackError, match="no image was localized, 4 were skipped"):
+        RunRecorder().finish(skipped={"undecodable_image": 4})
+
+
+def test_without_odometry_and_truth_those_parts_are_absent():
+    record = simulated_record(30, with_truth=False, with_odometry=False)
+    assert record.truth is None
+    assert list(record.methods) == ["single_image", "filter"]
+
+
+def test_however_long_the_run_few_moments_are_kept_with_the_first_and_last_among_them(record):
+    assert len(record.moments) == 24
+    assert record.moments[0].time_ns == record.times_ns[0]
+    assert record.moments[-1].time_ns == record.times_ns[-1]
+    assert all(len(moment.cloud) <= 300 for moment in record.moments)
+
+
+def test_telling_moments_show_the_ambiguous_belief_and_the_resolved_one(record):
+    chosen = telling_moments(list(record.moments), 5)
+    assert len(chosen) == 5
+    assert len(chosen[0].modes) == 5
+    collapse_ns = record.times_ns[next(i for i, s in enumerate(record.status) if s == "converged")]
+    before = [moment for moment in chosen if moment.time_ns < collapse_ns]
+    assert 2 <= len(before) <= 4
+
+
+def test_thinning_draws_in_proportion_to_weight_and_never_a_weightless_particle():
+    poses = Poses(np.tile(np.eye(3), (4, 1, 1)), np.arange(4.0)[:, None] * np.eye(3)[0])
+    with np.errstate(divide="ignore"):
+        log_weights = np.log(np.repeat([0.1, 0.0, 0.3, 0.6], 250) / 250)
+    many = poses[np.repeat(np.arange(4), 250)]
+    assert np.bincount(thin(many, log_weights, 100).translation[:, 0].astype(int)).tolist() == [10, 0, 30, 60]
+
+
+def test_thumbnails_are_small_and_do_not_share_the_frames_buffer():
+    frame, single, estimate, _ = next(simulated_steps(1))
+    large = np.full((1000, 2000, 3), 7, np.uint8)
+    for image, shape in ((large, (160, 320, 3)), (frame.image.copy(), frame.image.shape)):
+        recorder = RunRecorder()
+        recorder.add(type(frame)(frame.time_ns, image), single, estimate, 1.0)
+        before = image.flat[0]
+        image[:] = 99
+        thumbnail = recorder.finish().moments[0].thumbnail
+        assert thumbnail.shape == shape
+        assert thumbnail.flat[0] == before != 99
+
+
+# --- report ---------------------------------------------------------------------------------------------
+
+
+def test_the_report_has_the_keys_of_its_specification(record):
+    report = build_report(record)
+    assert report["frames"] == report["frames_with_true_pose"] == 150
+    assert report["skipped"] == {"undecodable_image": 2}
+    assert report["peak_rss_mb"] == 512.0
+    assert report["step_ms"]["p50"] <= report["step_ms"]["p95"]
+    for method in ("single_image", "dead_reckoning"):
+        assert set(report[method]) == {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall"}
+    assert report["filter"]["success"] is True
+    assert report["filter"]["recall"]["0.3m/20deg"] > report["single_image"]["recall"]["0.3m/20deg"] + 0.2
+    assert "kalman" not in report
+    assert "smoothed" not in report
+
+
+def test_smoothed_and_kalman_are_judged_where_they_exist():
+    recorder = RunRecorder()
+    for frame, single, estimate, step_ms in simulated_steps(40):
+        recorder.add(frame, single, estimate, step_ms)
+    plain = recorder.finish()
+    report = build_report(recorder.finish(smoothed=plain.truth, kalman=Trajectory(plain.times_ns, plain.single_image)))
+    assert report["smoothed"]["converged_at_s"] == 0.0
+    assert report["kalman"]["ape_rmse_m"] == report["single_image"]["ape_rmse_m"]
+    assert [key for key in report if key in ("kalman", "filter", "smoothed")] == ["kalman", "filter", "smoothed"]
+
+
+def test_without_true_poses_no_method_is_judged():
+    report = build_report(simulated_record(30, with_truth=False))
+    assert report["frames_with_true_pose"] == 0
+    assert not {"single_image", "dead_reckoning", "filter"} & set(report)
+    assert "single image" not in rendered(report)
+
+
+def test_the_same_run_gives_the_same_report_bytes(tmp_path):
+    for name in ("a.json", "b.json"):
+        write_report(tmp_path / name, build_report(simulated_record(40)))
+    text = (tmp_path / "a.json").read_bytes()
+    assert text == (tmp_path / "b.json").read_bytes()
+    content = json.loads(text)
+    assert list(content) == sorted(content)
+    assert content["filter"]["recall"].keys() == {"0.1m/10deg", "0.2m/15deg", "0.3m/20deg"}
+
+
+def test_a_report_that_is_no_json_leaves_the_old_one_in_place(tmp_path):
+    write_report(tmp_path / "report.json", {"frames": 1})
+    with pytest.raises(ValueError, match="JSON"):
+        write_report(tmp_path / "report.json", {"frames": float("nan")})
+    assert json.loads((tmp_path / "report.json").read_text()) == {"frames": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_the_table_names_every_method_with_its_recall(record):
+    report = build_report(record)
+    text = rendered(report)
+    for label in ("single image", "dead reckoning", "particle filter"):
+        assert label in text
+    assert f"{100 * report['filter']['recall']['0.3m/20deg']:.0f} %" in text
+    assert f"{report['filter']['converged_at_s']:.1f} s" in text
+
+
+# --- pictures -------------------------------------------------------------------------------------------
+
+
+def ink(path) -> float:
+    """Share of the picture that is not white."""
+    return float((cv2.imread(str(path)) < 250).any(axis=-1).mean())
+
+
+@pytest.mark.parametrize("with_truth", [True, False])
+def test_pictures_are_drawn_with_and_without_true_poses(tmp_path, with_truth):
+    record = simulated_record(40, with_truth=with_truth)
+    paths = write_pictures(record, tmp_path, title="staircase")
+    expected = {"trajectory.png", "particles.png"} | ({"errors.png"} if with_truth else set())
+    assert {path.name for path in paths} == expected == {path.name for path in tmp_path.iterdir()}
+    assert all(0.02 < ink(path) < 0.6 for path in paths)
+
+
+def test_a_run_of_one_image_has_its_pictures(tmp_path):
+    assert len(write_pictures(simulated_record(1), tmp_path, title="one image")) == 3
+
+
+def test_the_same_run_gives_the_same_picture_bytes(tmp_path):
+    record = simulated_record(20)
+    first, second = ([path.read_bytes() for path in write_pictures(record, tmp_path, title="twice")] for _ in range(2))
+    assert first == second
+
+
+def test_pictures_into_a_missing_folder_are_refused_by_name(tmp_path):
+    with pytest.raises(VaporTrackError, match="nowhere"):
+        write_pictures(simulated_record(2), tmp_path / "nowhere", title="")

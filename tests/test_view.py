@@ -1,0 +1,105 @@
+"""The viewers: one that shows nothing, one that writes a Rerun recording."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from filtering.errors import VaporTrackError
+from sequences.frame import Frame
+from tests.simulated_run import simulated_steps
+from vapor.view import NullViewer, RerunViewer
+
+
+@pytest.fixture(scope="module")
+def steps():
+    return list(simulated_steps(25))
+
+
+def columns_of(path) -> set[str]:
+    """Entity paths in a recording, as the viewer's own tool reads them."""
+    command = [sys.executable, "-m", "rerun_cli", "rrd", "print", str(path)]
+    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return {line.split(" - ")[1].strip() for line in text.splitlines() if line.startswith("Chunk(")}
+
+
+def test_the_null_viewer_takes_every_image_and_leaves_nothing(tmp_path, monkeypatch, steps):
+    monkeypatch.chdir(tmp_path)
+    with NullViewer() as viewer:
+        for frame, _, estimate, _ in steps:
+            viewer.log(frame, estimate, None)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_appears_under_its_name_only_when_closed(tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    viewer = RerunViewer(path)
+    for frame, _, estimate, _ in steps:
+        viewer.log(frame, estimate, estimate.particles)
+    assert not path.exists()
+    viewer.close()
+    assert path.read_bytes()[:4] == b"RRF2"
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.stat().st_size < 25 * 40_000
+
+
+def test_a_recording_holds_image_belief_paths_and_plots(tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    with RerunViewer(path) as viewer:
+        for frame, _, estimate, _ in steps:
+            viewer.log(frame, estimate, estimate.particles)
+    entities = columns_of(path)
+    for entity in (
+        "/world/camera",
+        "/world/particles",
+        "/world/posterior",
+        "/world/modes",
+        "/world/truth",
+        "/world/path/filter",
+        "/world/path/truth",
+        "/belief/best_weight",
+        "/belief/status",
+        "/error/translation_m",
+        "/error/rotation_deg",
+        "/status",
+    ):
+        assert entity in entities
+
+
+def test_without_truth_camera_posterior_and_with_large_images_the_rest_is_recorded(tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    with RerunViewer(path) as viewer:
+        for i, (_, _, estimate, _) in enumerate(steps[:3]):
+            viewer.log(Frame(i * 10**8, np.full((960, 1280, 3), 90, np.uint8)), estimate, None)
+    entities = columns_of(path)
+    assert {"/world/camera", "/world/particles", "/world/path/filter"} <= entities
+
+
+def test_an_error_in_the_loop_leaves_no_recording_and_keeps_the_old_one(tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    path.write_bytes(b"old")
+
+    def fail():
+        with RerunViewer(path) as viewer:
+            viewer.log(steps[0][0], steps[0][2], None)
+            raise OSError("camera unplugged")
+
+    with pytest.raises(OSError, match="camera unplugged"):
+        fail()
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_closing_twice_is_harmless(tmp_path, steps):
+    with RerunViewer(tmp_path / "recording.rrd") as viewer:
+        viewer.log(steps[0][0], steps[0][2], None)
+        viewer.close()
+    assert (tmp_path / "recording.rrd").exists()
+
+
+def test_a_viewer_of_nothing_and_a_missing_folder_are_refused(tmp_path):
+    with pytest.raises(VaporTrackError, match="got neither"):
+        RerunViewer()
+    with pytest.raises(VaporTrackError, match="nowhere"):
+        RerunViewer(tmp_path / "nowhere" / "recording.rrd")

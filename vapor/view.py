@@ -1,0 +1,293 @@
+"""Watch a run in Rerun: live, or as a recording to open later."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from filtering.errors import VaporTrackError
+from filtering.estimate import Estimate, Status
+from filtering.se3 import Poses
+from sequences.atomic import atomic_output
+from sequences.frame import Camera, Frame
+from vapor.pictures import COLORS
+from vapor.record import thin
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+_CLOUD_SIZE = 300
+_IMAGE_SIDE = 480  # pixels
+_JPEG_QUALITY = 75
+_EPOCH_NS = 10**17  # stamps below are seconds since some start, not since 1970
+_JUMP_M = 0.5  # an estimate that moves farther from one image to the next changed its mind
+_STATUS_LEVEL: dict[Status, float] = {"lost": 0.0, "ambiguous": 0.5, "converged": 1.0}
+
+
+class Viewer(Protocol):
+    """Watches a run; used in a `with` block, so that an error leaves no half-written recording."""
+
+    def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
+        """Show one image, the belief after it, and samples (m,) of the image's own posterior."""
+        ...
+
+    def close(self) -> None:
+        """Finish; a recording appears under its name."""
+        ...
+
+    def __enter__(self) -> Viewer: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class NullViewer:
+    """Shows nothing, so that the loop never asks."""
+
+    def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def __enter__(self) -> NullViewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+
+class RerunViewer:
+    """Writes a Rerun recording, shows it live, or both.
+
+    Args:
+        path: The recording to write, `.rrd`; it appears under its name on `close`. None for none.
+        spawn: Whether to open the viewer's window now and stream into it.
+        title: Name of the run in the viewer.
+
+    Raises:
+        SequenceError: the folder is missing.
+        VaporTrackError: the viewer cannot be started, or nothing was asked for.
+    """
+
+    def __init__(self, path: Path | None = None, *, spawn: bool = False, title: str = "vapor-track") -> None:
+        import rerun as rr
+
+        if path is None and not spawn:
+            raise VaporTrackError("a viewer needs a recording to write or a window to open, got neither")
+        self._output = None if path is None else atomic_output(path)
+        self._stream = rr.RecordingStream("vapor-track", recording_id=title)
+        sinks: list[rr.FileSink | rr.GrpcSink] = []
+        if spawn:
+            try:
+                self._stream.spawn(connect=False, hide_welcome_screen=True)
+            except RuntimeError as error:
+                raise VaporTrackError(f"the Rerun viewer cannot be started: {error}") from error
+            sinks.append(rr.GrpcSink())
+        if self._output is not None:
+            sinks.append(rr.FileSink(self._output.__enter__()))
+        self._stream.set_sinks(*sinks, default_blueprint=_blueprint())
+        self._camera: Camera | None = None
+        self._last_best: Poses | None = None
+        self._last_truth: Poses | None = None
+        self._last_status: Status | None = None
+        _log_styles(self._stream)
+
+    def __enter__(self) -> RerunViewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._finish(keep=error is None)
+
+    def close(self) -> None:
+        """Finish; the recording appears under its name."""
+        self._finish(keep=True)
+
+    def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
+        """Show one image, the belief after it, and samples (m,) of the image's own posterior."""
+        if frame.time_ns >= _EPOCH_NS:
+            self._stream.set_time("time", timestamp=np.datetime64(frame.time_ns, "ns"))
+        else:
+            self._stream.set_time("time", duration=np.timedelta64(frame.time_ns, "ns"))
+        self._log_camera(frame, estimate)
+        self._log_belief(estimate, posterior_poses)
+        self._log_plots(frame, estimate)
+        self._last_best = estimate.modes[0].world_from_camera
+        self._last_truth = frame.world_from_camera
+
+    def _log_camera(self, frame: Frame, estimate: Estimate) -> None:
+        import rerun as rr
+
+        best, truth = estimate.modes[0].world_from_camera, frame.world_from_camera
+        jpeg, width, height = _jpeg(frame.image)
+        camera = frame.camera or _stand_in_camera(frame.image)
+        if camera != self._camera:
+            self._camera = camera
+            scale = np.array([width / camera.width, height / camera.height])
+            focal = scale * (camera.fx, camera.fy)
+            centre = scale * (camera.cx + 0.5, camera.cy + 0.5)  # Rerun's pixels begin at integers, ours lie on them
+            size = {"width": width, "height": height, "image_plane_distance": 0.5}
+            pinhole = rr.Pinhole(focal_length=focal, principal_point=centre, **size, color=_rgb("filter"))
+            self._stream.log("world/camera", pinhole)
+        self._stream.log("world/camera", rr.Transform3D(translation=best.translation, mat3x3=best.rotation))
+        self._stream.log("world/camera", rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+        self._log_step("world/path/filter", self._last_best, best, limit_m=_JUMP_M)
+        if truth is not None:
+            ahead = rr.Arrows3D(origins=[truth.translation], vectors=[0.5 * truth.rotation[:, 2]])
+            self._stream.log("world/truth", ahead)
+            self._log_step("world/path/truth", self._last_truth, truth, limit_m=np.inf)
+
+    def _log_step(self, entity: str, last: Poses | None, now: Poses, *, limit_m: float) -> None:
+        """One segment an image: the view adds them up, and the recording grows with the path, not its square."""
+        import rerun as rr
+
+        moved = last is not None and float(np.linalg.norm(now.translation - last.translation)) <= limit_m
+        segment = np.stack([now.translation if last is None or not moved else last.translation, now.translation])
+        self._stream.log(entity, rr.LineStrips3D([segment.astype(np.float32)]))
+
+    def _log_belief(self, estimate: Estimate, posterior_poses: Poses | None) -> None:
+        import rerun as rr
+
+        points = thin(estimate.particles, estimate.log_weights, _CLOUD_SIZE).translation
+        modes = Poses.stack([mode.world_from_camera for mode in estimate.modes])
+        weights = np.array([mode.weight for mode in estimate.modes])
+        nearest = np.linalg.norm(points[:, None] - modes.translation, axis=-1).argmin(axis=1)
+        cloud = rr.Points3D(points.astype(np.float32), colors=_weight_colors(weights)[nearest])
+        self._stream.log("world/particles", cloud)
+        sigma, axes = zip(*(_ellipsoid(mode.covariance[:3, :3]) for mode in estimate.modes), strict=True)
+        ellipsoids = rr.Ellipsoids3D(
+            centers=modes.translation,
+            half_sizes=2.0 * np.stack(sigma),
+            quaternions=Poses(modes.rotation @ np.stack(axes), modes.translation).as_quat_xyzw(),
+            colors=_weight_colors(weights),
+            labels=[f"{100 * weight:.0f} %" for weight in weights],
+        )
+        self._stream.log("world/modes", ellipsoids)
+        if posterior_poses is not None:
+            count = len(posterior_poses)
+            samples = thin(posterior_poses, np.zeros(count), _CLOUD_SIZE).translation.astype(np.float32)
+            self._stream.log("world/posterior", rr.Points3D(samples))
+
+    def _log_plots(self, frame: Frame, estimate: Estimate) -> None:
+        import rerun as rr
+
+        log = self._stream.log
+        log("belief/best_weight", rr.Scalars(estimate.modes[0].weight))
+        log("belief/sample_size", rr.Scalars(estimate.effective_sample_size / len(estimate.particles)))
+        log("belief/status", rr.Scalars(_STATUS_LEVEL[estimate.status]))
+        if estimate.status != self._last_status:
+            self._last_status = estimate.status
+            color = _rgb("filter" if estimate.status == "converged" else estimate.status)
+            log("status", rr.TextLog(f"{estimate.status}, {len(estimate.modes)} hypotheses", color=color))
+        if frame.world_from_camera is not None:
+            translation_m, rotation_rad = estimate.modes[0].world_from_camera.distance(frame.world_from_camera)
+            log("error/translation_m", rr.Scalars(float(translation_m)))
+            log("error/rotation_deg", rr.Scalars(float(np.degrees(rotation_rad))))
+
+    def _finish(self, *, keep: bool) -> None:
+        """Close the streams; the recording gets its name, or goes."""
+        self._stream.flush()
+        self._stream.disconnect()
+        if self._output is not None:
+            output, self._output = self._output, None
+            failed = None if keep else VaporTrackError("the run failed")
+            output.__exit__(failed and type(failed), failed, None)
+
+
+def _log_styles(stream: rr.RecordingStream) -> None:
+    """What never changes: axes, colours, sizes, names of the plotted lines."""
+    import rerun as rr
+
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    stream.log("world/particles", rr.Points3D.from_fields(radii=[0.03]), static=True)
+    stream.log(
+        "world/posterior", rr.Points3D.from_fields(radii=[0.015], colors=[(*_rgb("single_image"), 90)]), static=True
+    )
+    stream.log("world/truth", rr.Arrows3D.from_fields(radii=[0.03], colors=[(255, 255, 255)]), static=True)
+    for name, color, radius in (("filter", _rgb("filter"), 0.02), ("truth", (200, 200, 200), 0.012)):
+        stream.log(f"world/path/{name}", rr.LineStrips3D.from_fields(radii=[radius], colors=[color]), static=True)
+    for entity, name, color in (
+        ("belief/best_weight", "weight of the best hypothesis", _rgb("filter")),
+        ("belief/sample_size", "effective sample size / particles", _rgb("smoothed")),
+        ("belief/status", "0 lost · ½ ambiguous · 1 converged", _rgb("kalman")),
+        ("error/translation_m", "translation error [m]", _rgb("filter")),
+        ("error/rotation_deg", "rotation error [°]", _rgb("filter")),
+    ):
+        stream.log(entity, rr.SeriesLines(names=name, colors=color, widths=1.5), static=True)
+
+
+def _blueprint() -> rrb.Blueprint:
+    """The belief in space, large; beside it the image, the plots and the changes of status."""
+    import rerun.blueprint as rrb
+
+    so_far = rrb.VisibleTimeRange(
+        "time", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+    )
+    paths = {f"world/path/{name}": rrb.VisibleTimeRanges([so_far]) for name in ("filter", "truth")}
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(origin="world", name="belief", overrides=paths),  # pyright: ignore[reportArgumentType]
+            rrb.Vertical(
+                rrb.Spatial2DView(origin="world/camera", contents="world/camera", name="image"),
+                rrb.TimeSeriesView(origin="belief", name="belief", axis_y=rrb.ScalarAxis(range=(0.0, 1.05))),
+                rrb.TimeSeriesView(origin="error/translation_m", name="translation error [m]"),
+                rrb.TimeSeriesView(origin="error/rotation_deg", name="rotation error [°]"),
+                rrb.TextLogView(origin="status", name="status"),
+                row_shares=[3, 2, 2, 2, 1],
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(state="collapsed", timeline="time"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def _jpeg(image: UInt8[np.ndarray, "height width 3"]) -> tuple[bytes, int, int]:
+    """The image as JPEG with its longer side at most 480 pixels, its width and its height."""
+    import cv2
+
+    height, width = image.shape[:2]
+    scale = min(1.0, _IMAGE_SIDE / max(height, width))
+    if scale < 1.0:
+        width, height = max(1, round(width * scale)), max(1, round(height * scale))
+        image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return jpeg.tobytes(), width, height
+
+
+def _stand_in_camera(image: UInt8[np.ndarray, "height width 3"]) -> Camera:
+    """60° across, for the frustum's shape only, where the sequence does not tell the intrinsics."""
+    height, width = image.shape[:2]
+    focal = width / (2.0 * np.tan(np.radians(30.0)))
+    return Camera(width, height, float(focal), float(focal), (width - 1) / 2, (height - 1) / 2)
+
+
+def _ellipsoid(covariance: Float64[np.ndarray, "3 3"]) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3 3"]]:
+    """Standard deviations along the principal axes, and the axes as a right-handed rotation."""
+    variance, axes = np.linalg.eigh((covariance + covariance.T) / 2)
+    axes[:, 2] *= np.linalg.det(axes)
+    return np.sqrt(np.maximum(variance, 1e-8)), axes
+
+
+def _weight_colors(weights: Float64[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
+    """Blue for a hypothesis that holds the whole belief, vermilion for one that holds none."""
+    none, all_ = np.array(_rgb("other")), np.array(_rgb("filter"))
+    share = np.clip(weights, 0.0, 1.0)[:, None]
+    return np.round(none + share * (all_ - none)).astype(np.uint8)
+
+
+def _rgb(name: str) -> tuple[int, int, int]:
+    code = COLORS[name]
+    return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)
