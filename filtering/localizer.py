@@ -112,10 +112,13 @@ class ParticleLocalizer:
         )
 
     def _start(self, posterior: PosePosterior) -> tuple[Particles, float]:
-        """Draw the first belief from the image; its weight is L π / p̂, as the belief before it is the prior π."""
+        """The first belief is the image's posterior: L π, untempered, as no image before it shares its errors."""
         poses = posterior.sample(self.config.num_particles, rng=self._filter_rng)
-        log_weights = posterior.log_likelihood(poses) + posterior.log_prior(poses) - posterior.log_density(poses)
-        return Particles.from_unnormalised(poses, log_weights)
+        particles, _ = Particles.from_unnormalised(poses, np.zeros(len(poses)))
+        log_likelihood = posterior.log_likelihood(poses)
+        self._recovery = Recovery()
+        self._mean_log_evidence = None
+        return particles, float(np.logaddexp.reduce(log_likelihood) - np.log(len(log_likelihood)))
 
     def _continue(self, belief: Particles, posterior: PosePosterior, odom: Odometry) -> tuple[Particles, float]:
         """Propagate, inject, weigh."""
@@ -135,9 +138,8 @@ class ParticleLocalizer:
         if len(from_image):
             self._recovery = self._recovery.update(agreement(from_motion, from_image), c.recovery)
         log_weights = mixture_log_weights(
+            proposal,
             log_likelihood,
-            proposal.log_predicted,
-            proposal.log_image,
             posterior.log_prior(proposal.poses),
             injection_fraction=c.injection_fraction,
             kidnap_probability=self._recovery.kidnap_probability(c.recovery),

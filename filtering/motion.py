@@ -87,9 +87,7 @@ def covariance_factor(covariance: Float64[np.ndarray, "6 6"]) -> Float64[np.ndar
     return eigenvectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
 
 
-def isotropic_std(
-    covariance: Float64[np.ndarray, "6 6"], least_std: tuple[float, float]
-) -> tuple[float, float]:
+def isotropic_std(covariance: Float64[np.ndarray, "6 6"], least_std: tuple[float, float]) -> tuple[float, float]:
     """Standard deviations (metres, radians) of the isotropic noise that covers a covariance and adds a least noise.
 
     Args:

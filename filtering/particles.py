@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.special import logsumexp
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
@@ -41,7 +40,7 @@ class Particles:
                 f"log weight of particle {first} is {log_weights[first]}, expected a finite number or −∞ "
                 f"({int(bad.sum())} of {len(bad)} particles are so)"
             )
-        total = float(logsumexp(log_weights))
+        total = float(np.logaddexp.reduce(log_weights))
         if total == -np.inf:
             raise VaporTrackError(f"all {len(log_weights)} particle weights are zero, expected at least one positive")
         return Particles(poses, log_weights - total), total - float(np.log(len(log_weights)))
@@ -54,7 +53,7 @@ class Particles:
     @property
     def effective_sample_size(self) -> float:
         """1 / Σ w², between 1 and n (Kong et al. 1994)."""
-        return float(np.exp(-logsumexp(2 * self.log_weights)))
+        return float(np.exp(-np.logaddexp.reduce(2 * self.log_weights)))
 
     def __len__(self) -> int:
         return len(self.log_weights)

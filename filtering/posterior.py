@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.special import ive, logsumexp
+from scipy.special import ive
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
@@ -16,6 +16,7 @@ from filtering.se3 import Poses
 _BLOCK = 128  # kernel rows at a time: 128 × 1000 float32 fit a core's second-level cache and need no BLAS threads
 
 
+@runtime_checkable
 class PosePosterior(Protocol):
     """The distribution of camera poses for one image."""
 
@@ -36,6 +37,7 @@ class PosePosterior(Protocol):
         ...
 
 
+@runtime_checkable
 class ObservationModel(Protocol):
     """Maps an image to its posterior: one network call per image."""
 
@@ -89,18 +91,21 @@ class KernelDensity:
         origin = self.centres.translation.mean(axis=0)
         centres, half_norm = self._embed(self.centres, origin)
         log_weights = -np.log(len(half_norm)) if self.log_weights is None else self.log_weights
-        # log kernel = a·c − ½|c|² − ½|a|²: the norms enter the product as two more columns.
-        right = np.vstack([centres.T, log_weights - half_norm, np.ones(len(half_norm))]).astype(np.float32)
         rows, row_half_norm = self._embed(poses, origin)
-        left = np.column_stack([rows, np.ones(len(rows)), -row_half_norm]).astype(np.float32)
+        # log kernel = a·c − ½|c|² − ½|a|²: the norms enter the product as two more columns. They cancel, so where they
+        # are large against the kernel (narrow kernels, wide scenes) the product is taken in double precision.
+        largest = max(half_norm.max(), row_half_norm.max(initial=0.0))
+        precision = np.float32 if largest < 4000.0 else np.float64
+        right = np.vstack([centres.T, log_weights - half_norm, np.ones(len(half_norm))]).astype(precision)
+        left = np.column_stack([rows, np.ones(len(rows)), -row_half_norm]).astype(precision)
         density = np.empty(len(left))
         for start in range(0, len(left), _BLOCK):
-            exponent = left[start : start + _BLOCK] @ right
+            exponent = (left[start : start + _BLOCK] @ right).astype(np.float32, copy=False)
             density[start : start + _BLOCK] = np.exp(exponent, out=exponent).sum(axis=1)
         far = density < 1e-30
         density[~far] = np.log(density[~far])
         if far.any():
-            density[far] = logsumexp((left[far] @ right).astype(np.float64), axis=1)
+            density[far] = np.logaddexp.reduce((left[far] @ right).astype(np.float64), axis=1)
         return density - self.log_normaliser
 
     def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:

@@ -78,26 +78,37 @@ def propose(
 
 
 def mixture_log_weights(
+    proposal: Proposal,
     log_likelihood: Float64[np.ndarray, " n"],
-    log_predicted: Float64[np.ndarray, " n"],
-    log_image: Float64[np.ndarray, " n"],
     log_prior: Float64[np.ndarray, " n"],
     *,
     injection_fraction: float,
     kidnap_probability: float,
 ) -> Float64[np.ndarray, " n"]:
-    """Log of L · [(1 − κ) p⁻ + κ π] / [(1 − φ) p⁻ + φ p̂], the weight of every particle, wherever it was drawn.
+    """Log weight of every particle, wherever it was drawn: target over mixture.
+
+    The mixture is (1 − φ) p⁻ + φ p̂. The target is (1 − κ) L p⁻ + κ Z p̂ with Z = ∫ L π: either odometry carried the belief
+    here and the image weighs it, or the camera was carried elsewhere and the image is the first one there. For an
+    untempered likelihood L = p̂/π this is L · [(1 − κ) p⁻ + κ π]; tempering speaks about the errors that an image
+    shares with the ones before it, so it sets how much the first image weighs against the belief, Z, not its shape.
 
     Args:
+        proposal: Where the particles came from.
         log_likelihood: Log L at the particles.
-        log_predicted: Log p⁻ at the particles.
-        log_image: Log p̂ at the particles.
         log_prior: Log π at the particles, the density of where a camera can be at all.
         injection_fraction: φ.
         kidnap_probability: κ, the chance that the camera was carried away since the previous image.
     """
-    target = _log_mix(log_predicted, log_prior, kidnap_probability)
-    return log_likelihood + target - _log_mix(log_predicted, log_image, injection_fraction)
+    carried = log_likelihood + proposal.log_predicted
+    drawn = _log_mix(proposal.log_predicted, proposal.log_image, injection_fraction)
+    injected = slice(proposal.num_from_motion, None)
+    if kidnap_probability <= 0.0 or len(log_likelihood[injected]) == 0:
+        return carried - drawn
+    # Z over the image's own draws; L − 1 leaves out the outlier floor, which is no evidence for this place.
+    above_floor = np.log(np.expm1(np.maximum(log_likelihood[injected], 1e-12)))
+    ratio = above_floor + log_prior[injected] - proposal.log_image[injected]
+    log_evidence = np.logaddexp.reduce(ratio) - np.log(len(ratio))
+    return _log_mix(carried, log_evidence + proposal.log_image, kidnap_probability) - drawn
 
 
 def _log_mix(first: np.ndarray, second: np.ndarray, share_of_second: float) -> np.ndarray:

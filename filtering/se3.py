@@ -94,8 +94,8 @@ class Poses:
             raise TypeError("a single pose has no length")
         return len(self.translation)
 
-    def __getitem__(self, index: object) -> Poses:
-        return Poses(self.rotation[index], self.translation[index])  # pyright: ignore[reportArgumentType]
+    def __getitem__(self, index: int | np.integer | slice | list[int] | np.ndarray) -> Poses:
+        return Poses(self.rotation[index], self.translation[index])
 
     def as_matrix(self) -> Float64[np.ndarray, "*batch 4 4"]:
         """Homogeneous matrices."""
@@ -112,7 +112,7 @@ class Poses:
 
     def is_finite(self) -> Bool[np.ndarray, "*batch"]:
         """Which poses have no NaN and no infinity."""
-        return np.isfinite(self.rotation).all(axis=(-2, -1)) & np.isfinite(self.translation).all(axis=-1)
+        return np.asarray(np.isfinite(self.rotation).all(axis=(-2, -1)) & np.isfinite(self.translation).all(axis=-1))
 
     # --- operations --------------------------------------------------------------------------------
 
@@ -159,7 +159,8 @@ class Poses:
         """
         translation_m = np.linalg.norm(self.translation - other.translation, axis=-1)
         chord = np.linalg.norm(self.rotation - other.rotation, axis=(-2, -1))
-        return translation_m, 2.0 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0.0, 1.0))
+        rotation_rad = 2.0 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0.0, 1.0))
+        return np.asarray(translation_m), np.asarray(rotation_rad)
 
     def mean(self, weights: Float64[np.ndarray, " n"] | None = None) -> Poses:
         """Weighted mean of a batch (n,): arithmetic for translations, chordal L2 for rotations.
@@ -167,12 +168,10 @@ class Poses:
         The chordal mean is the rotation nearest to the mean matrix (Hartley et al., IJCV 2013). It is a
         point between the modes of a multimodal batch: take it over one mode only.
         """
-        if weights is None:
-            weights = np.full(len(self), 1.0 / len(self))
-        weights = weights / weights.sum()
-        u, _, vt = np.linalg.svd(np.tensordot(weights, self.rotation, axes=1))
+        share = np.full(len(self), 1.0 / len(self)) if weights is None else weights / weights.sum()
+        u, _, vt = np.linalg.svd((share @ self.rotation.reshape(-1, 9)).reshape(3, 3))
         u[:, 2] *= np.linalg.det(u @ vt)
-        return Poses(u @ vt, weights @ self.translation)
+        return Poses(u @ vt, share @ self.translation)
 
 
 def rotation_from_quat_xyzw(quat_xyzw: Float64[np.ndarray, "*batch 4"]) -> Float64[np.ndarray, "*batch 3 3"]:

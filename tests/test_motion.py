@@ -1,0 +1,130 @@
+import numpy as np
+import pytest
+
+from filtering.errors import VaporTrackError
+from filtering.motion import MotionNoise, Odometry, covariance_factor, isotropic_std
+from filtering.particles import Particles
+from filtering.posterior import KernelDensity, LikelihoodModel, PosteriorSamples
+from filtering.proposal import mixture_log_weights, propose
+from filtering.se3 import Poses
+
+
+def belief(poses):
+    return Particles.from_unnormalised(poses, np.zeros(len(poses)))[0]
+
+
+def draw(odometry, n=20_000, injection_fraction=0.0, seed=0, **changes):
+    posterior = PosteriorSamples(KernelDensity(Poses.exp(np.array([[5.0, 0, 0, 0, 0, 0]])), 0.1, 0.1))
+    settings = {"num_particles": n, "jitter_std": (0.0, 0.0), "max_kernels": 1000} | changes
+    start = Poses.exp(np.tile([1.0, 2, 3, 0.1, 0.2, 0.3], (10, 1)))
+    return start[0], propose(
+        belief(start),
+        odometry,
+        posterior,
+        injection_fraction=injection_fraction,
+        rng=np.random.default_rng(seed),
+        **settings,
+    )
+
+
+def test_particles_follow_the_odometry_in_their_own_frame_with_its_noise():
+    delta = Poses.exp(np.array([0.5, 0.0, 0.1, 0.0, 0.3, 0.0]))
+    covariance = np.diag([0.04**2] * 3 + [0.02**2] * 3)
+    start, proposal = draw(Odometry(delta, covariance))
+    error = ((start @ delta).inverse() @ proposal.poses).log()
+    np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=4 * 0.04 / np.sqrt(20_000))
+    np.testing.assert_allclose(error.std(axis=0), [0.04] * 3 + [0.02] * 3, rtol=0.03)
+
+
+def test_the_predicted_density_is_the_density_that_the_particles_were_drawn_from():
+    """Importance sampling with it integrates a known function right: E over draws of f/p⁻ is the integral of f."""
+    _, proposal = draw(Odometry(Poses.identity(), np.diag([0.05**2] * 6)), jitter_std=(0.02, 0.02))
+    target = KernelDensity(Poses.exp(np.array([[1.0, 2, 3, 0.1, 0.2, 0.3]])), 0.04, 0.04)
+    ratio = np.exp(target.log_density(proposal.poses) - proposal.log_predicted)
+    assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(len(ratio)))
+    assert ratio.std() > 0.1  # the two densities do differ
+
+
+def test_the_image_draws_its_fraction():
+    _, proposal = draw(Odometry(Poses.identity(), 1e-4 * np.eye(6)), n=1000, injection_fraction=0.1)
+    assert proposal.num_from_motion == 900
+    assert (np.abs(proposal.poses.translation[900:] - [5.0, 0, 0]) < 0.6).all()
+
+
+def test_mixture_weights_integrate_the_filtering_target_whatever_the_fraction():
+    """Bayes by brute force: the mean weight is the integral of L · [(1 − κ) p⁻ + κ π], for any φ."""
+    covariance = np.diag([0.05**2] * 6)
+    prior = KernelDensity(Poses.exp(np.array([[3.0, 1, 1, 0, 0, 0]])), 2.0, 1.0)
+    likelihood_centre = Poses.exp(np.array([[1.05, 2, 3, 0.1, 0.2, 0.3]]))
+    bump = KernelDensity(likelihood_centre, 0.1, 0.1)
+    wide = KernelDensity(likelihood_centre, 0.12, 0.12)
+    means = []
+    for fraction in (0.0, 0.3, 0.7):
+        start = Poses.exp(np.tile([1.0, 2, 3, 0.1, 0.2, 0.3], (10, 1)))
+        proposal = propose(
+            belief(start), Odometry(Poses.identity(), covariance), PosteriorSamples(wide), num_particles=40_000,
+            injection_fraction=fraction, jitter_std=(0.0, 0.0), max_kernels=10, rng=np.random.default_rng(1),
+        )  # fmt: skip
+        log_weights = mixture_log_weights(
+            proposal, bump.log_density(proposal.poses), prior.log_density(proposal.poses),
+            injection_fraction=fraction, kidnap_probability=0.0,
+        )  # fmt: skip
+        means.append(np.exp(log_weights).mean())
+    np.testing.assert_allclose(means, means[0], rtol=0.05)  # standard errors are near 1 %
+    # The integral of two kernels' product, by drawing from one and evaluating the other.
+    exact = np.exp(bump.log_density(KernelDensity(start[:1], 0.05, 0.05).sample(200_000, rng=np.random.default_rng(2))))
+    assert means[0] == pytest.approx(exact.mean(), rel=0.04)
+
+
+def test_noise_is_made_isotropic_on_the_safe_side():
+    covariance = np.diag([0.1, 0.2, 0.3, 0.01, 0.02, 0.03]) ** 2
+    translation_m, rotation_rad = isotropic_std(covariance, (0.4, 0.04))
+    assert translation_m == pytest.approx(0.5)
+    assert rotation_rad == pytest.approx(0.05)
+
+
+def test_a_singular_covariance_has_a_factor():
+    covariance = np.zeros((6, 6))
+    covariance[0, 0] = 4.0
+    factor = covariance_factor(covariance)
+    np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "message"),
+    [
+        (np.diag([1.0, 1, 1, 1, 1, -0.5]), "negative eigenvalue -0.5"),
+        (np.full((6, 6), np.nan), "not finite"),
+        (np.eye(6) + np.eye(6, k=1), "not symmetric"),
+    ],
+)
+def test_what_is_no_covariance_is_refused_with_its_value(covariance, message):
+    with pytest.raises(VaporTrackError, match=message):
+        covariance_factor(covariance)
+
+
+def test_stated_noise_grows_with_motion_and_time():
+    noise = MotionNoise()
+    still = noise.covariance(Poses.identity(), 0.1)
+    moving = noise.covariance(Poses.exp(np.array([1.0, 0, 0, 0, 0, 0.5])), 0.1)
+    later = noise.covariance(Poses.identity(), 1.0)
+    assert (np.diag(moving) > np.diag(still)).all()
+    np.testing.assert_allclose(np.diag(later), 10 * np.diag(still))
+
+
+def test_a_kidnapped_share_is_drawn_from_the_image_with_its_evidence_under_the_prior():
+    """With an untempered likelihood the weights are L · [(1 − κ) p⁻ + κ π] / [(1 − φ) p⁻ + φ p̂], evaluated directly."""
+    place = Poses.exp(np.array([[1.0, 2, 3, 0.1, 0.2, 0.3]]))
+    prior = KernelDensity(place, 1.0, 0.8)
+    posterior = PosteriorSamples(KernelDensity(place, 0.1, 0.1), LikelihoodModel(prior, 1e-9, 1.0, 1e-12))
+    proposal = propose(
+        belief(place[[0] * 10]), Odometry(Poses.identity(), np.diag([0.05**2] * 6)), posterior, num_particles=4000,
+        injection_fraction=0.5, jitter_std=(0.0, 0.0), max_kernels=10, rng=np.random.default_rng(3),
+    )  # fmt: skip
+    log_likelihood, log_prior = posterior.log_likelihood(proposal.poses), posterior.log_prior(proposal.poses)
+    weights = np.exp(
+        mixture_log_weights(proposal, log_likelihood, log_prior, injection_fraction=0.5, kidnap_probability=0.2)
+    )
+    predicted, image = np.exp(proposal.log_predicted), np.exp(proposal.log_image)
+    expected = np.exp(log_likelihood) * (0.8 * predicted + 0.2 * np.exp(log_prior)) / (0.5 * predicted + 0.5 * image)
+    np.testing.assert_allclose(weights / weights.sum(), expected / expected.sum(), rtol=1e-3)

@@ -1,0 +1,112 @@
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.linalg import expm
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+
+BATCHES = [(), (1,), (3, 1, 2)]
+tangents = hnp.arrays(np.float64, 6, elements=st.floats(-1.8, 1.8))
+
+
+def hat(tangent):
+    v, w = tangent[:3], tangent[3:]
+    return np.array([[0, -w[2], w[1], v[0]], [w[2], 0, -w[0], v[1]], [-w[1], w[0], 0, v[2]], [0, 0, 0, 0]])
+
+
+def random_poses(seed, *batch):
+    return Poses.exp(np.random.default_rng(seed).uniform(-1.7, 1.7, (*batch, 6)))
+
+
+def assert_same(a, b, atol=1e-12):
+    np.testing.assert_allclose(a.as_matrix(), np.broadcast_to(b.as_matrix(), a.as_matrix().shape), atol=atol)
+
+
+@given(tangents)
+def test_exp_is_the_matrix_exponential(tangent):
+    np.testing.assert_allclose(Poses.exp(tangent).as_matrix(), expm(hat(tangent)), atol=1e-11)
+
+
+@given(tangents)
+def test_log_inverts_exp_below_half_a_turn(tangent):
+    np.testing.assert_allclose(Poses.exp(tangent).log(), tangent, atol=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1e-7, 1e-3, 0.999e-2, 1.001e-2, 1.0, np.pi - 1e-7])
+def test_exp_and_log_agree_with_gtsam_at_every_angle(scale):
+    rng = np.random.default_rng(1)
+    omega = rng.standard_normal(3)
+    tangent = np.concatenate([rng.standard_normal(3), scale * omega / np.linalg.norm(omega)])
+    theirs = gtsam.Pose3.Expmap(tangent[[3, 4, 5, 0, 1, 2]])
+    np.testing.assert_allclose(Poses.exp(tangent).as_matrix(), theirs.matrix(), atol=1e-12)
+    np.testing.assert_allclose(Poses.from_matrix(theirs.matrix()).log(), tangent, atol=1e-6)
+
+
+@pytest.mark.parametrize("batch", BATCHES)
+def test_group_laws_hold_over_batches(batch):
+    a, b, c = random_poses(1, *batch), random_poses(2, *batch), random_poses(3, *batch)
+    assert_same((a @ b) @ c, a @ (b @ c))
+    assert_same(a @ a.inverse(), Poses.identity(*batch))
+    assert_same(a @ Poses.identity(), a)
+    assert (a @ b).batch_shape == batch
+
+
+@pytest.mark.parametrize("batch", BATCHES)
+def test_quaternions_round_trip_in_xyzw_order(batch):
+    poses = random_poses(4, *batch)
+    assert_same(Poses.from_quat_xyzw(poses.translation, poses.as_quat_xyzw()), poses)
+    quarter_about_z = Poses.from_quat_xyzw(np.zeros(3), np.array([0, 0, np.sqrt(0.5), np.sqrt(0.5)]))
+    np.testing.assert_allclose(quarter_about_z.apply(np.array([1.0, 0, 0])), [0, 1, 0], atol=1e-12)
+
+
+def test_a_tangent_acts_on_the_right():
+    pose = Poses.exp(np.array([1.0, 0, 0, 0, 0, np.pi / 2]))
+    moved = pose @ Poses.exp(np.array([1.0, 0, 0, 0, 0, 0]))
+    np.testing.assert_allclose(moved.translation - pose.translation, [0, 1, 0], atol=1e-12)
+
+
+@given(tangents, tangents)
+def test_adjoint_carries_a_tangent_to_the_left(pose_tangent, tangent):
+    pose = Poses.exp(pose_tangent)
+    left = pose @ Poses.exp(tangent) @ pose.inverse()
+    assert_same(left, Poses.exp(pose.adjoint() @ tangent), atol=1e-9)
+
+
+def test_interpolation_keeps_its_ends_and_constant_speed():
+    a, b = random_poses(5), random_poses(6)
+    assert_same(a.interpolate(b, 0.0), a)
+    assert_same(a.interpolate(b, 1.0), b)
+    half = a.interpolate(b, 0.5)
+    assert_same(half @ (a.inverse() @ half), b)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-8, 1e-3, 1.0, np.pi - 1e-9, np.pi])
+def test_distance_is_exact_from_zero_to_half_a_turn(angle):
+    other = Poses.exp(np.array([3.0, 4.0, 0, angle, 0, 0]))
+    flat = Poses(other.rotation, np.array([3.0, 4.0, 0]))
+    translation_m, rotation_rad = Poses.identity().distance(flat)
+    assert translation_m == pytest.approx(5.0)
+    assert rotation_rad == pytest.approx(angle, abs=1e-7)
+
+
+def test_mean_of_a_symmetric_batch_is_its_centre():
+    centre = random_poses(7)
+    tangent = 0.3 * np.random.default_rng(8).standard_normal((50, 6))
+    tangent[:, :3] = 0
+    batch = centre @ Poses.exp(np.concatenate([tangent, -tangent]))
+    assert_same(batch.mean(), centre)
+
+
+def test_mean_respects_weights():
+    pair = Poses.stack([random_poses(9), random_poses(10)])
+    assert_same(pair.mean(np.array([1.0, 0.0])), pair[0])
+
+
+@pytest.mark.parametrize("quaternion", [[0.0, 0, 0, 0], [np.nan, 0, 0, 1]])
+def test_a_quaternion_that_is_none_is_refused_with_its_value(quaternion):
+    with pytest.raises(VaporTrackError, match="quaternion xyzw"):
+        Poses.from_quat_xyzw(np.zeros(3), np.array(quaternion))
