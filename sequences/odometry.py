@@ -1,0 +1,106 @@
+"""Odometry as a robot would report it, simulated from true poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+
+STATED_OVER_S = 0.1
+"""The stated covariance is honest for increments over this time: see `simulate_odometry`."""
+_CAUTION = 1.25  # stated standard deviations are larger than the true ones by this factor
+
+
+@dataclass(frozen=True)
+class OdometryNoise:
+    """Errors of visual-inertial or wheel odometry, as standard deviations.
+
+    Scale error and biases add up over a walk, white noise averages out.
+    """
+
+    scale: float = 0.02
+    """Constant error of the distance, as a share of it."""
+    translation_bias_m_per_s: float = 0.008
+    """Slowly varying error of the velocity, each axis."""
+    heading_bias_rad_per_s: float = 0.0015
+    """Slowly varying error of the turn rate about the body's z axis: about 1.5° in 10 m at walking pace."""
+    bias_time_s: float = 30.0
+    """Time over which the biases change."""
+    translation_white_m_per_sqrt_s: float = 0.008
+    """White noise of the velocity, as metres after one second."""
+    rotation_white_rad_per_sqrt_s: float = 0.003
+    """White noise of the turn rate, as radians after one second."""
+
+
+def simulate_odometry(
+    times_ns: Int64[np.ndarray, " k"],
+    world_from_base: Poses,
+    noise: OdometryNoise,
+    *,
+    rng: np.random.Generator,
+) -> tuple[Poses, Float64[np.ndarray, "k 6 6"]]:
+    """Dead-reckon a true trajectory with scale error, drift and noise.
+
+    Args:
+        times_ns: Stamps, strictly increasing.
+        world_from_base: True poses of the body, batch (k,).
+        noise: Standard deviations of the errors.
+        rng: Source of the errors.
+
+    Returns:
+        odom_from_base, batch (k,), the first the identity; and for each the covariance of its twist (v, ω) in the body
+        frame, (m/s)² and (rad/s)²: that of the motion since the message before. Increments taken as independent, each of
+        covariance C dt², add up over 0.1 s to a slightly cautious statement of the error, scale and biases included;
+        over much longer times biases grow faster than any independent increments can say.
+
+    Raises:
+        SequenceError: stamps do not increase, or are not as many as the poses.
+    """
+    if len(times_ns) != len(world_from_base):
+        raise SequenceError(f"odometry: {len(times_ns)} stamps for {len(world_from_base)} poses, expected as many")
+    if len(times_ns) and (np.diff(times_ns) <= 0).any():
+        at = int(np.argmax(np.diff(times_ns) <= 0)) + 1
+        raise SequenceError(f"odometry: stamp {times_ns[at]} ns follows {times_ns[at - 1]} ns, expected to increase")
+    k = len(times_ns)
+    if k < 2:
+        return Poses.identity(k), np.zeros((k, 6, 6))
+    dt = np.diff(times_ns) * 1e-9
+    true = (world_from_base[:-1].inverse() @ world_from_base[1:]).log()
+    scale = noise.scale * rng.standard_normal()
+    bias_std = np.array([noise.translation_bias_m_per_s] * 3 + [0, 0, noise.heading_bias_rad_per_s])
+    white_std = np.array([noise.translation_white_m_per_sqrt_s] * 3 + [noise.rotation_white_rad_per_sqrt_s] * 3)
+    bias = _slow_noise(dt, noise.bias_time_s, rng) * bias_std
+    white = rng.standard_normal((k - 1, 6)) * white_std * np.sqrt(dt)[:, None]
+    measured = true + bias * dt[:, None] + white
+    measured[:, :3] += scale * true[:, :3]
+    increments = Poses.exp(measured)
+    rotation, translation = np.empty((k, 3, 3)), np.empty((k, 3))
+    rotation[0], translation[0] = np.eye(3), 0.0
+    for i in range(k - 1):
+        rotation[i + 1] = rotation[i] @ increments.rotation[i]
+        translation[i + 1] = rotation[i] @ increments.translation[i] + translation[i]
+    velocity = true[:, :3] / dt[:, None]
+    covariance = np.zeros((k, 6, 6))
+    covariance[1:, :3, :3] = noise.scale**2 * velocity[:, :, None] * velocity[:, None, :]
+    covariance[1:] += np.diag(bias_std**2)
+    # Increments dt apart that are summed as independent say too little of what is constant over 0.1 s: √(dt / 0.1 s).
+    covariance[1:] *= np.maximum(STATED_OVER_S / dt, 1.0)[:, None, None]
+    covariance[1:] += np.diag(white_std**2) / dt[:, None, None]
+    covariance *= _CAUTION**2
+    covariance[0] = covariance[1]
+    return Poses(rotation, translation), covariance
+
+
+def _slow_noise(dt: np.ndarray, time_s: float, rng: np.random.Generator) -> Float64[np.ndarray, "n 6"]:
+    """An Ornstein-Uhlenbeck process of unit deviation, from its stationary distribution on."""
+    keep = np.exp(-dt / time_s)
+    draws = rng.standard_normal((len(dt), 6))
+    value = np.empty((len(dt), 6))
+    value[0] = draws[0]
+    for i in range(1, len(dt)):
+        value[i] = keep[i] * value[i - 1] + np.sqrt(1 - keep[i] ** 2) * draws[i]
+    return value

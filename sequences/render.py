@@ -1,0 +1,103 @@
+"""A pinhole camera in a lit scene, with motion blur: rays, look-ups and mirror reflections."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from filtering.se3 import Poses
+from sequences.frame import Camera
+from sequences.scenes.surface import Scene
+
+# Where in the pixel the rays of successive sub-exposures pass: the R2 sequence (Roberts 2018), which fills the pixel
+# evenly for any number of them.
+_R2 = np.array([0.7548776662466927, 0.5698402909980532])
+_ROUGHNESS = 0.035  # spread of mirror reflections, radians
+_MISS = np.float32([0.5, 0.6, 0.7])
+
+
+def render(
+    scene: Scene, camera: Camera, world_from_camera: Poses, *, rng: np.random.Generator
+) -> Float32[np.ndarray, "height width 3"]:
+    """Linear radiance at the pixels, averaged over an exposure.
+
+    Args:
+        scene: What is seen.
+        camera: Intrinsics.
+        world_from_camera: Camera poses during the exposure, batch (k,); each gives one sample per pixel, at another place in
+            the pixel, so that motion blur and antialiasing cost no more than either.
+        rng: Scatter of the glossy reflections.
+    """
+    total = np.zeros((camera.height * camera.width, 3), np.float32)
+    for index in range(len(world_from_camera)):
+        offset = (0.5 + (index + 1) * _R2) % 1.0 - 0.5
+        ray = pixel_rays(camera, (float(offset[0]), float(offset[1]))).reshape(-1, 3)
+        direction = ray @ world_from_camera.rotation[index].T.astype(np.float32)
+        origin = np.broadcast_to(world_from_camera.translation[index].astype(np.float32), direction.shape)
+        total += _colour(scene, origin, direction, rng)
+    return (total / np.float32(len(world_from_camera))).reshape(camera.height, camera.width, 3)
+
+
+def pixel_rays(camera: Camera, offset: tuple[float, float] = (0.0, 0.0)) -> Float32[np.ndarray, "height width 3"]:
+    """Viewing rays (x, y, 1) of all pixels in the camera frame, through their centres plus an offset in pixels."""
+    x = (np.arange(camera.width) + offset[0] - camera.cx) / camera.fx
+    y = (np.arange(camera.height) + offset[1] - camera.cy) / camera.fy
+    ray = np.ones((camera.height, camera.width, 3), np.float32)
+    ray[..., 0] = x
+    ray[..., 1] = y[:, None]
+    return ray
+
+
+def depth_and_quads(
+    scene: Scene, camera: Camera, world_from_camera: Poses
+) -> tuple[Float32[np.ndarray, "height width"], Int64[np.ndarray, "height width"]]:
+    """Depth along the optical axis in metres (inf: nothing) and the parallelogram seen (−1: none), for one pose."""
+    ray = pixel_rays(camera).reshape(-1, 3) @ world_from_camera.rotation.T.astype(np.float32)
+    origin = np.broadcast_to(world_from_camera.translation.astype(np.float32), ray.shape)
+    quad, _, _, depth = scene.tracer.first_hit(origin, ray)
+    shape = (camera.height, camera.width)
+    return np.where(quad < 0, np.float32(np.inf), depth).reshape(shape), quad.reshape(shape)
+
+
+def sees_cue(
+    scene: Scene, camera: Camera, world_from_camera: Poses, *, min_share: float = 0.015
+) -> Bool[np.ndarray, " n"]:
+    """Whether something unique covers at least the given share of the image, for poses (n,)."""
+    small = Camera(32, 24, camera.fx * 32 / camera.width, camera.fy * 24 / camera.height, 15.5, 11.5)
+    ray = pixel_rays(small).reshape(-1, 3).astype(np.float64)
+    direction = np.einsum("nij,rj->nri", world_from_camera.rotation, ray).reshape(-1, 3)
+    quad, _, _, _ = scene.tracer.first_hit(np.repeat(world_from_camera.translation, len(ray), axis=0), direction)
+    seen = scene.geometry.cue[quad] & (quad >= 0)
+    return seen.reshape(len(world_from_camera), -1).mean(axis=1) >= min_share
+
+
+def _colour(
+    scene: Scene, origin: Float32[np.ndarray, "n 3"], direction: np.ndarray, rng: np.random.Generator
+) -> Float32[np.ndarray, "n 3"]:
+    colour, quad, distance = _look_up(scene, origin, direction)
+    gloss = scene.gloss[scene.geometry.chart[quad]]
+    shiny = np.flatnonzero((gloss > 0) & (quad >= 0))
+    if len(shiny):
+        normal = scene.geometry.normals()[quad[shiny]].astype(np.float32)
+        incoming = direction[shiny] / np.linalg.norm(direction[shiny], axis=1, keepdims=True)
+        cosine = -np.einsum("nd,nd->n", normal, incoming)
+        fresnel = gloss[shiny] * (0.04 + 0.96 * np.clip(1 - np.abs(cosine), 0, 1) ** 5)
+        mirrored = incoming + 2 * cosine[:, None] * normal
+        mirrored += np.float32(_ROUGHNESS) * rng.standard_normal(mirrored.shape, np.float32)
+        start = origin[shiny] + distance[shiny, None] * direction[shiny] + 1e-3 * normal
+        reflected, _, _ = _look_up(scene, start, mirrored)
+        colour[shiny] += fresnel[:, None].astype(np.float32) * reflected
+    return colour
+
+
+def _look_up(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    quad, s, t, distance = scene.tracer.first_hit(origin, direction)
+    chart = scene.geometry.chart[quad]
+    columns, rows = scene.columns[chart], scene.rows[chart]
+    column = np.minimum((s * columns).astype(np.int64), columns - 1)
+    row = np.minimum((t * rows).astype(np.int64), rows - 1)
+    colour = scene.radiance[scene.start[chart] + row * columns + column]
+    missed = quad < 0
+    if missed.any():
+        colour[missed] = _MISS
+    return colour, quad, distance

@@ -1,0 +1,1 @@
+"""The synthetic scenes: what stands in them, and how people and carts move through them."""

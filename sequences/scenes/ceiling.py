@@ -1,0 +1,245 @@
+"""A hall whose ceiling repeats itself: panels of 0.6 m, lamps and loudspeakers every 3 m, a handful of unique things."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sequences.scenes import texture
+from sequences.scenes.mesh import Part, Placement
+from sequences.scenes.texture import Canvas, Material, band, blend, inside, plain, weathered
+
+LENGTH, BREADTH, HEIGHT = 18.0, 12.0, 3.6  # metres, x, y, z
+PANEL = 0.6
+CELL = 5  # panels after which lamps and loudspeakers repeat, in x and in y
+LAMP_AT = ((1, 2), (2, 2))  # panels of a cell that its lamp takes
+SPEAKER_AT = (4, 3)
+OUTLET_AT = (21, 14)  # panels of the hall that unique things take
+HOLE_AT = (15, 4)
+STAIN_AT = ((5, 14), (6, 14), (5, 15))
+PROJECTOR_AT = (5.7, 3.9)  # metres
+SIGN_AT = (16.2, 5.7)
+
+
+def placements() -> list[Placement]:
+    """Everything in the hall: x along it, y across, z up, the floor at z = 0."""
+    across, along = round(BREADTH / PANEL), round(LENGTH / PANEL)
+    lamps, speakers, panels = [], [], []
+    for ix in range(along):
+        for iy in range(across):
+            place = (ix % CELL, iy % CELL)
+            if place == LAMP_AT[0]:
+                lamps.append((ix, iy))
+            elif place == SPEAKER_AT:
+                speakers.append((ix, iy))
+            elif place not in LAMP_AT and (ix, iy) not in (OUTLET_AT, HOLE_AT):
+                panels.append((ix, iy))
+    middle = panels.index((along // 2 - 2, across // 2 - 1))
+    return [
+        Placement(_panel(Material(_tile, texel_m=0.005)), _offsets(panels), lit_at=middle),
+        Placement(_panel(Material(_speaker, texel_m=0.005)), _offsets(speakers), lit_at=len(speakers) // 2),
+        Placement(_lamp(), _offsets(lamps), lit_at=len(lamps) // 2),
+        Placement(_hall(), np.zeros((1, 3))),
+        Placement(_walls(), np.zeros((1, 3))),
+        Placement(_outlet(), _offsets([OUTLET_AT])),
+        Placement(_hole(), _offsets([HOLE_AT])),
+        Placement(_stains(), np.zeros((1, 3))),
+        Placement(_projector(), np.array([[*PROJECTOR_AT, HEIGHT]])),
+        Placement(_exit_sign(), np.array([[*SIGN_AT, HEIGHT]])),
+    ]
+
+
+def _offsets(panels: list[tuple[int, int]]) -> np.ndarray:
+    corner = np.array(panels, float) * PANEL
+    return np.column_stack([corner, np.full(len(corner), HEIGHT)])
+
+
+# --- paint -----------------------------------------------------------------------------------------
+
+
+def _grid(canvas: Canvas, base: np.ndarray, size: float = PANEL) -> np.ndarray:
+    """The painted steel grid that holds the panels: a bright flange with a shadow line beside it."""
+    x, y = canvas.x % size, canvas.y % size
+    edge = np.minimum(np.minimum(x, size - x), np.minimum(y, size - y))
+    base = base * (1 - 0.45 * np.exp(-np.clip(edge - 0.014, 0, None) / 0.006) * (edge > 0.014))[..., None]
+    return blend(base, (0.80, 0.80, 0.78), edge < 0.014)
+
+
+def _tile(canvas: Canvas) -> np.ndarray:
+    """Mineral fibre: rows of pin holes, worm-like fissures."""
+    base = canvas.colour((0.70, 0.69, 0.655)) * (1 + 0.02 * canvas.noise(0.2) + 0.02 * canvas.noise(0.01))[..., None]
+    fissures = np.clip(canvas.noise(0.035, 0.010) - 1.15, 0, 0.6) + np.clip(canvas.noise(0.012) - 1.7, 0, 0.6)
+    base = blend(base, (0.20, 0.19, 0.17), fissures)
+    holes = np.hypot(canvas.x % 0.05 - 0.025, canvas.y % 0.05 - 0.025) < 0.006
+    base = blend(base, (0.12, 0.115, 0.11), 0.85 * holes)
+    return _grid(canvas, base)
+
+
+def _speaker(canvas: Canvas) -> np.ndarray:
+    """A panel with a round loudspeaker grille."""
+    base = _tile(canvas)
+    radius = np.hypot(canvas.x - 0.3, canvas.y - 0.3)
+    ring = np.clip(np.sin(radius * 2 * np.pi / 0.02), 0, 1)
+    base = blend(base, np.float32([0.42, 0.42, 0.41]), 1 - texture.step(radius, 0.165))
+    base = blend(base, (0.05, 0.05, 0.05), ring * (radius < 0.145))
+    return blend(base, (0.75, 0.75, 0.72), band(radius, 0.15, 0.165))
+
+
+def _louvre(canvas: Canvas) -> np.ndarray:
+    """Two tubes behind a grid of bright aluminium blades."""
+    tubes = np.exp(-(((canvas.y - 0.17) / 0.05) ** 2)) + np.exp(-(((canvas.y - 0.43) / 0.05) ** 2))
+    base = canvas.colour((1.0, 0.96, 0.88)) * (0.35 + 0.75 * tubes + 0 * canvas.x)[..., None]
+    blades = 1 - band(canvas.x % 0.1, 0.006, 0.094) * band(canvas.y % 0.15, 0.006, 0.144)
+    base = blend(base, (0.16, 0.16, 0.16), blades)
+    frame = 1 - inside(canvas, 0.03, 0.03, canvas.width_m - 0.03, canvas.height_m - 0.03)
+    return blend(base, (0.11, 0.11, 0.11), frame)
+
+
+def _floor(canvas: Canvas) -> np.ndarray:
+    return weathered(canvas, canvas.colour((0.46, 0.43, 0.38)), 0.1)
+
+
+def _outlet_art(canvas: Canvas) -> np.ndarray:
+    """A square air outlet of nested frames, dark gaps between."""
+    reach = np.maximum(np.abs(canvas.x - 0.3), np.abs(canvas.y - 0.3))
+    gaps = (reach % 0.055) < 0.026
+    base = canvas.colour((0.62, 0.62, 0.60)) * (1 + 0.03 * canvas.noise(0.1))[..., None]
+    base = blend(base, (0.015, 0.015, 0.015), gaps * (reach < 0.27))
+    soot = np.exp(-np.abs(reach - 0.28) / 0.03) * 0.4
+    return blend(base, (0.10, 0.09, 0.08), soot)
+
+
+def _stain(canvas: Canvas) -> np.ndarray:
+    """An old water stain with brown rims."""
+    base = _tile(canvas)
+    radius = np.hypot(canvas.x - 0.3, canvas.y - 0.3) + 0.03 * canvas.noise(0.12) + 0.008 * canvas.noise(0.03)
+    base = blend(base, (0.42, 0.27, 0.11), 0.75 * (1 - texture.step(radius, 0.22, 0.05)))
+    base = blend(base, (0.22, 0.10, 0.03), 0.9 * np.exp(-(((radius - 0.215) / 0.014) ** 2)))
+    return blend(base, (0.25, 0.13, 0.05), 0.7 * np.exp(-(((radius - 0.12) / 0.012) ** 2)))
+
+
+def _sign_art(canvas: Canvas) -> np.ndarray:
+    """A green exit sign: door, arrow."""
+    base = canvas.colour((0.01, 0.42, 0.12))
+    base = blend(base, (0.9, 1.0, 0.92), inside(canvas, 0.36, 0.05, 0.50, 0.25))
+    shaft = inside(canvas, 0.14, 0.13, 0.30, 0.17)
+    head = band(canvas.x, 0.06, 0.15) * (np.abs(canvas.y - 0.15) < (canvas.x - 0.06) * 0.9)
+    return blend(base, (0.9, 1.0, 0.92), np.maximum(shaft, head))
+
+
+def _panelled(canvas: Canvas) -> np.ndarray:
+    base = texture.wood(canvas) * 1.2
+    return blend(base, (0.03, 0.02, 0.01), 1 - band(canvas.x % 0.45, 0.01, 0.44) + 0 * canvas.y)
+
+
+def _masonry(canvas: Canvas) -> np.ndarray:
+    row = np.floor(canvas.y / 0.2)
+    x = (canvas.x + 0.2 * (row % 2)) % 0.4
+    base = weathered(canvas, canvas.colour((0.45, 0.30, 0.20)), 0.12)
+    return blend(base, (0.55, 0.53, 0.5), 1 - band(x, 0.008, 0.392) * band(canvas.y % 0.2, 0.008, 0.192))
+
+
+# --- parts -----------------------------------------------------------------------------------------
+
+
+def _panel(material: Material, cue: bool = False) -> Part:
+    part = Part(cue=cue)
+    part.quad((0, PANEL, 0), (PANEL, 0, 0), (0, -PANEL, 0), material)
+    return part
+
+
+def _lamp() -> Part:
+    """A recessed lamp of two panels, in a frame that stands out a little."""
+    part = Part()
+    long, trim = 2 * PANEL, plain((0.70, 0.70, 0.68))
+    part.quad(
+        (0.02, PANEL - 0.02, 0.03),
+        (long - 0.04, 0, 0),
+        (0, 0.04 - PANEL, 0),
+        Material(_louvre, emission=7.0, glare=0.22),
+    )
+    for low, high in (
+        ((0, 0, -0.02), (long, 0.03, 0.03)),
+        ((0, PANEL - 0.03, -0.02), (long, PANEL, 0.03)),
+        ((0, 0.03, -0.02), (0.03, PANEL - 0.03, 0.03)),
+        ((long - 0.03, 0.03, -0.02), (long, PANEL - 0.03, 0.03)),
+    ):
+        part.box(low, high, trim, "xXyYz")
+    return part
+
+
+def _hall() -> Part:
+    part = Part()
+    part.quad((0, 0, 0), (LENGTH, 0, 0), (0, BREADTH, 0), Material(_floor, texel_m=0.05))
+    return part
+
+
+def _walls() -> Part:
+    """Four walls, each of another make, under a white cornice; seen from near only."""
+    part = Part(cue=True)
+    part.quad((LENGTH, 0, 0), (-LENGTH, 0, 0), (0, 0, HEIGHT), Material(texture.plaster, texel_m=0.012))
+    part.quad((0, BREADTH, 0), (LENGTH, 0, 0), (0, 0, HEIGHT), plain((0.16, 0.25, 0.38)))
+    part.quad((0, 0, 0), (0, BREADTH, 0), (0, 0, HEIGHT), Material(_panelled, gloss=0.3, texel_m=0.012))
+    part.quad((LENGTH, BREADTH, 0), (0, -BREADTH, 0), (0, 0, HEIGHT), Material(_masonry, texel_m=0.012))
+    trim = plain((0.7, 0.7, 0.67))
+    low, size = HEIGHT - 0.1, 0.07
+    part.box((0, 0, low), (LENGTH, size, HEIGHT), trim, "Yz")
+    part.box((0, BREADTH - size, low), (LENGTH, BREADTH, HEIGHT), trim, "yz")
+    part.box((0, 0, low), (size, BREADTH, HEIGHT), trim, "Xz")
+    part.box((LENGTH - size, 0, low), (LENGTH, BREADTH, HEIGHT), trim, "xz")
+    return part
+
+
+def _outlet() -> Part:
+    part = _panel(Material(_outlet_art, texel_m=0.005), cue=True)
+    part.box((0.03, 0.03, -0.03), (0.57, 0.57, 0.0), plain((0.6, 0.6, 0.58)), "xXyY")
+    part.quad((0.03, 0.57, -0.03), (0.54, 0, 0), (0, -0.54, 0), Material(_outlet_art, texel_m=0.005))
+    return part
+
+
+def _hole() -> Part:
+    """A missing panel: the dark void above, with a pipe, a cable tray and a hanging cable."""
+    part = Part(cue=True)
+    dark, depth = plain((0.10, 0.095, 0.09)), 0.6
+    part.quad((0, PANEL, depth), (PANEL, 0, 0), (0, -PANEL, 0), plain((0.16, 0.15, 0.14), amount=0.2))
+    part.quad((0, 0, 0), (0, PANEL, 0), (0, 0, depth), dark)
+    part.quad((PANEL, PANEL, 0), (0, -PANEL, 0), (0, 0, depth), dark)
+    part.quad((PANEL, 0, 0), (-PANEL, 0, 0), (0, 0, depth), dark)
+    part.quad((0, PANEL, 0), (PANEL, 0, 0), (0, 0, depth), dark)
+    part.beam((0, 0.18, 0.3), (PANEL, 0.18, 0.3), 0.06, Material(texture.brushed), 10)
+    part.beam((0.42, 0, 0.2), (0.42, PANEL, 0.2), 0.025, plain((0.5, 0.08, 0.05)), 8)
+    part.beam((0.2, 0.4, 0.4), (0.28, 0.42, -0.35), 0.012, plain((0.7, 0.55, 0.05)), 6)
+    return part
+
+
+def _stains() -> Part:
+    """Water stains on a few neighbouring panels."""
+    part = Part(cue=True)
+    for ix, iy in STAIN_AT:
+        corner = (ix * PANEL, (iy + 1) * PANEL, HEIGHT - 0.002)
+        part.quad(corner, (PANEL, 0, 0), (0, -PANEL, 0), Material(_stain, texel_m=0.005))
+    return part
+
+
+def _projector() -> Part:
+    """A projector on a pole."""
+    part = Part(cue=True)
+    black, white = plain((0.05, 0.05, 0.055), gloss=0.4), plain((0.62, 0.62, 0.6), gloss=0.2)
+    part.beam((0, 0, 0), (0, 0, -0.35), 0.03, white, 8)
+    part.box((-0.22, -0.17, -0.50), (0.22, 0.17, -0.35), white)
+    part.box((-0.18, -0.12, -0.505), (0.05, 0.12, -0.50), black)
+    part.beam((0.22, 0.06, -0.43), (0.29, 0.06, -0.43), 0.055, black, 10)
+    part.box((-0.12, -0.12, -0.02), (0.12, 0.12, 0), white)
+    return part
+
+
+def _exit_sign() -> Part:
+    """A hanging exit sign, lit from inside, with slanted faces that read from below."""
+    part = Part(cue=True)
+    art = Material(_sign_art, emission=2.2, texel_m=0.005)
+    frame = plain((0.6, 0.6, 0.58))
+    part.quad((0.28, 0, -0.42), (-0.56, 0, 0), (0, 0.16, 0.26), art)
+    part.quad((-0.28, 0, -0.42), (0.56, 0, 0), (0, -0.16, 0.26), art)
+    part.box((-0.3, -0.17, -0.16), (0.3, 0.17, -0.13), frame)
+    for x in (-0.22, 0.22):
+        part.beam((x, 0, 0), (x, 0, -0.13), 0.012, frame, 6)
+    return part
