@@ -20,8 +20,8 @@ Device = Literal["auto", "cpu", "cuda"]
 class VaporObservationModel:
     """The variational pose regressor as an observation model: one encoder pass and `num_samples` poses an image.
 
-    All arithmetic is float32; the poses that leave are float64. The latent noise comes from the caller's generator, so the
-    same image, generator state, machine and number of threads give the same bits.
+    All arithmetic is float32; the poses that leave are float64. The latent noise comes from the caller's generator, so
+    the same image, generator state, machine and number of threads give the same bits.
 
     Args:
         checkpoint: A trained model.

@@ -1,0 +1,51 @@
+"""Named training configurations: the paper's, and faster ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from vapor.augment import AugmentConfig
+from vapor.loss import LossConfig
+from vapor.network import NetworkConfig
+from vapor.train import TrainConfig
+
+_RESNET18 = NetworkConfig("resnet18", image_size=224, shortest_edge=256)
+
+
+def _paper(
+    lambda_rotation: float, batch_size: int, epochs: int, decay_epochs: int, alpha: float = 0.2, hidden_layers: int = 3
+) -> TrainConfig:
+    """The schedule of Zangeneh et al. (ICRA 2023); all images are trained on, the last weights are kept."""
+    return TrainConfig(
+        network=NetworkConfig("resnet18", image_size=224, shortest_edge=256, hidden_layers=hidden_layers),
+        loss=LossConfig(lambda_translation=5.0, lambda_rotation=lambda_rotation, alpha=alpha, num_samples=1000),
+        augment=AugmentConfig(crop="anywhere"),
+        epochs=epochs,
+        batch_size=batch_size,
+        learning_rate=1e-4,
+        weight_decay=0.0,
+        schedule="steps",
+        decay_factor=0.8,
+        decay_epochs=decay_epochs,
+        decay_times=10,
+        average=0.0,
+        validation_share=0.0,
+        precision="float32",
+    )
+
+
+PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
+    {
+        "demo": TrainConfig(),
+        "resnet18": TrainConfig(network=_RESNET18, batch_size=32),
+        "efficientnet-lite0": TrainConfig(
+            network=NetworkConfig("efficientnet-lite0", image_size=224, shortest_edge=256), batch_size=32
+        ),
+        "paper-7scenes": _paper(10.0, 64, 100, 10),
+        "paper-cambridge": _paper(100.0, 64, 500, 50),
+        "paper-ambiguous": _paper(2.0, 4, 500, 50),
+        "paper-ceiling": _paper(2.0, 4, 2000, 50, alpha=0.05, hidden_layers=9),
+        "paper-synthetic": _paper(2.0, 4, 500, 50),
+    }
+)

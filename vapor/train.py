@@ -1,0 +1,378 @@
+"""Training of the variational pose regressor: TrainConfig, and one loop."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from sequences.datasets import posed_frames
+from sequences.frame import Frame
+from vapor.augment import AugmentConfig, jitter_and_normalise, random_crops
+from vapor.checkpoint import Calibration, Checkpoint, save_checkpoint, thin_poses
+from vapor.loss import LossConfig, regression_loss
+from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor, load_pretrained
+from vapor.observation import Device, resolve_device
+from vapor.training_set import TrainingError, TrainingSet, held_out_tails, load_training_set
+from vapor.training_state import TrainingState, load_state, save_state, state_path
+from vapor.validation import Validation, validate
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How a network is trained; the defaults are the fast schedule, the paper's are presets."""
+
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    """Shape of the network, and of its images."""
+    loss: LossConfig = field(default_factory=LossConfig)
+    """Weights of the loss."""
+    augment: AugmentConfig = field(default_factory=AugmentConfig)
+    """How much training images vary."""
+    calibration: Calibration = field(default_factory=Calibration)
+    """Kernel widths and likelihood, stored with the model."""
+    pretrained_weights: Path | None = None
+    """ImageNet weights of the backbone: safetensors, or a torch state dict with torchvision's names. Without it a
+    ResNet starts from random weights, EfficientNet-Lite0 from those of its package."""
+    epochs: int = 30
+    """Times every training image is seen."""
+    batch_size: int = 64
+    """Images per step."""
+    learning_rate: float = 1e-3
+    """Largest learning rate of Adam."""
+    weight_decay: float = 1e-2
+    """Decoupled weight decay of matrices (AdamW); 0 is Adam."""
+    schedule: Literal["one-cycle", "steps"] = "one-cycle"
+    """One cosine up and down, or a decay by a factor every so many epochs, as in the paper."""
+    warmup: float = 0.1
+    """one-cycle: share of the training in which the rate rises."""
+    decay_factor: float = 0.8
+    """steps: the factor."""
+    decay_epochs: int = 50
+    """steps: epochs between two decays, n in the paper."""
+    decay_times: int = 10
+    """steps: how often, at most."""
+    average: float = 0.998
+    """Decay per step of the moving average of weights that is kept; 0 keeps the last weights themselves."""
+    validation_share: float = 0.1
+    """Last part of each training sequence that is held out where no validation data is given; 0 for none."""
+    validation_images: int = 500
+    """Held-out images that are judged, evenly spaced, at most."""
+    select_by: Literal["log_density", "sample_recall", "mode_recall"] = "log_density"
+    """Figure on held-out images whose best epoch is kept; without held-out images it is the last."""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it."""
+    half: bool = True
+    """Store weight matrices as float16."""
+    seed: int = 0
+    """Of initial weights, order, augmentation and latent noise."""
+    device: Device = "auto"
+    """Where to train."""
+    resume: bool = True
+    """Go on with an interrupted training of the same output, configuration and data."""
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "batch_size", "learning_rate", "decay_epochs", "validation_images"):
+            if not getattr(self, name) > 0:
+                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
+        for name in ("average", "validation_share", "warmup"):
+            if not 0 <= getattr(self, name) < 1:
+                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a training stands.
+
+    Attributes:
+        stage: "reading" of images, then "training".
+        done: Images read, or steps done since the training's start, interrupted or not.
+        total: Steps in all; None while reading.
+        epoch: The current epoch, from 1.
+        epochs: Of so many.
+        loss: Mean training loss of this epoch so far.
+        learning_rate: Of the last step.
+        validation: Figures of the last epoch judged.
+        best: Figures of the best epoch.
+    """
+
+    stage: Literal["reading", "training"]
+    done: int
+    total: int | None = None
+    epoch: int = 0
+    epochs: int = 0
+    loss: float | None = None
+    learning_rate: float | None = None
+    validation: Validation | None = None
+    best: Validation | None = None
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """A finished training.
+
+    Attributes:
+        checkpoint: The model that was written.
+        history: Figures of every epoch judged.
+        best: Figures of the epoch that was kept; None without held-out images.
+        seconds: Wall clock of this call's training, reading and interruptions left out.
+        images_seen: Of this call.
+    """
+
+    checkpoint: Checkpoint
+    history: tuple[Validation, ...]
+    best: Validation | None
+    seconds: float
+    images_seen: int
+
+
+ProgressCallback = Callable[[Progress], None]
+
+
+def train(
+    data: Sequence[Path | str],
+    output: Path,
+    config: TrainConfig,
+    *,
+    validation: Sequence[Path | str] = (),
+    progress: ProgressCallback | None = None,
+) -> TrainResult:
+    """Train on files and folders, and write the model.
+
+    Args:
+        data: Whatever `posed_frames` reads; `PATH@START:STOP` takes those frames of it only.
+        output: The model file.
+        config: How.
+        validation: Held-out data, likewise; without it the last part of each training sequence is held out.
+        progress: Called after every image read and every step.
+
+    Raises:
+        TrainingError: unusable data or configuration, or a loss that is not finite.
+        SequenceError: unreadable data.
+        CheckpointError: an interrupted training of another configuration.
+    """
+    return train_on(_open(data), output, config, validation=_open(validation), progress=progress)
+
+
+def train_on(
+    sequences: Mapping[str, Iterable[Frame]],
+    output: Path,
+    config: TrainConfig,
+    *,
+    validation: Mapping[str, Iterable[Frame]] | None = None,
+    progress: ProgressCallback | None = None,
+) -> TrainResult:
+    """Train on frames by the name of their sequence; else as `train`."""
+    report = progress or (lambda _: None)
+    edge, central = config.network.shortest_edge, config.augment.crop == "central"
+    loaded = load_training_set(sequences, edge, square=central, progress=lambda n: report(Progress("reading", n)))
+    if validation:
+        training, held_out = loaded, load_training_set(validation, edge, square=central)
+    else:
+        tails = held_out_tails(loaded.sequence, config.validation_share)
+        training, held_out = _select(loaded, np.flatnonzero(~tails)), _select(loaded, np.flatnonzero(tails))
+    if len(training) < 2:
+        raise TrainingError(f"{', '.join(sequences)}: {len(training)} training images, expected at least 2")
+    spaced = np.linspace(0, len(held_out) - 1, min(len(held_out), config.validation_images)).round().astype(int)
+    names = {"data": list(sequences), "validation": list(validation or ())}
+    return _fit(training, _select(held_out, spaced), names, Path(output), config, report)
+
+
+def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float:
+    """The learning rate of one step, counted from 0 over the whole training."""
+    if config.schedule == "steps":
+        decays = min(step // steps_per_epoch // config.decay_epochs, config.decay_times)
+        return config.learning_rate * config.decay_factor**decays
+    share = (step + 0.5) / (steps_per_epoch * config.epochs)
+    if share < config.warmup:
+        return config.learning_rate * (1 - math.cos(math.pi * share / config.warmup)) / 2
+    return config.learning_rate * (1 + math.cos(math.pi * (share - config.warmup) / (1 - config.warmup))) / 2
+
+
+def _fit(
+    training: TrainingSet,
+    held_out: TrainingSet,
+    names: dict[str, Any],
+    output: Path,
+    config: TrainConfig,
+    report: ProgressCallback,
+) -> TrainResult:
+    device = resolve_device(config.device)
+    box = SceneBox.around(training.poses)
+    state = _start(config, box, device)
+    identity = {**names, "images": len(training), "held_out": len(held_out), **_settings(config)}
+    if config.resume and state_path(output).exists():
+        load_state(state_path(output), state, identity)
+    begin, first_epoch = perf_counter(), state.epoch
+    best = _best(state.history, config)
+    while state.epoch < config.epochs:
+        loss = _train_epoch(state, training, config, report, best)
+        state.epoch += 1
+        if len(held_out):
+            kept = state.average if config.average else state.network
+            figures = validate(
+                kept,
+                held_out,
+                config.calibration,
+                num_samples=config.loss.num_samples,
+                seed=config.seed,
+                epoch=state.epoch,
+                train_loss=loss,
+            )
+            state.history.append(figures)
+            best = _best(state.history, config)
+            if best is figures:
+                state.best = _weights(kept)
+        save_state(state_path(output), state, identity)
+    seconds = perf_counter() - begin
+
+    weights = state.best or _weights(state.average if config.average else state.network)
+    provenance = {
+        **names,
+        "training_images": len(training),
+        "images_seen": state.epoch * len(training),
+        "seed": config.seed,
+        "config": _settings(config),
+        "selected_by": config.select_by if best else "last epoch",
+        "validation": asdict(best) if best else None,
+    }
+    checkpoint = Checkpoint(
+        config.network, box, config.calibration, thin_poses(training.poses), weights, json.loads(json.dumps(provenance))
+    )
+    save_checkpoint(output, checkpoint, half=config.half)
+    state_path(output).unlink(missing_ok=True)
+    images_seen = (state.epoch - first_epoch) * len(training)
+    return TrainResult(checkpoint, tuple(state.history), best, seconds, images_seen)
+
+
+def _train_epoch(
+    state: TrainingState, training: TrainingSet, config: TrainConfig, report: ProgressCallback, best: Validation | None
+) -> float:
+    """One pass over the images in random order, an incomplete last batch left out; returns the mean loss."""
+    network, device = state.network, state.network.pixel_mean.device
+    rng = np.random.default_rng([config.seed, state.epoch])
+    generator = torch.Generator(device).manual_seed(int(rng.integers(2**62)))
+    batch = min(config.batch_size, len(training))
+    steps = len(training) // batch
+    order = rng.permutation(len(training))[: steps * batch].reshape(steps, batch)
+    true_translation = torch.from_numpy(training.poses.translation).float().to(device)
+    true_rotation = torch.from_numpy(training.poses.rotation).float().to(device)
+    bfloat16 = config.precision == "bfloat16" or (config.precision == "auto" and has_bfloat16(device))
+    network.train()
+    total = 0.0
+    for number, indices in enumerate(order):
+        step = state.epoch * steps + number
+        rate = learning_rate(config, step, steps)
+        for group in state.optimizer.param_groups:
+            group["lr"] = rate
+        crops = random_crops(training.images, indices, config.network.image_size, config.augment, rng=rng)
+        pixels = torch.from_numpy(crops).to(device)
+        images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
+        shape = batch, config.loss.num_samples, config.network.latent_dim
+        noise = torch.randn(shape, generator=generator, device=device)
+        truth = true_translation[indices], true_rotation[indices]
+        with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
+            loss = regression_loss(network, images, *truth, noise, config.loss)
+        state.optimizer.zero_grad(set_to_none=True)
+        loss.total.backward()
+        state.optimizer.step()
+        _update_average(state, config.average, step)
+        total += (value := float(loss.total.detach()))
+        if not math.isfinite(value):
+            raise TrainingError(
+                f"loss is {value} in epoch {state.epoch + 1}, step {number + 1}, expected a finite number;"
+                f" a smaller learning rate than {config.learning_rate} may help"
+            )
+        last = state.history[-1] if state.history else None
+        mean = total / (number + 1)
+        report(
+            Progress(
+                "training", step + 1, steps * config.epochs, state.epoch + 1, config.epochs, mean, rate, last, best
+            )
+        )
+    return total / steps
+
+
+def has_bfloat16(device: torch.device) -> bool:
+    """Whether bfloat16 is faster than float32 on the device: without instructions for it, it is many times slower."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    capabilities = torch.cpu.get_capabilities()
+    return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
+
+
+def _start(config: TrainConfig, box: SceneBox, device: torch.device) -> TrainingState:
+    """Initial weights, which depend on the seed alone, and a fresh optimizer."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        network = VariationalPoseRegressor(config.network, box)
+        average = VariationalPoseRegressor(config.network, box)
+    if config.pretrained_weights is not None or config.network.backbone == "efficientnet-lite0":
+        load_pretrained(network, config.pretrained_weights)
+    average.load_state_dict(network.state_dict())
+    network, average = (
+        n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        for n in (network, average)
+    )
+    groups = [
+        {"params": [p for p in network.parameters() if p.ndim > 1], "weight_decay": config.weight_decay},
+        {"params": [p for p in network.parameters() if p.ndim <= 1], "weight_decay": 0.0},
+    ]
+    return TrainingState(network, average, torch.optim.AdamW(groups, lr=config.learning_rate, fused=True))
+
+
+@torch.no_grad()
+def _update_average(state: TrainingState, decay: float, step: int) -> None:
+    """Move the average towards the weights and BatchNorm statistics; faster in the first steps, which know little."""
+    if not decay:
+        return
+    weight = 1 - min(decay, (1 + step) / (10 + step))
+    for mine, its in zip(state.average.state_dict().values(), state.network.state_dict().values(), strict=True):
+        if mine.is_floating_point():
+            mine.lerp_(its, weight)
+        else:
+            mine.copy_(its)
+
+
+def _best(history: Sequence[Validation], config: TrainConfig) -> Validation | None:
+    return max(history, key=lambda figures: getattr(figures, config.select_by), default=None)
+
+
+def _weights(network: VariationalPoseRegressor) -> dict[str, torch.Tensor]:
+    return {name: value.detach().cpu().clone() for name, value in network.state_dict().items()}
+
+
+def _settings(config: TrainConfig) -> dict[str, Any]:
+    """What makes a training this one, as JSON: all but where it runs; file names without folders."""
+    weights = config.pretrained_weights
+    settings = asdict(replace(config, pretrained_weights=None))
+    settings["pretrained_weights"] = weights.name if weights else None
+    return {key: value for key, value in settings.items() if key not in ("device", "resume")}
+
+
+def _select(images: TrainingSet, indices: np.ndarray) -> TrainingSet:
+    whole = len(indices) == len(images)  # a selection is copied into memory, the whole stays on disk
+    return TrainingSet(
+        images.images if whole else images.images[indices], images.poses[indices], images.sequence[indices]
+    )
+
+
+def _open(data: Sequence[Path | str]) -> dict[str, Iterable[Frame]]:
+    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder."""
+    opened: dict[str, Iterable[Frame]] = {}
+    for number, entry in enumerate(data):
+        match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
+        path = Path(match["path"] if match else entry)
+        frames = (
+            slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None) if match else slice(None)
+        )
+        name = Path(str(entry)).name
+        opened[name if name not in opened else f"{name} ({number + 1})"] = posed_frames(path, frames=frames)
+    return opened

@@ -1,0 +1,97 @@
+"""Posed frames -> one array of small images, on disk in a nameless temporary file, and their poses."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Int64, UInt8
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.frame import Frame
+from vapor.images import centre_crop, resize_shortest_edge
+
+
+class TrainingError(VaporTrackError):
+    """A network cannot be trained on this data, or with this configuration."""
+
+
+@dataclass(frozen=True)
+class TrainingSet:
+    """Scaled images with their poses.
+
+    Attributes:
+        images: RGB of one size, the shortest edge scaled; memory-mapped, so the system decides what stays in memory.
+        poses: world_from_camera, batch (n,).
+        sequence: Index of the sequence each image is from; images of one sequence lie together, in its order.
+    """
+
+    images: UInt8[np.ndarray, "n h w 3"]
+    poses: Poses
+    sequence: Int64[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+
+def load_training_set(
+    sequences: Mapping[str, Iterable[Frame]],
+    shortest_edge: int,
+    *,
+    square: bool = True,
+    progress: Callable[[int], None] = lambda _: None,
+) -> TrainingSet:
+    """Read frames once, scale each image to the shortest edge, and keep it in a temporary file.
+
+    Args:
+        sequences: Frames by the name of their file or folder; frames without a pose are left out.
+        shortest_edge: Pixels.
+        square: Keep the central square only, so that images may differ in size; else the whole image, and all must
+            have the aspect of the first.
+        progress: Called with the number of images read so far.
+
+    Raises:
+        TrainingError: a sequence without posed frames, a pose that is not finite, or images of different aspect.
+    """
+    matrices: list[np.ndarray] = []
+    sequence: list[int] = []
+    shape: tuple[int, ...] | None = None
+    with tempfile.TemporaryFile() as file:
+        for index, (name, frames) in enumerate(sequences.items()):
+            for frame in frames:
+                if frame.world_from_camera is None:
+                    continue
+                image = resize_shortest_edge(frame.image, shortest_edge)
+                image = centre_crop(image, shortest_edge) if square else image
+                shape = shape or image.shape
+                if image.shape != shape:
+                    raise TrainingError(
+                        f"{name}: image at {frame.time_ns} ns is {image.shape[1]} x {image.shape[0]} after scaling,"
+                        f" expected {shape[1]} x {shape[0]} as the first (or augment.crop central)"
+                    )
+                if not frame.world_from_camera.is_finite():
+                    raise TrainingError(f"{name}: true pose at {frame.time_ns} ns is not finite")
+                file.write(np.ascontiguousarray(image).data)
+                matrices.append(frame.world_from_camera.as_matrix())
+                sequence.append(index)
+                progress(len(sequence))
+            if index not in sequence[-1:]:
+                raise TrainingError(f"{name}: no image with a true pose, expected at least one")
+        if shape is None:
+            raise TrainingError("no training data, expected at least one sequence")
+        file.flush()
+        images = np.memmap(file, np.uint8, mode="r", shape=(len(sequence), *shape))
+    return TrainingSet(images, Poses.from_matrix(np.stack(matrices)), np.array(sequence, np.int64))
+
+
+def held_out_tails(sequence: Int64[np.ndarray, " n"], share: float) -> Bool[np.ndarray, " n"]:
+    """Which images are in the last contiguous share of their sequence; neighbours in time are too alike to split."""
+    held_out = np.zeros(len(sequence), bool)
+    for index in np.unique(sequence):
+        (positions,) = np.nonzero(sequence == index)
+        count = round(share * len(positions))
+        held_out[positions[len(positions) - count :]] = True
+    return held_out

@@ -1,0 +1,109 @@
+"""What an interrupted training needs to go on as if nothing had happened: one safetensors file beside the output."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from sequences.atomic import atomic_output
+from vapor.checkpoint import CheckpointError, parse_config, read_json, read_safetensors
+from vapor.network import VariationalPoseRegressor
+from vapor.validation import Validation
+
+FORMAT = "vapor-track training state"
+VERSION = 1
+
+
+@dataclass
+class TrainingState:
+    """A training between two epochs. There is no generator in it: an epoch's randomness follows from seed and number.
+
+    Attributes:
+        network: The network being trained.
+        average: Its exponential moving average, which is validated and kept.
+        optimizer: Adam, with its moments.
+        epoch: Epochs done.
+        history: Figures of the epochs done, where there are held-out images.
+        best: Weights of the best epoch so far, on the CPU.
+    """
+
+    network: VariationalPoseRegressor
+    average: VariationalPoseRegressor
+    optimizer: torch.optim.Optimizer
+    epoch: int = 0
+    history: list[Validation] = field(default_factory=list)
+    best: dict[str, Tensor] = field(default_factory=dict)
+
+
+def state_path(output: Path) -> Path:
+    """Where the state of a training lies whose model will be `output`."""
+    return output.with_suffix(".training.safetensors")
+
+
+def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> None:
+    """Write the state, complete or not at all.
+
+    Args:
+        path: From `state_path`.
+        state: The training.
+        identity: JSON that must be equal for a training to be the same (configuration, data).
+    """
+    tensors = {f"network.{k}": v for k, v in state.network.state_dict().items()}
+    tensors |= {f"average.{k}": v for k, v in state.average.state_dict().items()}
+    tensors |= {f"best.{k}": v for k, v in state.best.items()}
+    for index, moments in state.optimizer.state_dict()["state"].items():
+        tensors |= {f"optimizer.{index}.{k}": v for k, v in moments.items()}
+    # Storage is shared where nothing was averaged; safetensors wants each tensor on its own.
+    tensors = {k: v.detach().cpu().clone(memory_format=torch.contiguous_format) for k, v in tensors.items()}
+    config = {
+        "identity": json.loads(json.dumps(identity)),
+        "epoch": state.epoch,
+        "history": [asdict(validation) for validation in state.history],
+    }
+    with atomic_output(path) as temporary:
+        save_file(tensors, temporary, {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config)})
+
+
+def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> None:
+    """Fill a fresh state from a file, in place.
+
+    Raises:
+        CheckpointError: no training state, of another version, of another training, or with other tensors.
+    """
+    metadata, tensors = read_safetensors(path)
+    found = metadata.get("format"), metadata.get("version")
+    if found != (FORMAT, str(VERSION)):
+        raise CheckpointError(f"{path}: format and version are {found}, expected {(FORMAT, str(VERSION))}")
+    config = read_json(path, metadata.get("config"))
+    expected = json.loads(json.dumps(identity))
+    other = config.get("identity")
+    if other != expected:
+        differs = [k for k in expected if not isinstance(other, dict) or other.get(k) != expected[k]]
+        raise CheckpointError(
+            f"{path}: interrupted training differs in {', '.join(differs) or 'its configuration'}, expected the same"
+            " configuration and data; remove the file, or train without resume, to start anew"
+        )
+    groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "best": {}, "optimizer": {}}
+    for name, value in tensors.items():
+        group, _, rest = name.partition(".")
+        groups.setdefault(group, {})[rest] = value
+    moments: dict[int, dict[str, Tensor]] = {}
+    for name, value in groups["optimizer"].items():
+        index, _, key = name.partition(".")
+        moments.setdefault(int(index), {})[key] = value
+    try:
+        state.network.load_state_dict(groups["network"])
+        state.average.load_state_dict(groups["average"])
+        state.optimizer.load_state_dict({**state.optimizer.state_dict(), "state": moments})
+    except (RuntimeError, ValueError) as error:
+        raise CheckpointError(f"{path}: {' '.join(str(error).split())}, expected the network's tensors") from error
+    state.best = groups["best"]
+    state.epoch = int(config["epoch"])
+    state.history = [parse_config(path, "history", Validation, entry) for entry in config["history"]]

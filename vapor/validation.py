@@ -1,0 +1,89 @@
+"""How good the posteriors of held-out images are: what selects the weights that are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from filtering.se3 import Poses
+from vapor.checkpoint import Calibration
+from vapor.images import centre_crop
+from vapor.network import VariationalPoseRegressor
+from vapor.training_set import TrainingSet
+
+RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
+_BATCH = 64
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Figures of one epoch on held-out images, means over the images.
+
+    Attributes:
+        epoch: Epochs trained, from 1.
+        train_loss: Mean training loss of that epoch.
+        sample_recall: Share of the posterior samples within 0.3 m and 20° of the true pose.
+        mode_recall: Share of the images whose sample of highest density is.
+        log_density: Mean of log(p̂(true pose) + π_min): unlike the recalls it falls when a possible place is forgotten,
+            which a filter cannot mend. The floor keeps single images from deciding.
+    """
+
+    epoch: int
+    train_loss: float
+    sample_recall: float
+    mode_recall: float
+    log_density: float
+
+
+def validate(
+    network: VariationalPoseRegressor,
+    held_out: TrainingSet,
+    calibration: Calibration,
+    *,
+    num_samples: int,
+    seed: int,
+    epoch: int,
+    train_loss: float,
+) -> Validation:
+    """Judge the posteriors of held-out images, with the same latent noise every time.
+
+    Args:
+        network: In any mode; evaluated in evaluation mode, and left as it was.
+        held_out: Images scaled as for training; their centre crops are used.
+        calibration: Kernel widths and the density's floor.
+        num_samples: Posterior samples per image.
+        seed: Of the latent noise.
+        epoch: Passed through.
+        train_loss: Passed through.
+    """
+    floor = np.log(calibration.prior_floor)
+    figures = []
+    for i, samples in enumerate(predict(network, held_out, num_samples, seed)):
+        truth = held_out.poses[i]
+        density = calibration.density(samples)
+        log_density = density.log_density(Poses.concatenate([samples, truth[None]]))
+        translation_m, rotation_rad = samples.distance(truth)
+        near = (translation_m < RECALL_TRANSLATION_M) & (rotation_rad < RECALL_ROTATION_RAD)
+        figures.append((near.mean(), near[log_density[:-1].argmax()], np.logaddexp(log_density[-1], floor)))
+    sample_recall, mode_recall, log_density = np.array(figures, np.float64).mean(axis=0)
+    return Validation(epoch, train_loss, float(sample_recall), float(mode_recall), float(log_density))
+
+
+def predict(network: VariationalPoseRegressor, images: TrainingSet, num_samples: int, seed: int) -> Iterator[Poses]:
+    """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic."""
+    config, device = network.config, network.pixel_mean.device
+    generator = torch.Generator(device).manual_seed(seed)
+    training = network.training
+    network.eval()
+    for start in range(0, len(images), _BATCH):
+        crops = np.stack([centre_crop(image, config.image_size) for image in images.images[start : start + _BATCH]])
+        with torch.inference_mode():
+            noise = torch.randn(len(crops), num_samples, config.latent_dim, generator=generator, device=device)
+            pixels = network.normalise(torch.from_numpy(crops).to(device))
+            translation, rotation = (p.cpu().double().numpy() for p in network(pixels, noise))
+        for i in range(len(crops)):
+            yield Poses(rotation[i], translation[i])
+    network.train(training)
