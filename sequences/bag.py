@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import os
+import struct
+import zlib
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -80,6 +82,7 @@ class Bag:
     def _open(self, file: Path) -> None:
         _check_ends(file)
         with _reading(file) as stream:
+            _check_summary(file, stream)
             seeking = SeekingReader(stream, validate_crcs=True, record_size_limit=_size(stream))
             summary = seeking.get_summary()
             # What the library needs to seek: without channels it fails, without message indexes it may skip chunks.
@@ -156,6 +159,19 @@ def _check_ends(file: Path) -> None:
             f"{file}: truncated: byte {size - len(_MAGIC)} of {size} is {tail!r}, expected the closing MCAP magic"
             f" (`mcap recover` rescues what is readable)"
         )
+
+
+def _check_summary(file: Path, stream: IO[bytes]) -> None:
+    """The checksum of the index, where there is one: the library does not compare it."""
+    footer_size = 9 + 20 + len(_MAGIC)  # opcode and length, three numbers, magic
+    start = stream.seek(-footer_size, os.SEEK_END)
+    summary_start, _, checksum = struct.unpack("<9xQQI8x", stream.read(footer_size))
+    begin = summary_start or start
+    stream.seek(min(begin, start))
+    matches = checksum in (0, zlib.crc32(stream.read(max(0, start + 25 - begin))))  # 0: written without one
+    stream.seek(0)
+    if begin > start or not matches:
+        raise SequenceError(f"{file}: damaged MCAP: index from byte {begin} on does not match its checksum")
 
 
 @contextmanager

@@ -44,6 +44,8 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     "yuv422_yuy2": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
     "yuyv": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
 }
+_MAX_DISTANCE_M = 1e8  # further than from any frame on Earth
+_MAX_VARIANCE = 1e12
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ def decode_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"
     if dtype.itemsize == 2:
         pixels = (pixels >> 8).astype(np.uint8)
     if conversion is None:
-        return pixels.copy() if pixels.base is data else pixels
+        return np.array(pixels)  # the message's own bytes are not writeable
     try:
         return cv2.cvtColor(pixels, conversion)  # pyright: ignore[reportReturnType]
     except cv2.error as error:
@@ -140,9 +142,13 @@ def decode_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"
 
 
 def pose_from_message(message: SimpleNamespace) -> Poses:
-    """geometry_msgs/Pose -> one pose. Raises VaporTrackError where it is not finite or the quaternion has no length."""
+    """geometry_msgs/Pose -> one pose.
+
+    Raises:
+        VaporTrackError: it is not finite, is absurdly far away, or its quaternion is not of unit length.
+    """
     p, q = message.position, message.orientation
-    return Poses.from_quat_xyzw(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+    return _pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
 
 
 def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
@@ -157,8 +163,8 @@ def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
     """
     pose = pose_from_message(message.pose.pose)
     covariance = np.array(message.twist.covariance, np.float64).reshape(6, 6)
-    if not np.isfinite(covariance).all():
-        raise VaporTrackError("twist covariance of an odometry message is not finite")
+    if not (np.abs(covariance) < _MAX_VARIANCE).all():  # NaN compares as false
+        raise VaporTrackError(f"twist covariance is not finite or above {_MAX_VARIANCE:g}: {covariance.tolist()}")
     if covariance[0, 0] == -1.0:
         covariance = np.zeros((6, 6))
     if covariance.any():
@@ -184,7 +190,7 @@ def transforms_from_message(message: SimpleNamespace) -> list[FrameTransform]:
         parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
         t, q = stamped.transform.translation, stamped.transform.rotation
         try:
-            pose = Poses.from_quat_xyzw(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]))
+            pose = _pose(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]))
         except VaporTrackError as error:
             raise SequenceError(f"transform {parent} -> {child}: {error}") from error
         transforms.append(FrameTransform(parent, child, pose))
@@ -201,6 +207,17 @@ def covariance_from_ros(covariance: Float64[np.ndarray, "6 6"], pose: Poses) -> 
     """Covariance of a pose as ROS has it, about the parent's axes -> in the tangent at the pose."""
     turn = _turn(pose)
     return turn.T @ covariance @ turn
+
+
+def _pose(translation: np.ndarray, quat_xyzw: np.ndarray) -> Poses:
+    """A pose whose numbers can be those of one: a damaged message may hold any."""
+    far = np.isfinite(translation).all() and np.abs(translation).max() > _MAX_DISTANCE_M
+    if far or np.isfinite(quat_xyzw).all() and not 0.9 < np.hypot.reduce(quat_xyzw) < 1.1:
+        raise VaporTrackError(
+            f"pose with translation {translation.tolist()} and quaternion xyzw {quat_xyzw.tolist()}, expected one within"
+            f" {_MAX_DISTANCE_M:g} m and a unit quaternion"
+        )
+    return Poses.from_quat_xyzw(translation, quat_xyzw)
 
 
 def _turn(pose: Poses) -> np.ndarray:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Self
 
 import cv2
 import numpy as np
@@ -36,13 +35,12 @@ class _MessageWriter:
         self._stack = ExitStack()
         self._schemas: dict[str, object] = {}
 
-    def __enter__(self) -> Self:
+    def _open(self) -> None:
         with ExitStack() as stack:
             partial = stack.enter_context(atomic_output(self.path))
             file = stack.enter_context(open(partial, "wb"))
             self._writer = Writer(file)
             self._stack = stack.pop_all()
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -95,8 +93,8 @@ class SequenceWriter(_MessageWriter):
         self._jpeg_quality = jpeg_quality
         self._has_tf = False
 
-    def __enter__(self) -> Self:
-        super().__enter__()
+    def __enter__(self) -> SequenceWriter:
+        self._open()
         if self._metadata:
             self._writer.add_metadata(METADATA_NAME, self._metadata)
         return self
@@ -175,6 +173,10 @@ class EstimateWriter(_MessageWriter):
     mode's optical axis, its opacity the weight), `/estimate/particles` (PoseArray, thinned), `/tf` (map ->
     camera_estimate). Poses are of the camera's optical frame: z is where it looks.
     """
+
+    def __enter__(self) -> EstimateWriter:
+        self._open()
+        return self
 
     def write(
         self,

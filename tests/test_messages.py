@@ -1,0 +1,216 @@
+"""ROS messages and their conventions."""
+
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.message_definitions import DEFINITIONS, decoder, schema_text
+from sequences.messages import (
+    camera_from_message,
+    covariance_from_ros,
+    covariance_to_ros,
+    decode_compressed_image,
+    decode_image,
+    frame_name,
+    odometry_from_message,
+)
+
+
+def image_message(pixels: np.ndarray, encoding: str, *, padding: int = 0, big_endian: bool = False) -> SimpleNamespace:
+    """A sensor_msgs/Image whose rows end in `padding` bytes of rubbish."""
+    rows = pixels.astype(pixels.dtype.newbyteorder(">" if big_endian else "<"), copy=False)
+    rows = np.frombuffer(np.ascontiguousarray(rows).tobytes(), np.uint8).reshape(len(pixels), -1)
+    rows = np.concatenate([rows, np.full((len(rows), padding), 123, np.uint8)], axis=1)
+    return SimpleNamespace(
+        height=pixels.shape[0],
+        width=pixels.shape[1],
+        encoding=encoding,
+        is_bigendian=int(big_endian),
+        step=rows.shape[1],
+        data=rows.tobytes(),
+    )
+
+
+RGB = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+GREY = np.repeat(RGB[..., :1], 3, axis=2)
+ALPHA = np.full((6, 8, 1), 7, np.uint8)
+LAYOUTS = {
+    "rgb8": (RGB, RGB),
+    "bgr8": (RGB[..., ::-1], RGB),
+    "8UC3": (RGB[..., ::-1], RGB),
+    "rgba8": (np.concatenate([RGB, ALPHA], 2), RGB),
+    "bgra8": (np.concatenate([RGB[..., ::-1], ALPHA], 2), RGB),
+    "mono8": (RGB[..., 0], GREY),
+    "8UC1": (RGB[..., 0], GREY),
+    "mono16": (RGB[..., 0].astype(np.uint16) * 256 + 99, GREY),
+    "rgb16": (RGB.astype(np.uint16) * 256 + 99, RGB),
+    "bgr16": (RGB[..., ::-1].astype(np.uint16) * 256 + 99, RGB),
+}
+
+
+@pytest.mark.parametrize("padding", [0, 5])
+@pytest.mark.parametrize("encoding", LAYOUTS)
+def test_raw_images_become_rgb_whatever_their_layout_and_padding(encoding: str, padding: int) -> None:
+    pixels, expected = LAYOUTS[encoding]
+    big_endian = pixels.dtype.itemsize == 2 and padding == 5
+    image = decode_image(image_message(pixels, encoding, padding=padding, big_endian=big_endian))
+    np.testing.assert_array_equal(image, expected)
+    assert image.flags.writeable
+
+
+# Colour of the four pixels of a tile, row by row: 0 red, 1 green, 2 blue.
+MOSAICS = {
+    "bayer_rggb": [0, 1, 1, 2],
+    "bayer_bggr": [2, 1, 1, 0],
+    "bayer_gbrg": [1, 2, 0, 1],
+    "bayer_grbg": [1, 0, 2, 1],
+}
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("pattern", MOSAICS)
+def test_a_mosaic_made_by_hand_gets_its_colour_back(pattern: str, bits: int) -> None:
+    colour = np.array([200, 120, 30])
+    tile = colour[MOSAICS[pattern]].reshape(2, 2)
+    mosaic = np.tile(tile, (8, 8)).astype(np.uint8)
+    pixels = mosaic if bits == 8 else mosaic.astype(np.uint16) * 256
+    image = decode_image(image_message(pixels, f"{pattern}{bits}"))
+    np.testing.assert_array_equal(image[2:-2, 2:-2], np.broadcast_to(colour, (12, 12, 3)))
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("yuv422", [1, 0, 2, 0]), ("yuv422_yuy2", [0, 1, 0, 2])])
+def test_yuv_images_get_their_colour_back(encoding: str, order: list[int]) -> None:
+    colour = np.array([180, 60, 90], np.uint8)
+    y, v, u = cv2.cvtColor(colour[None, None], cv2.COLOR_RGB2YCrCb)[0, 0].astype(float)
+    # BT.601 in the narrow range of video.
+    yuv = np.array([16 + y * 219 / 255, 128 + (u - 128) * 224 / 255, 128 + (v - 128) * 224 / 255])
+    pixels = np.tile(np.round(yuv[order]).astype(np.uint8).reshape(2, 2), (4, 4, 1))
+    image = decode_image(image_message(pixels, encoding))
+    np.testing.assert_allclose(image.reshape(-1, 3), np.broadcast_to(colour, (32, 3)), atol=6)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"encoding": "32FC1"}, "encoding '32FC1'"),
+        ({"data": b"123"}, "3 bytes"),
+        ({"step": 5}, "rows of 5"),
+        ({"height": 0}, "8 x 0"),
+        ({"encoding": "yuv422", "width": 7}, "cannot be converted"),
+    ],
+)
+def test_raw_images_that_cannot_be_are_named(change: dict, said: str) -> None:
+    message = image_message(RGB, "rgb8")
+    message.__dict__.update(change)
+    with pytest.raises(SequenceError, match=said):
+        decode_image(message)
+
+
+def test_png_and_jpeg_become_rgb() -> None:
+    png = cv2.imencode(".png", RGB[..., ::-1])[1].tobytes()
+    np.testing.assert_array_equal(decode_compressed_image(SimpleNamespace(data=png, format="png")), RGB)
+    flat = np.broadcast_to(np.array([200, 100, 20], np.uint8), (16, 16, 3))
+    jpeg = cv2.imencode(".jpg", np.ascontiguousarray(flat[..., ::-1]))[1].tobytes()
+    image = decode_compressed_image(SimpleNamespace(data=jpeg, format="jpeg"))
+    np.testing.assert_allclose(image, flat, atol=3)
+
+
+def jpeg_of_noise() -> bytes:
+    noise = np.random.default_rng(1).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    return cv2.imencode(".jpg", noise)[1].tobytes()
+
+
+@pytest.mark.parametrize("data", [b"", b"no image", jpeg_of_noise()[:2000], b"\x89PNG\r\n\x1a\n" + bytes(40)])
+def test_compressed_images_that_are_none_or_cut_off_are_refused(data: bytes) -> None:
+    assert len(jpeg_of_noise()) > 2000
+    with pytest.raises(SequenceError):
+        decode_compressed_image(SimpleNamespace(data=data, format="jpeg"))
+
+
+def odometry_message(**change: object) -> SimpleNamespace:
+    values = {"position": [1.0, 2.0, 3.0], "quat": [0.0, 0.0, 0.6, 0.8], "covariance": [0.0] * 36, **change}
+    p, q = values["position"], values["quat"]
+    pose = SimpleNamespace(
+        position=SimpleNamespace(x=p[0], y=p[1], z=p[2]),
+        orientation=SimpleNamespace(x=q[0], y=q[1], z=q[2], w=q[3]),
+    )
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=1_700_000_000, nanosec=123_456_789), frame_id="odom"),
+        pose=SimpleNamespace(pose=pose, covariance=[9.0] * 36),
+        twist=SimpleNamespace(covariance=values["covariance"]),
+    )
+
+
+def test_odometry_keeps_its_stamp_pose_and_twist_covariance() -> None:
+    covariance = np.diag([1.0, 2, 3, 4, 5, 6])
+    sample = odometry_from_message(odometry_message(covariance=covariance.ravel().tolist()))
+    assert sample.time_ns == 1_700_000_000_123_456_789
+    np.testing.assert_array_equal(sample.twist_covariance, covariance)
+    np.testing.assert_allclose(sample.odom_from_base.apply(np.array([1.0, 0, 0])), [1.28, 2.96, 3.0], atol=1e-12)
+
+
+def test_a_covariance_marked_as_unknown_becomes_zero() -> None:
+    sample = odometry_from_message(odometry_message(covariance=[-1.0] + [0.0] * 35))
+    assert not sample.twist_covariance.any()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"position": [np.nan, 0.0, 0.0]},
+        {"quat": [0.0, 0.0, np.inf, 1.0]},
+        {"quat": [0.0] * 4},
+        {"quat": [0.0, 0.0, 0.0, 1e300]},
+        {"position": [1e300, 0.0, 0.0]},
+        {"covariance": [1e300] * 36},
+        {"covariance": [np.nan] * 36},
+        {"covariance": (-np.eye(6) * 2).ravel().tolist()},
+    ],
+)
+def test_odometry_that_is_no_motion_is_refused(change: dict) -> None:
+    with pytest.raises(VaporTrackError):
+        odometry_from_message(odometry_message(**change))
+
+
+def test_covariance_of_a_pose_turns_to_the_axes_of_its_parent() -> None:
+    # Uncertain along the camera's view and about it; the camera looks along the map's x axis (z -> x, x -> −y).
+    map_from_camera = Poses(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([5.0, 6, 7]))
+    covariance = np.diag([0.0, 0, 4.0, 0, 0, 0.25])
+    np.testing.assert_allclose(covariance_to_ros(covariance, map_from_camera), np.diag([4.0, 0, 0, 0.25, 0, 0]))
+
+
+def test_covariance_to_ros_and_back_is_the_same() -> None:
+    rng = np.random.default_rng(2)
+    root = rng.normal(size=(6, 6))
+    pose = Poses.exp(rng.normal(size=6))
+    back = covariance_from_ros(covariance_to_ros(root @ root.T, pose), pose)
+    np.testing.assert_allclose(back, root @ root.T, atol=1e-12)
+
+
+def test_an_uncalibrated_camera_has_no_intrinsics() -> None:
+    assert camera_from_message(SimpleNamespace(width=640, height=480, k=[0.0] * 9)) is None
+    camera = camera_from_message(SimpleNamespace(width=640, height=480, k=[500.0, 0, 320, 0, 510, 240, 0, 0, 1]))
+    assert camera is not None
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (500.0, 510.0, 320.0, 240.0)
+
+
+def test_frame_names_lose_their_leading_slash() -> None:
+    assert frame_name("/base_link") == frame_name("base_link") == "base_link"
+
+
+@pytest.mark.parametrize("message_type", DEFINITIONS)
+def test_every_definition_names_all_types_within_it(message_type: str) -> None:
+    text = schema_text(message_type)
+    named = {line.removeprefix("MSG: ") for line in text.splitlines() if line.startswith("MSG: ")}
+    used = {line.split()[0].removesuffix("[]") for line in text.splitlines() if "/" in line and "MSG:" not in line}
+    assert used == named
+
+
+def test_bytes_that_are_no_message_do_not_decode() -> None:
+    with pytest.raises(Exception, match=r"."):
+        decoder("nav_msgs/Odometry")(b"\x00\x01\x00\x00garbage")

@@ -1,0 +1,135 @@
+"""Which odometry lies between which images."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from filtering.motion import MotionNoise
+from filtering.se3 import Poses
+from sequences.pairing import PoseWindow, interpolate, odometry_between
+
+SECOND = 1_000_000_000
+
+
+def random_walk(n: int, seed: int) -> tuple[np.ndarray, Poses, np.ndarray]:
+    """Irregular stamps, poses, and a full positive definite twist covariance for each message."""
+    rng = np.random.default_rng(seed)
+    times_ns = np.cumsum(rng.integers(SECOND // 100, SECOND // 5, n)).astype(np.int64)
+    poses = [Poses.exp(rng.normal(size=6))]
+    for _ in range(n - 1):
+        poses.append(poses[-1] @ Poses.exp(rng.normal(scale=0.1, size=6)))
+    root = rng.normal(scale=0.1, size=(n, 6, 6))
+    return times_ns, Poses.stack(poses), root @ np.swapaxes(root, 1, 2)
+
+
+def assert_same(a: Poses, b: Poses, tolerance: float = 1e-9) -> None:
+    np.testing.assert_allclose(a.as_matrix(), b.as_matrix(), atol=tolerance)
+
+
+def test_a_pose_at_a_stamp_is_that_pose_and_halfway_is_halfway() -> None:
+    times_ns = np.array([0, 10, 20], np.int64) * SECOND
+    poses = Poses.exp(np.array([[0.0] * 6, [2.0, 0, 0, 0, 0, 1.0], [5.0, 1, 0, 0.3, 0, 1.0]]))
+    found, covered = interpolate(times_ns, poses, np.array([0, 5, 10, 20], np.int64) * SECOND, max_gap_s=10.0)
+    assert covered.all()
+    assert_same(found[np.array([0, 2, 3])], poses)
+    # Constant twist from the identity: half the tangent vector.
+    assert_same(found[1], Poses.exp(np.array([1.0, 0, 0, 0, 0, 0.5])))
+
+
+def test_times_outside_and_in_gaps_are_not_covered_but_stamps_beside_gaps_are() -> None:
+    times_ns = np.array([10, 11, 20], np.int64) * SECOND
+    poses = Poses.identity(3)
+    query_ns = np.array([9, 10, 11, 15, 20, 21], np.int64) * SECOND
+    _, covered = interpolate(times_ns, poses, query_ns, max_gap_s=1.0)
+    np.testing.assert_array_equal(covered, [False, True, True, False, True, False])
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), cut=st.floats(0.1, 0.9), at_message=st.booleans())
+def test_increments_and_their_covariances_add_up_wherever_the_images_fall(
+    seed: int, cut: float, at_message: bool
+) -> None:
+    times_ns, poses, twists = random_walk(12, seed)
+    start, end = int(times_ns[0] * 0.3 + times_ns[1] * 0.7), int(times_ns[-2] * 0.6 + times_ns[-1] * 0.4)
+    middle = int(times_ns[6]) if at_message else int(start + cut * (end - start))
+    setting = {"base_from_camera": Poses.exp(np.array([0.3, 0.2, 0.1, 1.0, -1.0, 0.5])), "motion_noise": MotionNoise()}
+    whole = odometry_between(times_ns, poses, twists, start, end, **setting)
+    first = odometry_between(times_ns, poses, twists, start, middle, **setting)
+    second = odometry_between(times_ns, poses, twists, middle, end, **setting)
+    assert_same(first.previous_from_current @ second.previous_from_current, whole.previous_from_current)
+    carry = second.previous_from_current.inverse().adjoint()
+    total = carry @ first.covariance @ carry.T + second.covariance
+    # Cut within an interval, each part's error is taken at its own end: the same but for the turn in between.
+    scale = np.sqrt(np.outer(np.diag(whole.covariance), np.diag(whole.covariance)))
+    np.testing.assert_allclose(total / scale, whole.covariance / scale, atol=1e-9 if at_message else 0.05)
+
+
+def test_the_covariance_is_that_of_simulated_twist_errors() -> None:
+    # Precondition of the law above: the carried sum is what errors in the base frame do to the camera's increment.
+    times_ns = np.arange(6, dtype=np.int64) * (SECOND // 10)
+    _, poses, _ = random_walk(6, seed=3)
+    base_from_camera = Poses.exp(np.array([0.5, -0.2, 0.3, 0.8, -0.4, 1.2]))
+    rng = np.random.default_rng(0)
+    root = rng.normal(scale=0.02, size=(6, 6))
+    twist = root @ root.T
+    odometry = odometry_between(
+        times_ns,
+        poses,
+        np.broadcast_to(twist, (6, 6, 6)).copy(),
+        0,
+        int(times_ns[-1]),
+        base_from_camera=base_from_camera,
+        motion_noise=MotionNoise(),
+    )
+    n = 40_000
+    base = Poses.identity(n)
+    steps = poses[:-1].inverse() @ poses[1:]
+    for step in range(5):
+        noise = rng.standard_normal((n, 6)) @ root.T * 0.1
+        base = base @ (steps[step] @ Poses.exp(noise))
+    camera = base_from_camera.inverse() @ base @ base_from_camera
+    errors = (odometry.previous_from_current.inverse() @ camera).log()
+    sampled = errors.T @ errors / n
+    scale = np.sqrt(np.outer(np.diag(odometry.covariance), np.diag(odometry.covariance)))
+    # 40 000 samples: entries of a correlation matrix have a standard error of at most √2/200.
+    np.testing.assert_allclose(sampled / scale, odometry.covariance / scale, atol=0.03)
+
+
+def test_zero_covariances_leave_the_word_to_the_motion_noise() -> None:
+    times_ns, poses, twists = random_walk(8, seed=5)
+    noise = MotionNoise(translation_per_m=0.2)
+    end = int(times_ns[-1])
+    setting = {"base_from_camera": Poses.identity(), "motion_noise": noise}
+    odometry = odometry_between(times_ns, poses, np.zeros_like(twists), int(times_ns[0]), end, **setting)
+    increment = poses[0].inverse() @ poses[7]
+    assert_same(odometry.previous_from_current, increment)
+    expected = noise.covariance(increment, (end - int(times_ns[0])) * 1e-9)
+    np.testing.assert_allclose(odometry.covariance, expected, rtol=1e-9)
+
+
+def test_a_window_forgets_but_still_answers_for_what_follows() -> None:
+    times_ns, poses, _ = random_walk(20, seed=1)
+    window, whole = PoseWindow(max_gap_s=1.0), PoseWindow(max_gap_s=1.0)
+    for i in range(20):
+        assert window.append(int(times_ns[i]), poses[i])
+        whole.append(int(times_ns[i]), poses[i])
+    assert not window.append(int(times_ns[-1]), poses[0])
+    previous = int(times_ns[9]) + 1000
+    window.forget_before(previous)
+    setting = {"base_from_camera": Poses.identity(), "motion_noise": MotionNoise()}
+    end = int(times_ns[19])
+    assert window.at(int(times_ns[3])) is None
+    assert whole.at(int(times_ns[3])) is not None
+    assert_same(
+        window.odometry_between(previous, end, **setting).previous_from_current,
+        whole.odometry_between(previous, end, **setting).previous_from_current,
+    )
+
+
+@pytest.mark.parametrize("asked_s", [0.0, 2.0])
+def test_an_empty_window_covers_nothing(asked_s: float) -> None:
+    window = PoseWindow(max_gap_s=1.0)
+    window.forget_before(5)
+    assert window.at(int(asked_s * SECOND)) is None
+    assert not window.reaches(int(asked_s * SECOND))

@@ -1,0 +1,474 @@
+"""Recorded sequences -> frames, in every form in which they lie on disk, and everything that can be wrong with them."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from filtering.motion import MotionNoise
+from filtering.se3 import Poses
+from sequences.bag import Bag
+from sequences.errors import SequenceError
+from sequences.message_definitions import decoder
+from sequences.messages import odometry_from_message
+from sequences.pairing import odometry_between
+from sequences.reader import SequenceOptions, SequenceReader
+from tests.sequence_files import (
+    BASE_FROM_CAMERA,
+    BEGIN_NS,
+    CAMERA,
+    FORMS,
+    TWIST_COVARIANCE,
+    Walk,
+    picture,
+    rewrite,
+    world_from_camera,
+)
+
+Form = Callable[[Path, Path], Path]
+IMAGES = "/camera/image/compressed"
+
+
+def close(a: Poses | None, b: Poses, tolerance: float = 1e-6) -> bool:
+    return a is not None and bool(np.abs(a.as_matrix() - b.as_matrix()).max() < tolerance)
+
+
+@pytest.fixture(scope="module")
+def walk_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Walk().write(tmp_path_factory.mktemp("walk") / "walk.mcap", metadata={"odometry": "simulated: exact"})
+
+
+# --- what is read ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_frames_are_what_was_written_in_every_form(form: Form, walk_file: Path, tmp_path: Path) -> None:
+    reader = SequenceReader(form(walk_file, tmp_path))
+    frames = list(reader)
+    assert [f.time_ns for f in frames] == [BEGIN_NS + 100_000_000 * i for i in range(12)]
+    assert reader.num_images == 12
+    assert reader.camera == CAMERA
+    assert close(reader.base_from_camera, BASE_FROM_CAMERA, 1e-12)
+    assert reader.skipped == {}
+    for i, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.image, picture(i))
+        assert frame.camera == CAMERA
+        assert close(frame.world_from_camera, world_from_camera(frame.time_ns), 1e-12)
+    assert frames[0].odometry is None
+    for before, frame in zip(frames, frames[1:], strict=False):
+        truth = world_from_camera(before.time_ns).inverse() @ world_from_camera(frame.time_ns)
+        assert frame.odometry is not None
+        # Between messages 20 ms apart the walk is not quite of constant velocity.
+        assert close(frame.odometry.previous_from_current, truth, 1e-4)
+        assert truth.log()[:3] @ truth.log()[:3] > 1e-4
+        # Five intervals of 20 ms; a turn of 0.1 s changes little.
+        carry = BASE_FROM_CAMERA.inverse().adjoint()
+        expected = carry @ TWIST_COVARIANCE @ carry.T * 5 * 0.02**2
+        np.testing.assert_allclose(frame.odometry.covariance, expected, atol=0.02 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_iteration_reads_anew(form: Form, walk_file: Path, tmp_path: Path) -> None:
+    reader = SequenceReader(form(walk_file, tmp_path))
+    assert [f.time_ns for f in reader] == [f.time_ns for f in reader]
+
+
+def test_the_file_says_where_its_odometry_comes_from(walk_file: Path, tmp_path: Path) -> None:
+    assert SequenceReader(walk_file).odometry_description == "simulated: exact"
+    assert SequenceReader(Walk().write(tmp_path / "silent.mcap")).odometry_description is None
+
+
+def test_without_odometry_every_image_is_read(tmp_path: Path) -> None:
+    path = rewrite(Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap", keep=lambda topic, _: topic != "/odom")
+    frames = list(SequenceReader(path, require_odometry=False))
+    assert len(frames) == 12
+    assert all(frame.odometry is None and frame.world_from_camera is not None for frame in frames)
+    with pytest.raises(SequenceError, match=r"no odometry topic.*nav_msgs/Odometry.*/tf_static \(tf2_msgs/TFMessage\)"):
+        SequenceReader(path)
+
+
+def test_a_stretch_of_a_sequence_is_read(walk_file: Path) -> None:
+    reader = SequenceReader(walk_file, SequenceOptions(start_s=0.25, duration_s=0.5))
+    assert [f.time_ns for f in reader] == [BEGIN_NS + 100_000_000 * i for i in range(3, 8)]
+    assert reader.skipped == {}
+
+
+def test_zero_covariances_are_replaced_by_the_stated_motion_noise(tmp_path: Path) -> None:
+    path = Walk(twist_covariance=np.zeros((6, 6))).write(tmp_path / "walk.mcap")
+    noise = MotionNoise(translation_per_m=0.3)
+    frame = list(SequenceReader(path, SequenceOptions(motion_noise=noise)))[1]
+    assert frame.odometry is not None
+    camera_from_base = BASE_FROM_CAMERA.inverse()
+    base_increment = BASE_FROM_CAMERA @ frame.odometry.previous_from_current @ camera_from_base
+    carry = camera_from_base.adjoint()
+    expected = carry @ noise.covariance(base_increment, 0.1) @ carry.T
+    np.testing.assert_allclose(frame.odometry.covariance, expected, rtol=1e-6, atol=1e-12)
+
+
+def test_true_poses_are_interpolated_but_not_over_gaps(tmp_path: Path) -> None:
+    walk = Walk()
+    # True poses at 20 Hz, off the images' stamps, and none between 0.4 and 0.75 s.
+    times_ns = [BEGIN_NS + 50_000_000 * i - 20_000_000 for i in range(26) if not 9 <= i <= 15]
+    walk.truth = [(t, world_from_camera(t)) for t in times_ns]
+    frames = list(SequenceReader(walk.write(tmp_path / "walk.mcap")))
+    assert len(frames) == 12
+    for i, frame in enumerate(frames):
+        if i in (4, 5, 6, 7):
+            assert frame.world_from_camera is None
+        else:
+            assert close(frame.world_from_camera, world_from_camera(frame.time_ns), 1e-3)
+
+
+def test_odometry_logged_late_is_waited_for(tmp_path: Path) -> None:
+    def late(topic: str, time_ns: int) -> int:
+        return time_ns + 300_000_000 * (topic == "/odom")
+
+    path = rewrite(Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap", log_time=late)
+    with open(path, "rb") as file:
+        order = [channel.topic for _, channel, _ in make_reader(file).iter_messages([IMAGES, "/odom"])]
+    assert order[:3] == [IMAGES] * 3  # the precondition
+    assert len(list(SequenceReader(path))) == 12
+
+
+# --- topics ----------------------------------------------------------------------------------------
+
+
+def with_second(tmp_path: Path, topic: str, name: str) -> Path:
+    """A file in which the later half of a topic's messages lies on another topic."""
+    source = Walk().write(tmp_path / "in.mcap")
+    middle_ns = BEGIN_NS + 600_000_000
+    first = rewrite(source, tmp_path / "a.mcap", keep=lambda t, ns: t != topic or ns < middle_ns)
+    renamed = rewrite(
+        source, tmp_path / "b.mcap", keep=lambda t, ns: t == topic and ns >= middle_ns, topic_names={topic: name}
+    )
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    first.rename(bag / "a.mcap")
+    renamed.rename(bag / "b.mcap")
+    (bag / "metadata.yaml").write_text("x:\n  relative_file_paths:\n  - a.mcap\n  - b.mcap\n")
+    return bag
+
+
+@pytest.mark.parametrize(
+    ("topic", "role"),
+    [(IMAGES, "image"), ("/odom", "odometry"), ("/ground_truth/pose", "ground-truth")],
+)
+def test_of_several_topics_one_must_be_named(topic: str, role: str, tmp_path: Path) -> None:
+    path = with_second(tmp_path, topic, "/other")
+    with pytest.raises(SequenceError, match=rf"2 {role} topics.*--{role}-topic.*{topic}.*/other"):
+        SequenceReader(path)
+    options = SequenceOptions(**{role.replace("-", "_") + "_topic": topic})
+    assert SequenceReader(path, options).num_images in (6, 12)
+
+
+def test_the_ground_truth_can_be_left_out_by_an_empty_name(walk_file: Path) -> None:
+    frames = list(SequenceReader(walk_file, SequenceOptions(ground_truth_topic="")))
+    assert len(frames) == 12
+    assert all(frame.world_from_camera is None for frame in frames)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (SequenceOptions(image_topic="/nowhere"), r"no topic /nowhere.*found.*/odom \(nav_msgs/Odometry\)"),
+        (SequenceOptions(image_topic="/odom"), r"/odom is nav_msgs/Odometry, expected sensor_msgs/Image or"),
+    ],
+)
+def test_a_topic_that_is_missing_or_of_another_type_is_named(
+    options: SequenceOptions, said: str, walk_file: Path
+) -> None:
+    with pytest.raises(SequenceError, match=said):
+        SequenceReader(walk_file, options)
+
+
+# --- extrinsics ------------------------------------------------------------------------------------
+
+
+def test_without_tf_the_error_names_both_frames_and_an_option_helps(walk_file: Path, tmp_path: Path) -> None:
+    path = rewrite(walk_file, tmp_path / "out.mcap", keep=lambda topic, _: topic != "/tf_static")
+    with pytest.raises(SequenceError, match=r"no transform from 'base_link'.*to 'camera_optical_frame'.*found frames"):
+        SequenceReader(path)
+    values = np.concatenate([BASE_FROM_CAMERA.translation, BASE_FROM_CAMERA.as_quat_xyzw()]).tolist()
+    given = SequenceReader(path, SequenceOptions(base_from_camera=tuple(values)))
+    reference = list(SequenceReader(walk_file))
+    for frame, expected in zip(given, reference, strict=True):
+        if expected.odometry is not None:
+            assert frame.odometry is not None
+            assert close(frame.odometry.previous_from_current, expected.odometry.previous_from_current, 1e-9)
+
+
+def test_odometry_of_the_camera_itself_needs_no_tf(walk_file: Path, tmp_path: Path) -> None:
+    path = rewrite(walk_file, tmp_path / "out.mcap", keep=lambda topic, _: topic != "/tf_static")
+    reader = SequenceReader(path, SequenceOptions(camera_frame="/base_link"))
+    assert close(reader.base_from_camera, Poses.identity(), 1e-12)
+
+
+def test_transforms_lead_through_a_robot_of_many_frames(shared_data: Path, tmp_path: Path) -> None:
+    """The camera of a TurtleBot 4, as its /tf_static has it: from base_link up through the camera's bracket."""
+    source = shared_data / "ros_bags" / "nav2_turtlebot.mcap"
+    bag = Bag(source)
+    frames = [
+        t.child_frame_id
+        for raw in bag.messages(["/tf_static"])
+        for t in decoder("tf2_msgs/TFMessage")(raw.data).transforms
+    ]
+    optical = next(name for name in frames if name.endswith("rgb_camera_optical_frame"))
+    # The recording has no images: our walk's take their place, in the same file.
+    walk = Walk().write(tmp_path / "walk.mcap")
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    rewrite(walk, folder / "images.mcap", keep=lambda topic, _: topic == IMAGES)
+    rewrite(source, folder / "robot.mcap", keep=lambda topic, _: topic in ("/odom", "/tf", "/tf_static"))
+    (folder / "metadata.yaml").write_text("relative_file_paths:\n- images.mcap\n- robot.mcap\n")
+    pose = SequenceReader(folder, SequenceOptions(camera_frame=optical)).base_from_camera
+    assert pose is not None
+    # Upright on the robot: the optical axis points ahead and the image's x axis to the robot's right.
+    np.testing.assert_allclose(pose.rotation, [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], atol=0.05)
+    assert 0.0 < pose.translation[2] < 0.5
+
+
+# --- what is skipped -------------------------------------------------------------------------------
+
+
+def test_an_undecodable_image_is_skipped_and_the_next_increment_spans_it(tmp_path: Path) -> None:
+    walk = Walk()
+    walk.images[5] = (walk.images[5][0], b"no image")
+    reader = SequenceReader(walk.write(tmp_path / "walk.mcap"))
+    frames = list(reader)
+    assert reader.skipped == {"undecodable image": 1}
+    assert len(frames) == 11
+    truth = world_from_camera(frames[4].time_ns).inverse() @ world_from_camera(frames[5].time_ns)
+    assert frames[5].time_ns - frames[4].time_ns == 200_000_000
+    assert frames[5].odometry is not None
+    assert close(frames[5].odometry.previous_from_current, truth, 1e-4)
+
+
+def test_bytes_that_are_no_image_message_are_skipped(walk_file: Path, tmp_path: Path) -> None:
+    def cut(topic: str, time_ns: int, data: bytes) -> bytes:
+        return data[:7] if topic == IMAGES and time_ns == BEGIN_NS + 300_000_000 else data
+
+    reader = SequenceReader(rewrite(walk_file, tmp_path / "out.mcap", data=cut))
+    assert len(list(reader)) == 11
+    assert reader.skipped == {"undecodable image": 1}
+
+
+@pytest.mark.parametrize("back_ns", [0, 30_000_000])
+def test_image_stamps_that_stand_or_run_backwards_are_skipped(back_ns: int, tmp_path: Path) -> None:
+    walk = Walk()
+    path = walk.write(tmp_path / "in.mcap")
+    before_ns = BEGIN_NS + 400_000_000 - back_ns
+    header = before_ns // 1_000_000_000, before_ns % 1_000_000_000
+
+    def stamped(topic: str, time_ns: int, data: bytes) -> bytes:
+        if topic != IMAGES or time_ns != BEGIN_NS + 500_000_000:
+            return data
+        # The stamp is the first thing after the four bytes that begin every message.
+        return data[:4] + np.array(header, "<u4").tobytes() + data[12:]
+
+    reader = SequenceReader(rewrite(path, tmp_path / "out.mcap", data=stamped))
+    times = [frame.time_ns for frame in reader]
+    assert len(times) == 11
+    assert times == sorted(set(times))
+    assert reader.skipped == {"time stamp not increasing": 1}
+
+
+def test_images_that_odometry_does_not_cover_are_skipped(tmp_path: Path) -> None:
+    walk = Walk()
+    # Starts after the first two images, ends before the last one, and is silent from 0.45 to 1.01 s.
+    ms = 1_000_000
+    walk.odometry = [
+        (t, pose)
+        for t, pose in walk.odometry
+        if 150 * ms <= t - BEGIN_NS <= 1090 * ms and not 450 * ms < t - BEGIN_NS < 1000 * ms
+    ]
+    reader = SequenceReader(walk.write(tmp_path / "walk.mcap"))
+    indices = [(frame.time_ns - BEGIN_NS) // (100 * ms) for frame in reader]
+    assert indices == [2, 3, 4]
+    assert reader.skipped == {"odometry does not cover": 9}
+
+
+def test_odometry_that_is_not_finite_or_has_no_rotation_is_skipped(tmp_path: Path) -> None:
+    walk = Walk()
+    nan, flat = walk.odometry[12][0], walk.odometry[30][0]
+    walk.odometry[12] = (nan, Poses(np.eye(3), np.array([np.nan, 0.0, 0.0])))
+    path = walk.write(tmp_path / "in.mcap")
+
+    def flattened(topic: str, time_ns: int, data: bytes) -> bytes:
+        if topic != "/odom" or time_ns != flat:
+            return data
+        # header (8 + 4 + "odom\0"), child frame (4 + "base_link\0"), then aligned to 8 from byte 4 on: the pose.
+        start = data.index(b"base_link\0") + len(b"base_link\0")
+        start += -(start - 4) % 8 + 24
+        return data[:start] + bytes(32) + data[start + 32 :]
+
+    reader = SequenceReader(rewrite(path, tmp_path / "out.mcap", data=flattened))
+    frames = list(reader)
+    assert len(frames) == 12
+    assert reader.skipped == {"odometry not finite": 2}
+    for before, frame in zip(frames, frames[1:], strict=False):
+        truth = world_from_camera(before.time_ns).inverse() @ world_from_camera(frame.time_ns)
+        assert frame.odometry is not None
+        assert close(frame.odometry.previous_from_current, truth, 1e-3)
+
+
+def test_odometry_stamps_that_stand_or_run_backwards_are_skipped(tmp_path: Path) -> None:
+    def stalled(topic: str, time_ns: int, data: bytes) -> bytes:
+        if topic != "/odom" or (time_ns // 20_000_000) % 10:
+            return data
+        return data[:4] + np.array([1, 1], "<u4").tobytes() + data[12:]
+
+    reader = SequenceReader(rewrite(Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap", data=stalled))
+    assert len(list(reader)) == 12
+    assert reader.skipped.keys() == {"odometry time stamp not increasing"}
+
+
+def test_true_poses_that_are_not_finite_are_counted_and_unknown(tmp_path: Path) -> None:
+    walk = Walk()
+    walk.truth[4] = (walk.truth[4][0], Poses(np.eye(3), np.array([np.inf, 0.0, 0.0])))
+    reader = SequenceReader(walk.write(tmp_path / "walk.mcap"))
+    known = [frame.world_from_camera is not None for frame in reader]
+    assert known == [i != 4 for i in range(12)]
+    assert reader.skipped == {"true pose not finite": 1}
+
+
+def test_a_stamp_far_in_the_future_costs_one_image_only(tmp_path: Path) -> None:
+    def stamped(topic: str, time_ns: int, data: bytes) -> bytes:
+        if topic != IMAGES or time_ns != BEGIN_NS + 500_000_000:
+            return data
+        return data[:4] + np.array([2_000_000_000, 0], "<u4").tobytes() + data[12:]
+
+    reader = SequenceReader(rewrite(Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap", data=stamped))
+    assert len(list(reader)) == 11
+    assert reader.skipped == {"odometry does not cover": 1}
+
+
+def test_with_no_image_left_the_error_says_why(tmp_path: Path) -> None:
+    walk = Walk()
+    walk.images = [(t, b"no image") for t, _ in walk.images]
+    reader = SequenceReader(walk.write(tmp_path / "walk.mcap"))
+    with pytest.raises(SequenceError, match=r"no image left of 12 on /camera/.*12 × undecodable.*expected JPEG"):
+        list(reader)
+
+
+# --- what is refused -------------------------------------------------------------------------------
+
+
+def test_a_recording_cut_off_is_refused_when_opened(walk_file: Path, tmp_path: Path) -> None:
+    data = walk_file.read_bytes()
+    for size in (len(data) - 1, len(data) // 2, 20):
+        path = tmp_path / "cut.mcap"
+        path.write_bytes(data[:size])
+        with pytest.raises(SequenceError, match=r"cut\.mcap: truncated: byte \d+ of \d+.*closing MCAP magic"):
+            SequenceReader(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"garbage" * 100, bytes(500)])
+def test_garbage_is_refused_by_its_first_bytes(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "garbage.mcap"
+    path.write_bytes(content)
+    with pytest.raises(SequenceError, match=r"garbage\.mcap: starts with .*expected the MCAP magic"):
+        SequenceReader(path)
+
+
+@pytest.mark.parametrize("form", [form for form in FORMS if form.__name__ != "as_split_folder"])
+def test_damage_anywhere_is_an_error_that_names_the_file_or_does_no_harm(
+    form: Form, walk_file: Path, tmp_path: Path
+) -> None:
+    path = form(walk_file, tmp_path)
+    data = path.read_bytes()
+    reference = list(SequenceReader(path))
+    rng = np.random.default_rng(0)
+    num_refused = 0
+    for start in rng.integers(8, len(data) - 60, 30):
+        damaged = bytearray(data)
+        damaged[start : start + 40] = rng.integers(0, 256, 40, dtype=np.uint8).tobytes()
+        path.write_bytes(damaged)
+        try:
+            frames = list(SequenceReader(path))
+        except SequenceError as error:
+            num_refused += 1
+            assert str(path) in str(error)
+            assert "\n" not in str(error)
+        else:
+            # Without chunks there are no checksums; with them, what is not noticed is what is not read.
+            if form.__name__ != "as_file_without_chunks":
+                for frame, expected in zip(frames, reference, strict=True):
+                    np.testing.assert_array_equal(frame.image, expected.image)
+                    assert close(frame.world_from_camera, world_from_camera(frame.time_ns))
+    assert num_refused >= 5
+
+
+def test_a_folder_must_be_a_rosbag2_with_its_files(walk_file: Path, tmp_path: Path) -> None:
+    with pytest.raises(SequenceError, match=r"no metadata\.yaml"):
+        SequenceReader(tmp_path)
+    listing = tmp_path / "metadata.yaml"
+    for text, said in [
+        ("version: 5\n", "names no files"),
+        ("relative_file_paths:\n- gone.mcap\n", r"gone\.mcap, which is not in the folder"),
+        ("relative_file_paths:\n- bag_0.db3\n", r"bag_0\.db3, expected \.mcap"),
+    ]:
+        listing.write_text(text)
+        with pytest.raises(SequenceError, match=said):
+            SequenceReader(tmp_path)
+
+
+def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SequenceError, match=r"nowhere\.mcap: no such file"):
+        SequenceReader(tmp_path / "nowhere.mcap")
+
+
+# --- files of others -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["nav2_turtlebot.mcap", "talker.mcap", "only_topics.mcap"])
+def test_recordings_without_images_are_refused_with_a_list_of_topics(name: str, shared_data: Path) -> None:
+    with pytest.raises(SequenceError, match=r"no image topic.*found /\w+.*\(\w+/\w+\)"):
+        SequenceReader(shared_data / "ros_bags" / name)
+
+
+def test_a_ros_1_bag_is_told_how_to_become_one_of_ros_2(shared_data: Path) -> None:
+    with pytest.raises(SequenceError, match=r"ROS 1 bag.*rosbags-convert"):
+        SequenceReader(shared_data / "ros_bags" / "t265_trimmed_locoffice.bag")
+
+
+def test_odometry_of_a_real_robot_gets_the_motion_noise(shared_data: Path) -> None:
+    """2639 messages with covariances of zero: increments over 0.5 s are those of a robot, and chain to its path."""
+    decode = decoder("nav_msgs/Odometry")
+    raws = Bag(shared_data / "ros_bags" / "nav2_turtlebot.mcap").messages(["/odom"])
+    samples = [odometry_from_message(decode(raw.data)) for raw in raws]
+    times_ns = np.array([s.time_ns for s in samples])
+    poses = Poses.stack([s.odom_from_base for s in samples])
+    twists = np.stack([s.twist_covariance for s in samples])
+    assert len(samples) == 2639
+    assert not twists.any()
+    chained = poses[0]
+    stamps = range(int(times_ns[0]), int(times_ns[-1]), 500_000_000)
+    for start, end in zip(stamps, stamps[1:], strict=False):
+        window = slice(np.searchsorted(times_ns, start, "right") - 1, np.searchsorted(times_ns, end) + 1)
+        odometry = odometry_between(
+            times_ns[window],
+            poses[window],
+            twists[window],
+            start,
+            end,
+            base_from_camera=Poses.identity(),
+            motion_noise=MotionNoise(),
+        )
+        moved_m = np.linalg.norm(odometry.previous_from_current.translation)
+        assert moved_m < 0.5  # a TurtleBot drives 0.46 m/s at most
+        deviation = np.sqrt(np.diag(odometry.covariance))
+        assert 0.005 < deviation.min() <= deviation.max() < 0.05
+        chained = chained @ odometry.previous_from_current
+    last = np.searchsorted(times_ns, stamps[-1])
+    assert close(chained, poses[last], 0.02)
+
+
+def test_images_of_a_real_camera_decode(shared_data: Path) -> None:
+    from sequences.messages import decode_image_bytes
+
+    file = next((shared_data / "tum_fr1").rglob("*.jpg"))
+    image = decode_image_bytes(file.read_bytes())
+    np.testing.assert_array_equal(image, cv2.imread(str(file))[..., ::-1])
