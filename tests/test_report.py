@@ -157,7 +157,7 @@ def test_the_table_names_every_method_with_its_recall(record):
 
 def ink(path) -> float:
     """Share of the picture that is not white."""
-    return float((cv2.imread(str(path)) < 250).any(axis=-1).mean())
+    return float((np.asarray(cv2.imread(str(path))) < 250).any(axis=-1).mean())
 
 
 @pytest.mark.parametrize("with_truth", [True, False])

@@ -62,7 +62,6 @@ def test_a_recording_holds_image_belief_paths_and_plots(tmp_path, steps):
         "/belief/status",
         "/error/translation_m",
         "/error/rotation_deg",
-        "/status",
     ):
         assert entity in entities
 

@@ -50,6 +50,7 @@ COLORS: Mapping[str, str] = MappingProxyType(
 _AXES = ("x", "y", "z")
 _INK = "#333333"
 _FAINT = "#b8b8b8"
+_THINNEST = 0.12  # of the longest axis: thinner, and the labels would not fit
 
 
 def write_pictures(record: RunRecord, directory: Path, *, title: str) -> list[Path]:
@@ -151,7 +152,7 @@ def _errors_figure(record: RunRecord, truth: Trajectory, title: str) -> Figure:
         ax.grid(axis="y", color="#e8e8e8", linewidth=0.7)
         ax.set_axisbelow(True)
         _quiet(ax)
-    _floor_log_axis(panels)
+        _limit_log_axis(ax, limit)
     _draw_status(band, record)
     panels[-1].set_xlabel("time [s]")
     panels[-1].set_xlim(0.0, max((int(record.times_ns[-1]) - start_ns) / 1e9, 1e-3))
@@ -161,14 +162,13 @@ def _errors_figure(record: RunRecord, truth: Trajectory, title: str) -> Figure:
     return figure
 
 
-def _floor_log_axis(panels: list[Axes]) -> None:
+def _limit_log_axis(ax: Axes, limit: float) -> None:
     """Dead reckoning starts on the truth: an error of 1e-9 m must not stretch the axis to nothing."""
-    for ax in panels:
-        _, high = ax.get_ylim()
-        drawn = [np.asarray(line.get_ydata(), float) for line in ax.get_lines()]
-        values = np.concatenate([*(values for values in drawn if len(values) > 2), [high]])
-        values = values[values > 1e-6]
-        ax.set_ylim(max(float(np.percentile(values, 1)) / 2, high / 1e4), high)
+    _, high = ax.get_ylim()
+    drawn = [np.asarray(line.get_ydata(), float) for line in ax.get_lines()]
+    values = np.concatenate([*(values for values in drawn if len(values) > 2), [limit]])
+    low = max(float(np.percentile(values[values > 1e-6], 1)) / 2, high / 1e4)
+    ax.set_ylim(min(low, limit / 2), max(high, limit * 2))
 
 
 def _draw_status(ax: Axes, record: RunRecord) -> None:
@@ -199,7 +199,9 @@ def _particles_figure(record: RunRecord, title: str) -> Figure:
     panel_height = float(np.clip(panel_width * size[1] / size[0], 1.6, 6.0))
     aspect = moments[0].thumbnail.shape[0] / moments[0].thumbnail.shape[1]
     image_height = panel_width * min(aspect, 1.0)
-    figure = _figure(panel_width * len(moments) + 0.8, image_height + panel_height + 1.5)
+    width = max(panel_width * len(moments) + 0.8, 6.0)
+    one_line = width > 9.0
+    figure = _figure(width, image_height + panel_height + (1.4 if one_line else 1.7))
     axes = figure.subplots(2, len(moments), squeeze=False, gridspec_kw={"height_ratios": [image_height, panel_height]})
     for column, moment in enumerate(moments):
         axes[0, column].imshow(moment.thumbnail)
@@ -219,7 +221,7 @@ def _particles_figure(record: RunRecord, title: str) -> Figure:
         else:
             ax.set_ylabel(f"{_AXES[plane[1]]} [m]")
     handles, labels = axes[1, 0].get_legend_handles_labels()
-    columns = {"ncols": len(labels), "frameon": False, "markerscale": 1.6, "columnspacing": 1.6}
+    columns = {"ncols": len(labels) if one_line else 2, "frameon": False, "markerscale": 1.6, "columnspacing": 1.6}
     figure.legend(handles, labels, loc="outside lower center", **columns)
     figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold", color=_INK)
     return figure
@@ -250,17 +252,21 @@ def _draw_belief(ax: Axes, moment: Moment, plane: tuple[int, int], scale_m: floa
 
 
 def _extent(record: RunRecord) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """Corners of the box to show: all of the true path, and what is not far outside it of everything else."""
-    core = record.filter.translation if record.truth is None else record.truth.poses.translation
-    low, high = core.min(axis=0), core.max(axis=0)
-    margin = 0.2 * float((high - low).max()) + 0.3
-    drawn = [moment.cloud for moment in record.moments] + [method.poses for method in record.methods.values()]
-    ranges = np.array([np.percentile(poses.translation, [1, 99], axis=0) for poses in drawn])
-    rest_low, rest_high = ranges[:, 0].min(axis=0), ranges[:, 1].max(axis=0)
-    pad = 0.04 * float((high - low).max()) + 0.1
-    low = np.minimum(low, np.maximum(rest_low, low - margin)) - pad
-    high = np.maximum(high, np.minimum(rest_high, high + margin)) + pad
-    return low, high
+    """Corners of the box to show: the true path, where hypotheses are, and drifting methods as far as they stay near."""
+    held = [moment.cloud for moment in record.moments] + [record.single_image, record.filter]
+    ranges = np.array([np.percentile(poses.translation, [1, 99], axis=0) for poses in held])
+    low, high = ranges[:, 0].min(axis=0), ranges[:, 1].max(axis=0)
+    if record.truth is not None:
+        path = record.truth.poses.translation
+        low, high = np.minimum(low, path.min(axis=0)), np.maximum(high, path.max(axis=0))
+    margin = 0.2 * float((high - low).max())
+    ranges = np.array([np.percentile(path.poses.translation, [1, 99], axis=0) for path in record.methods.values()])
+    low = np.minimum(low, np.maximum(ranges[:, 0].min(axis=0), low - margin))
+    high = np.maximum(high, np.minimum(ranges[:, 1].max(axis=0), high + margin))
+    pad = 0.03 * float((high - low).max()) + 0.1
+    low, high = low - pad, high + pad
+    widen = np.maximum(_THINNEST * (high - low).max() - (high - low), 0.0) / 2
+    return low - widen, high + widen
 
 
 def _planes(low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> list[tuple[int, int]]:
@@ -269,7 +275,7 @@ def _planes(low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> li
     side = (int(np.argmax(size[:2])), 2)
     if size[2] < 0.25 * size.max():
         return [(0, 1)]
-    if size[:2].min() < 0.1 * size.max():
+    if size[:2].min() <= 1.01 * _THINNEST * size.max():
         return [side]
     return [(0, 1), side]
 

@@ -98,7 +98,6 @@ class RerunViewer:
         self._camera: Camera | None = None
         self._last_best: Poses | None = None
         self._last_truth: Poses | None = None
-        self._last_status: Status | None = None
         _log_styles(self._stream)
 
     def __enter__(self) -> RerunViewer:
@@ -185,10 +184,6 @@ class RerunViewer:
         log("belief/best_weight", rr.Scalars(estimate.modes[0].weight))
         log("belief/sample_size", rr.Scalars(estimate.effective_sample_size / len(estimate.particles)))
         log("belief/status", rr.Scalars(_STATUS_LEVEL[estimate.status]))
-        if estimate.status != self._last_status:
-            self._last_status = estimate.status
-            color = _rgb("filter" if estimate.status == "converged" else estimate.status)
-            log("status", rr.TextLog(f"{estimate.status}, {len(estimate.modes)} hypotheses", color=color))
         if frame.world_from_camera is not None:
             translation_m, rotation_rad = estimate.modes[0].world_from_camera.distance(frame.world_from_camera)
             log("error/translation_m", rr.Scalars(float(translation_m)))
@@ -214,7 +209,7 @@ def _log_styles(stream: rr.RecordingStream) -> None:
         "world/posterior", rr.Points3D.from_fields(radii=[0.015], colors=[(*_rgb("single_image"), 90)]), static=True
     )
     stream.log("world/truth", rr.Arrows3D.from_fields(radii=[0.03], colors=[(255, 255, 255)]), static=True)
-    for name, color, radius in (("filter", _rgb("filter"), 0.02), ("truth", (200, 200, 200), 0.012)):
+    for name, color, radius in (("filter", _rgb("filter"), 0.02), ("truth", (220, 220, 220), 0.008)):
         stream.log(f"world/path/{name}", rr.LineStrips3D.from_fields(radii=[radius], colors=[color]), static=True)
     for entity, name, color in (
         ("belief/best_weight", "weight of the best hypothesis", _rgb("filter")),
@@ -227,23 +222,25 @@ def _log_styles(stream: rr.RecordingStream) -> None:
 
 
 def _blueprint() -> rrb.Blueprint:
-    """The belief in space, large; beside it the image, the plots and the changes of status."""
+    """The belief in space, large; beside it the image and the plots."""
     import rerun.blueprint as rrb
 
     so_far = rrb.VisibleTimeRange(
         "time", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
     )
     paths = {f"world/path/{name}": rrb.VisibleTimeRanges([so_far]) for name in ("filter", "truth")}
+    legend, none = rrb.PlotLegend(rrb.Corner2D.RightBottom), rrb.PlotLegend(visible=False)
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin="world", name="belief", overrides=paths),  # pyright: ignore[reportArgumentType]
             rrb.Vertical(
                 rrb.Spatial2DView(origin="world/camera", contents="world/camera", name="image"),
-                rrb.TimeSeriesView(origin="belief", name="belief", axis_y=rrb.ScalarAxis(range=(0.0, 1.05))),
-                rrb.TimeSeriesView(origin="error/translation_m", name="translation error [m]"),
-                rrb.TimeSeriesView(origin="error/rotation_deg", name="rotation error [°]"),
-                rrb.TextLogView(origin="status", name="status"),
-                row_shares=[3, 2, 2, 2, 1],
+                rrb.TimeSeriesView(
+                    origin="belief", name="belief", axis_y=rrb.ScalarAxis(range=(0.0, 1.05)), plot_legend=legend
+                ),
+                rrb.TimeSeriesView(origin="error/translation_m", name="translation error [m]", plot_legend=none),
+                rrb.TimeSeriesView(origin="error/rotation_deg", name="rotation error [°]", plot_legend=none),
+                row_shares=[3, 2, 2, 2],
             ),
             column_shares=[3, 2],
         ),
