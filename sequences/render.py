@@ -12,7 +12,8 @@ from sequences.scenes.surface import Scene
 # Where in the pixel the rays of successive sub-exposures pass: the R2 sequence (Roberts 2018), which fills the pixel
 # evenly for any number of them.
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
-_ROUGHNESS = 0.035  # spread of mirror reflections, radians
+_ROUGHNESS = np.float32(0.03)  # spread of mirror reflections, radians
+_FAINT = 0.02  # reflections weaker than this are not followed
 _MISS = np.float32([0.5, 0.6, 0.7])
 
 
@@ -72,31 +73,36 @@ def sees_cue(
 
 
 def _colour(
-    scene: Scene, origin: Float32[np.ndarray, "n 3"], direction: np.ndarray, rng: np.random.Generator
+    scene: Scene, origin: Float32[np.ndarray, "n 3"], direction: Float32[np.ndarray, "n 3"], rng: np.random.Generator
 ) -> Float32[np.ndarray, "n 3"]:
     colour, quad, distance = _look_up(scene, origin, direction)
-    gloss = scene.gloss[scene.geometry.chart[quad]]
-    shiny = np.flatnonzero((gloss > 0) & (quad >= 0))
+    shiny = np.flatnonzero(scene.gloss[quad] > 0)
+    incoming = direction[shiny]
+    incoming /= np.sqrt(np.einsum("nd,nd->n", incoming, incoming))[:, None]
+    normal = scene.normals[quad[shiny]]
+    cosine = -np.einsum("nd,nd->n", normal, incoming)
+    # Schlick's approximation, without the few per cent that are mirrored head-on: they would cost most and show least.
+    fresnel = scene.gloss[quad[shiny]] * (1 - np.clip(np.abs(cosine), 0, 1)) ** 5
+    kept = np.flatnonzero(fresnel > _FAINT)
+    shiny, incoming, normal, cosine, fresnel = (a[kept] for a in (shiny, incoming, normal, cosine, fresnel))
     if len(shiny):
-        normal = scene.geometry.normals()[quad[shiny]].astype(np.float32)
-        incoming = direction[shiny] / np.linalg.norm(direction[shiny], axis=1, keepdims=True)
-        cosine = -np.einsum("nd,nd->n", normal, incoming)
-        fresnel = gloss[shiny] * (0.04 + 0.96 * np.clip(1 - np.abs(cosine), 0, 1) ** 5)
         mirrored = incoming + 2 * cosine[:, None] * normal
-        mirrored += np.float32(_ROUGHNESS) * rng.standard_normal(mirrored.shape, np.float32)
-        start = origin[shiny] + distance[shiny, None] * direction[shiny] + 1e-3 * normal
+        mirrored += _ROUGHNESS * rng.standard_normal(mirrored.shape, np.float32)
+        start = origin[shiny] + distance[shiny, None] * direction[shiny] + np.float32(1e-3) * normal
         reflected, _, _ = _look_up(scene, start, mirrored)
-        colour[shiny] += fresnel[:, None].astype(np.float32) * reflected
+        colour[shiny] += fresnel[:, None] * reflected
     return colour
 
 
-def _look_up(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _look_up(
+    scene: Scene, origin: Float32[np.ndarray, "n 3"], direction: Float32[np.ndarray, "n 3"]
+) -> tuple[Float32[np.ndarray, "n 3"], Int64[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+    """Colour, parallelogram and distance of what each ray meets; rays that leave the scene see a dull sky."""
     quad, s, t, distance = scene.tracer.first_hit(origin, direction)
-    chart = scene.geometry.chart[quad]
-    columns, rows = scene.columns[chart], scene.rows[chart]
-    column = np.minimum((s * columns).astype(np.int64), columns - 1)
-    row = np.minimum((t * rows).astype(np.int64), rows - 1)
-    colour = scene.radiance[scene.start[chart] + row * columns + column]
+    columns = scene.columns[quad]
+    texel = scene.start[quad] + (t * scene.rows[quad]).astype(np.int32) * columns
+    texel += (s * columns).astype(np.int32)
+    colour = scene.radiance.take(texel, axis=0, mode="clip")
     missed = quad < 0
     if missed.any():
         colour[missed] = _MISS

@@ -166,7 +166,7 @@ def develop(
 def _metered_exposure(radiance: np.ndarray) -> float:
     """log2 of the gain that brings the geometric mean of the light to middle grey."""
     luminance = radiance[::4, ::4].mean(axis=-1)
-    return float(np.clip(np.log2(0.30) - np.log2(luminance + 1e-3).mean(), -5.0, 4.5))
+    return float(np.clip(np.log2(0.42) - np.log2(luminance + 1e-3).mean(), -5.0, 4.5))
 
 
 def _at(times_ns: np.ndarray, poses: Poses, query_ns: np.ndarray) -> Poses:
@@ -179,7 +179,7 @@ def _at(times_ns: np.ndarray, poses: Poses, query_ns: np.ndarray) -> Poses:
 def _resolvable(seen: np.ndarray) -> bool:
     """Something unique is seen for half a second in the first half, but most images are ambiguous."""
     half = max(1, len(seen) // 2)
-    return len(seen) < 20 or (seen[:half].sum() >= 5 and seen.mean() < 0.35)
+    return len(seen) < 20 or (seen[:half].sum() >= 5 and seen.mean() < 0.25)
 
 
 def _path(scene: str, duration_s: float, split: str, rng: np.random.Generator) -> Poses:

@@ -11,7 +11,7 @@ from sequences.scenes.texture import Canvas, Material, band, blend, inside, plai
 LENGTH, BREADTH, HEIGHT = 18.0, 12.0, 3.6  # metres, x, y, z
 PANEL = 0.6
 CELL = 5  # panels after which lamps and loudspeakers repeat, in x and in y
-LAMP_AT = ((1, 2), (2, 2))  # panels of a cell that its lamp takes
+LAMP_AT = (1, 2)  # panel of a cell under which its lamp begins
 SPEAKER_AT = (4, 3)
 OUTLET_AT = (21, 14)  # panels of the hall that unique things take
 HOLE_AT = (15, 4)
@@ -23,21 +23,17 @@ SIGN_AT = (16.2, 5.7)
 def placements() -> list[Placement]:
     """Everything in the hall: x along it, y across, z up, the floor at z = 0."""
     across, along = round(BREADTH / PANEL), round(LENGTH / PANEL)
-    lamps, speakers, panels = [], [], []
-    for ix in range(along):
-        for iy in range(across):
-            place = (ix % CELL, iy % CELL)
-            if place == LAMP_AT[0]:
-                lamps.append((ix, iy))
-            elif place == SPEAKER_AT:
-                speakers.append((ix, iy))
-            elif place not in LAMP_AT and (ix, iy) not in (OUTLET_AT, HOLE_AT):
-                panels.append((ix, iy))
-    middle = panels.index((along // 2 - 2, across // 2 - 1))
+    middle = (along // CELL // 2) * (across // CELL) + across // CELL // 2
+    placed = []
+    for place in np.ndindex(CELL, CELL):
+        cells = [(ix, iy) for ix in range(place[0], along, CELL) for iy in range(place[1], across, CELL)]
+        copies = [cell for cell in cells if cell not in (OUTLET_AT, HOLE_AT)]
+        paint = SPEAKER if place == SPEAKER_AT else TILE
+        placed.append(Placement(_panel(paint), _offsets(copies), lit_at=copies.index(cells[middle])))
+        if place == LAMP_AT:
+            placed.append(Placement(_lamp(), _offsets(cells), lit_at=middle))
     return [
-        Placement(_panel(Material(_tile, texel_m=0.005)), _offsets(panels), lit_at=middle),
-        Placement(_panel(Material(_speaker, texel_m=0.005)), _offsets(speakers), lit_at=len(speakers) // 2),
-        Placement(_lamp(), _offsets(lamps), lit_at=len(lamps) // 2),
+        *placed,
         Placement(_hall(), np.zeros((1, 3))),
         Placement(_walls(), np.zeros((1, 3))),
         Placement(_outlet(), _offsets([OUTLET_AT])),
@@ -60,15 +56,15 @@ def _grid(canvas: Canvas, base: np.ndarray, size: float = PANEL) -> np.ndarray:
     """The painted steel grid that holds the panels: a bright flange with a shadow line beside it."""
     x, y = canvas.x % size, canvas.y % size
     edge = np.minimum(np.minimum(x, size - x), np.minimum(y, size - y))
-    base = base * (1 - 0.45 * np.exp(-np.clip(edge - 0.014, 0, None) / 0.006) * (edge > 0.014))[..., None]
-    return blend(base, (0.80, 0.80, 0.78), edge < 0.014)
+    base = base * (1 - 0.6 * np.exp(-np.clip(edge - 0.016, 0, None) / 0.009) * (edge > 0.016))[..., None]
+    return blend(base, (0.86, 0.86, 0.84), edge < 0.016)
 
 
 def _tile(canvas: Canvas) -> np.ndarray:
     """Mineral fibre: rows of pin holes, worm-like fissures."""
     base = canvas.colour((0.70, 0.69, 0.655)) * (1 + 0.02 * canvas.noise(0.2) + 0.02 * canvas.noise(0.01))[..., None]
-    fissures = np.clip(canvas.noise(0.035, 0.010) - 1.15, 0, 0.6) + np.clip(canvas.noise(0.012) - 1.7, 0, 0.6)
-    base = blend(base, (0.20, 0.19, 0.17), fissures)
+    fissures = np.clip(canvas.noise(0.035, 0.012) - 1.5, 0, 0.5) + np.clip(canvas.noise(0.012) - 2.2, 0, 0.5)
+    base = blend(base, (0.26, 0.25, 0.23), fissures)
     holes = np.hypot(canvas.x % 0.05 - 0.025, canvas.y % 0.05 - 0.025) < 0.006
     base = blend(base, (0.12, 0.115, 0.11), 0.85 * holes)
     return _grid(canvas, base)
@@ -84,14 +80,13 @@ def _speaker(canvas: Canvas) -> np.ndarray:
     return blend(base, (0.75, 0.75, 0.72), band(radius, 0.15, 0.165))
 
 
-def _louvre(canvas: Canvas) -> np.ndarray:
-    """Two tubes behind a grid of bright aluminium blades."""
-    tubes = np.exp(-(((canvas.y - 0.17) / 0.05) ** 2)) + np.exp(-(((canvas.y - 0.43) / 0.05) ** 2))
-    base = canvas.colour((1.0, 0.96, 0.88)) * (0.35 + 0.75 * tubes + 0 * canvas.x)[..., None]
-    blades = 1 - band(canvas.x % 0.1, 0.006, 0.094) * band(canvas.y % 0.15, 0.006, 0.144)
-    base = blend(base, (0.16, 0.16, 0.16), blades)
-    frame = 1 - inside(canvas, 0.03, 0.03, canvas.width_m - 0.03, canvas.height_m - 0.03)
-    return blend(base, (0.11, 0.11, 0.11), frame)
+def _diffuser(canvas: Canvas) -> np.ndarray:
+    """The glowing underside of a lamp, behind cross blades."""
+    glow = np.exp(-(((canvas.y - canvas.height_m / 2) / 0.09) ** 2))
+    base = canvas.colour((1.0, 0.97, 0.90)) * (0.4 + 0.6 * glow + 0 * canvas.x)[..., None]
+    blades = 1 - band(canvas.x % 0.1, 0.008, 0.092)
+    base = blend(base, (0.20, 0.20, 0.195), blades + 0 * canvas.y)
+    return blend(base, (0.5, 0.5, 0.49), 1 - band(canvas.y, 0.02, canvas.height_m - 0.02) + 0 * canvas.x)
 
 
 def _floor(canvas: Canvas) -> np.ndarray:
@@ -138,6 +133,9 @@ def _masonry(canvas: Canvas) -> np.ndarray:
     return blend(base, (0.55, 0.53, 0.5), 1 - band(x, 0.008, 0.392) * band(canvas.y % 0.2, 0.008, 0.192))
 
 
+TILE = Material(_tile, texel_m=0.005)
+SPEAKER = Material(_speaker, texel_m=0.005)
+
 # --- parts -----------------------------------------------------------------------------------------
 
 
@@ -148,22 +146,16 @@ def _panel(material: Material, cue: bool = False) -> Part:
 
 
 def _lamp() -> Part:
-    """A recessed lamp of two panels, in a frame that stands out a little."""
+    """A long lamp on two rods that lights the hall and, more gently, the ceiling above it."""
     part = Part()
-    long, trim = 2 * PANEL, plain((0.70, 0.70, 0.68))
-    part.quad(
-        (0.02, PANEL - 0.02, 0.03),
-        (long - 0.04, 0, 0),
-        (0, 0.04 - PANEL, 0),
-        Material(_louvre, emission=7.0, glare=0.22),
-    )
-    for low, high in (
-        ((0, 0, -0.02), (long, 0.03, 0.03)),
-        ((0, PANEL - 0.03, -0.02), (long, PANEL, 0.03)),
-        ((0, 0.03, -0.02), (0.03, PANEL - 0.03, 0.03)),
-        ((long - 0.03, 0.03, -0.02), (long, PANEL - 0.03, 0.03)),
-    ):
-        part.box(low, high, trim, "xXyYz")
+    x0, x1, y0, y1, low, high = 0.0, 1.2, 0.18, 0.42, -0.51, -0.45
+    body = plain((0.45, 0.45, 0.44), gloss=0.2)
+    part.box((x0, y0, low), (x1, y1, high), body, "xXyY")
+    part.quad((x0, y1, low), (x1 - x0, 0, 0), (0, y0 - y1, 0), Material(_diffuser, emission=14.0, glare=0.14))
+    part.quad((x0, y0, high), (x1 - x0, 0, 0), (0, y1 - y0, 0), texture.lit((1.0, 0.95, 0.85), 4.0))
+    for x in (0.2, 1.0):
+        part.beam((x, 0.3, high), (x, 0.3, 0), 0.008, body, 4)
+        part.box((x - 0.04, 0.26, -0.02), (x + 0.04, 0.34, 0), body, "xXyYz")
     return part
 
 
@@ -225,9 +217,11 @@ def _projector() -> Part:
     part = Part(cue=True)
     black, white = plain((0.05, 0.05, 0.055), gloss=0.4), plain((0.62, 0.62, 0.6), gloss=0.2)
     part.beam((0, 0, 0), (0, 0, -0.35), 0.03, white, 8)
-    part.box((-0.22, -0.17, -0.50), (0.22, 0.17, -0.35), white)
-    part.box((-0.18, -0.12, -0.505), (0.05, 0.12, -0.50), black)
-    part.beam((0.22, 0.06, -0.43), (0.29, 0.06, -0.43), 0.055, black, 10)
+    part.box((-0.28, -0.22, -0.50), (0.28, 0.22, -0.35), white)
+    for k in range(5):
+        part.box((-0.24, -0.18 + 0.045 * k, -0.503), (-0.02, -0.155 + 0.045 * k, -0.50), black)
+    part.box((0.06, -0.10, -0.505), (0.20, 0.10, -0.50), plain((0.05, 0.12, 0.35), gloss=0.3))
+    part.beam((0.28, 0.06, -0.43), (0.36, 0.06, -0.43), 0.06, black, 10)
     part.box((-0.12, -0.12, -0.02), (0.12, 0.12, 0), white)
     return part
 

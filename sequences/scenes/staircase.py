@@ -59,6 +59,12 @@ def _dado(canvas: Canvas) -> np.ndarray:
     return _painted(canvas, above)
 
 
+def _dado_top(canvas: Canvas) -> np.ndarray:
+    """The same above the last flight, where none follows."""
+    climbed = np.clip((canvas.point(0) - LANDING) * SLOPE, 0, HALF)
+    return _painted(canvas, canvas.point(2) + climbed)
+
+
 def _dado_end(canvas: Canvas) -> np.ndarray:
     return _painted(canvas, canvas.point(2) - HALF)
 
@@ -164,6 +170,7 @@ def _mat(canvas: Canvas) -> np.ndarray:
 
 
 WALL = Material(_dado, gloss=0.12)
+WALL_TOP = Material(_dado_top, gloss=0.12)
 WALL_END = Material(_dado_end, gloss=0.12)
 WALL_LANDING = Material(_dado_landing, gloss=0.12)
 WHITE = Material(texture.plaster)
@@ -364,7 +371,7 @@ def _top() -> Part:
     for a, b, c, d in ((LANDING, x0, 0, ACROSS), (x1, FAR, 0, ACROSS), (x0, x1, 0, y0), (x0, x1, y1, ACROSS)):
         part.quad((a, d, TOP_HEIGHT), (b - a, 0, 0), (0, c - d, 0), WHITE)
     high = TOP_HEIGHT + 0.35
-    part.quad((x0, y1, high), (x1 - x0, 0, 0), (0, y0 - y1, 0), Material(_cloudy, emission=9.0))
+    part.quad((x0, y1, high), (x1 - x0, 0, 0), (0, y0 - y1, 0), Material(_cloudy, emission=2.5))
     part.quad((x1, y0, TOP_HEIGHT), (x0 - x1, 0, 0), (0, 0, 0.35), WHITE)
     part.quad((x0, y1, TOP_HEIGHT), (x1 - x0, 0, 0), (0, 0, 0.35), WHITE)
     part.quad((x0, y0, TOP_HEIGHT), (0, y1 - y0, 0), (0, 0, 0.35), WHITE)
@@ -390,7 +397,7 @@ def _cloudy(canvas: Canvas) -> np.ndarray:
 def _roof_walls() -> Part:
     part = Part()
     part.quad((FAR, 0, 0), (LANDING - FAR, 0, 0), (0, 0, TOP_HEIGHT), WHITE)
-    part.quad((LANDING, ACROSS, 0), (FAR - LANDING, 0, 0), (0, 0, TOP_HEIGHT), WHITE)
+    part.quad((LANDING, ACROSS, 0), (FAR - LANDING, 0, 0), (0, 0, TOP_HEIGHT), WALL_TOP)
     bottom = HALF - SLAB
     part.quad((FAR, ACROSS, bottom), (0, -ACROSS, 0), (0, 0, TOP_HEIGHT - bottom), WHITE)
     return part

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Float32, Int32
 
 from sequences.scenes.light import bake_light
 from sequences.scenes.mesh import Geometry, Placement, assemble
@@ -22,17 +22,19 @@ class Scene:
     Attributes:
         geometry: The parallelograms, which of them are cues, and the chart each one wears.
         tracer: The same, ready for rays.
-        start, rows, columns: First texel and size of each chart.
-        gloss: Share of the Fresnel reflection that each chart mirrors.
+        normals: Unit normal of each parallelogram.
+        start, rows, columns: First texel and size of the chart that each parallelogram wears.
+        gloss: Share of the Fresnel reflection that each parallelogram mirrors.
         radiance: All texels of all charts, linear.
     """
 
     geometry: Geometry
     tracer: Tracer
-    start: Int64[np.ndarray, " m"]
-    rows: Int64[np.ndarray, " m"]
-    columns: Int64[np.ndarray, " m"]
-    gloss: Float32[np.ndarray, " m"]
+    normals: Float32[np.ndarray, "n 3"]
+    start: Int32[np.ndarray, " n"]
+    rows: Int32[np.ndarray, " n"]
+    columns: Int32[np.ndarray, " n"]
+    gloss: Float32[np.ndarray, " n"]
     radiance: Float32[np.ndarray, "texels 3"]
 
 
@@ -56,11 +58,19 @@ def build_scene(placements: Sequence[Placement], *, seed: int) -> Scene:
             texels *= np.float32(emission[chart] * geometry.materials[chart].glare)
         else:
             texels *= _enlarge(light.of_chart(chart), texels.shape[0], texels.shape[1])
-    rows, columns = (np.array([texels.shape[axis] for texels in painted]) for axis in (0, 1))
-    start = np.concatenate([[0], np.cumsum(rows * columns)])[:-1]
+    size = np.array([texels.shape[:2] for texels in painted], np.int32)
+    start = np.concatenate([[0], np.cumsum(size.prod(axis=1))])[:-1].astype(np.int32)
     gloss = np.array([material.gloss for material in geometry.materials], np.float32)
-    radiance = np.concatenate([texels.reshape(-1, 3) for texels in painted])
-    return Scene(geometry, tracer, start, rows, columns, gloss, radiance)
+    return Scene(
+        geometry=geometry,
+        tracer=tracer,
+        normals=geometry.normals().astype(np.float32),
+        start=start[geometry.chart],
+        rows=size[geometry.chart, 0],
+        columns=size[geometry.chart, 1],
+        gloss=gloss[geometry.chart],
+        radiance=np.concatenate([texels.reshape(-1, 3) for texels in painted]),
+    )
 
 
 def _paint(geometry: Geometry, chart: int, rng: np.random.Generator) -> np.ndarray:
@@ -82,7 +92,19 @@ def _paint(geometry: Geometry, chart: int, rng: np.random.Generator) -> np.ndarr
 
 
 def _enlarge(grid: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Bilinear interpolation of a small grid of light to the texels, after a slight blur against sampling noise."""
-    if min(grid.shape[:2]) > 1:
-        grid = cv2.GaussianBlur(grid, (3, 3), 0.7, borderType=cv2.BORDER_REFLECT_101)
-    return cv2.resize(grid, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    """Bilinear interpolation of a small grid of light to the texels, after a slight blur against sampling noise.
+
+    The rim is extrapolated, so that light goes on evenly from one surface to the next.
+    """
+    for axis in (0, 1):
+        if grid.shape[axis] > 1:
+            first, second, third, last = (grid.take([i], axis) for i in (0, 1, -2, -1))
+            before, after = (2 * rim - inner for rim, inner in ((first, second), (last, third)))
+            grid = np.concatenate([np.maximum(before, 0.5 * first), grid, np.maximum(after, 0.5 * last)], axis=axis)
+        else:
+            grid = np.repeat(grid, 3, axis=axis)
+    blurred = cv2.GaussianBlur(grid, (3, 3), 0.5, borderType=cv2.BORDER_REPLICATE)
+    y = (np.arange(rows, dtype=np.float32) + 0.5) / rows * (grid.shape[0] - 2) + 0.5
+    x = (np.arange(columns, dtype=np.float32) + 0.5) / columns * (grid.shape[1] - 2) + 0.5
+    map_x, map_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
+    return cv2.remap(blurred, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

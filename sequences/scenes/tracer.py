@@ -32,7 +32,14 @@ class Tracer:
         triangle, u, v = hit["primID"].astype(np.int64), hit["u"], hit["v"]
         second = (triangle & 1).astype(np.float32)
         # first triangle: s = u + v, t = v; second: s = u, t = u + v (see Geometry.triangles)
-        return triangle >> 1, u + (1 - second) * v, v + second * u, hit["tfar"]
+        # and stays below 1, so that int(s · columns) is a column
+        below_one = np.float32(1 - 1e-6)
+        return (
+            triangle >> 1,
+            np.minimum(u + (1 - second) * v, below_one),
+            np.minimum(v + second * u, below_one),
+            hit["tfar"],
+        )
 
     def blocked(self, origin: Float[np.ndarray, "n 3"], ray: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Whether anything lies between each origin and origin + ray."""
