@@ -252,7 +252,7 @@ def _draw_belief(ax: Axes, moment: Moment, plane: tuple[int, int], scale_m: floa
 
 
 def _extent(record: RunRecord) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
-    """Corners of the box to show: the true path, where hypotheses are, and drifting methods as far as they stay near."""
+    """Corners of the box to show: the true path, where hypotheses are, drifting methods as far as they stay near."""
     held = [moment.cloud for moment in record.moments] + [record.single_image, record.filter]
     ranges = np.array([np.percentile(poses.translation, [1, 99], axis=0) for poses in held])
     low, high = ranges[:, 0].min(axis=0), ranges[:, 1].max(axis=0)
