@@ -53,8 +53,8 @@ def simulate_odometry(
 
     Returns:
         odom_from_base, batch (k,), the first the identity; and for each the covariance of its twist (v, ω) in the body
-        frame, (m/s)² and (rad/s)²: that of the motion since the message before. Increments taken as independent, each of
-        covariance C dt², add up over 0.1 s to a slightly cautious statement of the error, scale and biases included;
+        frame, (m/s)² and (rad/s)²: that of the motion since the message before. Increments taken as independent, each
+        of covariance C dt², add up over 0.1 s to a slightly cautious statement of the error, scale and biases included;
         over much longer times biases grow faster than any independent increments can say.
 
     Raises:

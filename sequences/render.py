@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Int64
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
@@ -25,8 +25,8 @@ def render(
     Args:
         scene: What is seen.
         camera: Intrinsics.
-        world_from_camera: Camera poses during the exposure, batch (k,); each gives one sample per pixel, at another place in
-            the pixel, so that motion blur and antialiasing cost no more than either.
+        world_from_camera: Camera poses during the exposure, batch (k,); each gives one sample per pixel, at another
+            place in the pixel, so that motion blur and antialiasing cost no more than either.
         rng: Scatter of the glossy reflections.
     """
     total = np.zeros((camera.height * camera.width, 3), np.float32)

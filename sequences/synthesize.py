@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -18,6 +19,7 @@ from sequences.render import render, sees_cue
 from sequences.scenes import ceiling, staircase
 from sequences.scenes.paths import STEP_S, roll_through_hall, walk_stairs
 from sequences.scenes.surface import Scene, build_scene
+from sequences.writer import SequenceWriter
 
 SCENES: tuple[str, ...] = ("staircase", "ceiling")
 """Names that `synthesize` takes."""
@@ -63,13 +65,11 @@ class SyntheticSequence:
     def images(self) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
         """The images in order, RGB, rendered one by one; every call begins anew and gives the same bytes."""
         rng = np.random.default_rng(self.seed)
-        camera_from_base = self.base_from_camera
-        exposure = 0.0  # log2 of the sensor's gain, behind what it ought to be
-        drift = 0.0
+        exposure = drift = 0.0  # log2 of the gain: the automatic part lags behind the light, the rest wanders
         for index in range(len(self.image_times_ns)):
             spread = _EXPOSURE_S * ((np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5)
             times = self.image_times_ns[index] + np.round(spread * 1e9).astype(np.int64)
-            poses = _at(self.odometry_times_ns, self.world_from_base, times) @ camera_from_base
+            poses = _at(self.odometry_times_ns, self.world_from_base, times) @ self.base_from_camera
             radiance = render(self.scene, self.camera, poses, rng=rng)
             wanted = _metered_exposure(radiance)
             exposure = wanted if index == 0 else exposure + 0.25 * (wanted - exposure)
@@ -93,8 +93,8 @@ def synthesize(
         scene: Name of the scene.
         seed: Of path, odometry and sensor noise; the scene itself is always the same.
         num_frames: Number of images, 10 a second.
-        split: "test" paths come by something unique early on, so that a filter can know where it is; "train" paths go everywhere. The same
-            seed gives different paths in the two.
+        split: "test" paths come by something unique early on, so that a filter can know where it is; "train" paths go
+            everywhere. The same seed gives different paths in the two.
         width, height: Image size in pixels; the horizontal field of view stays the same.
         noise: Of the odometry.
 
@@ -134,6 +134,42 @@ def synthesize(
         world_from_base=base,
         seed=image_seed,
     )
+
+
+def write_synthetic(
+    sequence: SyntheticSequence, output: Path, *, progress: Callable[[int, int], None] | None = None
+) -> None:
+    """Render a sequence into an MCAP file, with odometry, true poses and extrinsics.
+
+    Args:
+        sequence: From `synthesize`.
+        output: The file; it appears when complete.
+        progress: Called after every image with the number done and the number of all.
+
+    Raises:
+        SequenceError: the file cannot be written.
+    """
+    metadata = {"images": "synthetic", "odometry": "simulated with scale error, drift and noise, 50 Hz"}
+    with SequenceWriter(
+        output, camera=sequence.camera, base_from_camera=sequence.base_from_camera, metadata=metadata
+    ) as writer:
+        written = 0
+        for i, image in enumerate(sequence.images()):
+            time_ns = int(sequence.image_times_ns[i])
+            reached = int(np.searchsorted(sequence.odometry_times_ns, time_ns, side="right"))
+            _write_odometry(writer, sequence, range(written, reached))
+            written = reached
+            writer.write_image(time_ns, image)
+            writer.write_true_pose(time_ns, sequence.world_from_camera[i])
+            if progress is not None:
+                progress(i + 1, len(sequence.image_times_ns))
+        _write_odometry(writer, sequence, range(written, len(sequence.odometry_times_ns)))
+
+
+def _write_odometry(writer: SequenceWriter, sequence: SyntheticSequence, indices: range) -> None:
+    for k in indices:
+        time_ns = int(sequence.odometry_times_ns[k])
+        writer.write_odometry(time_ns, sequence.odom_from_base[k], sequence.twist_covariances[k])
 
 
 @cache

@@ -1,4 +1,4 @@
-"""A hall whose ceiling repeats itself: panels of 0.6 m, lamps and loudspeakers every 3 m, a handful of unique things."""
+"""A hall whose ceiling repeats itself: panels of 0.6 m, lamps and loudspeakers every 3 m, few unique things."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def _bounce_targets(
 
 
 def _fill(radiosity: np.ndarray, valid: np.ndarray, start: int, rows: int, columns: int) -> None:
-    """Give points inside other bodies the light of their nearest neighbour in space, so that nothing dark bleeds out."""
+    """Give points inside other bodies the light of the nearest point in the open: no darkness bleeds out."""
     from scipy.ndimage import distance_transform_edt
 
     grid = valid[start : start + rows * columns].reshape(rows, columns)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
+from numpy.typing import ArrayLike
 
 from sequences.scenes.texture import Material
 
@@ -25,15 +27,13 @@ class Part:
     cue: bool = False
     quads: list[tuple[np.ndarray, np.ndarray, np.ndarray, Material]] = field(default_factory=list)
 
-    def quad(
-        self, origin: Sequence[float], edge_u: Sequence[float], edge_v: Sequence[float], material: Material
-    ) -> None:
+    def quad(self, origin: ArrayLike, edge_u: ArrayLike, edge_v: ArrayLike, material: Material) -> None:
         """Add the parallelogram origin + s·edge_u + t·edge_v, seen from the side of edge_u × edge_v."""
         self.quads.append((np.array(origin, float), np.array(edge_u, float), np.array(edge_v, float), material))
 
-    def box(self, low: Sequence[float], high: Sequence[float], material: Material, faces: str = "xXyYzZ") -> None:
+    def box(self, low: ArrayLike, high: ArrayLike, material: Material, faces: str = "xXyYzZ") -> None:
         """Add faces of an axis-parallel box, seen from outside; lower case names the low side of an axis."""
-        (x0, y0, z0), (x1, y1, z1) = low, high
+        (x0, y0, z0), (x1, y1, z1) = np.array(low, float), np.array(high, float)
         dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
         sides = {
             "x": ((x0, y1, z0), (0, -dy, 0), (0, 0, dz)),
@@ -46,9 +46,7 @@ class Part:
         for face in faces:
             self.quad(*sides[face], material)
 
-    def beam(
-        self, start: Sequence[float], end: Sequence[float], radius: float, material: Material, sides: int = 6
-    ) -> None:
+    def beam(self, start: ArrayLike, end: ArrayLike, radius: float, material: Material, sides: int = 6) -> None:
         """Add the sides of a prism around the line from start to end: a rail, a pipe, a bar."""
         begin, axis = np.array(start, float), np.subtract(end, start).astype(float)
         helper = np.array([0.0, 0.0, 1.0]) if abs(axis[2]) < 0.9 * np.linalg.norm(axis) else np.array([1.0, 0.0, 0.0])
@@ -57,7 +55,7 @@ class Part:
         up = np.cross(axis, across) / np.linalg.norm(axis)
         angle = np.arange(sides + 1) * 2 * np.pi / sides + np.pi / sides
         ring = begin + radius * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * up)
-        for corner, following in zip(ring[:-1], ring[1:], strict=True):
+        for corner, following in pairwise(ring):
             self.quad(corner, following - corner, axis, material)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sequences.scenes import texture
+from sequences.scenes import pictures, texture
 from sequences.scenes.mesh import Part, Placement
-from sequences.scenes.texture import Canvas, Material, band, blend, inside, plain, weathered
+from sequences.scenes.texture import Canvas, Material, band, blend, plain, weathered
 
 NUM_FLOORS = 6
 POSTER_FLOOR = 3
@@ -84,91 +84,6 @@ def _painted(canvas: Canvas, above: np.ndarray) -> np.ndarray:
     return blend(base, (0.10, 0.09, 0.08), band(above, -0.02, 0.085) * 0.85)
 
 
-def _sky(canvas: Canvas) -> np.ndarray:
-    """Bright haze above the blurred roofs and trees of a courtyard."""
-    height = canvas.y / canvas.height_m
-    base = canvas.colour((0.72, 0.85, 1.0)) * (0.75 + 0.35 * height)[..., None]
-    ridge = 0.36 + 0.06 * canvas.noise(0.25, 3.0) + 0.012 * canvas.noise(0.03, 3.0)
-    trees = np.clip((ridge - height) / 0.03, 0, 1)
-    leaves = np.array([0.16, 0.21, 0.12]) * np.clip(1 + 0.35 * canvas.noise(0.04), 0.2, 2)[..., None]
-    base = blend(base, leaves.astype(np.float32), trees)
-    house = inside(canvas, 0.62, -1, 1.4, 0.34)
-    return blend(base, (0.38, 0.31, 0.26), house)
-
-
-def _door(canvas: Canvas) -> np.ndarray:
-    """A veneered leaf with two sunk panels."""
-    base = texture.wood(canvas)
-    for low, high in ((0.14, 0.86), (1.02, 1.88)):
-        outer = inside(canvas, 0.13, low, canvas.width_m - 0.13, high)
-        inner = inside(canvas, 0.155, low + 0.025, canvas.width_m - 0.155, high - 0.025)
-        base = blend(base, (0.07, 0.035, 0.015), 0.65 * (outer - inner))
-    return blend(base, (0.10, 0.06, 0.03), 0.5 * np.exp(-np.broadcast_to(canvas.y, canvas.shape) / 0.08))
-
-
-def _poster_art(canvas: Canvas) -> np.ndarray:
-    """A travel poster: sun, hills, sea and a title."""
-    x, y = canvas.x / canvas.width_m, canvas.y / canvas.height_m
-    base = canvas.colour((0.95, 0.42, 0.06)) * (0.7 + 0.45 * (1 - y))[..., None]
-    sun = np.hypot(canvas.x - 0.62 * canvas.width_m, canvas.y - 0.66 * canvas.height_m)
-    base = blend(base, (1.0, 0.86, 0.25), 1 - texture.step(sun, 0.17))
-    base = blend(base, (0.40, 0.03, 0.16), band(y, 0.0, 1.0) * (y < 0.52 + 0.07 * np.sin(7 * x + 1)))
-    base = blend(base, (0.02, 0.16, 0.42), (y < 0.36 + 0.03 * np.sin(13 * x)) * 1.0)
-    base = blend(base, (0.03, 0.42, 0.58), (y < 0.26 + 0.015 * np.sin(31 * x)) * 1.0)
-    letters = (np.sin(x * 58) > -0.25) * band(x, 0.14, 0.86) * band(y, 0.85, 0.93)
-    base = blend(base, (0.02, 0.02, 0.08), letters)
-    frame = 1 - band(x, 0.035, 0.965) * band(y, 0.03, 0.97)
-    return blend(base, (0.92, 0.90, 0.84), frame)
-
-
-def _notices(canvas: Canvas) -> np.ndarray:
-    base = weathered(canvas, canvas.colour((0.36, 0.22, 0.11)), 0.12)
-    sheets = [
-        (0.06, 0.40, 0.27, 0.70, (0.85, 0.85, 0.82)),
-        (0.32, 0.45, 0.53, 0.74, (0.9, 0.75, 0.12)),
-        (0.58, 0.36, 0.79, 0.66, (0.85, 0.85, 0.85)),
-        (0.84, 0.42, 1.05, 0.72, (0.75, 0.15, 0.12)),
-        (0.10, 0.08, 0.31, 0.34, (0.35, 0.6, 0.8)),
-        (0.45, 0.09, 0.66, 0.38, (0.85, 0.85, 0.8)),
-        (0.80, 0.08, 1.05, 0.30, (0.4, 0.7, 0.3)),
-    ]
-    for x0, y0, x1, y1, rgb in sheets:
-        sheet = inside(canvas, x0, y0, x1, y1)
-        base = blend(base, rgb, sheet)
-        lines = (np.sin(canvas.y * 2 * np.pi / 0.03) > 0.2) & (canvas.noise(0.03, 0.015) > -0.4)
-        base = blend(base, (0.08, 0.08, 0.1), inside(canvas, x0 + 0.02, y0 + 0.03, x1 - 0.02, y1 - 0.06) * lines * 0.8)
-    return blend(
-        base, (0.5, 0.5, 0.48), 1 - inside(canvas, 0.025, 0.025, canvas.width_m - 0.025, canvas.height_m - 0.025)
-    )
-
-
-def _letter_boxes(canvas: Canvas) -> np.ndarray:
-    base = texture.brushed(canvas)
-    x, y = canvas.x % 0.3, canvas.y % 0.2
-    gaps = 1 - band(x, 0.008, 0.292) * band(y, 0.008, 0.192)
-    base = blend(base, (0.03, 0.03, 0.03), gaps)
-    base = blend(base, (0.04, 0.04, 0.04), band(x, 0.05, 0.25) * band(y, 0.135, 0.16))
-    return blend(base, (0.85, 0.85, 0.8), band(x, 0.06, 0.16) * band(y, 0.05, 0.085))
-
-
-def _street(canvas: Canvas) -> np.ndarray:
-    """Daylight behind the glazed entrance doors: pavement, a facade, sky."""
-    height = canvas.y
-    base = canvas.colour((0.75, 0.87, 1.0))
-    facade = np.array([0.55, 0.40, 0.28]) * np.clip(1 + 0.1 * canvas.noise(0.1), 0, 2)[..., None]
-    base = blend(base, facade.astype(np.float32), 1 - texture.step(height + 0 * canvas.x, 1.7, 0.06))
-    windows = band(canvas.x % 0.36, 0.1, 0.26, 0.03) * band(height % 0.62, 0.12, 0.45, 0.03) * band(height, 0.6, 1.7)
-    base = blend(base, (0.12, 0.14, 0.17), windows)
-    return blend(base, (0.42, 0.42, 0.43), 1 - texture.step(height + 0 * canvas.x, 0.55, 0.06))
-
-
-def _mat(canvas: Canvas) -> np.ndarray:
-    base = canvas.colour((0.23, 0.035, 0.03)) * np.clip(1 + 0.25 * canvas.noise(0.012), 0.2, 2)[..., None]
-    return blend(
-        base, (0.03, 0.03, 0.03), 1 - inside(canvas, 0.05, 0.05, canvas.width_m - 0.05, canvas.height_m - 0.05)
-    )
-
-
 WALL = Material(_dado, gloss=0.12)
 WALL_TOP = Material(_dado_top, gloss=0.12)
 WALL_END = Material(_dado_end, gloss=0.12)
@@ -179,12 +94,12 @@ TREAD = Material(texture.tread, gloss=0.35, texel_m=0.005)
 RISER = Material(lambda c: blend(texture.terrazzo(c), (0.12, 0.11, 0.10), 0.35 + 0.1 * c.noise(0.1)), texel_m=0.006)
 STEEL = Material(texture.steel, gloss=0.5)
 RAIL = Material(lambda c: texture.wood(c) * 0.75, gloss=0.7)
-DOOR = Material(_door, gloss=0.3, texel_m=0.006)
+DOOR = Material(pictures.door, gloss=0.3, texel_m=0.006)
 FRAME = plain((0.50, 0.49, 0.45), gloss=0.2)
 BRUSHED = Material(texture.brushed, gloss=0.6)
 BLACK = plain((0.03, 0.03, 0.032), gloss=0.3)
 LAMP = texture.lit((1.0, 0.90, 0.74), 9.0)
-SKY = Material(_sky, emission=9.0, glare=0.35)
+SKY = Material(pictures.sky, emission=9.0, glare=0.35)
 
 # --- parts -----------------------------------------------------------------------------------------
 
@@ -235,7 +150,7 @@ def _balustrade(part: Part) -> None:
         for i in range(16):
             x = 0.07 + i * FLIGHT / 16
             foot = np.array([x0 + direction * x, y, z0 + 0.24 + x * SLOPE])
-            part.box(foot - (0.008, 0.008, 0.02), foot + (0.008, 0.008, 0.70), STEEL, "xXyY")
+            part.box(np.subtract(foot, (0.008, 0.008, 0.02)), np.add(foot, (0.008, 0.008, 0.70)), STEEL, "xXyY")
         rail = np.array([x0, y, z0 + 0.95])
         part.beam(rail, rail + along, 0.026, RAIL, 8)
     x, z = LANDING + FLIGHT + 0.06, HALF
@@ -268,15 +183,9 @@ def _window(part: Part) -> None:
     for low, high in ((z0, z0 + 0.06), (z1 - 0.06, z1), (z0 + 0.9, z0 + 0.95)):
         part.box((bar, y0, low), (deep - 0.01, y1, high), FRAME, "xzZ")
     part.box((FAR - 0.12, y0 - 0.08, z0 - 0.035), (FAR, y1 + 0.08, z0), FRAME, "xyYzZ")
-    part.box((FAR - 0.10, 0.7, HALF + 0.14), (FAR - 0.02, 1.9, HALF + 0.72), _radiator_material(), "xyYZ")
-
-
-def _radiator_material() -> Material:
-    def paint(canvas: Canvas) -> np.ndarray:
-        ribs = 0.5 + 0.5 * np.cos(canvas.x * 2 * np.pi / 0.05) + 0 * canvas.y
-        return blend(canvas.colour((0.62, 0.60, 0.55)), (0.14, 0.135, 0.12), np.clip(ribs - 0.25, 0, 1) ** 2)
-
-    return Material(paint, gloss=0.2)
+    part.box(
+        (FAR - 0.10, 0.7, HALF + 0.14), (FAR - 0.02, 1.9, HALF + 0.72), Material(pictures.radiator, gloss=0.2), "xyYZ"
+    )
 
 
 def _landing(door: bool = True) -> Part:
@@ -327,15 +236,15 @@ def _door_at(part: Part, foot: np.ndarray, along: np.ndarray, out: np.ndarray) -
 def _entrance() -> Part:
     """Ground floor: glazed doors to the street, mat, letter boxes, notice board."""
     part = Part(cue=True)
-    part.quad((0.02, 0.55, 0), (0, 1.5, 0), (0, 0, 2.35), Material(_street, emission=6.0, glare=0.4))
+    part.quad((0.02, 0.55, 0), (0, 1.5, 0), (0, 0, 2.35), Material(pictures.street, emission=6.0, glare=0.4))
     green = plain((0.03, 0.10, 0.07), gloss=0.4)
     for y in (0.47, 1.255, 2.05):
         part.box((0, y, 0), (0.09, y + 0.09, 2.45), green, "XyY")
     for z, high in ((0.0, 0.28), (1.0, 1.08), (2.3, 2.45)):
         part.box((0, 0.5, z), (0.085, 2.1, high), green, "XzZ")
-    part.quad((0.12, 0.6, 0.008), (1.0, 0, 0), (0, 1.4, 0), Material(_mat))
-    part.box((0.35, 0, 0.75), (1.55, 0.16, 1.75), Material(_letter_boxes, gloss=0.3, texel_m=0.005), "xXYzZ")
-    part.box((0.25, ACROSS - 0.03, 1.0), (1.4, ACROSS, 1.8), Material(_notices, texel_m=0.005), "xXyzZ")
+    part.quad((0.12, 0.6, 0.008), (1.0, 0, 0), (0, 1.4, 0), Material(pictures.mat))
+    part.box((0.35, 0, 0.75), (1.55, 0.16, 1.75), Material(pictures.letter_boxes, gloss=0.3, texel_m=0.005), "xXYzZ")
+    part.box((0.25, ACROSS - 0.03, 1.0), (1.4, ACROSS, 1.8), Material(pictures.notices, texel_m=0.005), "xXyzZ")
     part.quad((LANDING, ACROSS, 0), (0, -WIDTH - 0.02, 0), (0, 0, FLOOR_HEIGHT - SLAB), WALL_LANDING)
     part.box((LANDING - 0.03, 1.62, 0), (LANDING, 2.42, 1.95), plain((0.13, 0.17, 0.22), gloss=0.3), "xyYZ")
     return part
@@ -353,14 +262,14 @@ def _cellar() -> Part:
 def _poster() -> Part:
     """The poster on one floor."""
     part = Part(cue=True)
-    part.box((0.0, 1.46, 0.85), (0.02, 2.48, 2.3), Material(_poster_art, gloss=0.15, texel_m=0.004), "XyYzZ")
+    part.box((0.0, 1.46, 0.85), (0.02, 2.48, 2.3), Material(pictures.poster_art, gloss=0.15, texel_m=0.004), "XyYzZ")
     return part
 
 
 def _top() -> Part:
     """Instead of the next flight: a wall with a ladder, a roof with a skylight."""
     part = Part(cue=True)
-    brick = Material(_brick)
+    brick = Material(pictures.brick)
     part.box((LANDING, 0, -0.25), (LANDING + 0.09, WIDTH + 0.08, TOP_HEIGHT), brick)
     for y in (0.32, 0.72):
         part.beam((LANDING - 0.12, y, 0.3), (LANDING - 0.12, y, TOP_HEIGHT), 0.02, plain((0.6, 0.45, 0.03)), 6)
@@ -371,7 +280,7 @@ def _top() -> Part:
     for a, b, c, d in ((LANDING, x0, 0, ACROSS), (x1, FAR, 0, ACROSS), (x0, x1, 0, y0), (x0, x1, y1, ACROSS)):
         part.quad((a, d, TOP_HEIGHT), (b - a, 0, 0), (0, c - d, 0), WHITE)
     high = TOP_HEIGHT + 0.35
-    part.quad((x0, y1, high), (x1 - x0, 0, 0), (0, y0 - y1, 0), Material(_cloudy, emission=2.5))
+    part.quad((x0, y1, high), (x1 - x0, 0, 0), (0, y0 - y1, 0), Material(pictures.cloudy, emission=2.5))
     part.quad((x1, y0, TOP_HEIGHT), (x0 - x1, 0, 0), (0, 0, 0.35), WHITE)
     part.quad((x0, y1, TOP_HEIGHT), (x1 - x0, 0, 0), (0, 0, 0.35), WHITE)
     part.quad((x0, y0, TOP_HEIGHT), (0, y1 - y0, 0), (0, 0, 0.35), WHITE)
@@ -379,19 +288,6 @@ def _top() -> Part:
     part.box((2.87, y0, high - 0.05), (2.93, y1, high), FRAME, "xXz")
     part.box((x0, 1.27, high - 0.05), (x1, 1.33, high), FRAME, "yYz")
     return part
-
-
-def _brick(canvas: Canvas) -> np.ndarray:
-    row = np.floor(canvas.y / 0.075)
-    x = (canvas.x + 0.12 * (row % 2)) % 0.24
-    joint = 1 - band(x, 0.01, 0.23) * band(canvas.y % 0.075, 0.01, 0.065)
-    tone = 1 + 0.25 * np.sin(row * 12.9 + np.floor((canvas.x + 0.12 * (row % 2)) / 0.24) * 78.2)
-    base = canvas.colour((0.36, 0.13, 0.075)) * (tone * (1 + 0.1 * canvas.noise(0.02)))[..., None].astype(np.float32)
-    return blend(base, (0.45, 0.42, 0.38), joint)
-
-
-def _cloudy(canvas: Canvas) -> np.ndarray:
-    return blend(canvas.colour((0.55, 0.75, 1.0)), (1.0, 1.0, 1.0), 0.5 + 0.4 * canvas.noise(0.4))
 
 
 def _roof_walls() -> Part:

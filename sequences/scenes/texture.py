@@ -60,8 +60,8 @@ class Material:
     Attributes:
         paint: Canvas -> linear reflectance (h, w, 3); times `emission`, the light given off.
         emission: Radiance of a surface painted white, 0 for all but lamps, skies and signs.
-        glare: Share of the emission that a camera sees when it looks at the surface itself: louvres and panes shield it, and
-            small cameras cannot take all of it.
+        glare: Share of the emission that a camera sees when it looks at the surface itself: louvres and panes shield
+            it, and small cameras cannot take all of it.
         gloss: Share of the Fresnel reflection that is mirror-like, 0 for matt.
         texel_m: Size of a texel.
     """
