@@ -25,7 +25,7 @@ _CLOUD_SIZE = 300
 _IMAGE_SIDE = 480  # pixels
 _JPEG_QUALITY = 75
 _EPOCH_NS = 10**17  # stamps below are seconds since some start, not since 1970
-_JUMP_M = 0.5  # an estimate that moves farther from one image to the next changed its mind
+_JUMP_M = 0.5  # an estimate that moves so much farther than the odometry changed its mind
 _STATUS_LEVEL: dict[Status, float] = {"lost": 0.0, "ambiguous": 0.5, "converged": 1.0}
 
 
@@ -140,7 +140,9 @@ class RerunViewer:
             self._stream.log("world/camera", pinhole)
         self._stream.log("world/camera", rr.Transform3D(translation=best.translation, mat3x3=best.rotation))
         self._stream.log("world/camera", rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
-        self._log_step("world/path/filter", self._last_best, best, limit_m=_JUMP_M)
+        moved = np.zeros(3) if frame.odometry is None else frame.odometry.previous_from_current.translation
+        limit_m = _JUMP_M + 1.5 * float(np.linalg.norm(moved))
+        self._log_step("world/path/filter", self._last_best, best, limit_m=limit_m)
         if truth is not None:
             ahead = rr.Arrows3D(origins=[truth.translation], vectors=[0.5 * truth.rotation[:, 2]])
             self._stream.log("world/truth", ahead)
