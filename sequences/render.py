@@ -14,7 +14,7 @@ from sequences.scenes.surface import Scene
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
 _ROUGHNESS = np.float32(0.03)  # spread of mirror reflections, radians
 _FAINT = 0.02  # reflections weaker than this are not followed
-_MISS = np.float32([0.5, 0.6, 0.7])
+_MISS = np.array([0.5, 0.6, 0.7], np.float32)
 
 
 def render(

@@ -75,7 +75,7 @@ def _speaker(canvas: Canvas) -> np.ndarray:
     base = _tile(canvas)
     radius = np.hypot(canvas.x - 0.3, canvas.y - 0.3)
     ring = np.clip(np.sin(radius * 2 * np.pi / 0.02), 0, 1)
-    base = blend(base, np.float32([0.42, 0.42, 0.41]), 1 - texture.step(radius, 0.165))
+    base = blend(base, (0.42, 0.42, 0.41), 1 - texture.step(radius, 0.165))
     base = blend(base, (0.05, 0.05, 0.05), ring * (radius < 0.145))
     return blend(base, (0.75, 0.75, 0.72), band(radius, 0.15, 0.165))
 

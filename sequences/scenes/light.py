@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
+from scipy.ndimage import distance_transform_edt
 
 from sequences.scenes.mesh import Geometry
 from sequences.scenes.tracer import Tracer
@@ -156,11 +157,9 @@ def _bounce_targets(
 
 def _fill(radiosity: np.ndarray, valid: np.ndarray, start: int, rows: int, columns: int) -> None:
     """Give points inside other bodies the light of the nearest point in the open: no darkness bleeds out."""
-    from scipy.ndimage import distance_transform_edt
-
     grid = valid[start : start + rows * columns].reshape(rows, columns)
     if not grid.any():
         return
-    nearest = distance_transform_edt(~grid, return_distances=False, return_indices=True)
+    nearest = np.asarray(distance_transform_edt(~grid, return_distances=False, return_indices=True))
     values = radiosity[start : start + rows * columns].reshape(rows, columns, 3)
     values[:] = values[nearest[0], nearest[1]]

@@ -44,7 +44,8 @@ class Part:
             "Z": ((x0, y0, z1), (dx, 0, 0), (0, dy, 0)),
         }
         for face in faces:
-            self.quad(*sides[face], material)
+            origin, edge_u, edge_v = sides[face]
+            self.quad(origin, edge_u, edge_v, material)
 
     def beam(self, start: ArrayLike, end: ArrayLike, radius: float, material: Material, sides: int = 6) -> None:
         """Add the sides of a prism around the line from start to end: a rail, a pipe, a bar."""
@@ -115,7 +116,8 @@ def assemble(placements: Sequence[Placement]) -> Geometry:
     num_quads = 0
     for placement in placements:
         part = placement.part
-        local, us, vs = (np.stack([quad[i] for quad in part.quads]) for i in range(3))
+        local = np.stack([quad[0] for quad in part.quads])
+        us, vs = np.stack([quad[1] for quad in part.quads]), np.stack([quad[2] for quad in part.quads])
         for offset in placement.offsets:
             origin.append(local + offset)
             edge_u.append(us)
@@ -127,6 +129,12 @@ def assemble(placements: Sequence[Placement]) -> Geometry:
         num_quads += len(placement.offsets) * len(local)
         materials.extend(quad[3] for quad in part.quads)
     return Geometry(
-        *(np.concatenate(parts) for parts in (origin, edge_u, edge_v, chart, cue, chart_quad, chart_point)),
-        tuple(materials),
+        origin=np.concatenate(origin),
+        edge_u=np.concatenate(edge_u),
+        edge_v=np.concatenate(edge_v),
+        chart=np.concatenate(chart),
+        cue=np.concatenate(cue),
+        chart_quad=np.concatenate(chart_quad),
+        chart_point=np.concatenate(chart_point),
+        materials=tuple(materials),
     )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
 
 from filtering.se3 import Poses
 from sequences.scenes import ceiling, staircase
@@ -41,9 +43,7 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
     here = at(place)
     tangent = at(place + 0.1) - at(place - 0.1)
     side = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1) / (np.linalg.norm(tangent[:, :2], axis=1)[:, None] + 1e-9)
-    ahead = (at(place + 0.45) - at(place - 0.2)) * (ways > 0)[:, None] + (at(place - 0.45) - at(place + 0.2)) * (
-        ways < 0
-    )[:, None]
+    ahead = at(place + 0.45 * ways) - at(place - 0.2 * ways)
     heading = _eased_angle(np.arctan2(ahead[:, 1], ahead[:, 0]), time_s=0.35, max_rate=2.4)
     phase = np.pi * np.cumsum(walking) * STEP_S / 0.33 + rng.uniform(0, 2 * np.pi)  # π a step
     stride = np.clip(walking / 0.5, 0, 1)
@@ -53,6 +53,8 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
     )
     yaw = heading + glance + 0.02 * stride * np.sin(phase + 0.5)
     pitch = 0.06 * _wander(steps, 2.0, rng) + 0.012 * stride * np.sin(2 * phase + 1.0)
+    climb = ahead[:, 2] / (np.linalg.norm(ahead, axis=1) + 1e-9)
+    pitch += _eased(np.where(climb < 0, -0.45, -0.1) * climb, 0.4)  # people watch the steps, above all going down
     roll = 0.012 * _wander(steps, 1.0, rng) + 0.018 * stride * np.sin(phase)
     here[:, :2] += side * (0.07 * np.clip(_wander(steps, 4.0, rng), -2, 2) + 0.022 * stride * np.sin(phase))[:, None]
     here[:, 2] += 1.5 + 0.02 * stride * np.cos(2 * phase) + 0.02 * _wander(steps, 5.0, rng)
@@ -107,8 +109,6 @@ def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:
     rough = np.array(points)
     walked = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(rough, axis=0), axis=1))])
     fine = np.arange(0, walked[-1], 0.02)
-    from scipy.ndimage import gaussian_filter1d
-
     line = np.stack(
         [gaussian_filter1d(np.interp(fine, walked, rough[:, a]), 8, mode="nearest") for a in range(3)], axis=1
     )
@@ -118,8 +118,6 @@ def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:
 
 def _wander(steps: int, time_s: float, rng: np.random.Generator) -> Float64[np.ndarray, " n"]:
     """Smooth noise of unit deviation that changes over `time_s`."""
-    from scipy.ndimage import gaussian_filter1d
-
     sigma = time_s / STEP_S / 2
     pad = int(4 * sigma)
     noise = gaussian_filter1d(rng.standard_normal(steps + 2 * pad), sigma)[pad : pad + steps]
@@ -127,8 +125,6 @@ def _wander(steps: int, time_s: float, rng: np.random.Generator) -> Float64[np.n
 
 
 def _eased(value: np.ndarray, time_s: float) -> np.ndarray:
-    from scipy.ndimage import gaussian_filter1d
-
     return gaussian_filter1d(value, time_s / STEP_S)
 
 
@@ -146,6 +142,4 @@ def _eased_angle(target: np.ndarray, *, time_s: float, max_rate: float) -> np.nd
 
 def _rotations(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Float64[np.ndarray, "n 3 3"]:
     """Body axes from angles, in radians: about z, then y, then x."""
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_matrix()

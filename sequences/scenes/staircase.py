@@ -99,6 +99,7 @@ FRAME = plain((0.50, 0.49, 0.45), gloss=0.2)
 BRUSHED = Material(texture.brushed, gloss=0.6)
 BLACK = plain((0.03, 0.03, 0.032), gloss=0.3)
 LAMP = texture.lit((1.0, 0.90, 0.74), 9.0)
+RADIATOR = Material(pictures.radiator, gloss=0.2)
 SKY = Material(pictures.sky, emission=9.0, glare=0.35)
 
 # --- parts -----------------------------------------------------------------------------------------
@@ -183,9 +184,7 @@ def _window(part: Part) -> None:
     for low, high in ((z0, z0 + 0.06), (z1 - 0.06, z1), (z0 + 0.9, z0 + 0.95)):
         part.box((bar, y0, low), (deep - 0.01, y1, high), FRAME, "xzZ")
     part.box((FAR - 0.12, y0 - 0.08, z0 - 0.035), (FAR, y1 + 0.08, z0), FRAME, "xyYzZ")
-    part.box(
-        (FAR - 0.10, 0.7, HALF + 0.14), (FAR - 0.02, 1.9, HALF + 0.72), Material(pictures.radiator, gloss=0.2), "xyYZ"
-    )
+    part.box((FAR - 0.10, 0.7, HALF + 0.14), (FAR - 0.02, 1.9, HALF + 0.72), RADIATOR, "xyYZ")
 
 
 def _landing(door: bool = True) -> Part:
