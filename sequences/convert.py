@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,13 +12,14 @@ from filtering.se3 import Poses
 from sequences.datasets import SEVEN_SCENES_HZ, PosedImages, list_images, read_image_bytes
 from sequences.errors import SequenceError
 from sequences.messages import decode_image_bytes
+from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.pairing import interpolate
 from sequences.reader import MAX_ODOMETRY_GAP_S
 from sequences.tum import read_tum
 from sequences.writer import SequenceWriter
 
-if TYPE_CHECKING:
-    from sequences.odometry import OdometryNoise
+# The body that carries the camera looks where it looks: x ahead, y left, z up.
+_BASE_FROM_CAMERA = Poses(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class ConversionSummary:
 
 @dataclass(frozen=True)
 class _OdometryTrack:
-    """Odometry of the camera: stamps (k,), poses (k,) in any frame, twist covariances (k, 6, 6), and its origin."""
+    """Odometry of the body: stamps (k,), poses (k,) in any frame, twist covariances (k, 6, 6), and its origin."""
 
     times_ns: np.ndarray
-    odom_from_camera: Poses
+    odom_from_base: Poses
     twist_covariances: np.ndarray
     description: str
 
@@ -58,7 +58,8 @@ def convert(
 ) -> ConversionSummary:
     """Write a TUM RGB-D or 7-Scenes folder as an MCAP sequence; images are copied, not encoded again.
 
-    Base and camera are one frame. Time stamps of 7-Scenes, which has none, are made up at 30 Hz.
+    Base and camera are one body, in the axes of a robot and of a camera. Time stamps of 7-Scenes, which has none, are
+    made up at 30 Hz.
 
     Args:
         dataset: Folder of the data set.
@@ -84,7 +85,7 @@ def convert(
     if images.layout == "7-Scenes":
         metadata["time_stamps"] = f"assumed, {SEVEN_SCENES_HZ} Hz"
     num_images = 0
-    with SequenceWriter(output, camera=images.camera, base_from_camera=Poses.identity(), metadata=metadata) as writer:
+    with SequenceWriter(output, camera=images.camera, base_from_camera=_BASE_FROM_CAMERA, metadata=metadata) as writer:
         next_odometry = 0
         for i, file in enumerate(images.files):
             time_ns = int(images.times_ns[i])
@@ -108,6 +109,7 @@ def _odometry(
     images: PosedImages, recorded: Path | None, noise: OdometryNoise | None, seed: int
 ) -> _OdometryTrack | None:
     """Recorded odometry where there is some, else simulated, else none."""
+    camera_from_base = _BASE_FROM_CAMERA.inverse()
     if recorded is not None:
         trajectory = read_tum(recorded)
         # The last pose before the images to the first one after them: what their increments need.
@@ -115,13 +117,13 @@ def _odometry(
         end = int(np.searchsorted(trajectory.times_ns, images.times_ns[-1], side="left")) + 1
         times_ns = trajectory.times_ns[begin:end]
         unknown = np.zeros((len(times_ns), 6, 6))
-        return _OdometryTrack(times_ns, trajectory.poses[begin:end], unknown, f"recorded: {Path(recorded).name}")
+        return _OdometryTrack(
+            times_ns, trajectory.poses[begin:end] @ camera_from_base, unknown, f"recorded: {Path(recorded).name}"
+        )
     if noise is None:
         return None
-    from sequences.odometry import simulate_odometry
-
     rng = np.random.default_rng(seed)
-    poses, covariances = simulate_odometry(images.times_ns, images.world_from_camera, noise, rng=rng)
+    poses, covariances = simulate_odometry(images.times_ns, images.world_from_camera @ camera_from_base, noise, rng=rng)
     settings = ", ".join(f"{key} {value:g}" for key, value in asdict(noise).items())
     return _OdometryTrack(images.times_ns, poses, covariances, f"simulated: {settings}, seed {seed}")
 
@@ -132,7 +134,7 @@ def _covered(images: PosedImages, track: _OdometryTrack | None, skipped: Counter
         return images
     if not len(track.times_ns):
         raise SequenceError(f"odometry ({track.description}) does not overlap the images in time")
-    _, covered = interpolate(track.times_ns, track.odom_from_camera, images.times_ns, max_gap_s=MAX_ODOMETRY_GAP_S)
+    _, covered = interpolate(track.times_ns, track.odom_from_base, images.times_ns, max_gap_s=MAX_ODOMETRY_GAP_S)
     if not covered.any():
         raise SequenceError(
             f"odometry ({track.description}) from {track.times_ns[0]} to {track.times_ns[-1]} ns covers no image from"
@@ -155,7 +157,7 @@ def _write_odometry(writer: SequenceWriter, track: _OdometryTrack, begin: int, u
     """Write odometry up to the first message that reaches a time; gives the next one to write."""
     while begin < len(track.times_ns):
         time_ns = int(track.times_ns[begin])
-        writer.write_odometry(time_ns, track.odom_from_camera[begin], track.twist_covariances[begin])
+        writer.write_odometry(time_ns, track.odom_from_base[begin], track.twist_covariances[begin])
         begin += 1
         if time_ns >= until_ns:
             break

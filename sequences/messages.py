@@ -211,12 +211,13 @@ def covariance_from_ros(covariance: Float64[np.ndarray, "6 6"], pose: Poses) -> 
 
 def _pose(translation: np.ndarray, quat_xyzw: np.ndarray) -> Poses:
     """A pose whose numbers can be those of one: a damaged message may hold any."""
-    far = np.isfinite(translation).all() and np.abs(translation).max() > _MAX_DISTANCE_M
-    if far or np.isfinite(quat_xyzw).all() and not 0.9 < np.hypot.reduce(quat_xyzw) < 1.1:
-        raise VaporTrackError(
-            f"pose with translation {translation.tolist()} and quaternion xyzw {quat_xyzw.tolist()}, expected one within"
-            f" {_MAX_DISTANCE_M:g} m and a unit quaternion"
-        )
+    if np.isfinite(translation).all() and np.isfinite(quat_xyzw).all():
+        norm = np.hypot.reduce(quat_xyzw)
+        if np.abs(translation).max() > _MAX_DISTANCE_M or not 0.9 < norm < 1.1:
+            raise VaporTrackError(
+                f"pose with translation {translation.tolist()} and quaternion of length {norm:.3g},"
+                f" expected one within {_MAX_DISTANCE_M:g} m and a unit quaternion"
+            )
     return Poses.from_quat_xyzw(translation, quat_xyzw)
 
 

@@ -318,7 +318,10 @@ def _read_extrinsics(bag: Bag, options: SequenceOptions, image: Topic, odometry:
     """Pose of the camera in the odometry's child frame: given, the identity where both are one, or from tf."""
     if options.base_from_camera is not None:
         given = np.array(options.base_from_camera)
-        return Poses.from_quat_xyzw(given[:3], given[3:])
+        try:
+            return Poses.from_quat_xyzw(given[:3], given[3:])
+        except VaporTrackError as error:
+            raise SequenceError(f"--base-from-camera: {error}; expected tx ty tz qx qy qz qw") from error
     base = frame_name(_first(bag, odometry).child_frame_id)
     camera = frame_name(options.camera_frame or _first(bag, image).header.frame_id)
     if base and base == camera:

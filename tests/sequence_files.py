@@ -50,11 +50,11 @@ class Walk:
     def __post_init__(self) -> None:
         for i in range(self.num_images):
             time_ns = BEGIN_NS + 100_000_000 * i
-            self.images.append((time_ns, cv2.imencode(".png", picture(i)[..., ::-1])[1].tobytes()))
+            self.images.append((time_ns, cv2.imencode(".png", picture(i % 12)[..., ::-1])[1].tobytes()))
             self.truth.append((time_ns, world_from_camera(time_ns)))
         # 50 Hz, between the images, from before the first to after the last one.
         times_ns = BEGIN_NS + 20_000_000 * np.arange(-2, 5 * self.num_images) + 7_000_000
-        self.odometry = [(int(t), world_from_base(t)) for t in times_ns]
+        self.odometry = [(int(t), world_from_base(np.array(t))) for t in times_ns]
 
     def write(self, path: Path, metadata: dict[str, str] | None = None) -> Path:
         """Write in order of time, as a recorder does; odometry before the image it is due with."""
