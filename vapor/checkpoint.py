@@ -136,11 +136,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise CheckpointError(f"{path}: format version is {metadata.get('version')!r}, expected '{VERSION}'")
     config = read_json(path, metadata.get("config"))
     network = parse_config(path, "network", NetworkConfig, config.get("network"))
-    raw_box = parse_config(path, "box", SceneBox, config.get("box"))
-    try:
-        box = SceneBox(_three(raw_box.lower), _three(raw_box.upper))
-    except (TypeError, ValueError) as error:
-        raise CheckpointError(f"{path}: box is {raw_box}, expected three numbers each") from error
+    box = parse_config(path, "box", SceneBox, _with_triples(path, config.get("box")))
     calibration = parse_config(path, "calibration", Calibration, config.get("calibration"))
     training = config.get("training")
     if not isinstance(training, dict):
@@ -215,6 +211,10 @@ def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Conf
             f"{path}: {name} configuration lacks {sorted(expected - found)} and has surplus {sorted(found - expected)},"
             f" expected {sorted(expected)}"
         )
+    for f in fields(kind):  # pyright: ignore[reportArgumentType]
+        number = isinstance(values[f.name], int | float) and not isinstance(values[f.name], bool)
+        if isinstance(f.default, int | float) and not number:
+            raise CheckpointError(f"{path}: {name} configuration has {f.name} {values[f.name]!r}, expected a number")
     try:
         return kind(**values)
     except (VaporTrackError, TypeError) as error:
@@ -243,6 +243,11 @@ def check_tensors(path: Path, tensors: Mapping[str, Tensor], shapes: Mapping[str
             raise CheckpointError(f"{path}: tensor {name} has values that are not finite")
 
 
-def _three(values: Any) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z
+def _with_triples(path: Path, box: Any) -> Any:
+    """JSON's lists as the tuples that a box has."""
+    if not isinstance(box, dict):
+        return box
+    for name, values in box.items():
+        if not (isinstance(values, list) and len(values) == 3 and all(isinstance(v, int | float) for v in values)):
+            raise CheckpointError(f"{path}: box configuration has {name} {values!r}, expected three numbers")
+    return {name: (float(x), float(y), float(z)) for name, (x, y, z) in box.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -49,6 +49,8 @@ class NetworkConfig:
     """Hidden layers of the pose map after its first, n_layers in the paper."""
 
     def __post_init__(self) -> None:
+        if self.backbone not in get_args(Backbone):
+            raise VaporTrackError(f"network: backbone is {self.backbone!r}, expected one of {get_args(Backbone)}")
         if not 32 <= self.image_size <= self.shortest_edge:
             raise VaporTrackError(
                 f"network: image_size {self.image_size} with shortest_edge {self.shortest_edge},"
@@ -132,7 +134,7 @@ class VariationalPoseRegressor(nn.Module):
         """Mean μ and log variance log σ² of the latent Gaussian of normalised images."""
         feature = torch.relu(self.feature(self.backbone(images)))
         with torch.autocast(feature.device.type, enabled=False):  # eight bits are too few for a variance
-            feature = feature.float()
+            feature = feature.to(self.latent_mean.weight.dtype)
             return self.latent_mean(feature), self.latent_log_variance(feature).clamp(-20.0, 20.0)
 
     def decode(self, latent: LatentSamples) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]:

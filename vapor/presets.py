@@ -8,7 +8,7 @@ from types import MappingProxyType
 from vapor.augment import AugmentConfig
 from vapor.loss import LossConfig
 from vapor.network import NetworkConfig
-from vapor.train import TrainConfig
+from vapor.train_config import TrainConfig
 
 _RESNET18 = NetworkConfig("resnet18", image_size=224, shortest_edge=256)
 

@@ -1,4 +1,4 @@
-"""Training of the variational pose regressor: TrainConfig, and one loop."""
+"""Training of the variational pose regressor: one loop."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
@@ -16,75 +16,15 @@ import torch
 
 from sequences.datasets import posed_frames
 from sequences.frame import Frame
-from vapor.augment import AugmentConfig, jitter_and_normalise, random_crops
-from vapor.checkpoint import Calibration, Checkpoint, save_checkpoint, thin_poses
-from vapor.loss import LossConfig, regression_loss
-from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor, load_pretrained
-from vapor.observation import Device, resolve_device
+from vapor.augment import jitter_and_normalise, random_crops
+from vapor.checkpoint import Checkpoint, save_checkpoint, thin_poses
+from vapor.loss import regression_loss
+from vapor.network import SceneBox, VariationalPoseRegressor, load_pretrained
+from vapor.observation import resolve_device
+from vapor.train_config import TrainConfig, learning_rate
 from vapor.training_set import TrainingError, TrainingSet, held_out_tails, load_training_set
 from vapor.training_state import TrainingState, load_state, save_state, state_path
 from vapor.validation import Validation, validate
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """How a network is trained; the defaults are the fast schedule, the paper's are presets."""
-
-    network: NetworkConfig = field(default_factory=NetworkConfig)
-    """Shape of the network, and of its images."""
-    loss: LossConfig = field(default_factory=LossConfig)
-    """Weights of the loss."""
-    augment: AugmentConfig = field(default_factory=AugmentConfig)
-    """How much training images vary."""
-    calibration: Calibration = field(default_factory=Calibration)
-    """Kernel widths and likelihood, stored with the model."""
-    pretrained_weights: Path | None = None
-    """ImageNet weights of the backbone: safetensors, or a torch state dict with torchvision's names. Without it a
-    ResNet starts from random weights, EfficientNet-Lite0 from those of its package."""
-    epochs: int = 30
-    """Times every training image is seen."""
-    batch_size: int = 64
-    """Images per step."""
-    learning_rate: float = 1e-3
-    """Largest learning rate of Adam."""
-    weight_decay: float = 1e-2
-    """Decoupled weight decay of matrices (AdamW); 0 is Adam."""
-    schedule: Literal["one-cycle", "steps"] = "one-cycle"
-    """One cosine up and down, or a decay by a factor every so many epochs, as in the paper."""
-    warmup: float = 0.1
-    """one-cycle: share of the training in which the rate rises."""
-    decay_factor: float = 0.8
-    """steps: the factor."""
-    decay_epochs: int = 50
-    """steps: epochs between two decays, n in the paper."""
-    decay_times: int = 10
-    """steps: how often, at most."""
-    average: float = 0.998
-    """Decay per step of the moving average of weights that is kept; 0 keeps the last weights themselves."""
-    validation_share: float = 0.1
-    """Last part of each training sequence that is held out where no validation data is given; 0 for none."""
-    validation_images: int = 500
-    """Held-out images that are judged, evenly spaced, at most."""
-    select_by: Literal["log_density", "sample_recall", "mode_recall"] = "log_density"
-    """Figure on held-out images whose best epoch is kept; without held-out images it is the last."""
-    precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it."""
-    half: bool = True
-    """Store weight matrices as float16."""
-    seed: int = 0
-    """Of initial weights, order, augmentation and latent noise."""
-    device: Device = "auto"
-    """Where to train."""
-    resume: bool = True
-    """Go on with an interrupted training of the same output, configuration and data."""
-
-    def __post_init__(self) -> None:
-        for name in ("epochs", "batch_size", "learning_rate", "decay_epochs", "validation_images"):
-            if not getattr(self, name) > 0:
-                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
-        for name in ("average", "validation_share", "warmup"):
-            if not 0 <= getattr(self, name) < 1:
-                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
 
 
 @dataclass(frozen=True)
@@ -181,19 +121,8 @@ def train_on(
     if len(training) < 2:
         raise TrainingError(f"{', '.join(sequences)}: {len(training)} training images, expected at least 2")
     spaced = np.linspace(0, len(held_out) - 1, min(len(held_out), config.validation_images)).round().astype(int)
-    names = {"data": list(sequences), "validation": list(validation or ())}
+    names = {"data": list(sequences), "validation_data": list(validation or ())}
     return _fit(training, _select(held_out, spaced), names, Path(output), config, report)
-
-
-def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float:
-    """The learning rate of one step, counted from 0 over the whole training."""
-    if config.schedule == "steps":
-        decays = min(step // steps_per_epoch // config.decay_epochs, config.decay_times)
-        return config.learning_rate * config.decay_factor**decays
-    share = (step + 0.5) / (steps_per_epoch * config.epochs)
-    if share < config.warmup:
-        return config.learning_rate * (1 - math.cos(math.pi * share / config.warmup)) / 2
-    return config.learning_rate * (1 + math.cos(math.pi * (share - config.warmup) / (1 - config.warmup))) / 2
 
 
 def _fit(

@@ -94,16 +94,28 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     for name, value in tensors.items():
         group, _, rest = name.partition(".")
         groups.setdefault(group, {})[rest] = value
-    moments: dict[int, dict[str, Tensor]] = {}
-    for name, value in groups["optimizer"].items():
-        index, _, key = name.partition(".")
-        moments.setdefault(int(index), {})[key] = value
     try:
         state.network.load_state_dict(groups["network"])
         state.average.load_state_dict(groups["average"])
+        moments = _moments(groups["optimizer"], state.optimizer)
         state.optimizer.load_state_dict({**state.optimizer.state_dict(), "state": moments})
-    except (RuntimeError, ValueError) as error:
+    except (RuntimeError, ValueError, IndexError) as error:
         raise CheckpointError(f"{path}: {' '.join(str(error).split())}, expected the network's tensors") from error
     state.best = groups["best"]
     state.epoch = int(config["epoch"])
     state.history = [parse_config(path, "history", Validation, entry) for entry in config["history"]]
+
+
+def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) -> dict[int, dict[str, Tensor]]:
+    """Adam's moments by the index of their parameter, in the parameter's memory layout.
+
+    The fused Adam walks parameter and moments by address: a channels-last parameter with contiguous moments would
+    silently be updated with those of other elements.
+    """
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    moments: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        index, _, key = name.partition(".")
+        alike = value if key == "step" else torch.empty_like(parameters[int(index)]).copy_(value)
+        moments.setdefault(int(index), {})[key] = alike.detach()
+    return moments

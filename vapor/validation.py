@@ -62,9 +62,9 @@ def validate(
     floor = np.log(calibration.prior_floor)
     figures = []
     for i, samples in enumerate(predict(network, held_out, num_samples, seed)):
-        truth = held_out.poses[i]
+        truth = held_out.poses[[i]]
         density = calibration.density(samples)
-        log_density = density.log_density(Poses.concatenate([samples, truth[None]]))
+        log_density = density.log_density(Poses.concatenate([samples, truth]))
         translation_m, rotation_rad = samples.distance(truth)
         near = (translation_m < RECALL_TRANSLATION_M) & (rotation_rad < RECALL_ROTATION_RAD)
         figures.append((near.mean(), near[log_density[:-1].argmax()], np.logaddexp(log_density[-1], floor)))

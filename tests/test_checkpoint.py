@@ -1,0 +1,151 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from filtering.se3 import Poses
+from vapor import checkpoint as checkpoint_module
+from vapor.checkpoint import (
+    Calibration,
+    Checkpoint,
+    CheckpointError,
+    find_model,
+    load_checkpoint,
+    save_checkpoint,
+    thin_poses,
+)
+from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
+
+BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.1))
+SMALL = NetworkConfig(image_size=32, shortest_edge=36, feature_dim=16, latent_dim=4)
+
+
+def make_checkpoint(config: NetworkConfig = SMALL, num_poses: int = 30) -> Checkpoint:
+    torch.manual_seed(0)
+    poses = Poses.exp(np.random.default_rng(0).standard_normal((num_poses, 6)))
+    state = VariationalPoseRegressor(config, BOX).state_dict()
+    return Checkpoint(config, BOX, Calibration(temper=0.25), poses, state, {"data": ["a.mcap"], "seed": 3})
+
+
+def test_a_model_file_gives_back_exactly_what_was_saved(tmp_path):
+    saved = make_checkpoint()
+    save_checkpoint(tmp_path / "m.safetensors", saved)
+    loaded = load_checkpoint(tmp_path / "m.safetensors")
+    assert (loaded.network, loaded.box, loaded.calibration) == (saved.network, saved.box, saved.calibration)
+    assert loaded.training == saved.training
+    np.testing.assert_array_equal(loaded.training_poses.as_matrix(), saved.training_poses.as_matrix())
+    assert loaded.state_dict.keys() == saved.state_dict.keys()
+    assert all(torch.equal(loaded.state_dict[k], v) for k, v in saved.state_dict.items())
+    assert list(tmp_path.iterdir()) == [tmp_path / "m.safetensors"]
+
+
+def test_a_half_precision_demo_model_fits_in_eight_megabytes_and_predicts_the_same_to_millimetres(tmp_path):
+    path = tmp_path / "m.safetensors"
+    saved = make_checkpoint(NetworkConfig(), num_poses=5000)
+    save_checkpoint(path, saved, half=True)
+    assert path.stat().st_size <= 8_000_000
+    loaded = load_checkpoint(path)
+    assert len(loaded.training_poses) == 2000
+    assert all(v.dtype == torch.float32 for v in loaded.state_dict.values() if v.is_floating_point())
+    images, noise = torch.randn(2, 3, 128, 128), torch.randn(2, 10, 16)
+    with torch.inference_mode():
+        before, after = saved.build_network()(images, noise), load_checkpoint(path).build_network()(images, noise)
+    assert (before[0] - after[0]).abs().max() < 5e-3
+    assert (before[1] - after[1]).abs().max() < 5e-3
+
+
+def test_thinned_poses_are_evenly_spaced_and_keep_both_ends():
+    poses = Poses(np.broadcast_to(np.eye(3), (101, 3, 3)).copy(), np.arange(303.0).reshape(101, 3))
+    np.testing.assert_array_equal(thin_poses(poses, 11).translation[:, 0], np.arange(0, 303, 30))
+    assert thin_poses(poses, 101) is poses
+
+
+def test_an_error_while_saving_leaves_the_old_model_and_no_other_file(tmp_path):
+    path = tmp_path / "m.safetensors"
+    save_checkpoint(path, make_checkpoint())
+    before = path.read_bytes()
+    broken = replace(make_checkpoint(), training={"recall": float("nan")})
+    with pytest.raises(ValueError, match="JSON"):
+        save_checkpoint(path, broken)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def _without(mapping, key):
+    return {k: v for k, v in mapping.items() if k != key}
+
+
+def _edit_config(metadata, change):
+    config = json.loads(metadata["config"])
+    change(config)
+    return {**metadata, "config": json.dumps(config)}
+
+
+HEAD = "network.latent_mean.weight"
+MALFORMED = {
+    "no metadata": (lambda t, m: (t, None), "format is None"),
+    "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
+    "another version": (lambda t, m: (t, {**m, "version": "2"}), "version is '2', expected '1'"),
+    "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
+    "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "not JSON"),
+    "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
+    "surplus tensor": (lambda t, m: ({**t, "network.extra": torch.zeros(1)}, m), "surplus tensor network.extra"),
+    "wrong shape": (lambda t, m: ({**t, HEAD: torch.zeros(4, 15)}, m), r"shape \(4, 15\), expected \(4, 16\)"),
+    "tensor with NaN": (lambda t, m: ({**t, HEAD: torch.full((4, 16), torch.nan)}, m), f"{HEAD} has values that are"),
+    "no training poses": (
+        lambda t, m: ({**t, "training_poses.translation": torch.zeros(0, 3)}, m), "at least one training pose"
+    ),
+    "fewer rotations": (
+        lambda t, m: ({**t, "training_poses.rotation": torch.zeros(29, 3, 3)}, m), r"expected \(30, 3, 3\)"
+    ),
+    "missing setting": (lambda t, m: (t, _edit_config(m, lambda c: c["network"].pop("latent_dim"))), "latent_dim"),
+    "surplus setting": (lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(x=1))), r"surplus \['x'\]"),
+    "setting that is no number": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(temper="much"))), "temper 'much'"
+    ),
+    "unknown backbone": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(backbone="vgg"))), "network configuration"
+    ),
+    "flat box": (lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(lower=[0, 1]))), "three numbers"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MALFORMED)
+def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(tmp_path, case):
+    change, message = MALFORMED[case]
+    good, bad = tmp_path / "good.safetensors", tmp_path / "bad.safetensors"
+    save_checkpoint(good, make_checkpoint())
+    with safe_open(good, framework="pt") as file:
+        tensors, metadata = {k: file.get_tensor(k) for k in file.keys()}, file.metadata()  # noqa: SIM118
+    save_file(tensors, bad, metadata)
+    load_checkpoint(bad)  # unchanged, it is good
+    save_file(*(lambda pair: (pair[0], bad, pair[1]))(change(tensors, metadata)))
+    with pytest.raises(CheckpointError, match=rf"bad\.safetensors: .*{message}"):
+        load_checkpoint(bad)
+
+
+@pytest.mark.parametrize("damage", ["absent", "empty", "text", "truncated", "folder"])
+def test_what_is_no_safetensors_file_is_refused(tmp_path, damage):
+    path = tmp_path / "m.safetensors"
+    if damage == "folder":
+        path.mkdir()
+    elif damage != "absent":
+        save_checkpoint(path, make_checkpoint())
+        content = path.read_bytes()
+        path.write_bytes({"empty": b"", "text": b"hello, world", "truncated": content[: len(content) // 2]}[damage])
+    with pytest.raises(CheckpointError, match=r"m\.safetensors: .*expected a safetensors file"):
+        load_checkpoint(path)
+
+
+def test_models_are_found_by_path_or_by_the_name_they_ship_under(tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint_module, "_SHIPPED", tmp_path)
+    for name in ("staircase", "ceiling"):
+        (tmp_path / f"{name}.safetensors").write_bytes(b"")
+    assert find_model("staircase") == tmp_path / "staircase.safetensors"
+    assert find_model(str(tmp_path / "ceiling.safetensors")) == tmp_path / "ceiling.safetensors"
+    with pytest.raises(CheckpointError, match=r"atrium: no such model file.*ceiling, staircase"):
+        find_model("atrium")

@@ -1,0 +1,116 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from vapor.checkpoint import Calibration, Checkpoint, CheckpointError, save_checkpoint
+from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.observation import VaporObservationModel
+
+BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.0))
+CONFIG = NetworkConfig(image_size=32, shortest_edge=40, feature_dim=16, latent_dim=4)
+IMAGE = np.random.default_rng(7).integers(0, 256, (60, 80, 3), dtype=np.uint8)
+
+
+def make_checkpoint() -> Checkpoint:
+    torch.manual_seed(0)
+    poses = Poses.exp(np.random.default_rng(0).standard_normal((20, 6)))
+    return Checkpoint(CONFIG, BOX, Calibration(), poses, VariationalPoseRegressor(CONFIG, BOX).state_dict())
+
+
+MODEL = VaporObservationModel.from_checkpoint(make_checkpoint(), num_samples=50, device="cpu")
+
+
+def observe(image, seed=0, model=MODEL):
+    return model.observe(image, rng=np.random.default_rng(seed))
+
+
+def test_the_same_generator_gives_the_same_bits_and_another_one_others():
+    first, again, other = observe(IMAGE), observe(IMAGE), observe(IMAGE, seed=1)
+    np.testing.assert_array_equal(first.poses.as_matrix(), again.poses.as_matrix())
+    assert np.abs(first.poses.translation - other.poses.translation).max() > 1e-4
+
+
+def test_observing_draws_from_no_global_generator():
+    torch_before, numpy_before = torch.get_rng_state(), np.random.get_state()[1]  # noqa: NPY002
+    observe(IMAGE)
+    assert torch.equal(torch.get_rng_state(), torch_before)
+    np.testing.assert_array_equal(np.random.get_state()[1], numpy_before)  # noqa: NPY002
+
+
+def test_samples_are_rigid_transforms_inside_the_scene_box():
+    poses = observe(IMAGE).poses
+    assert poses.batch_shape == (50,)
+    assert poses.translation.dtype == np.float64
+    np.testing.assert_allclose(
+        poses.rotation @ np.swapaxes(poses.rotation, 1, 2), np.tile(np.eye(3), (50, 1, 1)), atol=1e-6
+    )
+    assert (poses.translation >= BOX.lower).all()
+    assert (poses.translation <= BOX.upper).all()
+
+
+def test_samples_are_those_of_the_network_for_the_same_noise():
+    noise = np.random.default_rng(0).standard_normal((50, 4), dtype=np.float32)
+    small = np.full((40, 40, 3), 90, np.uint8)  # no scaling, and every crop alike
+    network = make_checkpoint().build_network()
+    with torch.inference_mode():
+        pixels = network.normalise(torch.full((1, 32, 32, 3), 90, dtype=torch.uint8))
+        translation, _ = network(pixels, torch.from_numpy(noise)[None])
+    np.testing.assert_allclose(observe(small).poses.translation, translation[0].numpy(), atol=1e-5)
+
+
+def test_only_the_centre_of_the_image_matters():
+    wide = np.zeros((40, 120, 3), np.uint8)
+    wide[:, 40:80] = IMAGE[:40, :40]
+    other = wide.copy()
+    other[:, :40] = 255
+    other[:, 80:] = 17
+    np.testing.assert_array_equal(observe(wide).poses.translation, observe(other).poses.translation)
+    other[20, 60] = 255 - other[20, 60]
+    assert (observe(wide).poses.translation != observe(other).poses.translation).any()
+
+
+@pytest.mark.parametrize("shape", [(30, 45, 3), (480, 640, 3), (64, 48, 3)])
+def test_images_of_any_size_and_aspect_are_taken(shape):
+    assert observe(np.full(shape, 128, np.uint8)).poses.is_finite().all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype"),
+    [((40, 40), np.uint8), ((40, 40, 4), np.uint8), ((40, 40, 3), np.float64), ((0, 9, 3), np.uint8)],
+)
+def test_what_is_no_rgb_image_is_refused(shape, dtype):
+    with pytest.raises(VaporTrackError, match=r"expected \(H, W, 3\) uint8 RGB"):
+        observe(np.zeros(shape, dtype))
+
+
+def test_the_calibration_shapes_density_and_likelihood():
+    calibration = Calibration(
+        0.2, 0.3, outlier_floor=0.1, temper=1.0, prior_floor=0.01, prior_bandwidth_rotation_rad=0.5
+    )
+    model = VaporObservationModel(replace(make_checkpoint(), calibration=calibration), num_samples=50, device="cpu")
+    posterior = observe(IMAGE, model=model)
+    assert (posterior.density.bandwidth_translation_m, posterior.density.bandwidth_rotation_rad) == (0.2, 0.3)
+    poses = posterior.poses[:5]
+    prior = np.maximum(np.exp(calibration.likelihood(make_checkpoint().training_poses).prior.log_density(poses)), 0.01)
+    expected = (0.9 * np.exp(posterior.log_density(poses)) / prior + 0.1) / 0.1
+    np.testing.assert_allclose(np.exp(posterior.log_likelihood(poses)), expected, rtol=1e-6)
+
+
+def test_a_model_file_observes_as_the_checkpoint_it_was_saved_from(tmp_path):
+    save_checkpoint(tmp_path / "m.safetensors", make_checkpoint())
+    model = VaporObservationModel.from_checkpoint(str(tmp_path / "m.safetensors"), num_samples=50, device="cpu")
+    np.testing.assert_array_equal(observe(IMAGE, model=model).poses.translation, observe(IMAGE).poses.translation)
+
+
+def test_unknown_models_and_absent_devices_are_refused():
+    with pytest.raises(CheckpointError, match="atrium: no such model"):
+        VaporObservationModel.from_checkpoint("atrium")
+    with pytest.raises(VaporTrackError, match="num_samples is 0"):
+        VaporObservationModel(make_checkpoint(), num_samples=0)
+    if not torch.cuda.is_available():
+        with pytest.raises(VaporTrackError, match="no CUDA device"):
+            VaporObservationModel(make_checkpoint(), device="cuda")

@@ -1,0 +1,314 @@
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from filtering.se3 import Poses
+from sequences.frame import Frame
+from vapor.augment import AugmentConfig, jitter_and_normalise, random_crops
+from vapor.checkpoint import Calibration, CheckpointError, load_checkpoint
+from vapor.loss import LossConfig
+from vapor.network import NetworkConfig
+from vapor.observation import VaporObservationModel
+from vapor.presets import PRESETS
+from vapor.train import train, train_on
+from vapor.train_config import TrainConfig, learning_rate
+from vapor.training_set import TrainingError, held_out_tails, load_training_set
+from vapor.training_state import state_path
+
+STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0)
+TINY = TrainConfig(
+    network=NetworkConfig(
+        image_size=32, shortest_edge=36, feature_dim=64, latent_dim=4, hidden_width=64, hidden_layers=2
+    ),
+    loss=LossConfig(num_samples=64),
+    calibration=Calibration(1.0, 1.0),  # wide, so that a few steps move the held-out density
+    epochs=4,
+    batch_size=8,
+    validation_share=0.25,
+    precision="float32",
+    half=False,
+    device="cpu",
+)
+DESK = Path(__file__).parents[2] / "shared/data/tum_fr1/rgbd_dataset_freiburg1_xyz"
+
+
+def make_frames(count: int, seed: int = 0, places: int | None = None) -> list[Frame]:
+    """Noise images with random poses within ±2 m; image i is that of place i modulo `places`."""
+    rng = np.random.default_rng(seed)
+    images = rng.integers(0, 256, (places or count, 36, 48, 3), dtype=np.uint8)
+    tangents = rng.uniform(-1, 1, (count, 6)) * [2, 2, 2, 1, 1, 1]
+    return [Frame(i, images[i % len(images)], None, Poses.exp(t)) for i, t in enumerate(tangents)]
+
+
+# --- the story -------------------------------------------------------------------------------------
+
+
+def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
+    frames = make_frames(6, seed=5, places=3)  # three images, each taken at two poses
+    apart = [a.world_from_camera.distance(b.world_from_camera)[0] for a, b in zip(frames[:3], frames[3:], strict=True)]
+    assert min(apart) > 1.0
+    config = replace(
+        TINY,
+        augment=STILL,
+        epochs=3,
+        batch_size=12,
+        learning_rate=3e-3,
+        average=0.9,
+        validation_share=0.0,
+        resume=False,
+    )
+    result = train_on({"two places": frames * 120}, tmp_path / "m.safetensors", config)
+    model = VaporObservationModel.from_checkpoint(result.checkpoint, num_samples=400, device="cpu")
+    for i in range(3):
+        samples = model.observe(frames[i].image, rng=np.random.default_rng(i)).poses
+        near = [samples.distance(frames[j].world_from_camera)[0] < 0.3 for j in (i, i + 3)]
+        assert near[0].mean() > 0.15
+        assert near[1].mean() > 0.15
+        assert (near[0] | near[1]).mean() > 0.6
+
+
+# --- resume ----------------------------------------------------------------------------------------
+
+
+class _Interrupted(Exception):
+    pass
+
+
+def _interrupt_at(step: int):
+    def progress(p):
+        if p.stage == "training" and p.done == step:
+            raise _Interrupted
+
+    return progress
+
+
+def _same(a, b) -> bool:
+    return all(torch.equal(a.state_dict[k], v) for k, v in b.state_dict.items())
+
+
+def test_an_interrupted_training_ends_with_the_same_weights_as_an_uninterrupted_one(tmp_path):
+    frames = make_frames(24)
+    whole = train_on({"a": frames}, tmp_path / "whole.safetensors", TINY)
+    assert whole.best is whole.history[-1]  # so that the last weights are compared
+    output = tmp_path / "m.safetensors"
+    with pytest.raises(_Interrupted):  # 18 training images are two steps an epoch: in the middle of the third
+        train_on({"a": frames}, output, TINY, progress=_interrupt_at(5))
+    assert not output.exists()
+    assert state_path(output).exists()
+    steps = []
+    resumed = train_on({"a": frames}, output, TINY, progress=lambda p: steps.append((p.stage, p.done)))
+    assert [done for stage, done in steps if stage == "training"] == [5, 6, 7, 8]
+    assert _same(resumed.checkpoint, whole.checkpoint)
+    assert resumed.history == whole.history
+    assert not state_path(output).exists()
+    anew = train_on({"a": frames}, tmp_path / "other.safetensors", replace(TINY, seed=1))
+    assert not _same(anew.checkpoint, whole.checkpoint)
+
+
+def test_an_interrupted_training_of_another_configuration_is_not_continued(tmp_path):
+    output = tmp_path / "m.safetensors"
+    with pytest.raises(_Interrupted):
+        train_on({"a": make_frames(24)}, output, TINY, progress=_interrupt_at(3))
+    with pytest.raises(CheckpointError, match=r"m\.training\.safetensors: .*differs in epochs"):
+        train_on({"a": make_frames(24)}, output, replace(TINY, epochs=5))
+    with pytest.raises(CheckpointError, match="differs in data, images"):
+        train_on({"b": make_frames(40)}, output, TINY)
+    result = train_on({"a": make_frames(24)}, output, replace(TINY, epochs=1, resume=False))
+    assert len(result.history) == 1
+
+
+@pytest.mark.parametrize("content", [b"garbage", b""])
+def test_a_damaged_training_state_is_refused_by_name(tmp_path, content):
+    state_path(tmp_path / "m.safetensors").write_bytes(content)
+    with pytest.raises(CheckpointError, match=r"m\.training\.safetensors: cannot be read"):
+        train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", TINY)
+
+
+# --- what is kept ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("select_by", ["log_density", "sample_recall"])
+def test_the_epoch_that_is_best_on_held_out_images_is_kept(tmp_path, select_by):
+    config = replace(TINY, select_by=select_by, average=0.0, epochs=5)
+    result = train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", config)
+    assert [figures.epoch for figures in result.history] == [1, 2, 3, 4, 5]
+    figures = [getattr(v, select_by) for v in result.history]
+    assert result.best is result.history[int(np.argmax(figures))]
+    stored = load_checkpoint(tmp_path / "m.safetensors").training
+    assert stored["validation"]["epoch"] == result.best.epoch
+    assert stored["selected_by"] == select_by
+
+
+def test_box_and_prior_come_from_training_poses_only(tmp_path):
+    frames = make_frames(20)
+    far = [replace(f, world_from_camera=Poses(f.world_from_camera.rotation, np.array([90.0, 0, 0]))) for f in frames]
+    config = replace(TINY, epochs=1)
+    for number, validation in enumerate([None, {"b": far}]):
+        data = {"a": [*frames[:15], *far[:5]]} if validation is None else {"a": frames}
+        saved = train_on(data, tmp_path / f"{number}.safetensors", config, validation=validation).checkpoint
+        assert max(saved.box.upper) < 3.0
+        assert saved.training_poses.translation.max() < 3.0
+        assert len(saved.training_poses) == (15 if validation is None else 20)
+
+
+def test_the_model_file_tells_where_it_came_from_without_folders(tmp_path):
+    if not DESK.is_dir():
+        pytest.skip(f"no posed images: {DESK} is absent")
+    config = replace(TINY, epochs=1)
+    reading = []
+    train([f"{DESK}@0:10"], tmp_path / "m.safetensors", config, validation=[f"{DESK}@20:24"], progress=reading.append)
+    training = load_checkpoint(tmp_path / "m.safetensors").training
+    assert training["data"] == ["rgbd_dataset_freiburg1_xyz@0:10"]
+    assert training["validation_data"] == ["rgbd_dataset_freiburg1_xyz@20:24"]
+    assert training["training_images"] == training["images_seen"] == 10
+    assert [p.done for p in reading if p.stage == "reading"] == list(range(1, 11))
+    assert str(DESK.parent) not in str(training)
+
+
+def test_a_loss_that_is_not_finite_ends_the_training(tmp_path):
+    config = replace(TINY, loss=LossConfig(num_samples=8, lambda_translation=float("inf")))
+    with pytest.raises(TrainingError, match=r"loss is .* in epoch 1, step 1"):
+        train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", config)
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- schedules and presets -------------------------------------------------------------------------
+
+
+def test_the_papers_rate_decays_by_a_factor_every_n_epochs_ten_times():
+    config = PRESETS["paper-7scenes"]
+    rates = [learning_rate(config, epoch * 7 + step, 7) for epoch in range(120) for step in range(7)]
+    expected = [1e-4 * 0.8 ** min(epoch // 10, 10) for epoch in range(120) for _ in range(7)]
+    np.testing.assert_allclose(rates, expected)
+
+
+def test_one_cycle_rises_to_the_peak_and_falls_to_nothing():
+    config = TrainConfig(epochs=10, warmup=0.2, learning_rate=1e-3)
+    rates = np.array([learning_rate(config, step, 10) for step in range(100)])
+    assert (np.diff(rates[:20]) > 0).all()
+    assert (np.diff(rates[20:]) < 0).all()
+    assert rates.max() == pytest.approx(1e-3, rel=0.01)
+    assert rates[0] < 1e-5
+    assert rates[-1] < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "lambda_r", "batch", "epochs", "n", "alpha", "layers"),
+    [
+        ("paper-7scenes", 10, 64, 100, 10, 0.2, 3),
+        ("paper-cambridge", 100, 64, 500, 50, 0.2, 3),
+        ("paper-ambiguous", 2, 4, 500, 50, 0.2, 3),
+        ("paper-ceiling", 2, 4, 2000, 50, 0.05, 9),
+        ("paper-synthetic", 2, 4, 500, 50, 0.2, 3),
+    ],
+)
+def test_paper_presets_have_the_papers_numbers(name, lambda_r, batch, epochs, n, alpha, layers):
+    c = PRESETS[name]
+    assert (c.loss.lambda_translation, c.loss.lambda_rotation, c.loss.alpha) == (5, lambda_r, alpha)
+    assert (c.loss.beta, c.loss.num_samples, c.batch_size, c.epochs) == (0.01, 1000, batch, epochs)
+    assert (c.schedule, c.learning_rate, c.decay_factor, c.decay_epochs, c.decay_times) == ("steps", 1e-4, 0.8, n, 10)
+    assert (c.network.backbone, c.network.latent_dim, c.network.hidden_layers) == ("resnet18", 16, layers)
+    assert (c.network.feature_dim, c.network.hidden_width) == (2048, 128)
+    assert (c.network.shortest_edge, c.network.image_size, c.augment.crop) == (256, 224, "anywhere")
+    assert (c.weight_decay, c.average, c.precision) == (0.0, 0.0, "float32")
+
+
+# --- data ------------------------------------------------------------------------------------------
+
+
+def test_training_images_are_scaled_to_the_shortest_edge_and_keep_their_order():
+    frames = make_frames(5)
+    whole = load_training_set({"a": frames[:2], "b": frames[2:]}, 18, square=False)
+    assert whole.images.shape == (5, 18, 24, 3)
+    np.testing.assert_array_equal(whole.sequence, [0, 0, 1, 1, 1])
+    np.testing.assert_array_equal(whole.poses[3].as_matrix(), frames[3].world_from_camera.as_matrix())
+    means = frames[3].image.reshape(18, 2, 24, 2, 3).mean(axis=(1, 3))  # halved: each pixel the mean of four
+    np.testing.assert_allclose(whole.images[3], means, atol=0.5)
+    square = load_training_set({"a": frames}, 18)
+    np.testing.assert_array_equal(square.images, whole.images[:, :, 3:21])
+
+
+def test_images_of_different_size_are_cropped_alike_or_refused():
+    frames = make_frames(2)
+    frames[1] = replace(frames[1], image=np.zeros((100, 90, 3), np.uint8))
+    assert load_training_set({"a": frames}, 36).images.shape == (2, 36, 36, 3)
+    with pytest.raises(TrainingError, match="a: image at 1 ns is 36 x 40 after scaling, expected 48 x 36"):
+        load_training_set({"a": frames}, 36, square=False)
+
+
+def test_sequences_without_usable_poses_are_refused_by_name():
+    frames = [replace(f, world_from_camera=None) for f in make_frames(3)]
+    with pytest.raises(TrainingError, match="b: no image with a true pose"):
+        load_training_set({"a": make_frames(3), "b": frames}, 36)
+    frames[1] = replace(frames[1], world_from_camera=Poses(np.eye(3), np.array([0.0, np.nan, 0.0])))
+    with pytest.raises(TrainingError, match="b: true pose at 1 ns is not finite"):
+        load_training_set({"b": frames}, 36)
+
+
+def test_held_out_images_are_the_last_of_each_sequence():
+    sequence = np.repeat([0, 1, 2], [20, 10, 2])
+    (held_out,) = np.nonzero(held_out_tails(sequence, 0.1))
+    np.testing.assert_array_equal(held_out, [18, 19, 29])
+    assert not held_out_tails(sequence, 0.0).any()
+
+
+# --- augmentation ----------------------------------------------------------------------------------
+
+
+def _jittered(images, config, seed=0):
+    mean, std = torch.tensor([100.0, 110.0, 120.0]), torch.tensor([50.0, 60.0, 70.0])
+    rng = np.random.default_rng(seed)
+    normalised = jitter_and_normalise(torch.from_numpy(images), mean, std, config, rng=rng)
+    return normalised * std[:, None, None] + mean[:, None, None]
+
+
+def test_without_augmentation_images_are_only_cropped_and_normalised():
+    images = np.random.default_rng(0).integers(0, 256, (3, 16, 16, 3), dtype=np.uint8)
+    crops = random_crops(images, np.arange(3), 16, STILL, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(crops, images)
+    np.testing.assert_allclose(_jittered(crops, STILL).permute(0, 2, 3, 1), images, atol=1e-3)
+
+
+def test_every_crop_is_a_part_of_its_image_and_all_offsets_occur():
+    rows, columns = np.mgrid[:8, :10].astype(np.uint8)
+    images = np.stack([np.stack([rows, columns, np.full_like(rows, i)], axis=-1) for i in range(4)])
+    indices = np.arange(400) % 4
+    crops = random_crops(images, indices, 6, STILL, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(crops[:, 0, 0, 2], indices)
+    np.testing.assert_array_equal(crops[:, :, :, :2] - crops[:, :1, :1, :2], images[:1, :6, :6, :2].repeat(400, axis=0))
+    assert {tuple(c) for c in crops[:, 0, 0, :2].tolist()} == set(itertools.product(range(3), range(5)))
+
+
+def test_blur_touches_its_share_of_the_images_and_keeps_their_mean():
+    images = np.random.default_rng(0).integers(0, 256, (1, 32, 32, 3), dtype=np.uint8)
+    config = replace(STILL, blur_probability=0.3, blur_sigma_px=2.0)
+    crops = random_crops(images, np.zeros(500, np.int64), 32, config, rng=np.random.default_rng(0))
+    blurred = (crops != images[0]).any(axis=(1, 2, 3))
+    assert blurred.mean() == pytest.approx(0.3, abs=0.06)  # three standard deviations of 500 draws
+    assert crops[blurred].mean() == pytest.approx(images.mean(), abs=1.0)
+    assert crops[blurred].std() < 0.5 * images.std()
+
+
+def test_brightness_scales_contrast_turns_about_the_mean_and_saturation_keeps_grey():
+    images = np.random.default_rng(0).integers(60, 120, (64, 32, 32, 3), dtype=np.uint8)
+    x = torch.from_numpy(images).permute(0, 3, 1, 2).float()
+    ratio = _jittered(images, replace(STILL, brightness=0.3)) / x
+    factors = ratio.mean(dim=(1, 2, 3))
+    torch.testing.assert_close(ratio, factors[:, None, None, None].expand_as(ratio))
+    assert factors.min() < 0.8
+    assert factors.max() > 1.2
+    assert ((factors > 0.7) & (factors < 1.3)).all()
+
+    contrasted = _jittered(images, replace(STILL, contrast=0.5))
+    spread = contrasted.std(dim=(1, 2, 3)) / x.std(dim=(1, 2, 3))
+    assert spread.max() - spread.min() > 0.5
+    assert (contrasted.mean(dim=(1, 2, 3)) - x.mean(dim=(1, 2, 3))).abs().max() < 3.0  # the mean is of a sixteenth
+
+    luma = torch.tensor([0.299, 0.587, 0.114])[:, None, None]
+    saturated = _jittered(images, replace(STILL, saturation=0.5))
+    torch.testing.assert_close((saturated * luma).sum(1), (x * luma).sum(1), atol=1e-3, rtol=0)
+    assert (saturated - x).abs().max() > 5.0

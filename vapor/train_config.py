@@ -1,0 +1,87 @@
+"""TrainConfig: how a network is trained, and the learning rate that follows from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from vapor.augment import AugmentConfig
+from vapor.checkpoint import Calibration
+from vapor.loss import LossConfig
+from vapor.network import NetworkConfig
+from vapor.observation import Device
+from vapor.training_set import TrainingError
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How a network is trained; the defaults are the fast schedule, the paper's are presets."""
+
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    """Shape of the network, and of its images."""
+    loss: LossConfig = field(default_factory=LossConfig)
+    """Weights of the loss."""
+    augment: AugmentConfig = field(default_factory=AugmentConfig)
+    """How much training images vary."""
+    calibration: Calibration = field(default_factory=Calibration)
+    """Kernel widths and likelihood, stored with the model."""
+    pretrained_weights: Path | None = None
+    """ImageNet weights of the backbone: safetensors, or a torch state dict with torchvision's names. Without it a
+    ResNet starts from random weights, EfficientNet-Lite0 from those of its package."""
+    epochs: int = 30
+    """Times every training image is seen."""
+    batch_size: int = 64
+    """Images per step."""
+    learning_rate: float = 1e-3
+    """Largest learning rate of Adam."""
+    weight_decay: float = 1e-2
+    """Decoupled weight decay of matrices (AdamW); 0 is Adam."""
+    schedule: Literal["one-cycle", "steps"] = "one-cycle"
+    """One cosine up and down, or a decay by a factor every so many epochs, as in the paper."""
+    warmup: float = 0.1
+    """one-cycle: share of the training in which the rate rises."""
+    decay_factor: float = 0.8
+    """steps: the factor."""
+    decay_epochs: int = 50
+    """steps: epochs between two decays, n in the paper."""
+    decay_times: int = 10
+    """steps: how often, at most."""
+    average: float = 0.998
+    """Decay per step of the moving average of weights that is kept; 0 keeps the last weights themselves."""
+    validation_share: float = 0.1
+    """Last part of each training sequence that is held out where no validation data is given; 0 for none."""
+    validation_images: int = 500
+    """Held-out images that are judged, evenly spaced, at most."""
+    select_by: Literal["log_density", "sample_recall", "mode_recall"] = "log_density"
+    """Figure on held-out images whose best epoch is kept; without held-out images it is the last."""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it."""
+    half: bool = True
+    """Store weight matrices as float16."""
+    seed: int = 0
+    """Of initial weights, order, augmentation and latent noise."""
+    device: Device = "auto"
+    """Where to train."""
+    resume: bool = True
+    """Go on with an interrupted training of the same output, configuration and data."""
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "batch_size", "learning_rate", "decay_epochs", "validation_images"):
+            if not getattr(self, name) > 0:
+                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
+        for name in ("average", "validation_share", "warmup"):
+            if not 0 <= getattr(self, name) < 1:
+                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
+
+
+def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float:
+    """The learning rate of one step, counted from 0 over the whole training."""
+    if config.schedule == "steps":
+        decays = min(step // steps_per_epoch // config.decay_epochs, config.decay_times)
+        return config.learning_rate * config.decay_factor**decays
+    share = (step + 0.5) / (steps_per_epoch * config.epochs)
+    if share < config.warmup:
+        return config.learning_rate * (1 - math.cos(math.pi * share / config.warmup)) / 2
+    return config.learning_rate * (1 + math.cos(math.pi * (share - config.warmup) / (1 - config.warmup))) / 2
