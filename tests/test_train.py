@@ -54,7 +54,7 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
     config = replace(
         TINY,
         augment=STILL,
-        epochs=3,
+        epochs=4,
         batch_size=12,
         learning_rate=3e-3,
         average=0.9,
@@ -65,7 +65,7 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
     model = VaporObservationModel.from_checkpoint(result.checkpoint, num_samples=400, device="cpu")
     for i in range(3):
         samples = model.observe(frames[i].image, rng=np.random.default_rng(i)).poses
-        near = [samples.distance(frames[j].world_from_camera)[0] < 0.3 for j in (i, i + 3)]
+        near = [samples.distance(frames[j].world_from_camera)[0] < 0.5 for j in (i, i + 3)]
         assert near[0].mean() > 0.15
         assert near[1].mean() > 0.15
         assert (near[0] | near[1]).mean() > 0.6
