@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from filtering.errors import VaporTrackError
+from filtering.posterior import KernelDensity
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration, Checkpoint, CheckpointError, save_checkpoint
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
@@ -35,10 +36,10 @@ def test_the_same_generator_gives_the_same_bits_and_another_one_others():
 
 
 def test_observing_draws_from_no_global_generator():
-    torch_before, numpy_before = torch.get_rng_state(), np.random.get_state()[1]  # noqa: NPY002
+    torch_before, numpy_before = torch.get_rng_state(), np.random.get_state(legacy=False)["state"]["key"]  # noqa: NPY002
     observe(IMAGE)
     assert torch.equal(torch.get_rng_state(), torch_before)
-    np.testing.assert_array_equal(np.random.get_state()[1], numpy_before)  # noqa: NPY002
+    np.testing.assert_array_equal(np.random.get_state(legacy=False)["state"]["key"], numpy_before)  # noqa: NPY002
 
 
 def test_samples_are_rigid_transforms_inside_the_scene_box():
@@ -95,7 +96,8 @@ def test_the_calibration_shapes_density_and_likelihood():
     posterior = observe(IMAGE, model=model)
     assert (posterior.density.bandwidth_translation_m, posterior.density.bandwidth_rotation_rad) == (0.2, 0.3)
     poses = posterior.poses[:5]
-    prior = np.maximum(np.exp(calibration.likelihood(make_checkpoint().training_poses).prior.log_density(poses)), 0.01)
+    training_poses = make_checkpoint().training_poses
+    prior = np.maximum(np.exp(KernelDensity(training_poses, 0.3, 0.5).log_density(poses)), 0.01)
     expected = (0.9 * np.exp(posterior.log_density(poses)) / prior + 0.1) / 0.1
     np.testing.assert_allclose(np.exp(posterior.log_likelihood(poses)), expected, rtol=1e-6)
 

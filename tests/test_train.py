@@ -44,12 +44,17 @@ def make_frames(count: int, seed: int = 0, places: int | None = None) -> list[Fr
     return [Frame(i, images[i % len(images)], None, Poses.exp(t)) for i, t in enumerate(tangents)]
 
 
+def pose(frame: Frame) -> Poses:
+    assert frame.world_from_camera is not None
+    return frame.world_from_camera
+
+
 # --- the story -------------------------------------------------------------------------------------
 
 
 def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
     frames = make_frames(6, seed=5, places=3)  # three images, each taken at two poses
-    apart = [a.world_from_camera.distance(b.world_from_camera)[0] for a, b in zip(frames[:3], frames[3:], strict=True)]
+    apart = [pose(a).distance(pose(b))[0] for a, b in zip(frames[:3], frames[3:], strict=True)]
     assert min(apart) > 1.0
     config = replace(
         TINY,
@@ -65,7 +70,7 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
     model = VaporObservationModel.from_checkpoint(result.checkpoint, num_samples=400, device="cpu")
     for i in range(3):
         samples = model.observe(frames[i].image, rng=np.random.default_rng(i)).poses
-        near = [samples.distance(frames[j].world_from_camera)[0] < 0.5 for j in (i, i + 3)]
+        near = [samples.distance(pose(frames[j]))[0] < 0.5 for j in (i, i + 3)]
         assert near[0].mean() > 0.15
         assert near[1].mean() > 0.15
         assert (near[0] | near[1]).mean() > 0.6
@@ -137,6 +142,7 @@ def test_the_epoch_that_is_best_on_held_out_images_is_kept(tmp_path, select_by):
     result = train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", config)
     assert [figures.epoch for figures in result.history] == [1, 2, 3, 4, 5]
     figures = [getattr(v, select_by) for v in result.history]
+    assert result.best is not None
     assert result.best is result.history[int(np.argmax(figures))]
     stored = load_checkpoint(tmp_path / "m.safetensors").training
     assert stored["validation"]["epoch"] == result.best.epoch
@@ -145,7 +151,7 @@ def test_the_epoch_that_is_best_on_held_out_images_is_kept(tmp_path, select_by):
 
 def test_box_and_prior_come_from_training_poses_only(tmp_path):
     frames = make_frames(20)
-    far = [replace(f, world_from_camera=Poses(f.world_from_camera.rotation, np.array([90.0, 0, 0]))) for f in frames]
+    far = [replace(f, world_from_camera=Poses(pose(f).rotation, np.array([90.0, 0, 0]))) for f in frames]
     config = replace(TINY, epochs=1)
     for number, validation in enumerate([None, {"b": far}]):
         data = {"a": [*frames[:15], *far[:5]]} if validation is None else {"a": frames}
@@ -174,6 +180,15 @@ def test_a_loss_that_is_not_finite_ends_the_training(tmp_path):
     with pytest.raises(TrainingError, match=r"loss is .* in epoch 1, step 1"):
         train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", config)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_output_folder_is_told_before_anything_is_read(tmp_path):
+    def unread():
+        raise AssertionError("frames were read")
+        yield
+
+    with pytest.raises(TrainingError, match=r"m\.safetensors: .*expected the folder .*absent to exist"):
+        train_on({"a": unread()}, tmp_path / "absent/m.safetensors", TINY)
 
 
 # --- schedules and presets -------------------------------------------------------------------------
@@ -225,7 +240,7 @@ def test_training_images_are_scaled_to_the_shortest_edge_and_keep_their_order():
     whole = load_training_set({"a": frames[:2], "b": frames[2:]}, 18, square=False)
     assert whole.images.shape == (5, 18, 24, 3)
     np.testing.assert_array_equal(whole.sequence, [0, 0, 1, 1, 1])
-    np.testing.assert_array_equal(whole.poses[3].as_matrix(), frames[3].world_from_camera.as_matrix())
+    np.testing.assert_array_equal(whole.poses[3].as_matrix(), pose(frames[3]).as_matrix())
     means = frames[3].image.reshape(18, 2, 24, 2, 3).mean(axis=(1, 3))  # halved: each pixel the mean of four
     np.testing.assert_allclose(whole.images[3], means, atol=0.5)
     square = load_training_set({"a": frames}, 18)

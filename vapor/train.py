@@ -110,6 +110,9 @@ def train_on(
     progress: ProgressCallback | None = None,
 ) -> TrainResult:
     """Train on frames by the name of their sequence; else as `train`."""
+    output = Path(output)
+    if not output.parent.is_dir():  # told now, not after hours of training
+        raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
     report = progress or (lambda _: None)
     edge, central = config.network.shortest_edge, config.augment.crop == "central"
     loaded = load_training_set(sequences, edge, square=central, progress=lambda n: report(Progress("reading", n)))
@@ -122,7 +125,7 @@ def train_on(
         raise TrainingError(f"{', '.join(sequences)}: {len(training)} training images, expected at least 2")
     spaced = np.linspace(0, len(held_out) - 1, min(len(held_out), config.validation_images)).round().astype(int)
     names = {"data": list(sequences), "validation_data": list(validation or ())}
-    return _fit(training, _select(held_out, spaced), names, Path(output), config, report)
+    return _fit(training, _select(held_out, spaced), names, output, config, report)
 
 
 def _fit(
