@@ -12,7 +12,7 @@ from sequences.scenes.surface import Scene
 # Where in the pixel the rays of successive sub-exposures pass: the R2 sequence (Roberts 2018), which fills the pixel
 # evenly for any number of them.
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
-_ROUGHNESS = np.float32(0.03)  # spread of mirror reflections, radians
+_ROUGHNESS = 0.03  # spread of mirror reflections, radians
 _FAINT = 0.02  # reflections weaker than this are not followed
 _MISS = np.array([0.5, 0.6, 0.7], np.float32)
 
@@ -87,7 +87,7 @@ def _colour(
     shiny, incoming, normal, cosine, fresnel = (a[kept] for a in (shiny, incoming, normal, cosine, fresnel))
     if len(shiny):
         mirrored = incoming + 2 * cosine[:, None] * normal
-        mirrored += _ROUGHNESS * rng.standard_normal(mirrored.shape, np.float32)
+        mirrored += np.float32(_ROUGHNESS) * rng.standard_normal(mirrored.shape, np.float32)
         start = origin[shiny] + distance[shiny, None] * direction[shiny] + np.float32(1e-3) * normal
         reflected, _, _ = _look_up(scene, start, mirrored)
         colour[shiny] += fresnel[:, None] * reflected

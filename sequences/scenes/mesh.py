@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from numpy.typing import ArrayLike
 
 from sequences.scenes.texture import Material
+
+Vector: TypeAlias = tuple[float | int, float | int, float | int] | np.ndarray
+"""x, y, z in metres."""
 
 
 @dataclass
@@ -27,11 +30,11 @@ class Part:
     cue: bool = False
     quads: list[tuple[np.ndarray, np.ndarray, np.ndarray, Material]] = field(default_factory=list)
 
-    def quad(self, origin: ArrayLike, edge_u: ArrayLike, edge_v: ArrayLike, material: Material) -> None:
+    def quad(self, origin: Vector, edge_u: Vector, edge_v: Vector, material: Material) -> None:
         """Add the parallelogram origin + s·edge_u + t·edge_v, seen from the side of edge_u × edge_v."""
         self.quads.append((np.array(origin, float), np.array(edge_u, float), np.array(edge_v, float), material))
 
-    def box(self, low: ArrayLike, high: ArrayLike, material: Material, faces: str = "xXyYzZ") -> None:
+    def box(self, low: Vector, high: Vector, material: Material, faces: str = "xXyYzZ") -> None:
         """Add faces of an axis-parallel box, seen from outside; lower case names the low side of an axis."""
         (x0, y0, z0), (x1, y1, z1) = np.array(low, float), np.array(high, float)
         dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
@@ -47,7 +50,7 @@ class Part:
             origin, edge_u, edge_v = sides[face]
             self.quad(origin, edge_u, edge_v, material)
 
-    def beam(self, start: ArrayLike, end: ArrayLike, radius: float, material: Material, sides: int = 6) -> None:
+    def beam(self, start: Vector, end: Vector, radius: float, material: Material, sides: int = 6) -> None:
         """Add the sides of a prism around the line from start to end: a rail, a pipe, a bar."""
         begin, axis = np.array(start, float), np.subtract(end, start).astype(float)
         helper = np.array([0.0, 0.0, 1.0]) if abs(axis[2]) < 0.9 * np.linalg.norm(axis) else np.array([1.0, 0.0, 0.0])

@@ -16,7 +16,7 @@ def sky(canvas: Canvas) -> np.ndarray:
     trees = np.clip((ridge - height) / 0.03, 0, 1)
     leaves = np.array([0.16, 0.21, 0.12]) * np.clip(1 + 0.35 * canvas.noise(0.04), 0.2, 2)[..., None]
     base = blend(base, leaves.astype(np.float32), trees)
-    house = inside(canvas, 0.62, -1, 1.4, 0.34)
+    house = inside(canvas, 0.62, -1.0, 1.4, 0.34)
     return blend(base, (0.38, 0.31, 0.26), house)
 
 

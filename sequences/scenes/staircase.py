@@ -20,7 +20,7 @@ FLOOR_HEIGHT = 2 * HALF
 ACROSS = 2 * WIDTH + WELL  # the stairwell in y
 FAR = LANDING + FLIGHT + HALF_LANDING  # the stairwell in x
 SLAB = 0.18
-TOP_HEIGHT = 2.75  # from the top landing to the roof
+TOP_HEIGHT = FLOOR_HEIGHT - SLAB  # from the top landing to the roof
 SLOPE = RISE / GOING
 INNER_A, INNER_B = WIDTH + 0.01, WIDTH + WELL - 0.01  # y of the balustrades
 
@@ -42,6 +42,7 @@ def placements() -> list[Placement]:
         Placement(_poster(), floors[POSTER_FLOOR : POSTER_FLOOR + 1]),
         Placement(_top(), top),
         Placement(_roof_walls(), top),
+        Placement(_undersides(), floors[:-1], lit_at=2),
     ]
 
 
@@ -128,7 +129,7 @@ def _flights() -> Part:
     part.box(
         (start + 0.5, 1.15, HALF - SLAB - 0.07),
         (start + 0.8, 1.45, HALF - SLAB),
-        texture.lit((1, 0.9, 0.74), 5.0),
+        texture.lit((1.0, 0.9, 0.74), 5.0),
         "xXyYz",
     )
     return part
@@ -217,15 +218,15 @@ def _door_at(part: Part, foot: np.ndarray, along: np.ndarray, out: np.ndarray) -
 
     def block(s0: float, z0: float, s1: float, z1: float, depth: float, material: Material) -> None:
         corners = [foot + along * s + up * z + out * d for s, z, d in ((s0, z0, 0.0), (s1, z1, depth))]
-        part.box(np.minimum(*corners).tolist(), np.maximum(*corners).tolist(), material)
+        part.box(np.minimum(*corners), np.maximum(*corners), material)
 
     leaf = foot + out * 0.012
     if np.dot(np.cross(along, up), out) > 0:
         part.quad(leaf, along * width, up * height, DOOR)
     else:
         part.quad(leaf + along * width, -along * width, up * height, DOOR)
-    block(-trim, 0, 0, height + trim, 0.035, FRAME)
-    block(width, 0, width + trim, height + trim, 0.035, FRAME)
+    block(-trim, 0.0, 0.0, height + trim, 0.035, FRAME)
+    block(width, 0.0, width + trim, height + trim, 0.035, FRAME)
     block(-trim, height, width + trim, height + trim, 0.035, FRAME)
     block(0.06, 0.93, 0.105, 1.13, 0.02, BRUSHED)
     block(0.065, 1.045, 0.20, 1.065, 0.06, BRUSHED)
@@ -295,4 +296,20 @@ def _roof_walls() -> Part:
     part.quad((LANDING, ACROSS, 0), (FAR - LANDING, 0, 0), (0, 0, TOP_HEIGHT), WALL_TOP)
     bottom = HALF - SLAB
     part.quad((FAR, ACROSS, bottom), (0, -ACROSS, 0), (0, 0, TOP_HEIGHT - bottom), WHITE)
+    return part
+
+
+def _undersides() -> Part:
+    """What closes the balustrades' strings and the soffits of a floor where one looks up at them."""
+    part = Part()
+    rise = FLIGHT * SLOPE
+    part.quad((LANDING + FLIGHT, 0, rise - 0.16), (0, WIDTH, 0), (0, 0, HALF - SLAB - rise + 0.16), WHITE)
+    part.quad((LANDING, ACROSS, HALF + rise - 0.16), (0, -WIDTH, 0), (0, 0, HALF - SLAB - rise + 0.16), WHITE)
+    for y, x0, z0, direction in ((INNER_A, LANDING, 0.0, 1), (INNER_B, LANDING + FLIGHT, HALF, -1)):
+        along, high = np.array([direction * FLIGHT, 0, rise]), np.array([0, 0, 0.42])
+        across = np.array([0, 0.024 * direction, 0])
+        low = np.array([x0, y, z0 - 0.18]) - across / 2
+        part.quad(low, across, along, STEEL)
+        part.quad(low + across, -across, high, STEEL)
+        part.quad(low + along, across, high, STEEL)
     return part

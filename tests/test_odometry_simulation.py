@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.odometry import OdometryNoise, simulate_odometry
+
+TIMES_NS = 20_000_000 * np.arange(1501, dtype=np.int64)  # 30 s at 50 Hz
+SILENT = OdometryNoise(0.0, 0.0, 0.0, 30.0, 0.0, 0.0)
+
+
+def walk(speed: float = 0.6, turn: float = 0.3) -> Poses:
+    seconds = TIMES_NS * 1e-9
+    tangent = np.zeros((len(seconds), 6))
+    tangent[:, 0], tangent[:, 5] = speed * seconds, turn * seconds
+    start = Poses.exp(np.array([3.0, -2.0, 1.0, 0.2, 0.1, 2.0]))
+    return start @ Poses.exp(tangent)
+
+
+def errors_over(step: int, seeds: int, noise: OdometryNoise) -> tuple[np.ndarray, np.ndarray]:
+    """Tangent errors (m, 6) of increments over `step` messages and the covariances stated for them (m, 6, 6)."""
+    true = walk()
+    errors, stated = [], []
+    for seed in range(seeds):
+        odom, twist = simulate_odometry(TIMES_NS, true, noise, rng=np.random.default_rng(seed))
+        at = np.arange(0, len(TIMES_NS) - step, step)
+        real = true[at].inverse() @ true[at + step]
+        measured = odom[at].inverse() @ odom[at + step]
+        errors.append((real.inverse() @ measured).log())
+        stated.append(np.stack([twist[i + 1 : i + step + 1].sum(axis=0) for i in at]) * 0.02**2)
+    return np.concatenate(errors), np.concatenate(stated)
+
+
+def test_odometry_without_noise_is_the_true_motion_from_the_identity():
+    true = walk()
+    odom, covariance = simulate_odometry(TIMES_NS, true, SILENT, rng=np.random.default_rng(0))
+    expected = true[:1].inverse() @ true
+    np.testing.assert_allclose(odom.as_matrix(), expected.as_matrix(), atol=1e-9)
+    assert np.abs(covariance).max() == 0
+    np.testing.assert_array_equal(odom.as_matrix()[0], np.eye(4))
+
+
+def test_errors_over_a_tenth_of_a_second_are_slightly_smaller_than_stated():
+    errors, stated = errors_over(5, 60, OdometryNoise())
+    nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(stated), errors)
+    assert 0.5 * 6 < nees.mean() < 0.95 * 6
+    # and in each direction by itself
+    ratio = (errors**2).mean(axis=0) / stated.diagonal(axis1=1, axis2=2).mean(axis=0)
+    assert (ratio < 1.0).all(), ratio
+    assert (ratio > 0.4).all(), ratio
+
+
+def test_stated_covariance_is_honest_where_drift_dominates_white_noise():
+    drifting = OdometryNoise(0.05, 0.05, 0.02, 30.0, 1e-4, 1e-4)
+    errors, stated = errors_over(5, 400, drifting)
+    ratio = (errors**2).mean(axis=0) / stated.diagonal(axis1=1, axis2=2).mean(axis=0)
+    assert (ratio[[0, 1, 2, 5]] < 1.0).all(), ratio  # within the scatter of 400 draws of what is constant in a run
+    assert (ratio[[0, 1, 2, 5]] > 0.4).all(), ratio
+
+
+def test_drift_after_a_walk_is_some_per_cent_of_it_and_some_degrees():
+    true = walk(turn=0.05)
+    relative, turned = [], []
+    for seed in range(60):
+        odom, _ = simulate_odometry(TIMES_NS, true, OdometryNoise(), rng=np.random.default_rng(seed))
+        away, angle = (true[0].inverse() @ true[-1]).distance(odom[-1])
+        relative.append(away / (0.6 * 30))
+        turned.append(np.degrees(angle))
+    assert 0.01 < np.median(relative) < 0.06
+    assert 1.0 < np.median(turned) < 5.0
+
+
+def test_the_same_seed_drifts_the_same_way_and_another_one_another_way():
+    runs = [simulate_odometry(TIMES_NS, walk(), OdometryNoise(), rng=np.random.default_rng(s))[0] for s in (1, 1, 2)]
+    np.testing.assert_array_equal(runs[0].translation, runs[1].translation)
+    assert np.abs(runs[0].translation - runs[2].translation).max() > 0.01
+
+
+def test_stamps_that_do_not_increase_are_refused():
+    times_ns = TIMES_NS.copy()
+    times_ns[7] = times_ns[6]
+    with pytest.raises(SequenceError, match=r"120000000 ns follows 120000000 ns, expected to increase"):
+        simulate_odometry(times_ns, walk(), SILENT, rng=np.random.default_rng(0))
+
+
+def test_stamps_and_poses_of_different_number_are_refused():
+    with pytest.raises(SequenceError, match=r"1500 stamps for 1501 poses"):
+        simulate_odometry(TIMES_NS[:-1], walk(), SILENT, rng=np.random.default_rng(0))

@@ -1,0 +1,249 @@
+from dataclasses import replace
+from itertools import islice
+
+import cv2
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.frame import Camera
+from sequences.render import depth_and_quads, render, sees_cue
+from sequences.scenes import ceiling, staircase
+from sequences.scenes.paths import roll_through_hall, walk_stairs
+from sequences.scenes.surface import Scene
+from sequences.synthesize import SCENES, load_scene, synthesize
+
+CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
+SIZE = {"width": 64, "height": 48}
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def name(request) -> str:
+    return request.param
+
+
+def look(position: tuple[float, float, float], yaw: float, pitch_down: float = 0.1) -> Poses:
+    forward = np.array([np.cos(yaw) * np.cos(pitch_down), np.sin(yaw) * np.cos(pitch_down), -np.sin(pitch_down)])
+    right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
+    return Poses(np.stack([right, np.cross(forward, right), forward], axis=1), np.array(position, float))
+
+
+def upward(x: float, y: float, yaw: float) -> Poses:
+    right, up = np.array([np.sin(yaw), -np.cos(yaw), 0.0]), np.array([0.0, 0.0, 1.0])
+    return Poses(np.stack([right, np.cross(up, right), up], axis=1), np.array([x, y, 0.9]))
+
+
+def shifted(pose: Poses, x: float, y: float, z: float) -> Poses:
+    return Poses(pose.rotation, pose.translation + np.array([x, y, z]))
+
+
+def picture(scene: Scene, pose: Poses) -> np.ndarray:
+    return render(scene, CAMERA, Poses.stack([pose] * 4), rng=np.random.default_rng(0))
+
+
+def matt(name: str) -> Scene:
+    """The scene without its glossy reflections, which scatter at random."""
+    scene = load_scene(name)
+    return replace(scene, gloss=np.zeros_like(scene.gloss))
+
+
+def share_that_differs(first: np.ndarray, second: np.ndarray) -> float:
+    return float((np.abs(first - second).max(axis=2) > 0.1 * (0.05 + first.mean(axis=2))).mean())
+
+
+# --- ambiguity: what looks the same, and what does not ---------------------------------------------
+
+STAIR_VIEWS = [look((1.0, 0.6, 1.6), 0.0), look((2.5, 0.6, 2.2), 0.1, 0.2), look((3.9, 1.9, 3.1), -0.4)]
+
+
+@pytest.mark.parametrize(("view", "levels"), [(0, (2, 4)), (1, (2, 4)), (2, (0, 2, 3))])
+def test_two_floors_look_the_same_from_the_same_place_on_them(view, levels):
+    scene, pose = matt("staircase"), STAIR_VIEWS[view]
+    first = picture(scene, shifted(pose, 0, 0, staircase.FLOOR_HEIGHT))
+    for level in levels:
+        second = picture(scene, shifted(pose, 0, 0, level * staircase.FLOOR_HEIGHT))
+        assert share_that_differs(first, second) < 0.01  # all but hairlines of rounding
+    nearby = picture(scene, shifted(pose, 0.15, 0, staircase.FLOOR_HEIGHT))
+    assert share_that_differs(first, nearby) > 0.2  # the measure does see a step aside
+
+
+@pytest.mark.parametrize("heading", [0.3, 2.0])
+def test_two_cells_of_the_ceiling_look_the_same_and_a_panel_further_does_not(heading):
+    scene, step = load_scene("ceiling"), ceiling.CELL * ceiling.PANEL
+    pose = upward(9.8, 8.2, heading)
+    assert not sees_cue(scene, CAMERA, Poses.stack([pose, shifted(pose, step, -step, 0)]), min_share=1e-9).any()
+    first = picture(scene, pose)
+    assert share_that_differs(first, picture(scene, shifted(pose, step, -step, 0))) < 0.03
+    assert share_that_differs(first, picture(scene, shifted(pose, ceiling.PANEL, 0, 0))) > 0.1
+    assert share_that_differs(first, picture(scene, upward(9.8, 8.2, heading + np.pi))) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("place", "unlike"),
+    [
+        (look((2.4, 0.6, 2.1 + 3 * staircase.FLOOR_HEIGHT), np.pi, 0.3), 2 * staircase.FLOOR_HEIGHT),  # the poster
+        (look((2.0, 0.6, 1.8), np.pi, 0.2), -2 * staircase.FLOOR_HEIGHT),  # the entrance
+        (look((0.6, 1.6, 1.6 + 5 * staircase.FLOOR_HEIGHT), 0.0), 3 * staircase.FLOOR_HEIGHT),  # the top
+    ],
+    ids=["poster", "entrance", "top"],
+)
+def test_unique_things_of_the_staircase_change_the_image_clearly(place, unlike):
+    scene, elsewhere = load_scene("staircase"), shifted(place, 0, 0, -unlike)
+    assert sees_cue(scene, CAMERA, Poses.stack([place, elsewhere])).tolist() == [True, False]
+    assert share_that_differs(picture(scene, place), picture(scene, elsewhere)) > 0.05
+
+
+def test_each_unique_thing_of_the_ceiling_is_seen_from_below_it():
+    spots = [(np.array(panel) + 0.5) * ceiling.PANEL for panel in (ceiling.OUTLET_AT, ceiling.HOLE_AT)]
+    spots += [
+        (np.mean(ceiling.STAIN_AT, axis=0) + 0.5) * ceiling.PANEL,
+        *map(np.array, (ceiling.PROJECTOR_AT, ceiling.SIGN_AT)),
+    ]
+    poses = Poses.stack([upward(float(x), float(y), 1.0) for x, y in spots])
+    assert sees_cue(load_scene("ceiling"), CAMERA, poses).all()
+    assert not sees_cue(load_scene("ceiling"), CAMERA, Poses.stack([upward(9.8, 8.2, 0.0)])).any()
+
+
+# --- poses and images agree ------------------------------------------------------------------------
+
+
+def test_depth_carries_the_picture_of_one_pose_onto_that_of_the_next(name):
+    sequence = synthesize(name, seed=4, num_frames=60)
+    scene, camera = sequence.scene, Camera(160, 120, 100.0, 100.0, 79.5, 59.5)
+    agreement, disagreement = [], []
+    for index in range(0, 50, 7):
+        first, second = sequence.world_from_camera[index], sequence.world_from_camera[index + 4]
+        pictures = [render(scene, camera, Poses.stack([p] * 4), rng=np.random.default_rng(0)) for p in (first, second)]
+        agreement.append(_photometric_error(scene, camera, pictures, first, second))
+        wrong = second @ Poses.exp(np.array([0.05, 0.05, 0, 0.04, 0.04, 0.04]))
+        disagreement.append(_photometric_error(scene, camera, pictures, first, wrong))
+    assert np.median(agreement) < 0.03
+    assert np.median(disagreement) > 2 * np.median(agreement)
+
+
+def _photometric_error(scene, camera, pictures, first: Poses, second: Poses) -> float:
+    """Mean difference of log brightness where a pixel of the first pose is seen, unhidden, from the second."""
+    from sequences.render import pixel_rays
+
+    depth, _ = depth_and_quads(scene, camera, first)
+    depth_there, _ = depth_and_quads(scene, camera, second)
+    there = second.inverse() @ first
+    points = pixel_rays(camera).astype(np.float64) * depth[..., None]
+    points = points @ there.rotation.T + there.translation
+    u = (camera.fx * points[..., 0] / points[..., 2] + camera.cx).astype(np.float32)
+    v = (camera.fy * points[..., 1] / points[..., 2] + camera.cy).astype(np.float32)
+    grey = [
+        np.log(0.02 + cv2.GaussianBlur(p.mean(axis=2), (0, 0), 1.5)) for p in pictures
+    ]  # texture is finer than pixels
+    seen = cv2.remap(depth_there, u, v, cv2.INTER_NEAREST, borderValue=-1.0)
+    visible = (np.abs(seen - points[..., 2]) < 0.03 * points[..., 2]) & (points[..., 2] > 0.1)
+    assert visible.mean() > 0.2
+    warped = cv2.remap(grey[1], u, v, cv2.INTER_LINEAR)
+    return float(np.median(np.abs(warped - grey[0])[visible]))
+
+
+def test_true_camera_poses_are_base_poses_times_extrinsics_at_the_stamps(name):
+    sequence = synthesize(name, seed=1, num_frames=30)
+    seconds = (sequence.odometry_times_ns - sequence.odometry_times_ns[0]) * 1e-9
+    at = (sequence.image_times_ns - sequence.odometry_times_ns[0]) * 1e-9
+    base = sequence.world_from_camera @ sequence.base_from_camera.inverse()
+    expected = np.stack([np.interp(at, seconds, sequence.world_from_base.translation[:, k]) for k in range(3)], axis=1)
+    np.testing.assert_allclose(base.translation, expected, atol=1e-4)
+
+
+def test_no_camera_passes_through_a_wall_or_comes_too_near_to_one(name):
+    scene = load_scene(name)
+    for seed, split in ((0, "train"), (1, "test")):
+        sequence = synthesize(name, seed=seed, num_frames=1500, split=split, **SIZE)
+        eye = (sequence.world_from_base @ sequence.base_from_camera).translation
+        assert not scene.tracer.blocked(eye[:-1], np.diff(eye, axis=0)).any()
+        around = np.random.default_rng(0).standard_normal((40, 3))
+        around /= np.linalg.norm(around, axis=1, keepdims=True)
+        some = eye[::5]
+        assert not scene.tracer.blocked(np.repeat(some, 40, axis=0), 0.1 * np.tile(around, (len(some), 1))).any()
+        _, _, _, far = scene.tracer.first_hit(np.repeat(some, 40, axis=0), np.tile(around, (len(some), 1)))
+        assert far.max() < 40  # and never out of the building
+
+
+# --- sequences -------------------------------------------------------------------------------------
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_or_split_does_not(name):
+    def first_images(seed: int, split: str) -> np.ndarray:
+        return np.stack(list(islice(synthesize(name, seed=seed, num_frames=30, split=split, **SIZE).images(), 3)))
+
+    original = first_images(5, "test")
+    assert original.dtype == np.uint8
+    assert original.shape == (3, 48, 64, 3)
+    np.testing.assert_array_equal(original, first_images(5, "test"))
+    assert (original != first_images(6, "test")).mean() > 0.3
+    assert (original != first_images(5, "train")).mean() > 0.3
+
+
+def test_images_can_be_iterated_again_and_are_as_many_as_their_stamps(name):
+    sequence = synthesize(name, seed=2, num_frames=4, **SIZE)
+    once, again = list(sequence.images()), list(sequence.images())
+    assert len(once) == len(sequence.image_times_ns) == len(sequence.world_from_camera) == 4
+    np.testing.assert_array_equal(np.stack(once), np.stack(again))
+
+
+def test_odometry_at_50_hz_covers_images_at_10_hz_with_a_margin(name):
+    sequence = synthesize(name, seed=0, num_frames=25)
+    assert set(np.diff(sequence.image_times_ns)) == {100_000_000}
+    assert set(np.diff(sequence.odometry_times_ns)) == {20_000_000}
+    assert sequence.odometry_times_ns[0] < sequence.image_times_ns[0] - 200_000_000
+    assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
+    np.testing.assert_array_equal(sequence.odom_from_base.as_matrix()[0], np.eye(4))
+    assert len(sequence.odom_from_base) == len(sequence.twist_covariances) == len(sequence.odometry_times_ns)
+
+
+def test_test_paths_pass_something_unique_in_their_first_half_but_seldom(name):
+    for seed in range(8):
+        sequence = synthesize(name, seed=seed, num_frames=300, **SIZE)
+        seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
+        assert seen[:150].sum() >= 5
+        assert seen.mean() < 0.25
+
+
+def test_images_are_exposed_neither_black_nor_white(name):
+    sequence = synthesize(name, seed=3, num_frames=40, **SIZE)
+    levels = np.array([np.median(image) for image in islice(sequence.images(), 0, None, 5)])
+    assert (levels > 50).all()
+    assert (levels < 210).all()
+
+
+def test_long_walks_visit_every_floor_both_ways():
+    heights, ups = [], []
+    for seed in range(4):
+        walk = walk_stairs(300.0, rng=np.random.default_rng(seed))
+        heights.append(walk.translation[:, 2])
+        ups.append(np.gradient(walk.translation[:, 2], 0.02))
+    floor = np.concatenate(heights) // staircase.FLOOR_HEIGHT
+    climb = np.concatenate(ups)
+    for level in range(staircase.NUM_FLOORS - 1):
+        assert (floor == level).mean() > 0.05
+        assert ((floor == level) & (climb > 0.1)).any()
+        assert ((floor == level) & (climb < -0.1)).any()
+
+
+def test_carts_visit_the_whole_hall_under_all_headings():
+    carts = [roll_through_hall(600.0, margin_m=1.0, rng=np.random.default_rng(seed)) for seed in range(3)]
+    xy = np.concatenate([cart.translation[:, :2] for cart in carts])
+    yaw = np.concatenate([np.arctan2(cart.rotation[:, 1, 0], cart.rotation[:, 0, 0]) for cart in carts])
+    visits, _, _ = np.histogram2d(xy[:, 0], xy[:, 1], bins=(4, 3), range=((0, ceiling.LENGTH), (0, ceiling.BREADTH)))
+    assert visits.min() > 0.02 * visits.sum()
+    headings, _ = np.histogram(yaw, bins=8, range=(-np.pi, np.pi))
+    assert headings.min() > 0.04 * headings.sum()
+    speed = np.linalg.norm(np.diff(xy[:1000], axis=0), axis=1) / 0.02
+    assert speed.max() < 1.0
+
+
+def test_an_unknown_scene_is_refused_and_the_known_ones_are_named():
+    with pytest.raises(SequenceError, match="unknown scene 'cellar', expected one of staircase, ceiling"):
+        synthesize("cellar", seed=0, num_frames=10)
+
+
+def test_a_sequence_of_no_frames_is_refused():
+    with pytest.raises(SequenceError, match="0 frames of 320 × 240 pixels"):
+        synthesize("ceiling", seed=0, num_frames=0)
