@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Generic
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, ModeConfig, Status, find_modes
 from filtering.motion import Odometry
 from filtering.particles import Particles
-from filtering.posterior import ObservationModel, PosePosterior
+from filtering.posterior import ObservationModel, PosePosterior, Posterior
 from filtering.proposal import mixture_log_weights, propose
 from filtering.recovery import Recovery, RecoveryConfig, agreement
 from filtering.se3 import Poses
@@ -57,7 +58,7 @@ class LocalizerConfig:
                 raise VaporTrackError(f"{name} is {value}, expected between {low} and {high}")
 
 
-class ParticleLocalizer:
+class ParticleLocalizer(Generic[Posterior]):
     """Localizes a camera from images and odometry; the filter's one mutable object.
 
     Args:
@@ -67,7 +68,7 @@ class ParticleLocalizer:
     """
 
     def __init__(
-        self, model: ObservationModel, config: LocalizerConfig | None = None, *, rng: np.random.Generator
+        self, model: ObservationModel[Posterior], config: LocalizerConfig | None = None, *, rng: np.random.Generator
     ) -> None:
         self.model = model
         self.config = config or LocalizerConfig()
@@ -88,10 +89,14 @@ class ParticleLocalizer:
         Raises:
             VaporTrackError: the odometry covariance is no covariance, or the posterior yields weights that are NaN.
         """
-        return self.update(self.model.observe(image, rng=self._model_rng), odom)
+        return self.update(self.observe(image), odom)
+
+    def observe(self, image: np.ndarray) -> Posterior:
+        """The posterior of one image (H, W, 3), uint8 RGB: the first half of `step`, one call of the model."""
+        return self.model.observe(image, rng=self._model_rng)
 
     def update(self, posterior: PosePosterior, odom: Odometry | None) -> Estimate:
-        """Localize one image whose posterior is at hand; `step` without the observation model."""
+        """Localize one image whose posterior is at hand: the second half of `step`."""
         if self._belief is None or odom is None:
             self._best = None
             particles, log_evidence = self._start(posterior)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -37,11 +37,14 @@ class PosePosterior(Protocol):
         ...
 
 
+Posterior = TypeVar("Posterior", bound=PosePosterior, covariant=True)
+
+
 @runtime_checkable
-class ObservationModel(Protocol):
+class ObservationModel(Protocol[Posterior]):
     """Maps an image to its posterior: one network call per image."""
 
-    def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
+    def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> Posterior:
         """The posterior of one image, (H, W, 3) uint8 RGB."""
         ...
 

@@ -1,0 +1,71 @@
+"""What the commands share: reading options, progress bars, and how results are shown."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+Options = TypeVar("Options")
+_MIN_WIDTH = 100  # of a table, where the output is no terminal
+
+
+def parse(command: str, options: type[Options], arguments: Sequence[str], *, default: Options | None = None) -> Options:
+    """Options from the words of the command line; wrong ones print what is wrong and exit with status 2."""
+    return tyro.cli(options, prog=f"vapor-track {command}", args=list(arguments), default=default)
+
+
+def usage_error(command: str, message: str) -> NoReturn:
+    """Exit with status 2 and one line."""
+    print(f"vapor-track {command}: {message}", file=sys.stderr)
+    sys.exit(2)
+
+
+@contextmanager
+def bar(verb: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar on standard error; yields a function of the number done and of all."""
+    with progress_display() as display:
+        task = display.add_task(verb, total=None)
+        yield lambda done, total: display.update(task, completed=done, total=max(done, total))
+
+
+def progress_display(*columns: str) -> Progress:
+    """A display of bars, counts and times; further `columns` are formats of a task's fields."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        *(TextColumn(column) for column in columns),
+        console=Console(stderr=True),
+    )
+
+
+def show(content: Any) -> None:
+    """Print text or a table on standard output."""
+    console = Console(highlight=False, soft_wrap=isinstance(content, str), markup=False)
+    if not console.is_terminal:
+        console.width = max(console.width, _MIN_WIDTH)
+    console.print(content)
+
+
+def show_skipped(skipped: Mapping[str, int]) -> None:
+    """Say what was left out, if anything was."""
+    for reason, count in skipped.items():
+        show(f"  skipped {count}: {reason}")
+
+
+def show_files(directory: Path, pictures: Sequence[str], *, recording: bool) -> None:
+    """Say where the results of a run lie."""
+    show(f"report     {directory / 'report.json'}")
+    show(f"pictures   {', '.join(str(directory / name) for name in pictures)}")
+    if recording:
+        show(f"recording  rerun {directory / 'recording.rrd'}")

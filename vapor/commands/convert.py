@@ -1,0 +1,54 @@
+"""`vapor-track convert`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+
+from sequences.convert import convert
+from sequences.odometry import OdometryNoise
+from vapor.commands.console import parse, show, show_skipped, usage_error
+
+
+@dataclass(frozen=True)
+class Options:
+    """Write a TUM RGB-D or 7-Scenes folder as an MCAP sequence."""
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder of the data set."""
+    output: tyro.conf.Positional[Path]
+    """MCAP file to write."""
+    odometry: Path | None = None
+    """Recorded odometry: a TUM trajectory of the camera, in any frame, of which only the relative motion counts."""
+    odometry_noise: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Simulate odometry from the true poses, with the noise below."""
+    noise: OdometryNoise = field(default_factory=OdometryNoise)
+    frames: str = ":"
+    """Which images, START:STOP."""
+    seed: int = 0
+    """Of simulated odometry."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command."""
+    o = parse("convert", Options, arguments)
+    match = re.fullmatch(r"(\d*):(\d*)", o.frames)
+    if match is None:
+        usage_error("convert", f"--frames {o.frames}, expected START:STOP with whole numbers")
+    if o.odometry is not None and o.odometry_noise:
+        usage_error("convert", "--odometry and --odometry-noise exclude each other")
+    start, stop = (int(number) if number else None for number in match.groups())
+    summary = convert(
+        o.dataset,
+        o.output,
+        odometry=o.odometry,
+        odometry_noise=o.noise if o.odometry_noise else None,
+        frames=slice(start, stop),
+        seed=o.seed,
+    )
+    show(f"{o.output}: {summary.num_images} images; odometry: {summary.odometry}")
+    show_skipped(summary.skipped)

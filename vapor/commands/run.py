@@ -1,0 +1,46 @@
+"""`vapor-track run`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sequences.reader import SequenceOptions
+from vapor.commands.console import bar, parse, show, show_files, show_skipped
+from vapor.report import format_table
+from vapor.run import RunConfig, run
+
+
+@dataclass(frozen=True)
+class Options:
+    """Localize the camera of a recorded sequence; write trajectories, report, pictures and recordings."""
+
+    sequence: tyro.conf.Positional[Path]
+    """MCAP file or rosbag2 folder with images and odometry."""
+    model: str
+    """Model file, or name of a model that ships with the package: staircase, ceiling."""
+    output: Path
+    """Directory for the results."""
+    reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
+    config: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command."""
+    options = parse("run", Options, arguments)
+    with bar("localizing") as advance:
+        result = run(
+            options.sequence,
+            options.model,
+            options.output,
+            options.config,
+            reading=options.reading,
+            progress=advance,
+        )
+    show(format_table(result.report, title=options.sequence.name))
+    show_skipped(result.report["skipped"])
+    show_files(options.output, result.pictures, recording=options.config.recording)

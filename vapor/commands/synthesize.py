@@ -1,0 +1,44 @@
+"""`vapor-track synthesize`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from sequences.synthesize import synthesize, write_synthetic
+from vapor.commands.console import bar, parse, show
+
+
+@dataclass(frozen=True)
+class Options:
+    """Render a sequence through a synthetic scene, with odometry and true poses."""
+
+    scene: tyro.conf.Positional[Literal["staircase", "ceiling"]]
+    """What the camera moves through."""
+    output: tyro.conf.Positional[Path]
+    """MCAP file to write."""
+    seed: int = 0
+    """Of path, odometry noise and sensor noise."""
+    frames: int = 300
+    """Number of images, ten a second."""
+    split: Literal["test", "train"] = "test"
+    """Test paths pass something unique in their first half; training paths go everywhere."""
+    width: int = 320
+    """Image width in pixels."""
+    height: int = 240
+    """Image height in pixels."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command."""
+    o = parse("synthesize", Options, arguments)
+    sequence = synthesize(
+        o.scene, seed=o.seed, num_frames=o.frames, split=o.split, width=o.width, height=o.height
+    )
+    with bar("rendering") as advance:
+        write_synthetic(sequence, o.output, progress=advance)
+    show(f"{o.output}: {o.frames} images, {o.output.stat().st_size / 1e6:.1f} MB")

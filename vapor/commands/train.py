@@ -1,0 +1,88 @@
+"""`vapor-track train`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from vapor.commands.console import parse, progress_display, show, usage_error
+from vapor.presets import PRESETS
+from vapor.train import Progress, TrainConfig, TrainResult, train
+from vapor.validation import Validation
+
+
+@dataclass(frozen=True)
+class Options:
+    """Train a pose regressor on sequences or data sets with true poses."""
+
+    data: tyro.conf.Positional[tuple[str, ...]]
+    """MCAP files or data set folders; PATH@START:STOP takes only those images of it."""
+    output: Path
+    """Model file to write (.safetensors)."""
+    validation: tuple[str, ...] = ()
+    """Held-out data; without it the last part of each training sequence is held out."""
+    preset: str = "demo"
+    """Named settings, of which the options below change single ones."""
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["demo"]
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command."""
+    name = _preset_name(arguments)
+    if name not in PRESETS:
+        usage_error("train", f"unknown preset {name!r}, expected one of {', '.join(PRESETS)}")
+    default = Options(data=tyro.MISSING, output=tyro.MISSING, preset=name, config=PRESETS[name])
+    options = parse("train", Options, arguments, default=default)
+    if not options.data:
+        usage_error("train", "no training data, expected at least one file or folder")
+    with _display() as report:
+        result = train(options.data, options.output, options.config, validation=options.validation, progress=report)
+    show(_summary(result, options.output))
+
+
+def _preset_name(arguments: Sequence[str]) -> str:
+    """The preset must be known before the options are read, since it is their default."""
+    for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
+        if word == "--preset":
+            return following
+        if word.startswith("--preset="):
+            return word.removeprefix("--preset=")
+    return Options.preset
+
+
+@contextmanager
+def _display() -> Iterator[Callable[[Progress], None]]:
+    with progress_display("{task.fields[figures]}") as display:
+        task = display.add_task("reading images", total=None, figures="")
+        stage = "reading"
+
+        def report(progress: Progress) -> None:
+            nonlocal stage
+            if progress.stage != stage:
+                stage = progress.stage
+                display.reset(task, description="training", total=progress.total)
+            figures = ""
+            if progress.loss is not None:
+                figures = f"epoch {progress.epoch}/{progress.epochs}  loss {progress.loss:.3f}"
+            if progress.validation is not None:
+                figures += f"  held out: {_recalls(progress.validation)}"
+            display.update(task, completed=progress.done, figures=figures)
+
+        yield report
+
+
+def _summary(result: TrainResult, output: Path) -> str:
+    size_mb = output.stat().st_size / 1e6
+    lines = [f"{output}: {size_mb:.1f} MB, {result.images_seen} images seen in {result.seconds / 60:.1f} minutes"]
+    if result.best is not None:
+        lines.append(f"kept epoch {result.best.epoch}; held out within 0.3 m and 20°: {_recalls(result.best)}")
+    return "\n".join(lines)
+
+
+def _recalls(figures: Validation) -> str:
+    return f"{100 * figures.sample_recall:.0f} % of samples, {100 * figures.mode_recall:.0f} % of best modes"

@@ -1,0 +1,204 @@
+"""Where sequence, regressor, filter, smoother, report and viewer meet: one run of `vapor-track run`."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+import resource
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from filtering.errors import VaporTrackError
+from filtering.estimate import Mode, posterior_modes
+from filtering.kalman import KalmanLocalizer
+from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+from filtering.smoothing import smooth
+from sequences.frame import Trajectory
+from sequences.reader import SequenceOptions, SequenceReader
+from sequences.tum import write_tum
+from sequences.writer import EstimateWriter
+from vapor.checkpoint import find_model
+from vapor.evaluate import FILES
+from vapor.observation import VaporObservationModel
+from vapor.record import RunRecord, RunRecorder, thin
+from vapor.report import build_report, write_pictures, write_report
+from vapor.view import NullViewer, RerunViewer
+
+_PUBLISHED_PARTICLES = 500
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Settings of a run, beside the sequence and the model."""
+
+    seed: int = 0
+    """Of all random draws: same seed, same file, same machine, same output."""
+    num_samples: int = 1000
+    """Posterior samples per image."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the network runs."""
+    recording: bool = True
+    """Write recording.rrd for the Rerun viewer."""
+    view: bool = False
+    """Open the Rerun viewer and stream into it."""
+    localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
+    """The particle filter."""
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run found.
+
+    Attributes:
+        record: Everything collected on the way.
+        report: Content of `report.json`.
+        pictures: Names of the pictures in the output directory.
+    """
+
+    record: RunRecord
+    report: dict[str, Any]
+    pictures: tuple[str, ...]
+
+
+def run(
+    sequence: Path,
+    model: str,
+    output: Path,
+    config: RunConfig | None = None,
+    *,
+    reading: SequenceOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> RunResult:
+    """Localize a recorded sequence and write everything about it into a directory.
+
+    Args:
+        sequence: MCAP file or rosbag2 folder.
+        model: Model file, or name of a model that ships with the package.
+        output: Directory for the results; made if absent. Its files appear when the run is complete, or not at all.
+        config: Settings.
+        reading: What to read of the sequence; None for all of it, as found.
+        progress: Called after every image with the number done and an upper bound of all.
+
+    Raises:
+        VaporTrackError: unusable sequence, model or output, or no image left to localize.
+    """
+    config, reading = config or RunConfig(), reading or SequenceOptions()
+    if output.exists() and not output.is_dir():
+        raise VaporTrackError(f"{output}: is a file, expected a directory to write the results to")
+    checkpoint = find_model(model)
+    reader = SequenceReader(sequence, reading)
+    observation_model = VaporObservationModel.from_checkpoint(
+        str(checkpoint), num_samples=config.num_samples, device=config.device
+    )
+    with _complete_directory(output) as partial:
+        record = _localize(reader, observation_model, partial, config, progress)
+        _write_trajectories(record, partial)
+        pictures = write_pictures(record, partial, title=sequence.name)
+        settings = _resolved(sequence, model, checkpoint, reader, {"run": asdict(config), "reading": asdict(reading)})
+        (partial / "config.json").write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
+        report = build_report(record)
+        write_report(partial / "report.json", report)
+    return RunResult(record, report, tuple(picture.name for picture in pictures))
+
+
+def _localize(
+    reader: SequenceReader,
+    model: VaporObservationModel,
+    directory: Path,
+    config: RunConfig,
+    progress: Callable[[int, int], None] | None,
+) -> RunRecord:
+    """Image by image: observe, update, show, write; then smooth."""
+    filter_rng, mode_rng = np.random.default_rng(config.seed).spawn(2)
+    localizer = ParticleLocalizer(model, config.localizer, rng=filter_rng)
+    kalman = KalmanLocalizer()
+    recorder = RunRecorder()
+    image_modes: list[tuple[Mode, ...]] = []
+    odometry: list[Odometry | None] = []
+    kalman_modes: list[Mode] = []
+    recording = directory / "recording.rrd" if config.recording else None
+    viewer = RerunViewer(recording, spawn=config.view) if recording or config.view else NullViewer()
+    with viewer, EstimateWriter(directory / "estimate.mcap") as writer:
+        for frame in reader:
+            begin = time.perf_counter()
+            posterior = localizer.observe(frame.image)
+            estimate = localizer.update(posterior, frame.odometry)
+            step_ms = 1e3 * (time.perf_counter() - begin)
+            alone = posterior_modes(posterior.poses, config.localizer.modes, rng=mode_rng)
+            image_modes.append(alone)
+            odometry.append(frame.odometry)
+            kalman_modes.append(kalman.update(alone[0], frame.odometry))
+            recorder.add(frame, alone[0].world_from_camera, estimate, step_ms)
+            modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
+            cloud = thin(estimate.particles, estimate.log_weights, _PUBLISHED_PARTICLES)
+            writer.write(frame.time_ns, modes, cloud)
+            viewer.log(frame, estimate, posterior.poses)
+            if progress is not None:
+                progress(len(recorder), reader.num_images)
+    record = recorder.finish(skipped=reader.skipped)
+    sure = np.array([status == "converged" for status in record.status])
+    smoothed = smooth(image_modes, odometry, record.filter, sure)
+    return recorder.finish(
+        skipped=reader.skipped,
+        smoothed=Trajectory(record.times_ns, smoothed),
+        kalman=Trajectory(record.times_ns, Poses.stack([mode.world_from_camera for mode in kalman_modes])),
+        peak_rss_mb=peak_rss_mb(),
+    )
+
+
+def peak_rss_mb() -> float:
+    """Peak resident memory of this process, MiB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def _write_trajectories(record: RunRecord, directory: Path) -> None:
+    for name, trajectory in record.methods.items():
+        write_tum(directory / FILES[name], trajectory)
+    if record.truth is not None:
+        write_tum(directory / "ground_truth.tum", record.truth)
+
+
+def _resolved(
+    sequence: Path, model: str, checkpoint: Path, reader: SequenceReader, settings: dict[str, Any]
+) -> dict[str, Any]:
+    """Every setting as it was used, and the versions it was used with."""
+    packages = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
+    return {
+        "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
+        "model": {"name": Path(model).name, "sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest()},
+        **settings,
+        "versions": {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in packages},
+    }
+
+
+@contextmanager
+def _complete_directory(directory: Path) -> Iterator[Path]:
+    """A neighbouring directory to write to; on success its files replace those of the same name in `directory`."""
+    directory = directory.absolute()
+    try:
+        directory.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{directory.name}.", suffix=".partial", dir=directory.parent))
+        partial.chmod(0o755)
+    except OSError as error:
+        raise VaporTrackError(f"{directory}: cannot write: {error.strerror or error}") from error
+    try:
+        yield partial
+        directory.mkdir(exist_ok=True)
+        for file in sorted(partial.iterdir()):
+            file.replace(directory / file.name)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
