@@ -181,7 +181,8 @@ def _resolved(
         "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
         "model": {"name": Path(model).name, "sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest()},
         **settings,
-        "versions": {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in packages},
+        "versions": {"python": platform.python_version()}
+        | {name: importlib.metadata.version(name) for name in packages},
     }
 
 

@@ -16,9 +16,12 @@ Options = TypeVar("Options")
 _MIN_WIDTH = 100  # of a table, where the output is no terminal
 
 
-def parse(command: str, options: type[Options], arguments: Sequence[str], *, default: Options | None = None) -> Options:
+def parse(command: str, options: type[Options], arguments: Sequence[str], default: Options | None = None) -> Options:
     """Options from the words of the command line; wrong ones print what is wrong and exit with status 2."""
-    return tyro.cli(options, prog=f"vapor-track {command}", args=list(arguments), default=default)
+    prog = f"vapor-track {command}"
+    if default is None:
+        return tyro.cli(options, prog=prog, args=list(arguments))
+    return tyro.cli(options, prog=prog, args=list(arguments), default=default)
 
 
 def usage_error(command: str, message: str) -> NoReturn:

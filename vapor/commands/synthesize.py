@@ -36,9 +36,7 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("synthesize", Options, arguments)
-    sequence = synthesize(
-        o.scene, seed=o.seed, num_frames=o.frames, split=o.split, width=o.width, height=o.height
-    )
+    sequence = synthesize(o.scene, seed=o.seed, num_frames=o.frames, split=o.split, width=o.width, height=o.height)
     with bar("rendering") as advance:
         write_synthetic(sequence, o.output, progress=advance)
     show(f"{o.output}: {o.frames} images, {o.output.stat().st_size / 1e6:.1f} MB")

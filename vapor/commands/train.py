@@ -37,7 +37,7 @@ def main(arguments: Sequence[str]) -> None:
     if name not in PRESETS:
         usage_error("train", f"unknown preset {name!r}, expected one of {', '.join(PRESETS)}")
     default = Options(data=tyro.MISSING, output=tyro.MISSING, preset=name, config=PRESETS[name])
-    options = parse("train", Options, arguments, default=default)
+    options = parse("train", Options, arguments, default)
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
     with _display() as report:

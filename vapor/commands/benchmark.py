@@ -1,0 +1,123 @@
+"""`vapor-track benchmark`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from rich.table import Table
+
+from vapor.benchmark import Trial, localize_trials, time_step
+from vapor.commands.console import bar, parse, show, usage_error
+from vapor.evaluate import THRESHOLDS
+from vapor.observation import VaporObservationModel
+from vapor.report import write_report
+from vapor.run import RunConfig
+
+_METHODS = ("single_image", "dead_reckoning", "kalman", "filter", "smoothed")
+
+
+@dataclass(frozen=True)
+class StepOptions:
+    """Time the parts of a step: decoding, network, filter."""
+
+    model: str = "staircase"
+    """Model file, or name of a model that ships with the package."""
+    num_samples: int = 1000
+    """Posterior samples per image."""
+    particles: tuple[int, ...] = (1000, 10000)
+    """Sizes of the filter."""
+    repetitions: int = 50
+    """Of every part."""
+    seed: int = 0
+    """Of all random draws."""
+
+
+@dataclass(frozen=True)
+class LocalizationOptions:
+    """Localize many synthetic sequences, and count successes."""
+
+    scene: tyro.conf.Positional[Literal["staircase", "ceiling"]]
+    """What the camera moves through."""
+    output: Path
+    """Directory for sequences, runs and summary.json; an interrupted benchmark of the same output goes on."""
+    model: str | None = None
+    """Model file, or name of a model that ships. Default: the scene's name."""
+    seeds: int = 10
+    """Number of sequences."""
+    first_seed: int = 1000
+    """Their seeds count up from here."""
+    frames: int = 300
+    """Images of each sequence."""
+    workers: int = 2
+    """Sequences at a time."""
+    config: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=lambda: RunConfig(recording=False))
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command."""
+    kinds = {"step": _step, "localization": _localization}
+    if not arguments or arguments[0] not in kinds:
+        usage_error("benchmark", f"expected one of {', '.join(kinds)} first")
+    kinds[arguments[0]](arguments[1:])
+
+
+def _step(arguments: Sequence[str]) -> None:
+    o = parse("benchmark step", StepOptions, arguments)
+    model = VaporObservationModel.from_checkpoint(o.model, num_samples=o.num_samples)
+    table = Table("part of a step", "median ms", "95 % ms")
+    for timing in time_step(model, repetitions=o.repetitions, particles=o.particles, seed=o.seed):
+        table.add_row(timing.part, f"{timing.median_ms:.2f}", f"{timing.p95_ms:.2f}")
+    show(table)
+
+
+def _localization(arguments: Sequence[str]) -> None:
+    o = parse("benchmark localization", LocalizationOptions, arguments)
+    seeds = range(o.first_seed, o.first_seed + o.seeds)
+    trials = [Trial(o.scene, seed, o.frames, o.model or o.scene) for seed in seeds]
+    o.output.mkdir(parents=True, exist_ok=True)
+    reports = []
+    with bar("localizing sequences") as advance:
+        for report in localize_trials(trials, o.output, o.config, workers=o.workers):
+            reports.append(report)
+            advance(len(reports), len(trials))
+    reports.sort(key=lambda report: report["seed"])
+    write_report(o.output / "summary.json", {"scene": o.scene, "runs": reports})
+    show(_runs_table(reports))
+    show(_methods_table(reports))
+
+
+def _runs_table(reports: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table("seed", "single image right", "filter right", "smoothed right", "converged at", "success")
+    for report in reports:
+        right = [
+            f"{100 * report[name]['recall']['0.3m/20deg']:.0f} %" for name in ("single_image", "filter", "smoothed")
+        ]
+        at_s = report["filter"]["converged_at_s"]
+        table.add_row(
+            str(report["seed"]),
+            *right,
+            "–" if at_s is None else f"{at_s:.1f} s",
+            "yes" if report["filter"]["success"] else "no",
+        )
+    return table
+
+
+def _methods_table(reports: Sequence[Mapping[str, Any]]) -> Table:
+    table = Table("all runs", "success", "median error", *(f"within {name}" for name in THRESHOLDS))
+    for method in _METHODS:
+        metrics = [report[method] for report in reports]
+        recalls = [f"{100 * np.mean([m['recall'][name] for m in metrics]):.0f} %" for name in THRESHOLDS]
+        successes = sum(m["success"] for m in metrics) if "success" in metrics[0] else None
+        median_m = np.median([m["median_translation_m"] for m in metrics])
+        table.add_row(
+            method.replace("_", " "),
+            "" if successes is None else f"{successes} of {len(reports)}",
+            f"{median_m:.2f} m",
+            *recalls,
+        )
+    return table
