@@ -13,7 +13,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import torch
 
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
@@ -111,7 +110,7 @@ def localize_trials(
         else:
             pending.append((trial, folder))
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
         futures = [pool.submit(_localize, trial, folder, config) for trial, folder in pending]
         for future in as_completed(futures):
             yield future.result()

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from filtering.errors import VaporTrackError
@@ -118,7 +118,8 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, half: bool = False) -
     }
     metadata = {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config, allow_nan=False)}
     with atomic_output(path) as temporary:
-        save_file({name: value.contiguous() for name, value in tensors.items()}, temporary, metadata)
+        # The library's own writing to a file would leave it readable for its owner only.
+        temporary.write_bytes(save({name: value.contiguous() for name, value in tensors.items()}, metadata))
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

@@ -7,9 +7,9 @@ import importlib.metadata
 import json
 import platform
 import resource
+import secrets
 import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -35,9 +35,11 @@ from vapor.evaluate import FILES
 from vapor.observation import VaporObservationModel
 from vapor.record import RunRecord, RunRecorder, thin
 from vapor.report import build_report, write_pictures, write_report
+from vapor.threads import limited_threads
 from vapor.view import NullViewer, RerunViewer
 
 _PUBLISHED_PARTICLES = 500
+_SOMETIMES_WRITTEN = (*FILES.values(), "ground_truth.tum", "errors.png", "recording.rrd")
 
 
 @dataclass(frozen=True)
@@ -50,12 +52,19 @@ class RunConfig:
     """Posterior samples per image."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where the network runs."""
+    threads: int = 1
+    """Processor threads of the network. More pay for a large network on an idle machine; on a busy one they cost."""
     recording: bool = True
     """Write recording.rrd for the Rerun viewer."""
     view: bool = False
     """Open the Rerun viewer and stream into it."""
     localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
     """The particle filter."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("seed", 0), ("num_samples", 1)):
+            if getattr(self, name) < least:
+                raise VaporTrackError(f"{name} is {getattr(self, name)}, expected at least {least}")
 
 
 @dataclass(frozen=True)
@@ -103,11 +112,13 @@ def run(
     observation_model = VaporObservationModel.from_checkpoint(
         str(checkpoint), num_samples=config.num_samples, device=config.device
     )
-    with _complete_directory(output) as partial:
+    with _complete_directory(output) as partial, limited_threads(config.threads):
         record = _localize(reader, observation_model, partial, config, progress)
         _write_trajectories(record, partial)
         pictures = write_pictures(record, partial, title=sequence.name)
-        settings = _resolved(sequence, model, checkpoint, reader, {"run": asdict(config), "reading": asdict(reading)})
+        device = str(observation_model.device)
+        settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
+        settings = _resolved(sequence, model, checkpoint, reader, settings)
         (partial / "config.json").write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
         report = build_report(record)
         write_report(partial / "report.json", report)
@@ -134,8 +145,11 @@ def _localize(
     with viewer, EstimateWriter(directory / "estimate.mcap") as writer:
         for frame in reader:
             begin = time.perf_counter()
-            posterior = localizer.observe(frame.image)
-            estimate = localizer.update(posterior, frame.odometry)
+            try:
+                posterior = localizer.observe(frame.image)
+                estimate = localizer.update(posterior, frame.odometry)
+            except VaporTrackError as error:
+                raise VaporTrackError(f"{reader.path}: image at {frame.time_ns} ns: {error}") from error
             step_ms = 1e3 * (time.perf_counter() - begin)
             alone = posterior_modes(posterior.poses, config.localizer.modes, rng=mode_rng)
             image_modes.append(alone)
@@ -188,18 +202,31 @@ def _resolved(
 
 @contextmanager
 def _complete_directory(directory: Path) -> Iterator[Path]:
-    """A neighbouring directory to write to; on success its files replace those of the same name in `directory`."""
+    """A hidden directory to write to; on success its files take the place of an earlier run's in `directory`."""
     directory = directory.absolute()
+    # In the directory itself where it exists: its parent may be another disk, or not be writable.
+    place = directory if directory.is_dir() else directory.parent
+    partial = place / f".{directory.name}.{secrets.token_hex(4)}.partial"
     try:
-        directory.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{directory.name}.", suffix=".partial", dir=directory.parent))
-        partial.chmod(0o755)
-    except OSError as error:
-        raise VaporTrackError(f"{directory}: cannot write: {error.strerror or error}") from error
-    try:
+        with _writing(directory):
+            partial.mkdir(parents=True)
         yield partial
-        directory.mkdir(exist_ok=True)
-        for file in sorted(partial.iterdir()):
-            file.replace(directory / file.name)
+        with _writing(directory):
+            directory.mkdir(exist_ok=True)
+            new = sorted(file.name for file in partial.iterdir())
+            for name in set(_SOMETIMES_WRITTEN) - set(new):  # of an earlier run, with other true poses or options
+                (directory / name).unlink(missing_ok=True)
+            for name in new:
+                (partial / name).replace(directory / name)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def _writing(directory: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise VaporTrackError(
+            f"{directory}: cannot write: {error.strerror or error}, expected a directory that can be written to"
+        ) from error

@@ -44,10 +44,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         importlib.import_module(f"vapor.commands.{name}").main(rest)
     except VaporTrackError as error:
-        print(f"vapor-track {name}: {error}", file=sys.stderr)
+        print(f"vapor-track {name}: {' '.join(str(error).splitlines())}", file=sys.stderr)
         return 1
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        print(f"vapor-track {name}: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(f"vapor-track {name}: interrupted", file=sys.stderr)

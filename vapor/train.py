@@ -113,6 +113,8 @@ def train_on(
     output = Path(output)
     if not output.parent.is_dir():  # told now, not after hours of training
         raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
+    if output.is_dir():
+        raise TrainingError(f"{output}: is a folder, expected the name of a model file to write")
     report = progress or (lambda _: None)
     edge, central = config.network.shortest_edge, config.augment.crop == "central"
     loaded = load_training_set(sequences, edge, square=central, progress=lambda n: report(Progress("reading", n)))

@@ -71,6 +71,8 @@ class TrainConfig:
         for name in ("epochs", "batch_size", "learning_rate", "decay_epochs", "validation_images"):
             if not getattr(self, name) > 0:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
+        if self.seed < 0:
+            raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
         for name in ("average", "validation_share", "warmup"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")

@@ -17,6 +17,7 @@ from vapor.evaluate import THRESHOLDS
 from vapor.observation import VaporObservationModel
 from vapor.report import write_report
 from vapor.run import RunConfig
+from vapor.threads import limited_threads
 
 _METHODS = ("single_image", "dead_reckoning", "kalman", "filter", "smoothed")
 
@@ -31,6 +32,8 @@ class StepOptions:
     """Posterior samples per image."""
     particles: tuple[int, ...] = (1000, 10000)
     """Sizes of the filter."""
+    threads: int = 1
+    """Processor threads of the network."""
     repetitions: int = 50
     """Of every part."""
     seed: int = 0
@@ -70,7 +73,9 @@ def _step(arguments: Sequence[str]) -> None:
     o = parse("benchmark step", StepOptions, arguments)
     model = VaporObservationModel.from_checkpoint(o.model, num_samples=o.num_samples)
     table = Table("part of a step", "median ms", "95 % ms")
-    for timing in time_step(model, repetitions=o.repetitions, particles=o.particles, seed=o.seed):
+    with limited_threads(o.threads):
+        timings = time_step(model, repetitions=o.repetitions, particles=o.particles, seed=o.seed)
+    for timing in timings:
         table.add_row(timing.part, f"{timing.median_ms:.2f}", f"{timing.p95_ms:.2f}")
     show(table)
 

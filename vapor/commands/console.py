@@ -12,6 +12,8 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from filtering.errors import VaporTrackError
+
 Options = TypeVar("Options")
 _MIN_WIDTH = 100  # of a table, where the output is no terminal
 
@@ -19,9 +21,12 @@ _MIN_WIDTH = 100  # of a table, where the output is no terminal
 def parse(command: str, options: type[Options], arguments: Sequence[str], default: Options | None = None) -> Options:
     """Options from the words of the command line; wrong ones print what is wrong and exit with status 2."""
     prog = f"vapor-track {command}"
-    if default is None:
-        return tyro.cli(options, prog=prog, args=list(arguments))
-    return tyro.cli(options, prog=prog, args=list(arguments), default=default)
+    try:
+        if default is None:
+            return tyro.cli(options, prog=prog, args=list(arguments))
+        return tyro.cli(options, prog=prog, args=list(arguments), default=default)
+    except VaporTrackError as error:  # a value that its dataclass refuses
+        usage_error(command, str(error))
 
 
 def usage_error(command: str, message: str) -> NoReturn:
@@ -38,9 +43,14 @@ def bar(verb: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: display.update(task, completed=done, total=max(done, total))
 
 
-def progress_display(*columns: str) -> Progress:
-    """A display of bars, counts and times; further `columns` are formats of a task's fields."""
-    return Progress(
+@contextmanager
+def progress_display(*columns: str) -> Iterator[Progress]:
+    """A display of bars, counts and times; further `columns` are formats of a task's fields.
+
+    Shown on terminals only, and gone after an error: what standard error then says is one line.
+    """
+    console = Console(stderr=True)
+    display = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -48,8 +58,15 @@ def progress_display(*columns: str) -> Progress:
         TextColumn("left"),
         TimeRemainingColumn(),
         *(TextColumn(column) for column in columns),
-        console=Console(stderr=True),
+        console=console,
+        disable=not console.is_terminal,
     )
+    with display:
+        try:
+            yield display
+        except BaseException:
+            display.live.transient = True
+            raise
 
 
 def show(content: Any) -> None:

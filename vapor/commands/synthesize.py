@@ -9,8 +9,9 @@ from typing import Literal
 
 import tyro
 
+from sequences.errors import SequenceError
 from sequences.synthesize import synthesize, write_synthetic
-from vapor.commands.console import bar, parse, show
+from vapor.commands.console import bar, parse, show, usage_error
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,10 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("synthesize", Options, arguments)
-    sequence = synthesize(o.scene, seed=o.seed, num_frames=o.frames, split=o.split, width=o.width, height=o.height)
+    try:
+        sequence = synthesize(o.scene, seed=o.seed, num_frames=o.frames, split=o.split, width=o.width, height=o.height)
+    except SequenceError as error:  # of numbers that no sequence can have
+        usage_error("synthesize", str(error))
     with bar("rendering") as advance:
         write_synthetic(sequence, o.output, progress=advance)
     show(f"{o.output}: {o.frames} images, {o.output.stat().st_size / 1e6:.1f} MB")

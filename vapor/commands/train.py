@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -40,7 +41,7 @@ def main(arguments: Sequence[str]) -> None:
     options = parse("train", Options, arguments, default)
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
-    with _display() as report:
+    with _display() if sys.stderr.isatty() else _log() as report:
         result = train(options.data, options.output, options.config, validation=options.validation, progress=report)
     show(_summary(result, options.output))
 
@@ -53,6 +54,22 @@ def _preset_name(arguments: Sequence[str]) -> str:
         if word.startswith("--preset="):
             return word.removeprefix("--preset=")
     return Options.preset
+
+
+@contextmanager
+def _log() -> Iterator[Callable[[Progress], None]]:
+    """For a log file: a line an epoch."""
+    last = 0
+
+    def report(progress: Progress) -> None:
+        nonlocal last
+        figures = progress.validation
+        if figures is not None and figures.epoch > last:
+            last = figures.epoch
+            line = f"epoch {last}/{progress.epochs}  loss {figures.train_loss:.3f}  held out: {_recalls(figures)}"
+            print(f"{line}, log density {figures.log_density:.2f}", file=sys.stderr, flush=True)
+
+    yield report
 
 
 @contextmanager
