@@ -73,6 +73,8 @@ def convert(
     Raises:
         SequenceError: a file is missing, damaged or of an unknown layout, or no image is left.
     """
+    if seed < 0:
+        raise SequenceError(f"seed {seed}, expected at least 0")
     images = list_images(dataset)
     skipped = Counter(images.skipped)
     images = images[frames]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -107,6 +108,18 @@ class SequenceReader:
                 self._bag, self._options, self._topics.image, self._topics.odometry
             )
         self.odometry_description = self._bag.metadata.get(METADATA_NAME, {}).get("odometry")
+
+    @property
+    def resolved(self) -> dict[str, Any]:
+        """The options that say what to read, as they were found: topics, and the extrinsics; '' and None for none."""
+        t = self._topics
+        topics = {"image": t.image, "odometry": t.odometry, "ground_truth": t.truth, "camera_info": t.camera_info}
+        extrinsics = self.base_from_camera
+        return {f"{role}_topic": topic.name if topic else "" for role, topic in topics.items()} | {
+            "base_from_camera": [*extrinsics.translation.tolist(), *extrinsics.as_quat_xyzw().tolist()]
+            if extrinsics is not None
+            else None
+        }
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order of time. Raises SequenceError where the file is damaged, or no image is left."""
@@ -334,7 +347,10 @@ def _read_extrinsics(bag: Bag, options: SequenceOptions, image: Topic, odometry:
         for raw in bag.messages([name]):
             message = _decode(bag, raw)
             assert message is not None
-            tree.add(transforms_from_message(message))
+            try:
+                tree.add(transforms_from_message(message))
+            except SequenceError as error:
+                raise SequenceError(f"{bag.path}: {name}: message logged at {raw.log_time_ns} ns: {error}") from error
             if base and camera and (base_from_camera := tree.between(base, camera)) is not None:
                 return base_from_camera
     raise SequenceError(

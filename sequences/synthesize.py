@@ -30,6 +30,7 @@ _LEAD_NS = 513_000_000  # the first image comes later, and between two odometry 
 _TAIL_S = 0.5  # of odometry after the last image
 _EXPOSURE_S = 0.014
 _SAMPLES = 4  # per pixel and exposure
+_PATHS_TRIED = 100  # one in three will do at 300 images; where none can, as in a very tall image, any must do
 _STREAMS = {"train": 1, "test": 2}
 _FIELD_OF_VIEW = {"staircase": 77.0, "ceiling": 64.0}  # horizontal, degrees
 
@@ -94,17 +95,20 @@ def synthesize(
         seed: Of path, odometry and sensor noise; the scene itself is always the same.
         num_frames: Number of images, 10 a second.
         split: "test" paths of 100 images or more come by something unique early on, so that a filter can know where
-            it is; "train" paths go everywhere. The same seed gives different paths in the two.
+            it is (unless 100 random paths do not); "train" paths go everywhere. The same seed gives different paths in
+            the two.
         width, height: Image size in pixels; the horizontal field of view stays the same.
         noise: Of the odometry.
 
     Raises:
-        SequenceError: unknown scene, split or size.
+        SequenceError: unknown scene, split or size, or a negative seed.
     """
     if scene not in SCENES:
         raise SequenceError(f"unknown scene {scene!r}, expected one of {', '.join(SCENES)}")
     if split not in _STREAMS:
         raise SequenceError(f"unknown split {split!r}, expected train or test")
+    if seed < 0:
+        raise SequenceError(f"seed {seed}, expected at least 0")
     if num_frames < 1 or width < 8 or height < 8:
         raise SequenceError(f"{num_frames} frames of {width} × {height} pixels, expected at least 1 of 8 × 8")
     path_seed, odometry_seed, image_seed = np.random.SeedSequence([seed, _STREAMS[split], SCENES.index(scene)]).spawn(3)
@@ -113,11 +117,13 @@ def synthesize(
     image_times_ns = EPOCH_NS + _LEAD_NS + IMAGE_PERIOD_NS * np.arange(num_frames, dtype=np.int64)
     duration_s = (image_times_ns[-1] - EPOCH_NS) * 1e-9 + _TAIL_S
     rng = np.random.default_rng(path_seed)
+    tried = 0
     while True:
         base = _path(scene, float(duration_s), split, rng)
         base_times_ns = EPOCH_NS + round(STEP_S * 1e9) * np.arange(len(base), dtype=np.int64)
         world_from_camera = _at(base_times_ns, base, image_times_ns) @ base_from_camera
-        if split == "train" or _resolvable(sees_cue(built, camera, world_from_camera[:300])):
+        tried += 1
+        if split == "train" or tried == _PATHS_TRIED or _resolvable(sees_cue(built, camera, world_from_camera[:300])):
             break
     odom_from_base, twist_covariances = simulate_odometry(
         base_times_ns, base, noise or OdometryNoise(), rng=np.random.default_rng(odometry_seed)

@@ -43,6 +43,6 @@ def main(arguments: Sequence[str]) -> None:
         )
     with bar("localizing") as advance:
         result = run(sequence, options.scene, output, RunConfig(seed=options.seed), progress=advance)
-    shown = {name: result.report[name] for name in _METHODS}
+    shown = {name: result.report[name] for name in _METHODS if name in result.report}
     show(format_table(shown, title=f"{options.scene}, {result.report['frames']} synthetic images"))
     show_files(output, result.pictures, recording=True)
