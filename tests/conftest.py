@@ -15,3 +15,19 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip("recorded data is absent: ../shared/data beside the checkout")
     return path
+
+
+@pytest.fixture(scope="session")
+def tiny_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model file of a network with random weights, for the walk of `sequence_files`."""
+    from tests.tiny_model import write_tiny_model  # after the hook
+
+    return write_tiny_model(tmp_path_factory.mktemp("model") / "tiny.safetensors")
+
+
+@pytest.fixture(scope="session")
+def walk_of_25(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sequence of 25 images with odometry, extrinsics and true poses."""
+    from tests.sequence_files import Walk
+
+    return Walk(25).write(tmp_path_factory.mktemp("walk") / "walk.mcap", {"odometry": "exact, for tests"})

@@ -62,7 +62,7 @@ class RunConfig:
     """The particle filter."""
 
     def __post_init__(self) -> None:
-        for name, least in (("seed", 0), ("num_samples", 1)):
+        for name, least in (("seed", 0), ("num_samples", 1), ("threads", 1)):
             if getattr(self, name) < least:
                 raise VaporTrackError(f"{name} is {getattr(self, name)}, expected at least {least}")
 

@@ -41,6 +41,10 @@ def main(arguments: Sequence[str]) -> None:
             reading=options.reading,
             progress=advance,
         )
-    show(format_table(result.report, title=options.sequence.name))
-    show_skipped(result.report["skipped"])
+    report = result.report
+    if report["frames_with_true_pose"]:
+        show(format_table(report, title=options.sequence.name))
+    verdicts = ", ".join(f"{100 * share:.0f} % {verdict}" for verdict, share in report["status"].items())
+    show(f"{report['frames']} images: {verdicts}")
+    show_skipped(report["skipped"])
     show_files(options.output, result.pictures, recording=options.config.recording)

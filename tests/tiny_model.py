@@ -1,0 +1,39 @@
+"""A network that knows nothing, for tests of everything around it; and a model file's parts, to damage them."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from filtering.se3 import Poses
+from tests.sequence_files import Walk
+from vapor.checkpoint import Calibration, Checkpoint, save_checkpoint
+from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
+
+NETWORK = NetworkConfig(image_size=32, shortest_edge=36, feature_dim=16, latent_dim=4)
+SMALL = ["--num-samples", "60", "--localizer.num-particles", "150"]
+"""Options of `vapor-track run` that make a step cheap."""
+
+Tensors = dict[str, torch.Tensor]
+Metadata = dict[str, str]
+
+
+def write_tiny_model(path: Path) -> Path:
+    """Random weights, with the box and the poses of the walk."""
+    torch.manual_seed(0)
+    poses = Poses.stack([pose for _, pose in Walk().truth])
+    box = SceneBox.around(poses)
+    state = VariationalPoseRegressor(NETWORK, box).state_dict()
+    save_checkpoint(path, Checkpoint(NETWORK, box, Calibration(), poses, state), half=True)
+    return path
+
+
+def altered(model: Path, path: Path, change: Callable[[Tensors, Metadata], None]) -> Path:
+    """A copy of a model file whose tensors or metadata were changed in place."""
+    with safe_open(model, framework="pt") as file:
+        tensors, metadata = {name: file.get_tensor(name) for name in file.keys()}, file.metadata()  # noqa: SIM118
+    change(tensors, metadata)
+    save_file(tensors, path, metadata)
+    return path
