@@ -61,9 +61,16 @@ class LocalizationOptions:
     config: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=lambda: RunConfig(recording=False))
 
 
+_OPTIONS = {"step": StepOptions, "localization": LocalizationOptions}
+
+
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     kinds = {"step": _step, "localization": _localization}
+    if arguments[:1] in (["-h"], ["--help"]):
+        show("usage: vapor-track benchmark step|localization ...\n\nMeasure; each of the two has its own --help.\n")
+        show("\n".join(f"  {kind:<13} {options.__doc__}" for kind, options in _OPTIONS.items()))
+        return
     if not arguments or arguments[0] not in kinds:
         usage_error("benchmark", f"expected one of {', '.join(kinds)} first")
     kinds[arguments[0]](arguments[1:])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -37,13 +37,19 @@ def main(arguments: Sequence[str]) -> None:
     name = _preset_name(arguments)
     if name not in PRESETS:
         usage_error("train", f"unknown preset {name!r}, expected one of {', '.join(PRESETS)}")
-    default = Options(data=tyro.MISSING, output=tyro.MISSING, preset=name, config=PRESETS[name])
-    options = parse("train", Options, arguments, default)
+    options = parse("train", _options(name), arguments)
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
     with _display() if sys.stderr.isatty() else _log() as report:
         result = train(options.data, options.output, options.config, validation=options.validation, progress=report)
     show(_summary(result, options.output))
+
+
+def _options(preset: str) -> type[Options]:
+    """The options with the defaults of a preset."""
+    flat = Annotated[TrainConfig, tyro.conf.arg(name="")]
+    defaults = [("preset", str, preset), ("config", flat, PRESETS[preset])]
+    return make_dataclass("Options", defaults, bases=(Options,), frozen=True, namespace={"__doc__": Options.__doc__})
 
 
 def _preset_name(arguments: Sequence[str]) -> str:
