@@ -125,7 +125,7 @@ def test_the_estimate_can_be_read_back_with_the_poses_of_the_trajectory(finished
     turned = [p.pose.pose.orientation for p in poses]
     read = Poses.from_quat_xyzw(at, np.array([[q.x, q.y, q.z, q.w] for q in turned]))
     assert trajectory.poses.distance(read)[1].max() < 1e-7
-    assert all(np.linalg.eigvalsh(p.pose.covariance.reshape(6, 6))[0] >= -1e-9 for p in poses)
+    assert all(np.linalg.eigvalsh(np.reshape(p.pose.covariance, (6, 6)))[0] >= -1e-9 for p in poses)
     clouds = by_topic["/estimate/particles geometry_msgs/msg/PoseArray"]
     assert {len(cloud.poses) for cloud in clouds} == {150}
 
