@@ -322,6 +322,7 @@ WRONG = {
     "unknown scene": (["synthesize", "attic", "s.mcap"], "attic"),
     "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),
     "negative seed of a scene": (["synthesize", "staircase", "s.mcap", "--seed", "-1"], "seed -1"),
+    "demo of no frames": (["demo", "--frames", "0"], "0 frames"),
     "unknown preset": (["train", "a.mcap", "--output", "m.safetensors", "--preset", "fast"], "expected one of demo"),
     "preset without name": (["train", "a.mcap", "--output", "m.safetensors", "--preset"], "preset"),
     "no training data": (["train", "--output", "m.safetensors"], "no training data"),

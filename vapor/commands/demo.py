@@ -9,8 +9,9 @@ from typing import Literal
 
 import tyro
 
+from sequences.errors import SequenceError
 from sequences.synthesize import synthesize, write_synthetic
-from vapor.commands.console import bar, parse, show, show_files
+from vapor.commands.console import bar, parse, show, show_files, usage_error
 from vapor.report import format_table
 from vapor.run import RunConfig, run
 
@@ -35,12 +36,14 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     options = parse("demo", Options, arguments)
     output = options.output or Path("demo") / options.scene
+    try:
+        synthetic = synthesize(options.scene, seed=options.seed, num_frames=options.frames)
+    except SequenceError as error:  # of numbers that no sequence can have
+        usage_error("demo", str(error))
     output.mkdir(parents=True, exist_ok=True)
     sequence = output / "sequence.mcap"
     with bar("rendering") as advance:
-        write_synthetic(
-            synthesize(options.scene, seed=options.seed, num_frames=options.frames), sequence, progress=advance
-        )
+        write_synthetic(synthetic, sequence, progress=advance)
     with bar("localizing") as advance:
         result = run(sequence, options.scene, output, RunConfig(seed=options.seed), progress=advance)
     shown = {name: result.report[name] for name in _METHODS if name in result.report}
