@@ -146,7 +146,6 @@ class ParticleLocalizer(Generic[Posterior]):
             proposal,
             log_likelihood,
             posterior.log_prior(proposal.poses),
-            injection_fraction=c.injection_fraction,
             kidnap_probability=self._recovery.kidnap_probability(c.recovery),
         )
         particles, _ = Particles.from_unnormalised(proposal.poses, log_weights)

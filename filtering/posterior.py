@@ -103,12 +103,19 @@ class KernelDensity:
         left = np.column_stack([rows, np.ones(len(rows)), -row_half_norm]).astype(precision)
         density = np.empty(len(left))
         for start in range(0, len(left), _BLOCK):
-            exponent = (left[start : start + _BLOCK] @ right).astype(np.float32, copy=False)
-            density[start : start + _BLOCK] = np.exp(exponent, out=exponent).sum(axis=1)
-        far = density < 1e-30
-        density[~far] = np.log(density[~far])
-        if far.any():
-            density[far] = np.logaddexp.reduce((left[far] @ right).astype(np.float64), axis=1)
+            block = left[start : start + _BLOCK]
+            exponent = (block @ right).astype(np.float32, copy=False)
+            total = np.exp(exponent, out=exponent).sum(axis=1)
+            far = total < 1e-30
+            if far.any():
+                exponent = (block[far] @ right).astype(np.float32, copy=False)
+                top = exponent.max(axis=1)
+                exponent -= top[:, None]
+                total[far] = np.exp(exponent, out=exponent).sum(axis=1)
+            log_total = np.log(total, dtype=np.float64)
+            if far.any():
+                log_total[far] += top
+            density[start : start + _BLOCK] = log_total
         return density - self.log_normaliser
 
     def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:

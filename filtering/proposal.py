@@ -34,6 +34,11 @@ class Proposal:
     log_predicted: Float64[np.ndarray, " n"]
     log_image: Float64[np.ndarray, " n"]
 
+    @property
+    def injected_fraction(self) -> float:
+        """φ as it came out: the share of particles that the image drew."""
+        return 1.0 - self.num_from_motion / len(self.poses)
+
 
 def propose(
     belief: Particles,
@@ -66,10 +71,10 @@ def propose(
     Raises:
         VaporTrackError: the odometry covariance is no covariance.
     """
-    num_injected = round(injection_fraction * num_particles)
+    num_injected = min(round(injection_fraction * num_particles), num_particles - 1)
     num_from_motion = num_particles - num_injected
     num_kernels = min(num_from_motion, max_kernels)
-    centres = belief.poses[systematic(belief.weights, num_kernels, rng=rng)] @ odometry.previous_from_current
+    centres = _spread_draw(belief, num_kernels, rng=rng) @ odometry.previous_from_current
     predicted = KernelDensity(centres, *isotropic_std(odometry.covariance, jitter_std))
     # Every kernel gives as many particles as any other, up to rounding: stratified draws from the density.
     moved = predicted.perturb(centres[np.arange(num_from_motion) * num_kernels // num_from_motion], rng=rng)
@@ -77,30 +82,40 @@ def propose(
     return Proposal(poses, num_from_motion, predicted.log_density(poses), posterior.log_density(poses))
 
 
+def _spread_draw(belief: Particles, count: int, *, rng: np.random.Generator) -> Poses:
+    """Systematic draws of particles in their order along the belief's widest direction.
+
+    A systematic draw gives every stretch of its input the right number, up to rounding. In this order the stretches are
+    places, so a place keeps its share; in any other order it would keep it only on average.
+    """
+    offset = belief.poses.translation - belief.weights @ belief.poses.translation
+    _, axes = np.linalg.eigh((offset * belief.weights[:, None]).T @ offset)
+    order = np.argsort(offset @ axes[:, -1], kind="stable")
+    return belief.poses[order[systematic(belief.weights[order], count, rng=rng)]]
+
+
 def mixture_log_weights(
     proposal: Proposal,
     log_likelihood: Float64[np.ndarray, " n"],
     log_prior: Float64[np.ndarray, " n"],
     *,
-    injection_fraction: float,
     kidnap_probability: float,
 ) -> Float64[np.ndarray, " n"]:
     """Log weight of every particle, wherever it was drawn: target over mixture.
 
-    The mixture is (1 − φ) p⁻ + φ p̂. The target is (1 − κ) L p⁻ + κ Z p̂ with Z = ∫ L π: either odometry carried the belief
-    here and the image weighs it, or the camera was carried elsewhere and the image is the first one there. For an
-    untempered likelihood L = p̂/π this is L · [(1 − κ) p⁻ + κ π]; tempering speaks about the errors that an image
+    The mixture is (1 − φ) p⁻ + φ p̂. The target is (1 − κ) L p⁻ + κ Z p̂ with Z = ∫ L π: either odometry carried the
+    belief here and the image weighs it, or the camera was carried elsewhere and the image is the first one there. For
+    an untempered likelihood L = p̂/π this is L · [(1 − κ) p⁻ + κ π]; tempering speaks about the errors that an image
     shares with the ones before it, so it sets how much the first image weighs against the belief, Z, not its shape.
 
     Args:
         proposal: Where the particles came from.
         log_likelihood: Log L at the particles.
         log_prior: Log π at the particles, the density of where a camera can be at all.
-        injection_fraction: φ.
         kidnap_probability: κ, the chance that the camera was carried away since the previous image.
     """
     carried = log_likelihood + proposal.log_predicted
-    drawn = _log_mix(proposal.log_predicted, proposal.log_image, injection_fraction)
+    drawn = _log_mix(proposal.log_predicted, proposal.log_image, proposal.injected_fraction)
     injected = slice(proposal.num_from_motion, None)
     if kidnap_probability <= 0.0 or len(log_likelihood[injected]) == 0:
         return carried - drawn

@@ -114,29 +114,31 @@ def _optimise(
         values.insert(i, _to_gtsam(guess[i]))
     error = np.inf
     for _ in range(config.rounds):
-        graph = gtsam.NonlinearFactorGraph()
+        graph, choice_cost = gtsam.NonlinearFactorGraph(), 0.0
         for factor in odometry_factors:
             graph.add(factor)
         for factors in mode_factors:
-            graph.add(min(factors, key=lambda factor: factor[1] + factor[0].error(values))[0])
+            chosen, cost = min(factors, key=lambda factor: factor[1] + factor[0].error(values))
+            graph.add(chosen)
+            choice_cost += cost
         optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values)
         values = optimiser.optimize()
-        if error - optimiser.error() < 1e-3 * abs(error):
-            error = optimiser.error()
+        before, error = error, optimiser.error() + choice_cost
+        if before - error < 1e-3 * abs(before):
             break
-        error = optimiser.error()
     poses = Poses.from_matrix(np.stack([values.atPose3(i).matrix() for i in range(len(guess))]))
     return poses, float(error)
 
 
 def _mode_factor(key: int, mode: Mode, config: SmoothingConfig) -> tuple[gtsam.NonlinearFactor, float]:
-    """A robust factor towards one mode, and what choosing this mode costs for its weight."""
+    """A robust factor towards one mode, and what choosing this mode costs: −log of its weight and of its normaliser."""
     gaussian = _gaussian(config.correlation * mode.covariance)
     kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(config.robust_scale)
     factor = gtsam.PriorFactorPose3(
         key, _to_gtsam(mode.world_from_camera), gtsam.noiseModel.Robust.Create(kernel, gaussian)
     )
-    return factor, -float(np.log(max(mode.weight, 1e-6))) / config.correlation
+    half_log_det = 0.5 * float(np.linalg.slogdet(mode.covariance + 1e-8 * np.eye(6))[1])
+    return factor, (half_log_det - float(np.log(max(mode.weight, 1e-6)))) / config.correlation
 
 
 def _gaussian(covariance: Float64[np.ndarray, "6 6"]) -> gtsam.noiseModel.Gaussian:

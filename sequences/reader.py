@@ -123,7 +123,7 @@ class SequenceReader:
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order of time. Raises SequenceError where the file is damaged, or no image is left."""
-        pairing = _Pairing(self._topics, self._options, self.base_from_camera, self.camera)
+        pairing = _Pairing(self.path, self._topics, self._options, self.base_from_camera, self.camera)
         self.skipped = pairing.skipped
         num_frames = 0
         for raw in self._bag.messages(self._topics.streamed):
@@ -148,8 +148,14 @@ class _Pairing:
     """The state of one iteration: images wait, still encoded, until odometry and true poses have come as far."""
 
     def __init__(
-        self, topics: _Topics, options: SequenceOptions, base_from_camera: Poses | None, camera: Camera | None
+        self,
+        path: Path,
+        topics: _Topics,
+        options: SequenceOptions,
+        base_from_camera: Poses | None,
+        camera: Camera | None,
     ):
+        self._path = path
         self.skipped: Counter[str] = Counter()
         self.first_problem = ""
         self._topics = topics
@@ -191,8 +197,7 @@ class _Pairing:
             else:
                 pose, covariance = pose_from_message(message.pose), None
         except VaporTrackError as error:
-            self._skip(f"{what} not finite", time_ns, error)
-            return
+            raise SequenceError(f"{self._path}: {raw.topic} at {time_ns} ns: {what}: {error}") from error
         if not window.append(time_ns, pose, covariance):
             self._skip(f"{what} time stamp not increasing", time_ns)
         if self._previous_ns is None and not self._waiting:

@@ -173,10 +173,6 @@ def without_images(walk: Walk) -> None:
     walk.images = [(t, b"no image") for t, _ in walk.images]
 
 
-def with_nan_odometry_only(walk: Walk) -> None:
-    walk.odometry = [(t, NOWHERE) for t, _ in walk.odometry]
-
-
 def with_odometry_of_another_day(walk: Walk) -> None:
     walk.odometry = [(t + 86_400 * 10**9, pose) for t, pose in walk.odometry]
 
@@ -184,8 +180,6 @@ def with_odometry_of_another_day(walk: Walk) -> None:
 def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path, capsys):
     walk, second = Walk(30), 1_000_000_000
     walk.odometry = [(t, pose) for t, pose in walk.odometry if t > BEGIN_NS + 0.25 * second]  # not images 0 to 2
-    walk.odometry[12] = (walk.odometry[12][0], NOWHERE)
-    walk.truth[20] = (walk.truth[20][0], NOWHERE)
     walk.images[6] = (walk.images[6][0], b"no image")
     walk.images[9] = (walk.images[9][0], walk.images[9][1][:40])
     walk.images.append(walk.images[14])  # a stamp twice
@@ -197,9 +191,7 @@ def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path
     frames, skipped = skipped_in_run(path, tiny_model, tmp_path / "out")
     assert skipped == {
         "odometry does not cover": 3,
-        "odometry not finite": 1,
         "time stamp not increasing": 2,
-        "true pose not finite": 1,
         "undecodable image": 2,
     }
     assert frames == 30 + 1 - 3 - 2 - 2
@@ -214,7 +206,6 @@ def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path
     ("spoil", "said"),
     [
         (without_images, ["12 × undecodable image", "expected JPEG or PNG"]),
-        (with_nan_odometry_only, ["odometry not finite", "12 × odometry does not cover"]),
         (with_odometry_of_another_day, ["12 × odometry does not cover"]),
     ],
 )
@@ -225,6 +216,15 @@ def test_where_no_image_is_left_the_run_fails_and_says_why(spoil, said, tiny_mod
     refuse_run(
         path, tiny_model, earlier, capsys, f"{path}: no image left of 12 on {IMAGES}", "first at 17000000", *said
     )
+
+
+@pytest.mark.parametrize(("stream", "topic"), [("odometry", "/odom"), ("truth", "/ground_truth/pose")])
+def test_a_pose_that_is_not_finite_is_named_with_topic_and_time(stream, topic, tiny_model, earlier, capsys):
+    walk = Walk()
+    time_ns = getattr(walk, stream)[5][0]
+    getattr(walk, stream)[5] = (time_ns, NOWHERE)
+    path = walk.write(earlier.parent / "walk.mcap")
+    refuse_run(path, tiny_model, earlier, capsys, f"{path}: {topic} at {time_ns} ns", "not finite")
 
 
 # --- models and outputs that cannot be used ------------------------------------------------------------

@@ -67,7 +67,7 @@ def test_mixture_weights_integrate_the_filtering_target_whatever_the_fraction():
         )  # fmt: skip
         log_weights = mixture_log_weights(
             proposal, bump.log_density(proposal.poses), prior.log_density(proposal.poses),
-            injection_fraction=fraction, kidnap_probability=0.0,
+            kidnap_probability=0.0,
         )  # fmt: skip
         means.append(np.exp(log_weights).mean())
     np.testing.assert_allclose(means, means[0], rtol=0.05)  # standard errors are near 1 %
@@ -122,9 +122,7 @@ def test_a_kidnapped_share_is_drawn_from_the_image_with_its_evidence_under_the_p
         injection_fraction=0.5, jitter_std=(0.0, 0.0), max_kernels=10, rng=np.random.default_rng(3),
     )  # fmt: skip
     log_likelihood, log_prior = posterior.log_likelihood(proposal.poses), posterior.log_prior(proposal.poses)
-    weights = np.exp(
-        mixture_log_weights(proposal, log_likelihood, log_prior, injection_fraction=0.5, kidnap_probability=0.2)
-    )
+    weights = np.exp(mixture_log_weights(proposal, log_likelihood, log_prior, kidnap_probability=0.2))
     predicted, image = np.exp(proposal.log_predicted), np.exp(proposal.log_image)
     expected = np.exp(log_likelihood) * (0.8 * predicted + 0.2 * np.exp(log_prior)) / (0.5 * predicted + 0.5 * image)
     np.testing.assert_allclose(weights / weights.sum(), expected / expected.sum(), rtol=1e-3)

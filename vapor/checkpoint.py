@@ -46,8 +46,9 @@ class Calibration:
     """ε: how much of the likelihood is left when the image says nothing."""
     temper: float = 0.3
     """β: exponent of the likelihood, below 1 as neighbouring images share their errors."""
-    prior_floor: float = 1e-4
-    """π_min: least density of training poses that is divided by, per m³ rad³."""
+    prior_floor_quantile: float = 0.5
+    """π_min, the least density that is divided by, is this quantile of the density of training poses at themselves.
+    Where no camera ever was π is almost nothing: a small floor would reward a smeared posterior for lying there."""
     prior_bandwidth_translation_m: float = 0.3
     """Kernel width of the training poses along each axis, metres."""
     prior_bandwidth_rotation_rad: float = 0.3
@@ -60,7 +61,8 @@ class Calibration:
     def likelihood(self, training_poses: Poses) -> LikelihoodModel:
         """How p̂ becomes a likelihood, π being the kernel density of the training poses (n,)."""
         prior = KernelDensity(training_poses, self.prior_bandwidth_translation_m, self.prior_bandwidth_rotation_rad)
-        return LikelihoodModel(prior, self.outlier_floor, self.temper, self.prior_floor)
+        log_floor = np.quantile(prior.log_density(training_poses), self.prior_floor_quantile)
+        return LikelihoodModel(prior, self.outlier_floor, self.temper, float(np.exp(log_floor)))
 
 
 @dataclass(frozen=True)

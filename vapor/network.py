@@ -173,12 +173,12 @@ def make_backbone(name: Backbone) -> ResNet18 | EfficientNetLite0:
 
 
 def load_pretrained(network: VariationalPoseRegressor, weights: Path | None) -> None:
-    """Load ImageNet weights into the backbone, in place; the classifier's weights are dropped, all others must match.
+    """Load weights into the backbone, in place; a classifier's are dropped, all others must match.
 
     Args:
         network: The network to fill.
-        weights: A safetensors file or a torch state dict with torchvision's names; None takes the weights that a
-            package carries, which EfficientNet-Lite0 has.
+        weights: A safetensors file or a torch state dict with torchvision's names, or a model of ours; None takes the
+            weights that a package carries, which EfficientNet-Lite0 has.
 
     Raises:
         VaporTrackError: no weights for this backbone, an unreadable file, or other tensors than expected.
@@ -203,7 +203,7 @@ def load_pretrained(network: VariationalPoseRegressor, weights: Path | None) -> 
 def _read_state(path: Path) -> dict[str, Tensor]:
     try:
         if path.suffix == ".safetensors":
-            return load_file(path)
+            return _backbone_of(load_file(path))
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (OSError, SafetensorError, RuntimeError, ValueError, EOFError, UnpicklingError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -213,6 +213,13 @@ def _read_state(path: Path) -> dict[str, Tensor]:
     if not (isinstance(state, dict) and all(isinstance(value, Tensor) for value in state.values())):
         raise VaporTrackError(f"{path}: holds {type(state).__name__}, expected a state dict of tensors")
     return state
+
+
+def _backbone_of(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The backbone's tensors of a model of ours, as float32; those of any other file as they are."""
+    prefix = "network.backbone."
+    ours = {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
+    return {name: v.float() if v.is_floating_point() else v for name, v in ours.items()} or state
 
 
 def _triple(values: np.ndarray) -> tuple[float, float, float]:

@@ -28,8 +28,9 @@ class TrainConfig:
     calibration: Calibration = field(default_factory=Calibration)
     """Kernel widths and likelihood, stored with the model."""
     pretrained_weights: Path | None = None
-    """ImageNet weights of the backbone: safetensors, or a torch state dict with torchvision's names. Without it a
-    ResNet starts from random weights, EfficientNet-Lite0 from those of its package."""
+    """Weights of the backbone to start from: ImageNet's, as safetensors or a torch state dict with torchvision's names,
+    or those of a model trained here. Without it a ResNet starts from random weights, EfficientNet-Lite0 from those of
+    its package."""
     epochs: int = 30
     """Times every training image is seen."""
     batch_size: int = 64

@@ -16,6 +16,7 @@ from vapor.training_set import TrainingSet
 
 RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
 _BATCH = 64
+_LOG_FLOOR = float(np.log(1e-4))  # keeps single images from deciding
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,8 @@ class Validation:
         train_loss: Mean training loss of that epoch.
         sample_recall: Share of the posterior samples within 0.3 m and 20° of the true pose.
         mode_recall: Share of the images whose sample of highest density is.
-        log_density: Mean of log(p̂(true pose) + π_min): unlike the recalls it falls when a possible place is forgotten,
-            which a filter cannot mend. The floor keeps single images from deciding.
+        log_density: Mean of log(p̂(true pose) + 10⁻⁴ per m³ rad³): unlike the recalls it falls when a possible place is
+            forgotten, which a filter cannot mend.
     """
 
     epoch: int
@@ -53,13 +54,12 @@ def validate(
     Args:
         network: In any mode; evaluated in evaluation mode, and left as it was.
         held_out: Images scaled as for training; their centre crops are used.
-        calibration: Kernel widths and the density's floor.
+        calibration: Kernel widths.
         num_samples: Posterior samples per image.
         seed: Of the latent noise.
         epoch: Passed through.
         train_loss: Passed through.
     """
-    floor = np.log(calibration.prior_floor)
     figures = []
     for i, samples in enumerate(predict(network, held_out, num_samples, seed)):
         truth = held_out.poses[[i]]
@@ -67,7 +67,7 @@ def validate(
         log_density = density.log_density(Poses.concatenate([samples, truth]))
         translation_m, rotation_rad = samples.distance(truth)
         near = (translation_m < RECALL_TRANSLATION_M) & (rotation_rad < RECALL_ROTATION_RAD)
-        figures.append((near.mean(), near[log_density[:-1].argmax()], np.logaddexp(log_density[-1], floor)))
+        figures.append((near.mean(), near[log_density[:-1].argmax()], np.logaddexp(log_density[-1], _LOG_FLOOR)))
     sample_recall, mode_recall, log_density = np.array(figures, np.float64).mean(axis=0)
     return Validation(epoch, train_loss, float(sample_recall), float(mode_recall), float(log_density))
 
