@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from filtering.errors import require_within
 from filtering.particles import Particles
 from filtering.posterior import KernelDensity
 from filtering.resampling import systematic
@@ -49,6 +50,18 @@ class ModeConfig:
     """Hypotheses with a smaller share of the belief are not reported."""
     num_representatives: int = 400
     """Peaks are sought among this many particles, drawn by weight."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            radius_m=(1e-6, 1e6),
+            radius_rad=(1e-6, 4.0),
+            bandwidth_m=(1e-6, 1e6),
+            bandwidth_rad=(1e-3, 10.0),
+            max_modes=(1, 10**6),
+            min_weight=(0.0, 1.0),
+            num_representatives=(1, 10**5),
+        )
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from scipy.stats import chi2
 
+from filtering.errors import require_within
 from filtering.estimate import Mode
 from filtering.motion import Odometry, covariance_factor
 from filtering.se3 import Poses
@@ -21,6 +22,13 @@ class KalmanConfig:
     """A measurement outside the region of this probability is taken for an outlier."""
     max_rejections: int = 20
     """After this many outliers in a row the filter starts anew at the measurement."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            gate_probability=(1e-6, 1.0),
+            max_rejections=(0, 10**9),
+        )
 
 
 class KalmanLocalizer:

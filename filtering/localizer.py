@@ -7,7 +7,7 @@ from typing import Generic
 
 import numpy as np
 
-from filtering.errors import VaporTrackError
+from filtering.errors import require_within
 from filtering.estimate import Estimate, Mode, ModeConfig, Status, find_modes
 from filtering.motion import Odometry
 from filtering.particles import Particles
@@ -47,15 +47,19 @@ class LocalizerConfig:
     """What counts as one hypothesis."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("num_particles", 1, 10**7),
-            ("injection_fraction", 0.0, 0.99),
-            ("converged_weight", 0.0, 1.0),
-            ("evidence_decay", 0.0, 0.9999),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise VaporTrackError(f"{name} is {value}, expected between {low} and {high}")
+        require_within(
+            self,
+            num_particles=(1, 10**7),
+            injection_fraction=(0.0, 0.99),
+            jitter_m=(0.0, 1e3),
+            jitter_rad=(0.0, 4.0),
+            max_kernels=(1, 10**6),
+            converged_weight=(0.0, 1.0),
+            converged_std_m=(0.0, 1e6),
+            lost_log_evidence=(-1e6, 1e6),
+            evidence_decay=(0.0, 0.9999),
+            switch_ratio=(1.0, 1e9),
+        )
 
 
 class ParticleLocalizer(Generic[Posterior]):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 
 
@@ -45,6 +45,17 @@ class MotionNoise:
     """Metres of error after one second at rest."""
     rotation_per_sqrt_s: float = 0.01
     """Radians of error after one second at rest."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            translation_per_m=(0.0, 1e3),
+            translation_per_rad=(0.0, 1e3),
+            rotation_per_m=(0.0, 1e3),
+            rotation_per_rad=(0.0, 1e3),
+            translation_per_sqrt_s=(0.0, 1e3),
+            rotation_per_sqrt_s=(0.0, 1e3),
+        )
 
     def covariance(self, previous_from_current: Poses, duration_s: float) -> Float64[np.ndarray, "6 6"]:
         """Covariance of one increment, in the tangent at the current frame.

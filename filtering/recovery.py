@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.errors import require_within
+
 
 @dataclass(frozen=True)
 class RecoveryConfig:
@@ -24,6 +26,15 @@ class RecoveryConfig:
     """Share of the long-term average that one image replaces."""
     fast_rate: float = 0.25
     """Share of the short-term average that one image replaces."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            max_kidnap_probability=(0.0, 1.0),
+            min_kidnap_probability=(0.0, self.max_kidnap_probability),
+            slow_rate=(0.0, 1.0),
+            fast_rate=(0.0, 1.0),
+        )
 
 
 @dataclass(frozen=True)

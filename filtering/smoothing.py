@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
 from filtering.motion import Odometry
 from filtering.se3 import Poses
@@ -33,6 +33,14 @@ class SmoothingConfig:
     """Neighbouring images share their errors: this many count as one independent measurement."""
     rounds: int = 3
     """How often modes are chosen anew for the trajectory found."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            robust_scale=(1e-3, 1e6),
+            correlation=(1.0, 1e6),
+            rounds=(1, 1000),
+        )
 
 
 def smooth(

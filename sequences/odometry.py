@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from filtering.errors import require_within
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 
@@ -34,6 +35,17 @@ class OdometryNoise:
     """White noise of the velocity, as metres after one second."""
     rotation_white_rad_per_sqrt_s: float = 0.003
     """White noise of the turn rate, as radians after one second."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            scale=(0.0, 10.0),
+            translation_bias_m_per_s=(0.0, 1e3),
+            heading_bias_rad_per_s=(0.0, 1e3),
+            bias_time_s=(1e-3, 1e9),
+            translation_white_m_per_sqrt_s=(0.0, 1e3),
+            rotation_white_rad_per_sqrt_s=(0.0, 1e3),
+        )
 
 
 def simulate_odometry(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, require_within
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.bag import Bag, RawMessage, Topic
@@ -37,6 +37,7 @@ MAX_ODOMETRY_GAP_S = 0.5
 MAX_TRUE_POSE_GAP_S = 0.1
 _MAX_WAITING = 64  # images held, still encoded, until odometry and true poses reach them
 
+_MAX_DURATION_S = 1e9  # of a recording; NaN and infinity are none
 _MAX_LATENESS_S = 10.0  # how much later than its stamp a message may be logged
 
 _ImageDecoder = Callable[[SimpleNamespace], UInt8[np.ndarray, "height width 3"]]
@@ -68,6 +69,11 @@ class SequenceOptions:
     """Seconds after the first image at which to begin."""
     duration_s: float | None = None
     """Seconds to read. Default: to the end."""
+
+    def __post_init__(self) -> None:
+        require_within(self, start_s=(0.0, _MAX_DURATION_S))
+        if self.duration_s is not None:
+            require_within(self, duration_s=(0.0, _MAX_DURATION_S))
 
 
 class SequenceReader:

@@ -110,6 +110,41 @@ MALFORMED = {
     "unknown backbone": (
         lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(backbone="vgg"))), "network configuration"
     ),
+    "number that must be whole": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(latent_dim=4.5))), "latent_dim 4.5, expected a w"
+    ),
+    "absurd size": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(hidden_width=10**12))), "hidden_width is 10000"
+    ),
+    "bandwidth of zero": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(bandwidth_rotation_rad=0.0))),
+        "bandwidth_rotation_rad is 0.0",
+    ),
+    "floor above one": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(outlier_floor=1.0))), "outlier_floor is 1.0"
+    ),
+    "exponent of NaN": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(temper=float("nan")))), "temper is nan"
+    ),
+    "quantile above one": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(prior_floor_quantile=2.0))), "is 2.0"
+    ),
+    "box turned inside out": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(lower=[2, 0, 2]))), "box from"
+    ),
+    "endless box": (lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(upper=[1, 10, 1e400]))), "box from"),
+    "whole numbers for weights": (
+        lambda t, m: ({**t, HEAD: torch.zeros(4, 16, dtype=torch.int64)}, m), f"{HEAD} is of torch.int64"
+    ),
+    "training poses with NaN": (
+        lambda t, m: ({**t, "training_poses.translation": torch.full((30, 3), torch.nan)}, m), "not finite"
+    ),
+    "training poses that mirror": (
+        lambda t, m: ({**t, "training_poses.rotation": -t["training_poses.rotation"]}, m), "30 matrices that are no rot"
+    ),
+    "training poses that scale": (
+        lambda t, m: ({**t, "training_poses.rotation": 1.01 * t["training_poses.rotation"]}, m), "no rotations, the f"
+    ),
     "flat box": (lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(lower=[0, 1]))), "three numbers"),
 }  # fmt: skip
 

@@ -319,6 +319,11 @@ WRONG = {
     "no samples": (["run", "a.mcap", "--model", "m", "--output", "o", "--num-samples", "0"], "num_samples is 0"),
     "negative seed": (["run", "a.mcap", "--model", "m", "--output", "o", "--seed", "-1"], "seed is -1"),
     "no threads": (["run", "a.mcap", "--model", "m", "--output", "o", "--threads", "0"], "threads is 0"),
+    "setting out of range": (
+        ["run", "a.mcap", "--model", "m", "--output", "o", "--localizer.modes.max-modes", "0"],
+        "max_modes is 0, expected between 1",
+    ),
+    "setting of NaN": (["run", "a.mcap", "--model", "m", "--output", "o", "--duration-s", "nan"], "duration_s is nan"),
     "unknown scene": (["synthesize", "attic", "s.mcap"], "attic"),
     "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),
     "negative seed of a scene": (["synthesize", "staircase", "s.mcap", "--seed", "-1"], "seed -1"),

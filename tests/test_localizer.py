@@ -7,11 +7,11 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import ModeConfig, posterior_modes
 from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
-from filtering.motion import Odometry
+from filtering.motion import MotionNoise, Odometry
 from filtering.posterior import KernelDensity, PosteriorSamples
 from filtering.recovery import Recovery, RecoveryConfig, agreement
 from filtering.se3 import Poses
-from filtering.smoothing import smooth
+from filtering.smoothing import SmoothingConfig, smooth
 from tests.simulation import FLOOR_HEIGHT_M, Oracle, climb, image_of
 
 FLOORS = (-2, -1, 0, 1, 2)
@@ -108,11 +108,31 @@ def test_odometry_on_the_first_step_is_not_used():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"), [({"num_particles": 0}, "num_particles is 0"), ({"injection_fraction": 1.5}, "is 1.5")]
+    ("kind", "change"),
+    [
+        (LocalizerConfig, {"num_particles": 0}),
+        (LocalizerConfig, {"injection_fraction": 1.5}),
+        (LocalizerConfig, {"jitter_m": float("nan")}),
+        (LocalizerConfig, {"converged_std_m": float("inf")}),
+        (LocalizerConfig, {"max_kernels": 0}),
+        (LocalizerConfig, {"switch_ratio": 0.5}),
+        (ModeConfig, {"radius_m": -1.0}),
+        (ModeConfig, {"bandwidth_rad": 0.0}),
+        (ModeConfig, {"max_modes": 0}),
+        (ModeConfig, {"num_representatives": 0}),
+        (RecoveryConfig, {"slow_rate": 5.0}),
+        (RecoveryConfig, {"min_kidnap_probability": 0.6}),  # above the largest
+        (KalmanConfig, {"gate_probability": 0.0}),
+        (SmoothingConfig, {"correlation": 0.0}),
+        (SmoothingConfig, {"rounds": 0}),
+        (MotionNoise, {"translation_per_m": -0.1}),
+        (MotionNoise, {"rotation_per_sqrt_s": float("nan")}),
+    ],
 )
-def test_settings_out_of_range_are_refused(change, message):
-    with pytest.raises(VaporTrackError, match=message):
-        LocalizerConfig(**change)
+def test_settings_out_of_range_are_refused(kind, change):
+    ((name, value),) = change.items()
+    with pytest.raises(VaporTrackError, match=rf"^{name} is {value}, expected between "):
+        kind(**change)
 
 
 def test_equally_likely_images_leave_the_doubt_at_its_floor_and_worse_ones_raise_it():

@@ -187,7 +187,26 @@ def test_a_missing_weights_package_is_named(monkeypatch):
         pretrained_lite0_state()
 
 
-@pytest.mark.parametrize("change", [{"image_size": 200}, {"image_size": 16}])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"image_size": 200},
+        {"image_size": 16},
+        {"shortest_edge": 10**6},
+        {"feature_dim": -3},
+        {"latent_dim": 0},
+        {"hidden_width": 10**9},
+        {"hidden_layers": -1},
+    ],
+)
 def test_impossible_network_configurations_are_refused(change):
     with pytest.raises(VaporTrackError, match=str(next(iter(change.values())))):
         NetworkConfig(**change)
+
+
+@pytest.mark.parametrize(
+    "upper", [(1.0, 0.0, 3.0), (-2.0, 10.0, 3.0), (1.0, float("nan"), 3.0), (1.0, 10.0, float("inf")), (1e9, 10.0, 3.0)]
+)
+def test_a_box_without_volume_or_end_is_refused(upper):
+    with pytest.raises(VaporTrackError, match="each lower one below its upper one"):
+        SceneBox((-1.0, 0.0, 2.0), upper)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from vapor.augment import AugmentConfig, jitter_and_normalise, random_crops
@@ -176,8 +177,8 @@ def test_the_model_file_tells_where_it_came_from_without_folders(tmp_path):
 
 
 def test_a_loss_that_is_not_finite_ends_the_training(tmp_path):
-    config = replace(TINY, loss=LossConfig(num_samples=8, lambda_translation=float("inf")))
-    with pytest.raises(TrainingError, match=r"loss is .* in epoch 1, step 1"):
+    config = replace(TINY, loss=LossConfig(num_samples=8), learning_rate=1e30)
+    with pytest.raises(TrainingError, match=r"loss is .* in epoch 1, step"):
         train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", config)
     assert list(tmp_path.iterdir()) == []
 
@@ -327,3 +328,21 @@ def test_brightness_scales_contrast_turns_about_the_mean_and_saturation_keeps_gr
     saturated = _jittered(images, replace(STILL, saturation=0.5))
     torch.testing.assert_close((saturated * luma).sum(1), (x * luma).sum(1), atol=1e-3, rtol=0)
     assert (saturated - x).abs().max() > 5.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        (LossConfig, {"alpha": 0.0}),
+        (LossConfig, {"lambda_rotation": float("nan")}),
+        (LossConfig, {"num_samples": 0}),
+        (AugmentConfig, {"brightness": -0.1}),
+        (AugmentConfig, {"blur_probability": 1.5}),
+        (Calibration, {"outlier_floor": 0.0}),
+        (Calibration, {"bandwidth_translation_m": -1.0}),
+    ],
+)
+def test_settings_out_of_range_are_refused(kind, change):
+    ((name, value),) = change.items()
+    with pytest.raises(VaporTrackError, match=rf"^{name} is {value}, expected between "):
+        kind(**change)

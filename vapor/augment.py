@@ -11,6 +11,8 @@ import torch
 from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor
 
+from filtering.errors import require_within
+
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)  # Rec. 601 luma
 
 
@@ -32,6 +34,17 @@ class AugmentConfig:
     """Share of the images that are blurred."""
     blur_sigma_px: float = 1.0
     """Largest standard deviation of the Gaussian blur, pixels; each is drawn from half of it up."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            brightness=(0.0, 1.0),
+            contrast=(0.0, 1.0),
+            saturation=(0.0, 1.0),
+            colour=(0.0, 1.0),
+            blur_probability=(0.0, 1.0),
+            blur_sigma_px=(0.0, 1e3),
+        )
 
 
 def random_crops(

@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, require_within
 from filtering.posterior import KernelDensity, LikelihoodModel
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
@@ -26,6 +26,8 @@ MAX_TRAINING_POSES = 2000
 _SHIPPED = Path(__file__).parent / "models"
 _NETWORK = "network."
 _ROTATION, _TRANSLATION = "training_poses.rotation", "training_poses.translation"
+_FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+_ORTHONORMAL_WITHIN = 1e-3
 
 Config = TypeVar("Config")
 
@@ -53,6 +55,18 @@ class Calibration:
     """Kernel width of the training poses along each axis, metres."""
     prior_bandwidth_rotation_rad: float = 0.3
     """Kernel width of the training poses about each axis, radians."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            bandwidth_translation_m=(1e-6, 1e6),
+            bandwidth_rotation_rad=(1e-3, 10.0),
+            outlier_floor=(1e-9, 0.999999),
+            temper=(1e-6, 1.0),
+            prior_floor_quantile=(0.0, 1.0),
+            prior_bandwidth_translation_m=(1e-6, 1e6),
+            prior_bandwidth_rotation_rad=(1e-3, 10.0),
+        )
 
     def density(self, samples: Poses) -> KernelDensity:
         """p̂, the kernel density of posterior samples (m,)."""
@@ -129,7 +143,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
     Raises:
         CheckpointError: no such file, no safetensors file, another format or version, a configuration with missing,
-            surplus or unusable values, tensors that are missing, surplus, misshapen or not finite.
+            surplus or unusable values, tensors that are missing, surplus, misshapen, of another type or not finite, or
+            training poses that are none.
     """
     metadata, tensors = read_safetensors(path)
     found = metadata.get("format")
@@ -146,9 +161,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise CheckpointError(f"{path}: training is {type(training).__name__} in its configuration, expected an object")
 
     with torch.device("meta"):  # names and shapes only, no memory
-        shapes = {name: value.shape for name, value in VariationalPoseRegressor(network, box).state_dict().items()}
-    check_tensors(path, tensors, {_NETWORK + name: shape for name, shape in shapes.items()})
-    state = {name: tensors[_NETWORK + name] for name in shapes}
+        expected = VariationalPoseRegressor(network, box).state_dict()
+    check_tensors(path, tensors, {_NETWORK + name: value for name, value in expected.items()})
+    state = {name: tensors[_NETWORK + name] for name in expected}
     state = {name: value.float() if value.is_floating_point() else value for name, value in state.items()}
     poses = Poses(tensors[_ROTATION].double().numpy(), tensors[_TRANSLATION].double().numpy())
     return Checkpoint(network, box, calibration, poses, state, training)
@@ -215,18 +230,26 @@ def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Conf
             f" expected {sorted(expected)}"
         )
     for f in fields(kind):  # pyright: ignore[reportArgumentType]
-        number = isinstance(values[f.name], int | float) and not isinstance(values[f.name], bool)
-        if isinstance(f.default, int | float) and not number:
-            raise CheckpointError(f"{path}: {name} configuration has {f.name} {values[f.name]!r}, expected a number")
+        if isinstance(f.default, int | float):
+            kind_of_number = int if isinstance(f.default, int) else int | float
+            if not isinstance(values[f.name], kind_of_number) or isinstance(values[f.name], bool):
+                what = "a whole number" if isinstance(f.default, int) else "a number"
+                raise CheckpointError(f"{path}: {name} configuration has {f.name} {values[f.name]!r}, expected {what}")
     try:
         return kind(**values)
     except (VaporTrackError, TypeError) as error:
         raise CheckpointError(f"{path}: {name} configuration: {error}") from error
 
 
-def check_tensors(path: Path, tensors: Mapping[str, Tensor], shapes: Mapping[str, torch.Size]) -> None:
-    """Check that exactly the network's tensors and the training poses are there, in their shapes, finite."""
-    expected = set(shapes) | {_ROTATION, _TRANSLATION}
+def check_tensors(path: Path, tensors: Mapping[str, Tensor], network: Mapping[str, Tensor]) -> None:
+    """Check that exactly the network's tensors and the training poses are there: shapes, types, finite, rotations.
+
+    Args:
+        path: The file, for messages.
+        tensors: What was found.
+        network: Tensors of the shapes and types (floating or not) that the network has.
+    """
+    expected = network.keys() | {_ROTATION, _TRANSLATION}
     for what, names in (("lacks", expected - tensors.keys()), ("has surplus", tensors.keys() - expected)):
         if names:
             raise CheckpointError(
@@ -236,14 +259,24 @@ def check_tensors(path: Path, tensors: Mapping[str, Tensor], shapes: Mapping[str
     count = tensors[_TRANSLATION].shape[0] if tensors[_TRANSLATION].ndim else 0
     if count == 0:
         raise CheckpointError(f"{path}: tensor {_TRANSLATION} is empty, expected at least one training pose")
-    poses = {_ROTATION: torch.Size((count, 3, 3)), _TRANSLATION: torch.Size((count, 3))}
-    for name, shape in {**shapes, **poses}.items():
-        if tensors[name].shape != shape:
-            raise CheckpointError(
-                f"{path}: tensor {name} has shape {tuple(tensors[name].shape)}, expected {tuple(shape)}"
-            )
-        if not torch.isfinite(tensors[name]).all():
+    poses = {_ROTATION: torch.empty(count, 3, 3), _TRANSLATION: torch.empty(count, 3)}
+    for name, like in {**network, **poses}.items():
+        found = tensors[name]
+        if found.shape != like.shape:
+            raise CheckpointError(f"{path}: tensor {name} has shape {tuple(found.shape)}, expected {tuple(like.shape)}")
+        kinds = _FLOATS if like.is_floating_point() else (like.dtype,)
+        if found.dtype not in kinds:
+            raise CheckpointError(f"{path}: tensor {name} is of {found.dtype}, expected {' or '.join(map(str, kinds))}")
+        if not torch.isfinite(found).all():
             raise CheckpointError(f"{path}: tensor {name} has values that are not finite")
+    rotation = tensors[_ROTATION].double()
+    skew = (rotation.mT @ rotation - torch.eye(3, dtype=torch.float64)).abs().amax(dim=(1, 2))
+    wrong = ~((skew <= _ORTHONORMAL_WITHIN) & (torch.linalg.det(rotation) > 0))
+    if wrong.any():
+        raise CheckpointError(
+            f"{path}: tensor {_ROTATION} has {int(wrong.sum())} matrices that are no rotations, the first is number"
+            f" {int(wrong.int().argmax())}; expected RᵀR = I within {_ORTHONORMAL_WITHIN} and det R = 1"
+        )
 
 
 def _with_triples(path: Path, box: Any) -> Any:

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from filtering.errors import require_within
 from vapor.network import VariationalPoseRegressor, sample_latent
 
 
@@ -25,6 +26,16 @@ class LossConfig:
     """Weight of the KL divergence."""
     num_samples: int = 256
     """M, posterior samples per image; the paper draws 1000."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            lambda_translation=(0.0, 1e9),
+            lambda_rotation=(0.0, 1e9),
+            alpha=(1e-6, 1.0),
+            beta=(0.0, 1e9),
+            num_samples=(1, 10**6),
+        )
 
     @property
     def num_winners(self) -> int:

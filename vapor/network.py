@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn import functional
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 from vapor.efficientnet import EfficientNetLite0, pretrained_lite0_state
 from vapor.resnet import ResNet18
@@ -25,6 +25,7 @@ Backbone = Literal["resnet18", "resnet18-half", "efficientnet-lite0"]
 # Mean and standard deviation of RGB pixels in 0..255 that the published weights expect.
 _IMAGENET = ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375))
 _LITE0 = ((127.0, 127.0, 127.0), (128.0, 128.0, 128.0))
+_MAX_POSITION_M = 1e8  # further than anything on Earth
 
 LatentSamples = Float[Tensor, "*batch d"]
 
@@ -56,6 +57,14 @@ class NetworkConfig:
                 f"network: image_size {self.image_size} with shortest_edge {self.shortest_edge},"
                 " expected 32 <= image_size <= shortest_edge"
             )
+        require_within(
+            self,
+            shortest_edge=(32, 4096),
+            feature_dim=(1, 65536),
+            latent_dim=(1, 4096),
+            hidden_width=(1, 8192),
+            hidden_layers=(0, 100),
+        )
 
 
 @dataclass(frozen=True)
@@ -69,6 +78,14 @@ class SceneBox:
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        lower, upper = np.array(self.lower), np.array(self.upper)
+        if not ((np.abs([lower, upper]) <= _MAX_POSITION_M).all() and (lower < upper).all()):
+            raise VaporTrackError(
+                f"box from {self.lower} to {self.upper}, expected numbers within {_MAX_POSITION_M:g} m, each lower one"
+                " below its upper one"
+            )
 
     @staticmethod
     def around(training_poses: Poses, margin: float = 0.1, margin_m: float = 0.3) -> SceneBox:
