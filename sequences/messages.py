@@ -46,6 +46,7 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
 }
 _MAX_DISTANCE_M = 1e8  # further than from any frame on Earth
 _MAX_VARIANCE = 1e12
+_UNKNOWN_VARIANCE = 1e3  # (32 m/s)²: drivers write 1e6 or 99999 for axes that they do not measure
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,8 @@ class OdometrySample:
     Attributes:
         time_ns: Header stamp.
         odom_from_base: Pose of the child frame in the odometry frame.
-        twist_covariance: Covariance of the velocity (v, ω) in the child frame, per second squared; zero if unknown.
+        twist_covariance: Covariance of the velocity (v, ω) in the child frame, per second squared; zero if unknown,
+            infinite on the diagonal, and zero beside it, for an axis that is not measured.
     """
 
     time_ns: int
@@ -156,7 +158,7 @@ def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
 
     The pose covariance is left: it accumulates from the start, or is a constant placeholder, and says nothing about
     the motion between two images. The twist covariance speaks about just that. −1 in its first element, the mark of an
-    unknown covariance, becomes zeros.
+    unknown covariance, becomes zeros. A variance of 1000 or more says that its axis is not measured.
 
     Raises:
         VaporTrackError: the pose or the twist covariance is not finite, or no covariance.
@@ -167,11 +169,14 @@ def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
         raise VaporTrackError(f"twist covariance is not finite or above {_MAX_VARIANCE:g}: {covariance.tolist()}")
     if covariance[0, 0] == -1.0:
         covariance = np.zeros((6, 6))
+    unmeasured = np.diag(covariance) >= _UNKNOWN_VARIANCE
+    covariance[unmeasured] = covariance[:, unmeasured] = 0.0
     if covariance.any():
         covariance = (covariance + covariance.T) / 2
         eigenvalue = float(np.linalg.eigvalsh(covariance)[0])
         if eigenvalue < -1e-9 * np.abs(covariance).max():
             raise VaporTrackError(f"twist covariance has the negative eigenvalue {eigenvalue:.3g}")
+    covariance[unmeasured, unmeasured] = np.inf
     return OdometrySample(stamp_ns(message.header), pose, covariance)
 
 

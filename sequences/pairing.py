@@ -49,13 +49,14 @@ def odometry_between(
 
     A message's twist covariance says how wrong the velocity was on the way to it: over the interval of dt seconds that
     it ends, the increment errs with covariance twist · dt². A share of an interval counts as that share, so errors of
-    consecutive increments add up to those of the whole. Each is carried to the current frame by the adjoint. Where
-    all twist covariances are zero, `motion_noise` speaks instead, about the motion of the base.
+    consecutive increments add up to those of the whole. Each is carried to the current frame by the adjoint. For axes
+    that were not measured all the way, and for all where the others are zero, `motion_noise` speaks instead, about the
+    motion of the base.
 
     Args:
         times_ns: Strictly increasing stamps of the odometry.
         odom_from_base: Batch (n,).
-        twist_covariances: Of the velocity (v, ω) in the base frame.
+        twist_covariances: Of the velocity (v, ω) in the base frame; infinite on the diagonal where it is not measured.
         start_ns: Time of the previous image, `times_ns[0] <= start_ns < end_ns`.
         end_ns: Time of the current image, `end_ns <= times_ns[-1]`.
         base_from_camera: Extrinsics, one pose.
@@ -68,12 +69,16 @@ def odometry_between(
 
     message = np.searchsorted(times_ns, knots_ns[1:], side="left")
     interval_s = (times_ns[message] - times_ns[message - 1]) * 1e-9
-    covariances = twist_covariances[message] * (interval_s * np.diff(knots_ns) * 1e-9)[:, None, None]
-    if covariances.any():
-        carry = (odom_from_knots[-1].inverse() @ odom_from_knots[1:]).adjoint()
-        covariance = (carry @ covariances @ np.swapaxes(carry, -1, -2)).sum(axis=0)
-    else:
-        covariance = motion_noise.covariance(previous_from_current, (end_ns - start_ns) * 1e-9)
+    stated = twist_covariances[message]
+    unknown = np.isinf(np.diagonal(stated, axis1=1, axis2=2)).any(axis=0)
+    stated = np.where(unknown[:, None] | unknown, 0.0, stated)
+    unknown |= not stated.any()
+    covariances = stated * (interval_s * np.diff(knots_ns) * 1e-9)[:, None, None]
+    carry = (odom_from_knots[-1].inverse() @ odom_from_knots[1:]).adjoint()
+    covariance = (carry @ covariances @ np.swapaxes(carry, -1, -2)).sum(axis=0)
+    if unknown.any():
+        noise = motion_noise.covariance(previous_from_current, (end_ns - start_ns) * 1e-9)
+        covariance += np.where(unknown, noise, 0.0)  # it is diagonal
 
     camera_from_base = base_from_camera.inverse()
     carry = camera_from_base.adjoint()

@@ -64,7 +64,8 @@ class SequenceOptions:
     base_from_camera: tuple[float, float, float, float, float, float, float] | None = None
     """Pose of the camera on the robot, tx ty tz qx qy qz qw, instead of tf."""
     motion_noise: MotionNoise = field(default_factory=MotionNoise)
-    """Noise of odometry whose messages carry no covariance."""
+    """Noise of odometry whose messages carry no covariance (zeros, or -1 first), and of the axes that they state a
+    variance of 1000 or more for, a placeholder for what is not measured."""
     start_s: float = 0.0
     """Seconds after the first image at which to begin."""
     duration_s: float | None = None

@@ -154,6 +154,23 @@ def test_odometry_keeps_its_stamp_pose_and_twist_covariance() -> None:
     np.testing.assert_allclose(sample.odom_from_base.apply(np.array([1.0, 0, 0])), [1.28, 2.96, 3.0], atol=1e-12)
 
 
+@pytest.mark.parametrize("placeholder", [1e3, 99999.0, 1e6])
+def test_axes_with_a_placeholder_for_a_variance_are_infinite_and_the_others_stay(placeholder: float) -> None:
+    covariance = np.diag([0.1, placeholder, placeholder, placeholder, 0.2, 0.3])
+    covariance[0, 5] = covariance[5, 0] = 0.01
+    covariance[0, 1] = covariance[1, 0] = 5.0
+    sample = odometry_from_message(odometry_message(covariance=covariance.ravel().tolist()))
+    expected = np.diag([0.1, np.inf, np.inf, np.inf, 0.2, 0.3])
+    expected[0, 5] = expected[5, 0] = 0.01
+    np.testing.assert_array_equal(sample.twist_covariance, expected)
+
+
+def test_a_placeholder_hides_no_negative_variance() -> None:
+    covariance = np.diag([-1e-4, 0.1, 1e6, 1e6, 1e6, 0.1])
+    with pytest.raises(VaporTrackError, match="negative eigenvalue"):
+        odometry_from_message(odometry_message(covariance=covariance.ravel().tolist()))
+
+
 def test_a_covariance_marked_as_unknown_becomes_zero() -> None:
     sample = odometry_from_message(odometry_message(covariance=[-1.0] + [0.0] * 35))
     assert not sample.twist_covariance.any()

@@ -108,6 +108,26 @@ def test_zero_covariances_leave_the_word_to_the_motion_noise() -> None:
     np.testing.assert_allclose(odometry.covariance, expected, rtol=1e-9)
 
 
+def test_axes_that_are_not_measured_get_the_motion_noise_and_the_others_keep_theirs() -> None:
+    # Straight ahead along x: the adjoint mixes no known axis with another.
+    times_ns = np.arange(4, dtype=np.int64) * SECOND
+    poses = Poses(np.broadcast_to(np.eye(3), (4, 3, 3)).copy(), np.array([[float(i), 0.0, 0.0] for i in range(4)]))
+    twist = np.diag([0.04, 0.01, np.inf, np.inf, np.inf, 0.0])
+    noise = MotionNoise(translation_per_m=0.2, rotation_per_m=0.1)
+    odometry = odometry_between(
+        times_ns,
+        poses,
+        np.broadcast_to(twist, (4, 6, 6)).copy(),
+        0,
+        3 * SECOND,
+        base_from_camera=Poses.identity(),
+        motion_noise=noise,
+    )
+    stated = noise.covariance(poses[0].inverse() @ poses[3], 3.0)
+    expected = np.diag([0.12, 0.03, stated[2, 2], stated[3, 3], stated[4, 4], 0.0])
+    np.testing.assert_allclose(odometry.covariance, expected, rtol=1e-9, atol=1e-15)
+
+
 def test_a_window_forgets_but_still_answers_for_what_follows() -> None:
     times_ns, poses, _ = random_walk(20, seed=1)
     window, whole = PoseWindow(max_gap_s=1.0), PoseWindow(max_gap_s=1.0)

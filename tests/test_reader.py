@@ -113,6 +113,13 @@ def test_zero_covariances_are_replaced_by_the_stated_motion_noise(tmp_path: Path
     np.testing.assert_allclose(frame.odometry.covariance, expected, rtol=1e-6, atol=1e-12)
 
 
+def test_placeholders_for_variances_leave_the_covariance_of_an_increment_small(tmp_path: Path) -> None:
+    path = Walk(twist_covariance=np.diag([0.04, 1e6, 1e6, 1e6, 1e6, 0.003])).write(tmp_path / "walk.mcap")
+    frame = list(SequenceReader(path))[1]
+    assert frame.odometry is not None
+    assert 0.0 < np.abs(frame.odometry.covariance).max() < 0.01
+
+
 def test_true_poses_are_interpolated_but_not_over_gaps(tmp_path: Path) -> None:
     walk = Walk()
     # True poses at 20 Hz, off the images' stamps, and none between 0.4 and 0.75 s.
