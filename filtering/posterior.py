@@ -106,16 +106,14 @@ class KernelDensity:
             block = left[start : start + _BLOCK]
             exponent = (block @ right).astype(np.float32, copy=False)
             total = np.exp(exponent, out=exponent).sum(axis=1)
+            top = np.zeros(len(block), np.float32)
             far = total < 1e-30
             if far.any():
                 exponent = (block[far] @ right).astype(np.float32, copy=False)
-                top = exponent.max(axis=1)
-                exponent -= top[:, None]
+                top[far] = exponent.max(axis=1)
+                exponent -= top[far, None]
                 total[far] = np.exp(exponent, out=exponent).sum(axis=1)
-            log_total = np.log(total, dtype=np.float64)
-            if far.any():
-                log_total[far] += top
-            density[start : start + _BLOCK] = log_total
+            density[start : start + _BLOCK] = np.log(total, dtype=np.float64) + top
         return density - self.log_normaliser
 
     def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:

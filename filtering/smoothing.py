@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
@@ -77,7 +77,7 @@ def smooth(
     parts = []
     for start, stop in itertools.pairwise(breaks):
         steps = [odom for odom in odometry[start + 1 : stop] if odom is not None]
-        modes = image_modes[start:stop]
+        modes = _ImageModes(image_modes[start:stop], config)
         guesses = _initial_guesses(filtered[start:stop], steps, converged[start:stop])
         solutions = [_optimise(guess, modes, steps, config) for guess in guesses]
         parts.append(min(solutions, key=lambda solution: solution[1])[0])
@@ -108,51 +108,61 @@ def _chain(filtered: Poses, steps: Sequence[Odometry], anchored: np.ndarray) -> 
     return Poses.stack(poses)
 
 
+class _ImageModes:
+    """The modes of all images as arrays, k modes in all, to choose among them in one go."""
+
+    def __init__(self, modes: Sequence[tuple[Mode, ...]], config: SmoothingConfig) -> None:
+        flat = [mode for choices in modes for mode in choices]
+        counts = np.array([len(choices) for choices in modes])
+        self.poses = Poses.stack([mode.world_from_camera for mode in flat])
+        # A tenth of a millimetre and of a milliradian keep modes of equal samples regular.
+        self.covariance = config.correlation * (np.stack([mode.covariance for mode in flat]) + 1e-8 * np.eye(6))
+        self._scale_sq = config.robust_scale**2
+        self._image = np.repeat(np.arange(len(modes)), counts)
+        self._first = np.cumsum(counts) - counts
+        self._information = np.linalg.inv(self.covariance)
+        log_weight = np.log([max(mode.weight, 1e-6) for mode in flat])
+        self._cost = (0.5 * np.linalg.slogdet(self.covariance)[1] - log_weight) / config.correlation
+
+    def choose(self, trajectory: Poses) -> tuple[Int64[np.ndarray, " n"], float]:
+        """Index of the mode that explains each image best, and what these choices cost for weight and normaliser."""
+        residual = (self.poses.inverse() @ trajectory[self._image]).log()
+        squared = np.einsum("ki,kij,kj->k", residual, self._information, residual)
+        error = 0.5 * self._scale_sq * np.log1p(squared / self._scale_sq) + self._cost
+        chosen = np.lexsort((error, self._image))[self._first]
+        return chosen, float(self._cost[chosen].sum())
+
+
 def _optimise(
-    guess: Poses, modes: Sequence[tuple[Mode, ...]], steps: Sequence[Odometry], config: SmoothingConfig
+    guess: Poses, modes: _ImageModes, steps: Sequence[Odometry], config: SmoothingConfig
 ) -> tuple[Poses, float]:
     """Alternate between choosing each image's mode and solving the graph; returns the poses and their error."""
-    odometry_factors = [
-        gtsam.BetweenFactorPose3(i, i + 1, _to_gtsam(step.previous_from_current), _gaussian(step.covariance))
-        for i, step in enumerate(steps)
-    ]
-    mode_factors = [[_mode_factor(i, mode, config) for mode in choices] for i, choices in enumerate(modes)]
-    values = gtsam.Values()
-    for i in range(len(guess)):
-        values.insert(i, _to_gtsam(guess[i]))
-    error = np.inf
+    odometry_graph = gtsam.NonlinearFactorGraph()
+    for i, step in enumerate(steps):
+        noise = _gaussian(step.covariance + 1e-8 * np.eye(6))  # exact odometry stays invertible
+        odometry_graph.add(gtsam.BetweenFactorPose3(i, i + 1, _to_gtsam(step.previous_from_current), noise))
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(config.robust_scale)
+    poses, error = guess, np.inf
     for _ in range(config.rounds):
-        graph, choice_cost = gtsam.NonlinearFactorGraph(), 0.0
-        for factor in odometry_factors:
-            graph.add(factor)
-        for factors in mode_factors:
-            chosen, cost = min(factors, key=lambda factor: factor[1] + factor[0].error(values))
-            graph.add(chosen)
-            choice_cost += cost
+        chosen, cost = modes.choose(poses)
+        graph = gtsam.NonlinearFactorGraph(odometry_graph)
+        for i, k in enumerate(chosen):
+            noise = gtsam.noiseModel.Robust.Create(kernel, _gaussian(modes.covariance[k]))
+            graph.add(gtsam.PriorFactorPose3(i, _to_gtsam(modes.poses[k]), noise))
+        values = gtsam.Values()
+        for i in range(len(poses)):
+            values.insert(i, _to_gtsam(poses[i]))
         optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values)
-        values = optimiser.optimize()
-        before, error = error, optimiser.error() + choice_cost
+        solved = optimiser.optimize()
+        poses = Poses.from_matrix(np.stack([solved.atPose3(i).matrix() for i in range(len(guess))]))
+        before, error = error, optimiser.error() + cost
         if before - error < 1e-3 * abs(before):
             break
-    poses = Poses.from_matrix(np.stack([values.atPose3(i).matrix() for i in range(len(guess))]))
     return poses, float(error)
 
 
-def _mode_factor(key: int, mode: Mode, config: SmoothingConfig) -> tuple[gtsam.NonlinearFactor, float]:
-    """A robust factor towards one mode, and what choosing this mode costs: −log of its weight and of its normaliser."""
-    gaussian = _gaussian(config.correlation * mode.covariance)
-    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(config.robust_scale)
-    factor = gtsam.PriorFactorPose3(
-        key, _to_gtsam(mode.world_from_camera), gtsam.noiseModel.Robust.Create(kernel, gaussian)
-    )
-    half_log_det = 0.5 * float(np.linalg.slogdet(mode.covariance + 1e-8 * np.eye(6))[1])
-    return factor, (half_log_det - float(np.log(max(mode.weight, 1e-6)))) / config.correlation
-
-
 def _gaussian(covariance: Float64[np.ndarray, "6 6"]) -> gtsam.noiseModel.Gaussian:
-    # A tenth of a millimetre and of a milliradian keep exact odometry and modes of one sample invertible.
-    regular = covariance + 1e-8 * np.eye(6)
-    return gtsam.noiseModel.Gaussian.Covariance(regular[np.ix_(_ROTATION_FIRST, _ROTATION_FIRST)])
+    return gtsam.noiseModel.Gaussian.Covariance(covariance[np.ix_(_ROTATION_FIRST, _ROTATION_FIRST)])
 
 
 def _to_gtsam(pose: Poses) -> gtsam.Pose3:

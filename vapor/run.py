@@ -39,6 +39,7 @@ from vapor.threads import limited_threads
 from vapor.view import NullViewer, RerunViewer
 
 _PUBLISHED_PARTICLES = 500
+_SMOOTHED_MODES = 6  # of each image, the heaviest: what the smoother keeps in memory
 _SOMETIMES_WRITTEN = (*FILES.values(), "ground_truth.tum", "errors.png", "recording.rrd")
 
 
@@ -152,7 +153,7 @@ def _localize(
                 raise VaporTrackError(f"{reader.path}: image at {frame.time_ns} ns: {error}") from error
             step_ms = 1e3 * (time.perf_counter() - begin)
             alone = posterior_modes(posterior.poses, config.localizer.modes, rng=mode_rng)
-            image_modes.append(alone)
+            image_modes.append(alone[:_SMOOTHED_MODES])
             odometry.append(frame.odometry)
             kalman_modes.append(kalman.update(alone[0], frame.odometry))
             recorder.add(frame, alone[0].world_from_camera, estimate, step_ms)
