@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import numpy as np
@@ -286,6 +287,35 @@ def test_an_interrupted_run_leaves_nothing_and_ends_with_130(walk_of_25, tiny_mo
     assert contents(earlier) == before
 
 
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "not enough memory"),
+        (torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20 GiB"), "not enough memory"),
+        (
+            RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes"),
+            "not enough memory",
+        ),
+        (BrokenProcessPool("A child process terminated abruptly"), "a worker process ended unexpectedly"),
+    ],
+)
+def test_a_machine_that_is_too_small_is_told_in_one_line(error, said, tmp_path, monkeypatch, capsys):
+    def fail(_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("vapor.commands.evaluate.main", fail)
+    refuse(["evaluate", str(tmp_path)], capsys, said)
+
+
+def test_any_other_error_of_the_program_itself_is_not_hidden(tmp_path, monkeypatch):
+    def fail(_: object) -> None:
+        raise RuntimeError("mat1 and mat2 shapes cannot be multiplied")
+
+    monkeypatch.setattr("vapor.commands.evaluate.main", fail)
+    with pytest.raises(RuntimeError, match="mat1"):
+        main(["evaluate", str(tmp_path)])
+
+
 def test_a_missing_gpu_is_told(walk_of_25, tiny_model, tmp_path, capsys):
     if torch.cuda.is_available():
         pytest.skip("this machine has a CUDA device")
@@ -336,6 +366,14 @@ WRONG = {
     "both odometries": (["convert", "d", "o.mcap", "--odometry", "a.tum", "--odometry-noise"], "exclude each other"),
     "malformed frames": (["convert", "d", "o.mcap", "--frames", "1-9"], "expected START:STOP"),
     "no directory": (["evaluate"], "What `vapor-track run` wrote"),
+    "no workers": (["benchmark", "localization", "ceiling", "--output", "o", "--workers", "0"], "workers is 0"),
+    "no seeds": (["benchmark", "localization", "ceiling", "--output", "o", "--seeds", "-1"], "seeds is -1"),
+    "no frames of a benchmark": (
+        ["benchmark", "localization", "ceiling", "--output", "o", "--frames", "0"],
+        "frames is",
+    ),
+    "no repetitions": (["benchmark", "step", "--repetitions", "0"], "repetitions is 0"),
+    "a filter of no particles": (["benchmark", "step", "--particles", "10", "0"], "particles are (10, 0)"),
     "unknown benchmark": (["benchmark", "everything"], "expected one of step, localization"),
 }
 

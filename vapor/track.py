@@ -55,7 +55,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"vapor-track {name}: interrupted", file=sys.stderr)
         return 130
+    except (MemoryError, RuntimeError) as error:
+        shortage = _shortage(error)
+        if shortage is None:
+            raise
+        print(f"vapor-track {name}: {shortage}", file=sys.stderr)
+        return 1
     return 0
+
+
+def _shortage(error: Exception) -> str | None:
+    """What to say where the machine is too small; None for any other error. By names: torch may not be loaded."""
+    kind, text = type(error).__name__, str(error).lower()
+    if kind == "BrokenProcessPool":
+        return "a worker process ended unexpectedly, perhaps for lack of memory; fewer --workers need less"
+    signs = ("not enough memory", "can't allocate memory", "out of memory")
+    if isinstance(error, MemoryError) or kind == "OutOfMemoryError" or any(sign in text for sign in signs):
+        return "not enough memory; smaller images, batches or numbers of samples and particles need less"
+    return None
 
 
 def _overview() -> str:

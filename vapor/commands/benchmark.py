@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 from rich.table import Table
 
+from filtering.errors import VaporTrackError, require_within
 from vapor.benchmark import Trial, localize_trials, time_step
 from vapor.commands.console import bar, parse, show, usage_error
 from vapor.evaluate import THRESHOLDS
@@ -19,6 +20,7 @@ from vapor.report import write_report
 from vapor.run import RunConfig
 from vapor.threads import limited_threads
 
+_MAX_SEED = 2**63
 _METHODS = ("single_image", "dead_reckoning", "kalman", "filter", "smoothed")
 
 
@@ -38,6 +40,13 @@ class StepOptions:
     """Of every part."""
     seed: int = 0
     """Of all random draws."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self, **dict.fromkeys(("num_samples", "threads", "repetitions"), (1, 10**6)), seed=(0, _MAX_SEED)
+        )
+        if not self.particles or min(self.particles) < 1:
+            raise VaporTrackError(f"particles are {self.particles}, expected numbers of at least 1")
 
 
 @dataclass(frozen=True)
@@ -59,6 +68,9 @@ class LocalizationOptions:
     workers: int = 2
     """Sequences at a time."""
     config: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=lambda: RunConfig(recording=False))
+
+    def __post_init__(self) -> None:
+        require_within(self, **dict.fromkeys(("seeds", "frames", "workers"), (1, 10**6)), first_seed=(0, _MAX_SEED))
 
 
 _OPTIONS = {"step": StepOptions, "localization": LocalizationOptions}

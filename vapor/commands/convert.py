@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -18,9 +19,9 @@ from vapor.commands.console import parse, show, show_skipped, usage_error
 class Options:
     """Write a TUM RGB-D or 7-Scenes folder as an MCAP sequence."""
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
     """Folder of the data set."""
-    output: tyro.conf.Positional[Path]
+    output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT.mcap")]
     """MCAP file to write."""
     odometry: Path | None = None
     """Recorded odometry: a TUM trajectory of the camera, in any frame, of which only the relative motion counts."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -17,7 +18,7 @@ from vapor.report import format_table, write_report
 class Options:
     """Measure the trajectories that `vapor-track run` wrote against true poses, without alignment."""
 
-    directory: tyro.conf.Positional[Path]
+    directory: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIRECTORY")]
     """What `vapor-track run` wrote."""
     ground_truth: Path | None = None
     """True poses as a TUM file. Default: ground_truth.tum in the directory."""

@@ -19,7 +19,7 @@ from vapor.run import RunConfig, run
 class Options:
     """Localize the camera of a recorded sequence; write trajectories, report, pictures and recordings."""
 
-    sequence: tyro.conf.Positional[Path]
+    sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
     """MCAP file or rosbag2 folder with images and odometry."""
     model: str
     """Model file, or name of a model that ships with the package: staircase, ceiling."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -20,7 +20,7 @@ class Options:
 
     scene: tyro.conf.Positional[Literal["staircase", "ceiling"]]
     """What the camera moves through."""
-    output: tyro.conf.Positional[Path]
+    output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT.mcap")]
     """MCAP file to write."""
     seed: int = 0
     """Of path, odometry noise and sensor noise."""

@@ -16,18 +16,20 @@ from vapor.presets import PRESETS
 from vapor.train import Progress, TrainConfig, TrainResult, train
 from vapor.validation import Validation
 
+_Preset = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")]
+
 
 @dataclass(frozen=True)
 class Options:
     """Train a pose regressor on sequences or data sets with true poses."""
 
-    data: tyro.conf.Positional[tuple[str, ...]]
+    data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
     """MCAP files or data set folders; PATH@START:STOP takes only those images of it."""
     output: Path
     """Model file to write (.safetensors)."""
     validation: tuple[str, ...] = ()
     """Held-out data; without it the last part of each training sequence is held out."""
-    preset: str = "demo"
+    preset: _Preset = "demo"
     """Named settings, of which the options below change single ones."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["demo"]
 
@@ -48,7 +50,7 @@ def main(arguments: Sequence[str]) -> None:
 def _options(preset: str) -> type[Options]:
     """The options with the defaults of a preset."""
     flat = Annotated[TrainConfig, tyro.conf.arg(name="")]
-    defaults = [("preset", str, preset), ("config", flat, PRESETS[preset])]
+    defaults = [("preset", _Preset, preset), ("config", flat, PRESETS[preset])]
     return make_dataclass("Options", defaults, bases=(Options,), frozen=True, namespace={"__doc__": Options.__doc__})
 
 
