@@ -44,12 +44,11 @@ $(DATA)/features.safetensors: $(STAIRCASE) $(DATA)/staircase-100.mcap
 
 vapor/models/staircase.safetensors: $(DATA)/features.safetensors
 	$(BIN)/vapor-track train $(STAIRCASE) --validation $(DATA)/staircase-100.mcap --output $@ \
-	    --pretrained-weights $< --loss.alpha 0.1 --epochs 20
+	    --pretrained-weights $< --loss.alpha 0.1 --epochs 28
 
 vapor/models/ceiling.safetensors: $(DATA)/features.safetensors $(CEILING) $(DATA)/ceiling-100.mcap
 	$(BIN)/vapor-track train $(CEILING) --validation $(DATA)/ceiling-100.mcap --output $@ \
-	    --pretrained-weights $< --loss.alpha 0.04 --loss.num-samples 512 --network.hidden-layers 6 --epochs 24 \
-	    --select-by sample_recall
+	    --pretrained-weights $< --loss.alpha 0.04 --loss.num-samples 512 --network.hidden-layers 6 --epochs 24
 
 $(DATA):
 	mkdir -p $@
