@@ -120,6 +120,8 @@ def list_images(path: Path) -> PosedImages:
         images = _list_seven_scenes(path, sequences)
     else:
         what = "holds none of these layouts" if path.is_dir() else "no such folder"
+        if path.is_file():
+            what = "is a file, expected the folder of a TUM RGB-D or 7-Scenes data set"
         raise SequenceError(f"{path}: {what}; looked for {_LAYOUTS}")
     if not len(images):
         raise SequenceError(f"{path}: no image with a true pose: {dict(images.skipped)}; expected at least one")

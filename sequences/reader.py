@@ -49,16 +49,16 @@ _IMAGE_DECODERS: dict[str, _ImageDecoder] = {
 
 @dataclass(frozen=True)
 class SequenceOptions:
-    """What to read of a sequence. Topics are found by their type where there is only one; '' stands for none."""
+    """What to read of a sequence. Topics are found by their type where there is only one."""
 
     image_topic: str | None = None
     """Topic of the images, sensor_msgs/Image or CompressedImage."""
     odometry_topic: str | None = None
     """Topic of the odometry, nav_msgs/Odometry."""
     ground_truth_topic: str | None = None
-    """Topic of the camera's true poses, geometry_msgs/PoseStamped."""
+    """Topic of the camera's true poses, geometry_msgs/PoseStamped; '' for none."""
     camera_info_topic: str | None = None
-    """Topic of the intrinsics, sensor_msgs/CameraInfo. Default: the one beside the image topic."""
+    """Topic of the intrinsics, sensor_msgs/CameraInfo; '' for none. Default: the one beside the image topic."""
     camera_frame: str | None = None
     """Frame of the camera, for tf. Default: the frame in the header of the images."""
     base_from_camera: tuple[float, float, float, float, float, float, float] | None = None
@@ -75,6 +75,14 @@ class SequenceOptions:
         require_within(self, start_s=(0.0, _MAX_DURATION_S))
         if self.duration_s is not None:
             require_within(self, duration_s=(0.0, _MAX_DURATION_S))
+        for name in ("image_topic", "odometry_topic"):
+            if getattr(self, name) == "":
+                raise SequenceError(f"{name} is '', expected the name of a topic: it cannot be left out")
+        if self.base_from_camera is not None:
+            try:
+                _pose_of_numbers(self.base_from_camera)
+            except VaporTrackError as error:
+                raise SequenceError(f"--base-from-camera: {error}; expected tx ty tz qx qy qz qw") from error
 
 
 class SequenceReader:
@@ -339,14 +347,15 @@ def _read_camera(bag: Bag, topic: Topic | None) -> Camera | None:
     return camera_from_message(_first(bag, topic)) if topic is not None and topic.num_messages else None
 
 
+def _pose_of_numbers(numbers: Iterable[float]) -> Poses:
+    given = np.array([*numbers], np.float64)
+    return Poses.from_quat_xyzw(given[:3], given[3:])
+
+
 def _read_extrinsics(bag: Bag, options: SequenceOptions, image: Topic, odometry: Topic) -> Poses:
     """Pose of the camera in the odometry's child frame: given, the identity where both are one, or from tf."""
     if options.base_from_camera is not None:
-        given = np.array(options.base_from_camera)
-        try:
-            return Poses.from_quat_xyzw(given[:3], given[3:])
-        except VaporTrackError as error:
-            raise SequenceError(f"--base-from-camera: {error}; expected tx ty tz qx qy qz qw") from error
+        return _pose_of_numbers(options.base_from_camera)
     base = frame_name(_first(bag, odometry).child_frame_id)
     camera = frame_name(options.camera_frame or _first(bag, image).header.frame_id)
     if base and base == camera:

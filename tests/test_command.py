@@ -23,6 +23,7 @@ from tests.test_datasets import make_7scenes, make_tum, truth_at
 from tests.tiny_model import SMALL, altered
 from vapor import checkpoint as checkpoint_module
 from vapor import train as train_module
+from vapor.presets import PRESETS
 from vapor.track import COMMANDS, main
 
 IMAGES, ODOMETRY, TRUTH = "/camera/image/compressed", "/odom", "/ground_truth/pose"
@@ -354,6 +355,15 @@ WRONG = {
         "max_modes is 0, expected between 1",
     ),
     "setting of NaN": (["run", "a.mcap", "--model", "m", "--output", "o", "--duration-s", "nan"], "duration_s is nan"),
+    "no odometry topic": (
+        ["run", "a.mcap", "--model", "m", "--output", "o", "--odometry-topic", ""],
+        "odometry_topic is '', expected the name of a topic",
+    ),
+    "no image topic": (["run", "a.mcap", "--model", "m", "--output", "o", "--image-topic", ""], "image_topic is ''"),
+    "extrinsics without a rotation": (
+        ["run", "a.mcap", "--model", "m", "--output", "o", "--base-from-camera", *"1230000"],
+        "--base-from-camera: ",
+    ),
     "unknown scene": (["synthesize", "attic", "s.mcap"], "attic"),
     "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),
     "negative seed of a scene": (["synthesize", "staircase", "s.mcap", "--seed", "-1"], "seed -1"),
@@ -364,6 +374,7 @@ WRONG = {
     "no model to write": (["train", "a.mcap"], "--output"),
     "no epochs": (["train", "a.mcap", "--output", "m.safetensors", "--epochs", "0"], "epochs is 0"),
     "both odometries": (["convert", "d", "o.mcap", "--odometry", "a.tum", "--odometry-noise"], "exclude each other"),
+    "noise of no odometry": (["convert", "d", "o.mcap", "--noise.scale", "0.1"], "expected --odometry-noise with them"),
     "malformed frames": (["convert", "d", "o.mcap", "--frames", "1-9"], "expected START:STOP"),
     "no directory": (["evaluate"], "What `vapor-track run` wrote"),
     "no workers": (["benchmark", "localization", "ceiling", "--output", "o", "--workers", "0"], "workers is 0"),
@@ -403,6 +414,27 @@ def test_every_command_explains_its_options(command, capsys):
     out, err = capsys.readouterr()
     assert f"usage: vapor-track {command}" in out
     assert err == ""
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("run", "SEQUENCE"),
+        ("convert", "DATASET OUT.mcap"),
+        ("synthesize", "OUT.mcap"),
+        ("evaluate", "DIRECTORY"),
+        ("train", "DATA ..."),
+    ],
+)
+def test_the_usage_names_what_to_give(command, said, capsys):
+    assert status_of([command, "--help"]) == 0
+    assert f" {said}" in capsys.readouterr().out.splitlines()[0]
+
+
+def test_the_help_of_train_lists_the_presets(capsys):
+    assert status_of(["train", "--help"]) == 0
+    out = "".join(capsys.readouterr().out.replace("│", "").split())
+    assert f"--preset{{{','.join(PRESETS)}}}" in out
 
 
 # --- the process itself --------------------------------------------------------------------------------
@@ -522,6 +554,18 @@ def test_a_training_that_cannot_be_is_refused(data, output, said, walk_of_25, tm
     rewrite(walk_of_25, tmp_path / "blind.mcap", keep=lambda topic, _: topic != TRUTH)
     refuse(["train", str(tmp_path / data), "--output", str(tmp_path / output), *TRAINING], capsys, *said)
     assert {path.name for path in tmp_path.iterdir()} == {"walk.mcap", "taken", "blind.mcap"}
+
+
+def test_frames_of_training_data_that_are_no_numbers_are_told(tmp_path, capsys):
+    words = ["train", f"{tmp_path}/walk.mcap@a:b", "--output", str(tmp_path / "m.safetensors")]
+    refuse(words, capsys, "walk.mcap@a:b", "expected START:STOP after @ to be whole numbers")
+
+
+def test_a_conversion_of_a_file_says_that_a_folder_was_expected(walk_of_25, tmp_path, capsys):
+    refuse(
+        ["convert", str(walk_of_25), str(tmp_path / "o.mcap")], capsys, walk_of_25, "is a file, expected the folder of"
+    )
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_synthetic_sequence_appears_and_can_be_run(tiny_model, tmp_path, capsys):

@@ -304,6 +304,8 @@ def _open(data: Sequence[Path | str]) -> dict[str, Iterable[Frame]]:
     for number, entry in enumerate(data):
         match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
         path = Path(match["path"] if match else entry)
+        if match is None and re.search(r"@[^/]*:[^/]*$", str(entry)) and not path.exists():
+            raise TrainingError(f"{entry}: expected START:STOP after @ to be whole numbers, or one of them left out")
         frames = (
             slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None) if match else slice(None)
         )

@@ -42,6 +42,8 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("convert", f"--frames {o.frames}, expected START:STOP with whole numbers")
     if o.odometry is not None and o.odometry_noise:
         usage_error("convert", "--odometry and --odometry-noise exclude each other")
+    if o.noise != OdometryNoise() and not o.odometry_noise:
+        usage_error("convert", "--noise.* are settings of simulated odometry, expected --odometry-noise with them")
     start, stop = (int(number) if number else None for number in match.groups())
     summary = convert(
         o.dataset,

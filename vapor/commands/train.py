@@ -27,7 +27,7 @@ class Options:
     """MCAP files or data set folders; PATH@START:STOP takes only those images of it."""
     output: Path
     """Model file to write (.safetensors)."""
-    validation: tuple[str, ...] = ()
+    validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Held-out data; without it the last part of each training sequence is held out."""
     preset: _Preset = "demo"
     """Named settings, of which the options below change single ones."""
