@@ -38,7 +38,7 @@ MAX_TRUE_POSE_GAP_S = 0.1
 _MAX_WAITING = 64  # images held, still encoded, until odometry and true poses reach them
 
 _MAX_DURATION_S = 1e9  # of a recording; NaN and infinity are none
-_MAX_LATENESS_S = 10.0  # how much later than its stamp a message may be logged
+_MAX_LATENESS_S = 10.0  # how much later than its stamp a message may be logged, and how far clocks may jump ahead
 
 _ImageDecoder = Callable[[SimpleNamespace], UInt8[np.ndarray, "height width 3"]]
 _IMAGE_DECODERS: dict[str, _ImageDecoder] = {
@@ -183,6 +183,7 @@ class _Pairing:
         self._waiting: deque[tuple[int, SimpleNamespace]] = deque()
         self._begin: tuple[int, int] | None = None  # stamp and log time of the first image
         self._previous_ns: int | None = None  # stamp of the last frame
+        self._ahead_ns: dict[str, int] = {}  # topic -> stamp less log time of its last usual message
 
     def is_over(self, raw: RawMessage) -> bool:
         """Whether a message lies so far behind the stretch asked for that nothing of it can come any more."""
@@ -197,6 +198,9 @@ class _Pairing:
             self._skip("undecodable image", raw.log_time_ns)
             return
         time_ns = stamp_ns(message.header)
+        if self._jumps_ahead(raw, time_ns):
+            self._skip("time stamp far ahead", raw.log_time_ns)
+            return
         if raw.topic == self._topics.image.name:
             self._begin = self._begin or (time_ns, raw.log_time_ns)
             since_s = (time_ns - self._begin[0]) * 1e-9 - self._options.start_s
@@ -218,6 +222,14 @@ class _Pairing:
         if self._previous_ns is None and not self._waiting:
             # Before the first image there is nothing to remember but what a late image may still ask for.
             window.forget_before(time_ns - int(_MAX_LATENESS_S * 1e9))
+
+    def _jumps_ahead(self, raw: RawMessage, time_ns: int) -> bool:
+        """Whether a stamp ran ahead of its log time, by what is usual on its topic: all after it would seem late."""
+        ahead_ns = time_ns - raw.log_time_ns
+        drift_ns = ahead_ns - self._ahead_ns.setdefault(raw.topic, ahead_ns)
+        if abs(drift_ns) <= _MAX_LATENESS_S * 1e9:
+            self._ahead_ns[raw.topic] = ahead_ns  # clocks may drift apart slowly
+        return drift_ns > _MAX_LATENESS_S * 1e9
 
     def ready_frames(self, *, at_end: bool = False) -> Iterator[Frame]:
         """Frames of the images that need to wait no longer."""

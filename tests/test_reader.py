@@ -400,15 +400,35 @@ def test_a_true_pose_that_is_not_finite_ends_the_reading_with_topic_and_time(tmp
         list(SequenceReader(path))
 
 
-def test_a_stamp_far_in_the_future_costs_one_image_only(tmp_path: Path) -> None:
+def far_ahead(of_topic: str, walk: Path, target: Path) -> Path:
+    """A copy in which one message of a topic, about half a second after the first image, is stamped years later."""
+    at_ns = BEGIN_NS + {IMAGES: 500_000_000, "/odom": 507_000_000, "/ground_truth/pose": 500_000_000}[of_topic]
+
     def stamped(topic: str, time_ns: int, data: bytes) -> bytes:
-        if topic != IMAGES or time_ns != BEGIN_NS + 500_000_000:
+        if topic != of_topic or time_ns != at_ns:
             return data
         return data[:4] + np.array([2_000_000_000, 0], "<u4").tobytes() + data[12:]
 
-    reader = SequenceReader(rewrite(Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap", data=stamped))
-    assert len(list(reader)) == 11
-    assert reader.skipped == {"odometry does not cover": 1}
+    return rewrite(walk, target, data=stamped)
+
+
+@pytest.mark.parametrize("require_odometry", [True, False])
+def test_a_stamp_far_in_the_future_costs_one_image_only(require_odometry: bool, tmp_path: Path) -> None:
+    path = far_ahead(IMAGES, Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap")
+    reader = SequenceReader(path, require_odometry=require_odometry)
+    assert [f.time_ns for f in reader] == [BEGIN_NS + 100_000_000 * i for i in range(12) if i != 5]
+    assert reader.skipped == {"time stamp far ahead": 1}
+
+
+@pytest.mark.parametrize(("topic", "num_true_poses"), [("/odom", 12), ("/ground_truth/pose", 11)])
+def test_a_stamp_far_in_the_future_costs_one_pose_only(topic: str, num_true_poses: int, tmp_path: Path) -> None:
+    path = far_ahead(topic, Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap")
+    reader = SequenceReader(path)
+    frames = list(reader)
+    assert len(frames) == 12
+    assert all(frame.odometry is not None for frame in frames[1:])
+    assert sum(frame.world_from_camera is not None for frame in frames) == num_true_poses
+    assert reader.skipped == {"time stamp far ahead": 1}
 
 
 def test_with_no_image_left_the_error_says_why(tmp_path: Path) -> None:
