@@ -70,7 +70,7 @@ def odometry_between(
     message = np.searchsorted(times_ns, knots_ns[1:], side="left")
     interval_s = (times_ns[message] - times_ns[message - 1]) * 1e-9
     stated = twist_covariances[message]
-    unknown = np.isinf(np.diagonal(stated, axis1=1, axis2=2)).any(axis=0)
+    unknown = np.isinf(np.diagonal(stated, axis1=1, axis2=2)).sum(axis=0) > 0
     stated = np.where(unknown[:, None] | unknown, 0.0, stated)
     unknown |= not stated.any()
     covariances = stated * (interval_s * np.diff(knots_ns) * 1e-9)[:, None, None]
