@@ -19,7 +19,7 @@ test: $(INSTALLED)
 check: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/basedpyright --level error
+	$(BIN)/basedpyright --project pyproject.toml --level error
 	$(BIN)/lint-imports
 
 $(INSTALLED): pyproject.toml
