@@ -97,7 +97,7 @@ class SequenceReader:
         odometry_description: What the file says of where its odometry comes from; None where it says nothing.
     """
 
-    def __init__(self, path: Path, options: SequenceOptions | None = None, *, require_odometry: bool = True):
+    def __init__(self, path: Path | str, options: SequenceOptions | None = None, *, require_odometry: bool = True):
         """Open a sequence, find its topics and extrinsics.
 
         Args:
