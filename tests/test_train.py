@@ -16,7 +16,7 @@ from vapor.network import NetworkConfig
 from vapor.observation import VaporObservationModel
 from vapor.presets import PRESETS
 from vapor.train import train, train_on
-from vapor.train_config import TrainConfig, learning_rate
+from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, held_out_tails, load_training_set
 from vapor.training_state import state_path
 
@@ -211,6 +211,16 @@ def test_one_cycle_rises_to_the_peak_and_falls_to_nothing():
     assert rates.max() == pytest.approx(1e-3, rel=0.01)
     assert rates[0] < 1e-5
     assert rates[-1] < 1e-6
+
+
+def test_samples_grow_from_the_winners_to_all_of_them_and_by_default_do_not():
+    config = TrainConfig(loss=LossConfig(alpha=0.05, num_samples=400), epochs=10, evolve=0.5)
+    samples = [samples_per_image(config, step, 10) for step in range(100)]
+    assert samples[0] == config.loss.num_winners == 20
+    assert samples[25] == int(20 * 20**0.5)  # half way in the growth
+    assert (np.diff(samples) >= 0).all()
+    assert set(samples[50:]) == {400}
+    assert {samples_per_image(TrainConfig(), step, 10) for step in range(300)} == {TrainConfig().loss.num_samples}
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from vapor.checkpoint import Checkpoint, save_checkpoint, thin_poses
 from vapor.loss import regression_loss
 from vapor.network import SceneBox, VariationalPoseRegressor, load_pretrained
 from vapor.observation import resolve_device
-from vapor.train_config import TrainConfig, learning_rate
+from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, TrainingSet, held_out_tails, load_training_set
 from vapor.training_state import TrainingState, load_state, save_state, state_path
 from vapor.validation import Validation, validate
@@ -209,7 +209,7 @@ def _train_epoch(
         crops = random_crops(training.images, indices, config.network.image_size, config.augment, rng=rng)
         pixels = torch.from_numpy(crops).to(device)
         images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
-        shape = batch, config.loss.num_samples, config.network.latent_dim
+        shape = batch, samples_per_image(config, step, steps), config.network.latent_dim
         noise = torch.randn(shape, generator=generator, device=device)
         truth = true_translation[indices], true_rotation[indices]
         with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):

@@ -49,6 +49,10 @@ class TrainConfig:
     """steps: epochs between two decays, n in the paper."""
     decay_times: int = 10
     """steps: how often, at most."""
+    evolve: float = 0.0
+    """Share of the training in which the samples per image grow from the number of winners, who then all learn, to all M
+    (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, what the image does tell is
+    learned first. 0 draws all M from the start, as the paper does."""
     average: float = 0.998
     """Decay per step of the moving average of weights that is kept; 0 keeps the last weights themselves."""
     validation_share: float = 0.1
@@ -58,7 +62,7 @@ class TrainConfig:
     select_by: Literal["sample_recall", "mode_recall", "log_density"] = "sample_recall"
     """Figure on held-out images whose best epoch is kept; without held-out images it is the last. The density at the
     true pose falls when a possible place is forgotten, but it prefers vague posteriors to sharp ones that miss: of a
-    ceiling of 24 like places it would have kept the second epoch of 24."""
+    ceiling of 24 like places it once kept the second epoch of 24."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it."""
     half: bool = True
@@ -76,7 +80,7 @@ class TrainConfig:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
         if self.seed < 0:
             raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
-        for name in ("average", "validation_share", "warmup"):
+        for name in ("evolve", "average", "validation_share", "warmup"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
 
@@ -90,3 +94,12 @@ def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float
     if share < config.warmup:
         return config.learning_rate * (1 - math.cos(math.pi * share / config.warmup)) / 2
     return config.learning_rate * (1 + math.cos(math.pi * (share - config.warmup) / (1 - config.warmup))) / 2
+
+
+def samples_per_image(config: TrainConfig, step: int, steps_per_epoch: int) -> int:
+    """Posterior samples per image of one step, counted from 0 over the whole training: geometric growth, then M."""
+    winners, samples = config.loss.num_winners, config.loss.num_samples
+    share = step / (steps_per_epoch * config.epochs)
+    if share >= config.evolve:
+        return samples
+    return int(winners * (samples / winners) ** (share / config.evolve))
