@@ -50,7 +50,7 @@ class TrainConfig:
     decay_times: int = 10
     """steps: how often, at most."""
     evolve: float = 0.0
-    """Share of the training in which the samples per image grow from the number of winners, who then all learn, to all M
+    """Share of the training in which the samples per image grow from the number of winners, who then all learn, to M
     (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, what the image does tell is
     learned first. 0 draws all M from the start, as the paper does."""
     average: float = 0.998
