@@ -116,6 +116,35 @@ def test_an_interrupted_training_ends_with_the_same_weights_as_an_uninterrupted_
     assert not _same(anew.checkpoint, whole.checkpoint)
 
 
+def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_holds_both(tmp_path):
+    first = tmp_path / "first.safetensors"
+    there = train_on({"a": make_frames(24)}, first, TINY).checkpoint
+    still = replace(TINY, initial_model=first, learning_rate=1e-12, weight_decay=0.0, epochs=1)
+    shift = np.array([0.0, 0.0, 9.0])
+    frames = [replace(f, world_from_camera=Poses(pose(f).rotation, pose(f).translation + shift)) for f in make_frames(24)]
+    on = train_on({"b": frames}, tmp_path / "on.safetensors", still).checkpoint
+    statistics = ("running_mean", "running_var", "num_batches_tracked")  # of BatchNorm: those follow the images
+    learned = [name for name in there.state_dict if not name.endswith(statistics)]
+    assert all(torch.allclose(on.state_dict[name], there.state_dict[name], atol=1e-8) for name in learned)
+    assert on.box.lower == there.box.lower
+    assert on.box.upper[:2] == there.box.upper[:2]
+    assert on.box.upper[2] > there.box.upper[2] + 8
+    assert on.training["config"]["initial_model"] == "first.safetensors"
+
+
+def test_a_model_of_another_shape_or_two_starts_are_refused_before_anything_is_read(tmp_path):
+    first = tmp_path / "first.safetensors"
+    train_on({"a": make_frames(24)}, first, replace(TINY, epochs=1))
+    wider = replace(TINY, initial_model=first, network=replace(TINY.network, hidden_width=96))
+    unread = {"b": (pytest.fail("read") for _ in range(1))}
+    with pytest.raises(TrainingError, match=r"first\.safetensors: its network is .*=64.*, expected .*hidden_width=96"):
+        train_on(unread, tmp_path / "m.safetensors", wider)
+    with pytest.raises(CheckpointError, match="absent"):
+        train_on(unread, tmp_path / "m.safetensors", replace(TINY, initial_model=tmp_path / "absent.safetensors"))
+    with pytest.raises(TrainingError, match="are both given"):
+        replace(TINY, initial_model=first, pretrained_weights=first)
+
+
 def test_an_interrupted_training_of_another_configuration_is_not_continued(tmp_path):
     output = tmp_path / "m.safetensors"
     with pytest.raises(_Interrupted):

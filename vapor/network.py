@@ -94,6 +94,10 @@ class SceneBox:
         wider = np.maximum(margin * (upper - lower), margin_m)
         return SceneBox(_triple(lower - wider), _triple(upper + wider))
 
+    def union(self, other: SceneBox) -> SceneBox:
+        """The smallest box around both."""
+        return SceneBox(_triple(np.minimum(self.lower, other.lower)), _triple(np.maximum(self.upper, other.upper)))
+
 
 class PoseMap(nn.Module):
     """Latent vectors to camera poses inside the scene's box."""
@@ -132,7 +136,7 @@ class VariationalPoseRegressor(nn.Module):
 
     def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
         super().__init__()
-        self.config = config
+        self.config, self.box = config, box
         self.backbone = make_backbone(config.backbone)
         self.feature = nn.Linear(self.backbone.num_features, config.feature_dim)
         # Two heads: one head for both would tie the spread of a latent to its place.

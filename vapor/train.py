@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
@@ -17,7 +17,7 @@ import torch
 from sequences.datasets import posed_frames
 from sequences.frame import Frame
 from vapor.augment import jitter_and_normalise, random_crops
-from vapor.checkpoint import Checkpoint, save_checkpoint, thin_poses
+from vapor.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, thin_poses
 from vapor.loss import regression_loss
 from vapor.network import SceneBox, VariationalPoseRegressor, load_pretrained
 from vapor.observation import resolve_device
@@ -115,6 +115,7 @@ def train_on(
         raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
     if output.is_dir():
         raise TrainingError(f"{output}: is a folder, expected the name of a model file to write")
+    initial = _initial_model(config)
     report = progress or (lambda _: None)
     edge, central = config.network.shortest_edge, config.augment.crop == "central"
     loaded = load_training_set(sequences, edge, square=central, progress=lambda n: report(Progress("reading", n)))
@@ -127,10 +128,13 @@ def train_on(
         raise TrainingError(f"{', '.join(sequences)}: {len(training)} training images, expected at least 2")
     spaced = np.linspace(0, len(held_out) - 1, min(len(held_out), config.validation_images)).round().astype(int)
     names = {"data": list(sequences), "validation_data": list(validation or ())}
-    return _fit(training, _select(held_out, spaced), names, output, config, report)
+    box = SceneBox.around(training.poses)
+    state = _start(config, box.union(initial.box) if initial else box, initial)
+    return _fit(state, training, _select(held_out, spaced), names, output, config, report)
 
 
 def _fit(
+    state: TrainingState,
     training: TrainingSet,
     held_out: TrainingSet,
     names: dict[str, Any],
@@ -138,9 +142,6 @@ def _fit(
     config: TrainConfig,
     report: ProgressCallback,
 ) -> TrainResult:
-    device = resolve_device(config.device)
-    box = SceneBox.around(training.poses)
-    state = _start(config, box, device)
     identity = {**names, "images": len(training), "held_out": len(held_out), **_settings(config)}
     if config.resume and state_path(output).exists():
         load_state(state_path(output), state, identity)
@@ -178,7 +179,12 @@ def _fit(
         "validation": asdict(best) if best else None,
     }
     checkpoint = Checkpoint(
-        config.network, box, config.calibration, thin_poses(training.poses), weights, json.loads(json.dumps(provenance))
+        config.network,
+        state.network.box,
+        config.calibration,
+        thin_poses(training.poses),
+        weights,
+        json.loads(json.dumps(provenance)),
     )
     save_checkpoint(output, checkpoint, half=config.half)
     state_path(output).unlink(missing_ok=True)
@@ -242,14 +248,17 @@ def has_bfloat16(device: torch.device) -> bool:
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
 
 
-def _start(config: TrainConfig, box: SceneBox, device: torch.device) -> TrainingState:
-    """Initial weights, which depend on the seed alone, and a fresh optimizer."""
+def _start(config: TrainConfig, box: SceneBox, initial: Checkpoint | None) -> TrainingState:
+    """Initial weights, which depend on the seed and the files to start from alone, and a fresh optimizer."""
+    device = resolve_device(config.device)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         network = VariationalPoseRegressor(config.network, box)
         average = VariationalPoseRegressor(config.network, box)
     if config.pretrained_weights is not None or config.network.backbone == "efficientnet-lite0":
         load_pretrained(network, config.pretrained_weights)
+    if initial is not None:
+        network.load_state_dict(dict(initial.state_dict))
     average.load_state_dict(network.state_dict())
     network, average = (
         n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
@@ -260,6 +269,17 @@ def _start(config: TrainConfig, box: SceneBox, device: torch.device) -> Training
         {"params": [p for p in network.parameters() if p.ndim <= 1], "weight_decay": 0.0},
     ]
     return TrainingState(network, average, torch.optim.AdamW(groups, lr=config.learning_rate, fused=True))
+
+
+def _initial_model(config: TrainConfig) -> Checkpoint | None:
+    if config.initial_model is None:
+        return None
+    initial = load_checkpoint(config.initial_model)
+    if initial.network != config.network:
+        raise TrainingError(
+            f"{config.initial_model}: its network is {initial.network}, expected {config.network} as configured"
+        )
+    return initial
 
 
 @torch.no_grad()
@@ -285,9 +305,9 @@ def _weights(network: VariationalPoseRegressor) -> dict[str, torch.Tensor]:
 
 def _settings(config: TrainConfig) -> dict[str, Any]:
     """What makes a training this one, as JSON: all but where it runs; file names without folders."""
-    weights = config.pretrained_weights
-    settings = asdict(replace(config, pretrained_weights=None))
-    settings["pretrained_weights"] = weights.name if weights else None
+    settings = asdict(config)
+    for name in ("initial_model", "pretrained_weights"):
+        settings[name] = settings[name].name if settings[name] else None
     return {key: value for key, value in settings.items() if key not in ("device", "resume")}
 
 

@@ -31,6 +31,9 @@ class TrainConfig:
     """Weights of the backbone to start from: ImageNet's, as safetensors or a torch state dict with torchvision's names,
     or those of a model trained here. Without it a ResNet starts from random weights, EfficientNet-Lite0 from those of
     its package."""
+    initial_model: Path | None = None
+    """A model trained here, of the same network shape, all of whose weights are the start: to go on with more data, or
+    with another loss. Its scene box is widened where the new data need it."""
     epochs: int = 30
     """Times every training image is seen."""
     batch_size: int = 64
@@ -78,6 +81,11 @@ class TrainConfig:
         for name in ("epochs", "batch_size", "learning_rate", "decay_epochs", "validation_images"):
             if not getattr(self, name) > 0:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
+        if self.initial_model is not None and self.pretrained_weights is not None:
+            raise TrainingError(
+                f"training: initial_model {self.initial_model} and pretrained_weights {self.pretrained_weights} are both"
+                " given, expected one of them: a model brings its backbone along"
+            )
         if self.seed < 0:
             raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
         for name in ("evolve", "average", "validation_share", "warmup"):
