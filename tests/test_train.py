@@ -120,8 +120,8 @@ def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_hold
     first = tmp_path / "first.safetensors"
     there = train_on({"a": make_frames(24)}, first, TINY).checkpoint
     still = replace(TINY, initial_model=first, learning_rate=1e-12, weight_decay=0.0, epochs=1)
-    shift = np.array([0.0, 0.0, 9.0])
-    frames = [replace(f, world_from_camera=Poses(pose(f).rotation, pose(f).translation + shift)) for f in make_frames(24)]
+    up = Poses(np.eye(3), np.array([0.0, 0.0, 9.0]))
+    frames = [replace(f, world_from_camera=up @ pose(f)) for f in make_frames(24)]
     on = train_on({"b": frames}, tmp_path / "on.safetensors", still).checkpoint
     statistics = ("running_mean", "running_var", "num_batches_tracked")  # of BatchNorm: those follow the images
     learned = [name for name in there.state_dict if not name.endswith(statistics)]

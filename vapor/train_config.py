@@ -83,8 +83,8 @@ class TrainConfig:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
         if self.initial_model is not None and self.pretrained_weights is not None:
             raise TrainingError(
-                f"training: initial_model {self.initial_model} and pretrained_weights {self.pretrained_weights} are both"
-                " given, expected one of them: a model brings its backbone along"
+                f"training: initial_model {self.initial_model} and pretrained_weights {self.pretrained_weights} are"
+                " both given, expected one of them: a model brings its backbone along"
             )
         if self.seed < 0:
             raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
