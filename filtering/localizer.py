@@ -13,7 +13,7 @@ from filtering.motion import Odometry
 from filtering.particles import Particles
 from filtering.posterior import ObservationModel, PosePosterior, Posterior
 from filtering.proposal import mixture_log_weights, propose
-from filtering.recovery import Recovery, RecoveryConfig, agreement
+from filtering.recovery import Recovery, RecoveryConfig, agreement, log_mean
 from filtering.se3 import Poses
 
 
@@ -35,7 +35,7 @@ class LocalizerConfig:
     """Status is "converged" from this share of the belief in the best mode on."""
     converged_std_m: float = 0.5
     """And with at most this standard deviation of its position, in metres, along its widest axis."""
-    lost_log_evidence: float = 0.2
+    lost_log_evidence: float = 0.07
     """Status is "lost" while the running mean of the log evidence is below this (0: every image an outlier)."""
     evidence_decay: float = 0.9
     """Share of the running mean of the log evidence that an image leaves unchanged."""
@@ -127,7 +127,7 @@ class ParticleLocalizer(Generic[Posterior]):
         log_likelihood = posterior.log_likelihood(poses)
         self._recovery = Recovery()
         self._mean_log_evidence = None
-        return particles, float(np.logaddexp.reduce(log_likelihood) - np.log(len(log_likelihood)))
+        return particles, log_mean(log_likelihood)
 
     def _continue(self, belief: Particles, posterior: PosePosterior, odom: Odometry) -> tuple[Particles, float]:
         """Propagate, inject, weigh."""
@@ -143,9 +143,11 @@ class ParticleLocalizer(Generic[Posterior]):
             rng=self._filter_rng,
         )
         log_likelihood = posterior.log_likelihood(proposal.poses)
-        from_motion, from_image = np.split(log_likelihood, [proposal.num_from_motion])
-        if len(from_image):
-            self._recovery = self._recovery.update(agreement(from_motion, from_image), c.recovery)
+        num_moved = proposal.num_from_motion
+        log_evidence = log_mean(log_likelihood[:num_moved], (proposal.log_predicted - proposal.log_moved)[:num_moved])
+        if num_moved < len(log_likelihood):
+            best_evidence = log_mean(log_likelihood[num_moved:])
+            self._recovery = self._recovery.update(agreement(log_evidence, best_evidence), c.recovery)
         log_weights = mixture_log_weights(
             proposal,
             log_likelihood,
@@ -153,9 +155,9 @@ class ParticleLocalizer(Generic[Posterior]):
             kidnap_probability=self._recovery.kidnap_probability(c.recovery),
         )
         particles, _ = Particles.from_unnormalised(proposal.poses, log_weights)
-        if particles.weights[proposal.num_from_motion :].sum() > 0.5:
+        if particles.weights[num_moved:].sum() > 0.5:
             self._recovery = self._recovery.reset()
-        return particles, float(np.logaddexp.reduce(from_motion) - np.log(len(from_motion)))
+        return particles, log_evidence
 
     def _order(self, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
         """Keep the previous best mode first unless another clearly outweighs it."""

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.spatial.distance import cdist
 from scipy.special import ive
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 
 _BLOCK = 128  # kernel rows at a time: 128 × 1000 float32 fit a core's second-level cache and need no BLAS threads
+_REACH = 9.0  # kernel widths: what lies beyond weighs less than e^−40 of a kernel's peak
+_LEAST_TOTAL = 1e-11  # so that what is left out is below float32's precision
 
 
 @runtime_checkable
@@ -88,33 +92,33 @@ class KernelDensity:
     def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log density of poses (n,), per m³ rad³.
 
-        The kernel matrix is float32. A pose so far from every centre that all its kernels underflow is computed
-        again relative to its largest exponent: it gets its true, very small log density rather than −∞.
+        Poses are taken in blocks of neighbours; each block leaves out the kernels that are too far away to count. The
+        kernel matrix is float32. A pose so far from every centre that too little is left of its kernels is computed
+        again with all of them, relative to its largest exponent: it gets its true log density rather than −∞.
         """
+        if len(poses) == 0:
+            return np.empty(0)
         origin = self.centres.translation.mean(axis=0)
         centres, half_norm = self._embed(self.centres, origin)
         log_weights = -np.log(len(half_norm)) if self.log_weights is None else self.log_weights
         rows, row_half_norm = self._embed(poses, origin)
         # log kernel = a·c − ½|c|² − ½|a|²: the norms enter the product as two more columns. They cancel, so where they
         # are large against the kernel (narrow kernels, wide scenes) the product is taken in double precision.
-        largest = max(half_norm.max(), row_half_norm.max(initial=0.0))
-        precision = np.float32 if largest < 4000.0 else np.float64
-        right = np.vstack([centres.T, log_weights - half_norm, np.ones(len(half_norm))]).astype(precision)
+        precision = np.float32 if max(half_norm.max(), row_half_norm.max()) < 4000.0 else np.float64
+        right = np.column_stack([centres, log_weights - half_norm, np.ones(len(half_norm))]).astype(precision)
         left = np.column_stack([rows, np.ones(len(rows)), -row_half_norm]).astype(precision)
-        density = np.empty(len(left))
-        for start in range(0, len(left), _BLOCK):
-            block = left[start : start + _BLOCK]
-            exponent = (block @ right).astype(np.float32, copy=False)
-            total = np.exp(exponent, out=exponent).sum(axis=1)
-            top = np.zeros(len(block), np.float32)
-            far = total < 1e-30
-            if far.any():
-                exponent = (block[far] @ right).astype(np.float32, copy=False)
-                top[far] = exponent.max(axis=1)
-                exponent -= top[far, None]
-                total[far] = np.exp(exponent, out=exponent).sum(axis=1)
-            density[start : start + _BLOCK] = np.log(total, dtype=np.float64) + top
-        return density - self.log_normaliser
+        total, top = np.empty(len(left), np.float32), np.zeros(len(left), np.float32)
+        for block, near in _neighbourhoods(rows, centres):
+            exponent = (left[block] @ right[near].T).astype(np.float32, copy=False)
+            total[block] = np.exp(exponent, out=exponent).sum(axis=1)
+        (far,) = np.nonzero(total < _LEAST_TOTAL)
+        for start in range(0, len(far), _BLOCK):
+            block = far[start : start + _BLOCK]
+            exponent = (left[block] @ right.T).astype(np.float32, copy=False)
+            top[block] = exponent.max(axis=1)
+            exponent -= top[block, None]
+            total[block] = np.exp(exponent, out=exponent).sum(axis=1)
+        return np.log(total, dtype=np.float64) + top - self.log_normaliser
 
     def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
         """Draw poses (num_samples,) exactly from the density."""
@@ -218,3 +222,17 @@ class PosteriorSamples:
             values = self.density.log_density(poses), self.likelihood.log_prior(poses)
             self._evaluated[:] = [(poses, *values)]
         return self._evaluated[0][1:]
+
+
+def _neighbourhoods(
+    rows: Float64[np.ndarray, "n d"], centres: Float64[np.ndarray, "m d"]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Blocks of embedded poses that lie together, and of each the centres within reach of any pose in it; indices."""
+    offset = rows - rows.mean(axis=0)
+    _, axes = np.linalg.eigh(offset.T @ offset)
+    order = np.argsort(offset @ axes[:, -1])
+    blocks = [order[start : start + _BLOCK] for start in range(0, len(order), _BLOCK)]
+    middles = np.stack([rows[block].mean(axis=0) for block in blocks])
+    for block, middle, distance in zip(blocks, middles, cdist(middles, centres), strict=True):
+        radius = np.sqrt(((rows[block] - middle) ** 2).sum(axis=1).max())
+        yield block, np.flatnonzero(distance < radius + _REACH)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from filtering.motion import Odometry, isotropic_std
 from filtering.particles import Particles
@@ -26,12 +26,14 @@ class Proposal:
         poses: world_from_camera, batch (n,): first those drawn from the motion model, then those from the image.
         num_from_motion: How many of them are drawn from the motion model.
         log_predicted: Log p⁻ at every pose, the belief carried here by odometry, per m³ rad³, (n,).
+        log_moved: Log q at every pose, the density that the motion particles were drawn from, (n,).
         log_image: Log p̂ at every pose, the posterior of the image alone, (n,).
     """
 
     poses: Poses
     num_from_motion: int
     log_predicted: Float64[np.ndarray, " n"]
+    log_moved: Float64[np.ndarray, " n"]
     log_image: Float64[np.ndarray, " n"]
 
     @property
@@ -53,10 +55,12 @@ def propose(
 ) -> Proposal:
     """Draw (1 − φ) n particles from the motion model and φ n from the image's posterior.
 
-    The predicted belief p⁻ is a kernel density, and the particles are drawn from that very density: its centres are
-    particles resampled by weight and moved by the odometry, its kernel the odometry's noise with the jitter added,
-    made isotropic on the safe side. So p⁻ is evaluated exactly, and the mixture weights owe nothing to a bandwidth.
-    (Evaluating a smoother density than the one drawn from makes large modes grow at the cost of small ones.)
+    The predicted belief p⁻ is a kernel density: its centres are particles of the belief moved by the odometry, its
+    kernel the odometry's noise with the jitter added, made isotropic on the safe side. The particles are drawn from the
+    same kernels, but of the square root of their weights, q: a place that the images have made unlikely keeps enough
+    particles to come back, at its true, small weight. Both densities are evaluated exactly, so the mixture weights owe
+    nothing to a bandwidth. (Evaluating a smoother density than the one drawn from makes large modes grow at the cost of
+    small ones.)
 
     Args:
         belief: The belief after the previous image.
@@ -74,24 +78,32 @@ def propose(
     num_injected = min(round(injection_fraction * num_particles), num_particles - 1)
     num_from_motion = num_particles - num_injected
     num_kernels = min(num_from_motion, max_kernels)
-    centres = _spread_draw(belief, num_kernels, rng=rng) @ odometry.previous_from_current
-    predicted = KernelDensity(centres, *isotropic_std(odometry.covariance, jitter_std))
+    ancestors, log_weights = _spread_draw(belief, num_kernels, rng=rng)
+    centres = belief.poses[ancestors] @ odometry.previous_from_current
+    widths = isotropic_std(odometry.covariance, jitter_std)
+    drawn, predicted = KernelDensity(centres, *widths), KernelDensity(centres, *widths, log_weights)
     # Every kernel gives as many particles as any other, up to rounding: stratified draws from the density.
-    moved = predicted.perturb(centres[np.arange(num_from_motion) * num_kernels // num_from_motion], rng=rng)
+    moved = drawn.perturb(centres[np.arange(num_from_motion) * num_kernels // num_from_motion], rng=rng)
     poses = Poses.concatenate([moved, posterior.sample(num_injected, rng=rng)]) if num_injected else moved
-    return Proposal(poses, num_from_motion, predicted.log_density(poses), posterior.log_density(poses))
+    return Proposal(
+        poses, num_from_motion, predicted.log_density(poses), drawn.log_density(poses), posterior.log_density(poses)
+    )
 
 
-def _spread_draw(belief: Particles, count: int, *, rng: np.random.Generator) -> Poses:
-    """Systematic draws of particles in their order along the belief's widest direction.
+def _spread_draw(
+    belief: Particles, count: int, *, rng: np.random.Generator
+) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+    """Ancestors by the square root of their weights, and the log weights that make them the belief again, normalised.
 
-    A systematic draw gives every stretch of its input the right number, up to rounding. In this order the stretches are
-    places, so a place keeps its share; in any other order it would keep it only on average.
+    A systematic draw gives every stretch of its input the right number, up to rounding. In the order along the belief's
+    widest direction the stretches are places, so a place keeps its share; in any other order only on average.
     """
     offset = belief.poses.translation - belief.weights @ belief.poses.translation
     _, axes = np.linalg.eigh((offset * belief.weights[:, None]).T @ offset)
     order = np.argsort(offset @ axes[:, -1], kind="stable")
-    return belief.poses[order[systematic(belief.weights[order], count, rng=rng)]]
+    ancestors = order[systematic(np.sqrt(belief.weights[order]), count, rng=rng)]
+    log_weights = 0.5 * belief.log_weights[ancestors]  # weight over root of weight
+    return ancestors, log_weights - np.logaddexp.reduce(log_weights)
 
 
 def mixture_log_weights(
@@ -103,7 +115,7 @@ def mixture_log_weights(
 ) -> Float64[np.ndarray, " n"]:
     """Log weight of every particle, wherever it was drawn: target over mixture.
 
-    The mixture is (1 − φ) p⁻ + φ p̂. The target is (1 − κ) L p⁻ + κ Z p̂ with Z = ∫ L π: either odometry carried the
+    The mixture is (1 − φ) q + φ p̂. The target is (1 − κ) L p⁻ + κ Z p̂ with Z = ∫ L π: either odometry carried the
     belief here and the image weighs it, or the camera was carried elsewhere and the image is the first one there. For
     an untempered likelihood L = p̂/π this is L · [(1 − κ) p⁻ + κ π]; tempering speaks about the errors that an image
     shares with the ones before it, so it sets how much the first image weighs against the belief, Z, not its shape.
@@ -115,7 +127,7 @@ def mixture_log_weights(
         kidnap_probability: κ, the chance that the camera was carried away since the previous image.
     """
     carried = log_likelihood + proposal.log_predicted
-    drawn = _log_mix(proposal.log_predicted, proposal.log_image, proposal.injected_fraction)
+    drawn = _log_mix(proposal.log_moved, proposal.log_image, proposal.injected_fraction)
     injected = slice(proposal.num_from_motion, None)
     if kidnap_probability <= 0.0 or len(log_likelihood[injected]) == 0:
         return carried - drawn

@@ -18,9 +18,9 @@ from filtering.errors import require_within
 class RecoveryConfig:
     """When the belief is doubted."""
 
-    min_kidnap_probability: float = 0.01
+    min_kidnap_probability: float = 0.002
     """κ while the images fit the belief: chance per image that the camera was carried elsewhere unnoticed."""
-    max_kidnap_probability: float = 0.5
+    max_kidnap_probability: float = 0.1
     """κ at most, however badly the images fit."""
     slow_rate: float = 0.02
     """Share of the long-term average that one image replaces."""
@@ -70,16 +70,16 @@ class Recovery:
         return self if self.slow is None else replace(self, fast=self.slow)
 
 
-def agreement(
-    log_likelihood_predicted: Float64[np.ndarray, " n"], log_likelihood_image: Float64[np.ndarray, " m"]
-) -> float:
+def agreement(log_evidence: float, log_best_evidence: float) -> float:
     """Mean likelihood over the belief relative to the mean over the image's own posterior, at most 1.
 
     Both are means of unnormalised likelihoods: normalised weights always average 1/n and could tell nothing.
     """
-    log_ratio = _log_mean(log_likelihood_predicted) - _log_mean(log_likelihood_image)
-    return float(np.exp(min(0.0, log_ratio)))
+    return float(np.exp(min(0.0, log_evidence - log_best_evidence)))
 
 
-def _log_mean(log_values: np.ndarray) -> float:
-    return float(np.logaddexp.reduce(log_values) - np.log(len(log_values)))
+def log_mean(log_values: Float64[np.ndarray, " n"], log_weights: Float64[np.ndarray, " n"] | None = None) -> float:
+    """Log of the mean of exp(values), weighted by exp(weights); equal weights without."""
+    if log_weights is None:
+        return float(np.logaddexp.reduce(log_values) - np.log(len(log_values)))
+    return float(np.logaddexp.reduce(log_values + log_weights) - np.logaddexp.reduce(log_weights))

@@ -133,7 +133,7 @@ class Poses:
 
     def log(self) -> Float64[np.ndarray, "*batch 6"]:
         """Tangent vectors (v, ω), with |ω| ≤ π; the inverse of `exp`."""
-        omega = Rotation.from_matrix(self.rotation.reshape(-1, 3, 3)).as_rotvec()
+        omega = Rotation.from_matrix(self.rotation.reshape(-1, 3, 3), assume_valid=True).as_rotvec()
         omega = omega.reshape(*self.batch_shape, 3)
         angle_sq = np.sum(omega**2, axis=-1)[..., None, None]
         skew = _skew(omega)

@@ -37,7 +37,7 @@ def test_a_model_file_gives_back_exactly_what_was_saved(tmp_path):
     loaded = load_checkpoint(tmp_path / "m.safetensors")
     assert (loaded.network, loaded.box, loaded.calibration) == (saved.network, saved.box, saved.calibration)
     assert loaded.training == saved.training
-    np.testing.assert_array_equal(loaded.training_poses.as_matrix(), saved.training_poses.as_matrix())
+    np.testing.assert_array_equal(loaded.prior_poses.as_matrix(), saved.prior_poses.as_matrix())
     assert loaded.state_dict.keys() == saved.state_dict.keys()
     assert all(torch.equal(loaded.state_dict[k], v) for k, v in saved.state_dict.items())
     assert list(tmp_path.iterdir()) == [tmp_path / "m.safetensors"]
@@ -49,7 +49,7 @@ def test_a_half_precision_demo_model_fits_in_eight_megabytes_and_predicts_the_sa
     save_checkpoint(path, saved, half=True)
     assert path.stat().st_size <= 8_000_000
     loaded = load_checkpoint(path)
-    assert len(loaded.training_poses) == 2000
+    assert len(loaded.prior_poses) == 2000
     assert all(v.dtype == torch.float32 for v in loaded.state_dict.values() if v.is_floating_point())
     images, noise = torch.randn(2, 3, 128, 128), torch.randn(2, 10, 16)
     with torch.inference_mode():
@@ -89,7 +89,7 @@ HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, None), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "2"}), "version is '2', expected '1'"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '2'"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "not JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
@@ -97,10 +97,10 @@ MALFORMED = {
     "wrong shape": (lambda t, m: ({**t, HEAD: torch.zeros(4, 15)}, m), r"shape \(4, 15\), expected \(4, 16\)"),
     "tensor with NaN": (lambda t, m: ({**t, HEAD: torch.full((4, 16), torch.nan)}, m), f"{HEAD} has values that are"),
     "no training poses": (
-        lambda t, m: ({**t, "training_poses.translation": torch.zeros(0, 3)}, m), "at least one training pose"
+        lambda t, m: ({**t, "prior_poses.translation": torch.zeros(0, 3)}, m), "at least one training pose"
     ),
     "fewer rotations": (
-        lambda t, m: ({**t, "training_poses.rotation": torch.zeros(29, 3, 3)}, m), r"expected \(30, 3, 3\)"
+        lambda t, m: ({**t, "prior_poses.rotation": torch.zeros(29, 3, 3)}, m), r"expected \(30, 3, 3\)"
     ),
     "missing setting": (lambda t, m: (t, _edit_config(m, lambda c: c["network"].pop("latent_dim"))), "latent_dim"),
     "surplus setting": (lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(x=1))), r"surplus \['x'\]"),
@@ -137,13 +137,13 @@ MALFORMED = {
         lambda t, m: ({**t, HEAD: torch.zeros(4, 16, dtype=torch.int64)}, m), f"{HEAD} is of torch.int64"
     ),
     "training poses with NaN": (
-        lambda t, m: ({**t, "training_poses.translation": torch.full((30, 3), torch.nan)}, m), "not finite"
+        lambda t, m: ({**t, "prior_poses.translation": torch.full((30, 3), torch.nan)}, m), "not finite"
     ),
     "training poses that mirror": (
-        lambda t, m: ({**t, "training_poses.rotation": -t["training_poses.rotation"]}, m), "30 matrices that are no rot"
+        lambda t, m: ({**t, "prior_poses.rotation": -t["prior_poses.rotation"]}, m), "30 matrices that are no rot"
     ),
     "training poses that scale": (
-        lambda t, m: ({**t, "training_poses.rotation": 1.01 * t["training_poses.rotation"]}, m), "no rotations, the f"
+        lambda t, m: ({**t, "prior_poses.rotation": 1.01 * t["prior_poses.rotation"]}, m), "no rotations, the f"
     ),
     "flat box": (lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(lower=[0, 1]))), "three numbers"),
 }  # fmt: skip

@@ -9,7 +9,7 @@ from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import MotionNoise, Odometry
 from filtering.posterior import KernelDensity, PosteriorSamples
-from filtering.recovery import Recovery, RecoveryConfig, agreement
+from filtering.recovery import Recovery, RecoveryConfig, agreement, log_mean
 from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, smooth
 from tests.simulation import FLOOR_HEIGHT_M, Oracle, climb, image_of
@@ -149,8 +149,12 @@ def test_equally_likely_images_leave_the_doubt_at_its_floor_and_worse_ones_raise
 
 
 def test_agreement_is_taken_before_normalisation():
-    assert agreement(np.zeros(10), np.full(5, 3.0)) == pytest.approx(np.exp(-3.0))
-    assert agreement(np.full(10, 9.0), np.zeros(5)) == 1.0
+    assert agreement(log_mean(np.zeros(10)), log_mean(np.full(5, 3.0))) == pytest.approx(np.exp(-3.0))
+    assert agreement(log_mean(np.full(10, 9.0)), log_mean(np.zeros(5))) == 1.0
+
+
+def test_a_weighted_mean_counts_every_value_by_its_weight():
+    assert log_mean(np.log([1.0, 5.0]), np.log([3.0, 1.0]) - 50) == pytest.approx(np.log(2.0))
 
 
 def test_modes_of_a_posterior_come_by_falling_weight():

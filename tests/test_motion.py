@@ -45,6 +45,21 @@ def test_the_predicted_density_is_the_density_that_the_particles_were_drawn_from
     assert ratio.std() > 0.1  # the two densities do differ
 
 
+def test_an_unlikely_place_keeps_particles_at_its_true_small_weight():
+    weights = np.repeat([0.9999, 0.0001], 100) / 100
+    there = np.repeat([0.0, 3.0], 100)[:, None] * np.eye(6)[0]
+    unlikely = Particles(Poses.exp(there), np.log(weights))
+    image = PosteriorSamples(KernelDensity(Poses.identity(1), 0.1, 0.1))
+    proposal = propose(
+        unlikely, Odometry(Poses.identity(), 1e-4 * np.eye(6)), image, num_particles=4000,
+        injection_fraction=0.0, jitter_std=(0.01, 0.01), max_kernels=1000, rng=np.random.default_rng(0),
+    )  # fmt: skip
+    share = np.exp(proposal.log_predicted - proposal.log_moved)
+    at_it = proposal.poses.translation[:, 0] > 1.5
+    assert at_it.mean() == pytest.approx(0.01, rel=0.2)  # the root of one in 10 000
+    assert share[at_it].sum() / share.sum() == pytest.approx(0.0001, rel=0.2)
+
+
 def test_the_image_draws_its_fraction():
     _, proposal = draw(Odometry(Poses.identity(), 1e-4 * np.eye(6)), n=1000, injection_fraction=0.1)
     assert proposal.num_from_motion == 900

@@ -90,15 +90,21 @@ def test_what_is_no_rgb_image_is_refused(shape, dtype):
 
 def test_the_calibration_shapes_density_and_likelihood():
     calibration = Calibration(
-        0.2, 0.3, outlier_floor=0.1, temper=1.0, prior_floor_quantile=0.2, prior_bandwidth_rotation_rad=0.5
+        0.2,
+        0.3,
+        outlier_floor=0.1,
+        temper=1.0,
+        prior_floor_quantile=0.2,
+        prior_bandwidth_translation_m=0.3,
+        prior_bandwidth_rotation_rad=0.5,
     )
     model = VaporObservationModel(replace(make_checkpoint(), calibration=calibration), num_samples=50, device="cpu")
     posterior = observe(IMAGE, model=model)
     assert (posterior.density.bandwidth_translation_m, posterior.density.bandwidth_rotation_rad) == (0.2, 0.3)
     poses = posterior.poses[:5]
-    training_poses = make_checkpoint().training_poses
-    density = KernelDensity(training_poses, 0.3, 0.5)
-    floor = np.quantile(density.log_density(training_poses), 0.2)
+    prior_poses = make_checkpoint().prior_poses
+    density = KernelDensity(prior_poses, 0.3, 0.5)
+    floor = np.quantile(density.log_density(prior_poses), 0.2)
     prior = np.exp(np.maximum(density.log_density(poses), floor))
     expected = (0.9 * np.exp(posterior.log_density(poses)) / prior + 0.1) / 0.1
     np.testing.assert_allclose(np.exp(posterior.log_likelihood(poses)), expected, rtol=1e-6)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
 
 from filtering.errors import VaporTrackError
 from filtering.posterior import KernelDensity, LikelihoodModel, PosteriorSamples
@@ -9,6 +10,10 @@ from filtering.se3 import Poses
 
 def cloud(seed, n, scale=1.0):
     return Poses.exp(scale * np.random.default_rng(seed).uniform(-1, 1, (n, 6)))
+
+
+def shifted(poses, x, y=0.0):
+    return Poses(poses.rotation, poses.translation + np.array([x, y, 0.0]))
 
 
 @pytest.mark.parametrize("bandwidths", [(0.3, 0.5), (0.5, 1.5)])
@@ -22,14 +27,26 @@ def test_density_integrates_to_one_over_space_and_rotations(bandwidths):
     assert integral == pytest.approx(1.0, abs=0.05)  # Monte Carlo, standard error about 0.015
 
 
-def test_log_density_agrees_with_the_kernels_summed_one_by_one():
-    centres, queries = cloud(3, 40), cloud(4, 30)
+@pytest.mark.parametrize("places", [1, 5])
+def test_log_density_agrees_with_the_kernels_summed_one_by_one(places):
+    """Also where most kernels are out of reach, and where the last queries lie between places."""
+    centres = Poses.concatenate([shifted(cloud(3, 150), 3.0 * k) for k in range(places)])
+    between = shifted(cloud(5, 40), 1.5, 3.0)
+    queries = Poses.concatenate([*[shifted(cloud(4, 100), 3.0 * k) for k in range(places)], between])
     density = KernelDensity(centres, 0.2, 0.3)
     d2 = np.sum((queries.translation[:, None] - centres.translation[None]) ** 2, -1) / 0.2**2
     trace = np.einsum("aij,bij->ab", queries.rotation, centres.rotation)
     log_kernel = -0.5 * d2 + ((trace - 1) / 2 - 1) / 0.3**2
-    expected = np.log(np.exp(log_kernel).mean(axis=1)) - density.log_normaliser
-    np.testing.assert_allclose(density.log_density(queries), expected, atol=2e-4)
+    expected = logsumexp(log_kernel, axis=1) - np.log(len(centres)) - density.log_normaliser
+    assert expected.min() < -30  # some are beyond the reach of all kernels
+    np.testing.assert_allclose(density.log_density(queries), expected, atol=1e-3)  # float32 over 15 m
+
+
+def test_many_kernels_count_though_a_single_one_is_nearer():
+    one, many = shifted(Poses.identity(1), -0.5), shifted(Poses.identity(999), 0.6)
+    density = KernelDensity(Poses.concatenate([one, many]), 0.1, 0.1)
+    expected = np.log((np.exp(-0.5 * 5**2) + 999 * np.exp(-0.5 * 6**2)) / 1000) - density.log_normaliser
+    assert density.log_density(Poses.identity(1))[0] == pytest.approx(expected, abs=1e-3)
 
 
 def test_a_far_pose_gets_its_true_log_density_and_not_minus_infinity():

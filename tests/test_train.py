@@ -180,7 +180,7 @@ def test_the_epoch_that_is_best_on_held_out_images_is_kept(tmp_path, select_by):
     assert stored["selected_by"] == select_by
 
 
-def test_box_and_prior_come_from_training_poses_only(tmp_path):
+def test_box_and_prior_come_from_training_images_only(tmp_path):
     frames = make_frames(20)
     far = [replace(f, world_from_camera=Poses(pose(f).rotation, np.array([90.0, 0, 0]))) for f in frames]
     config = replace(TINY, epochs=1)
@@ -188,8 +188,8 @@ def test_box_and_prior_come_from_training_poses_only(tmp_path):
         data = {"a": [*frames[:15], *far[:5]]} if validation is None else {"a": frames}
         saved = train_on(data, tmp_path / f"{number}.safetensors", config, validation=validation).checkpoint
         assert max(saved.box.upper) < 3.0
-        assert saved.training_poses.translation.max() < 3.0
-        assert len(saved.training_poses) == (15 if validation is None else 20)
+        assert saved.prior_poses.translation.max() < 3.0
+        assert len(saved.prior_poses) == (15 if validation is None else 20)
 
 
 def test_the_model_file_tells_where_it_came_from_without_folders(tmp_path):

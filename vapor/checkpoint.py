@@ -21,11 +21,11 @@ from sequences.atomic import atomic_output
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 
 FORMAT = "vapor-track model"
-VERSION = 1
-MAX_TRAINING_POSES = 2000
+VERSION = 2
+MAX_PRIOR_POSES = 2000
 _SHIPPED = Path(__file__).parent / "models"
 _NETWORK = "network."
-_ROTATION, _TRANSLATION = "training_poses.rotation", "training_poses.translation"
+_ROTATION, _TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 _ORTHONORMAL_WITHIN = 1e-3
 
@@ -46,15 +46,15 @@ class Calibration:
     """Kernel width of the posterior samples about each axis, radians."""
     outlier_floor: float = 0.05
     """ε: how much of the likelihood is left when the image says nothing."""
-    temper: float = 0.3
+    temper: float = 0.1
     """β: exponent of the likelihood, below 1 as neighbouring images share their errors."""
     prior_floor_quantile: float = 0.5
-    """π_min, the least density that is divided by, is this quantile of the density of training poses at themselves.
+    """π_min, the least density that is divided by, is this quantile of π at the poses it is made of.
     Where no camera ever was π is almost nothing: a small floor would reward a smeared posterior for lying there."""
-    prior_bandwidth_translation_m: float = 0.3
-    """Kernel width of the training poses along each axis, metres."""
-    prior_bandwidth_rotation_rad: float = 0.3
-    """Kernel width of the training poses about each axis, radians."""
+    prior_bandwidth_translation_m: float = 0.6
+    """Kernel width of π along each axis, metres."""
+    prior_bandwidth_rotation_rad: float = 0.6
+    """Kernel width of π about each axis, radians."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -72,10 +72,10 @@ class Calibration:
         """p̂, the kernel density of posterior samples (m,)."""
         return KernelDensity(samples, self.bandwidth_translation_m, self.bandwidth_rotation_rad)
 
-    def likelihood(self, training_poses: Poses) -> LikelihoodModel:
-        """How p̂ becomes a likelihood, π being the kernel density of the training poses (n,)."""
-        prior = KernelDensity(training_poses, self.prior_bandwidth_translation_m, self.prior_bandwidth_rotation_rad)
-        log_floor = np.quantile(prior.log_density(training_poses), self.prior_floor_quantile)
+    def likelihood(self, prior_poses: Poses) -> LikelihoodModel:
+        """How p̂ becomes a likelihood, π being the kernel density of the poses (n,)."""
+        prior = KernelDensity(prior_poses, self.prior_bandwidth_translation_m, self.prior_bandwidth_rotation_rad)
+        log_floor = np.quantile(prior.log_density(prior_poses), self.prior_floor_quantile)
         return LikelihoodModel(prior, self.outlier_floor, self.temper, float(np.exp(log_floor)))
 
 
@@ -87,7 +87,8 @@ class Checkpoint:
         network: Shape of the network.
         box: Box of predicted positions.
         calibration: Of densities and likelihoods.
-        training_poses: world_from_camera of the training images, batch (n,), n ≤ 2000; their density is π.
+        prior_poses: A posterior sample of each of n ≤ 2000 training images, batch (n,). Their density is π, the mean of
+            the posteriors: where the network puts more than its share whatever it sees, that is divided out.
         state_dict: Parameters and BatchNorm statistics of `VariationalPoseRegressor`, float32 on the CPU.
         training: Where it came from (data names, seed, images seen, validation figures); any JSON.
     """
@@ -95,7 +96,7 @@ class Checkpoint:
     network: NetworkConfig
     box: SceneBox
     calibration: Calibration
-    training_poses: Poses
+    prior_poses: Poses
     state_dict: Mapping[str, Tensor]
     training: dict[str, Any] = field(default_factory=dict)
 
@@ -106,7 +107,7 @@ class Checkpoint:
         return network.eval()
 
 
-def thin_poses(poses: Poses, limit: int = MAX_TRAINING_POSES) -> Poses:
+def thin_poses(poses: Poses, limit: int = MAX_PRIOR_POSES) -> Poses:
     """At most `limit` of the poses (n,), evenly spaced in their order."""
     if len(poses) <= limit:
         return poses
@@ -118,10 +119,10 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, half: bool = False) -
 
     Args:
         path: A file name, usually *.safetensors.
-        checkpoint: What to write; more than 2000 training poses are thinned evenly.
+        checkpoint: What to write; more than 2000 prior poses are thinned evenly.
         half: Store weight matrices as float16, for half the size; biases and BatchNorm stay float32.
     """
-    poses = thin_poses(checkpoint.training_poses)
+    poses = thin_poses(checkpoint.prior_poses)
     tensors = {_ROTATION: torch.from_numpy(poses.rotation), _TRANSLATION: torch.from_numpy(poses.translation)}
     for name, value in checkpoint.state_dict.items():
         smaller = half and value.is_floating_point() and value.ndim > 1
@@ -144,7 +145,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     Raises:
         CheckpointError: no such file, no safetensors file, another format or version, a configuration with missing,
             surplus or unusable values, tensors that are missing, surplus, misshapen, of another type or not finite, or
-            training poses that are none.
+            prior poses that are none.
     """
     metadata, tensors = read_safetensors(path)
     found = metadata.get("format")
@@ -242,7 +243,7 @@ def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Conf
 
 
 def check_tensors(path: Path, tensors: Mapping[str, Tensor], network: Mapping[str, Tensor]) -> None:
-    """Check that exactly the network's tensors and the training poses are there: shapes, types, finite, rotations.
+    """Check that exactly the network's tensors and the prior poses are there: shapes, types, finite, rotations.
 
     Args:
         path: The file, for messages.

@@ -38,7 +38,7 @@ class VaporObservationModel:
         network = checkpoint.build_network().to(self.device)
         # Channels-last convolutions take about two thirds of the time here.
         self._network = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-        self._likelihood: LikelihoodModel = checkpoint.calibration.likelihood(checkpoint.training_poses)
+        self._likelihood: LikelihoodModel = checkpoint.calibration.likelihood(checkpoint.prior_poses)
 
     @staticmethod
     def from_checkpoint(

@@ -14,17 +14,18 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from filtering.se3 import Poses
 from sequences.datasets import posed_frames
 from sequences.frame import Frame
 from vapor.augment import jitter_and_normalise, random_crops
-from vapor.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, thin_poses
+from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, load_checkpoint, save_checkpoint
 from vapor.loss import regression_loss
 from vapor.network import SceneBox, VariationalPoseRegressor, load_pretrained
 from vapor.observation import resolve_device
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, TrainingSet, held_out_tails, load_training_set
 from vapor.training_state import TrainingState, load_state, save_state, state_path
-from vapor.validation import Validation, validate
+from vapor.validation import Validation, predict, validate
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ def _fit(
         config.network,
         state.network.box,
         config.calibration,
-        thin_poses(training.poses),
+        _prior_poses(state.average, weights, training, config.seed),
         weights,
         json.loads(json.dumps(provenance)),
     )
@@ -297,6 +298,15 @@ def _update_average(state: TrainingState, decay: float, step: int) -> None:
 
 def _best(history: Sequence[Validation], config: TrainConfig) -> Validation | None:
     return max(history, key=lambda figures: getattr(figures, config.select_by), default=None)
+
+
+def _prior_poses(
+    network: VariationalPoseRegressor, weights: dict[str, torch.Tensor], training: TrainingSet, seed: int
+) -> Poses:
+    """One posterior sample of each of some evenly spaced training images, by the network with these weights."""
+    spaced = np.linspace(0, len(training) - 1, min(len(training), MAX_PRIOR_POSES)).round().astype(int)
+    network.load_state_dict(weights)
+    return Poses.concatenate(list(predict(network, _select(training, spaced), 1, seed)))
 
 
 def _weights(network: VariationalPoseRegressor) -> dict[str, torch.Tensor]:

@@ -1,4 +1,4 @@
-"""A hall whose ceiling repeats itself: panels of 0.6 m, lamps and loudspeakers every 3 m, few unique things."""
+"""A hall whose ceiling repeats itself: panels of 0.6 m, a lamp and a loudspeaker per 3 m × 3.6 m, few unique things."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from sequences.scenes import texture
 from sequences.scenes.mesh import Part, Placement
 from sequences.scenes.texture import Canvas, Material, band, blend, inside, plain, weathered
 
-LENGTH, BREADTH, HEIGHT = 18.0, 12.0, 3.6  # metres, x, y, z
+LENGTH, BREADTH, HEIGHT = 15.0, 10.8, 3.6  # metres, x, y, z
 PANEL = 0.6
-CELL = 5  # panels after which lamps and loudspeakers repeat, in x and in y
+CELL = (5, 6)  # panels after which lamps and loudspeakers repeat, in x and in y
 LAMP_AT = (1, 2)  # panel of a cell under which its lamp begins
 SPEAKER_AT = (4, 3)
-OUTLET_AT = (21, 14)  # panels of the hall that unique things take
-HOLE_AT = (15, 4)
+OUTLET_AT = (19, 14)  # panels of the hall that unique things take
+HOLE_AT = (16, 3)
 STAIN_AT = ((5, 14), (6, 14), (5, 15))
-PROJECTOR_AT = (5.7, 3.9)  # metres
-SIGN_AT = (16.2, 5.7)
+PROJECTOR_AT = (5.1, 3.3)  # metres
+SIGN_AT = (13.2, 5.1)
 
 
 def placements() -> list[Placement]:
     """Everything in the hall: x along it, y across, z up, the floor at z = 0."""
     across, along = round(BREADTH / PANEL), round(LENGTH / PANEL)
-    middle = (along // CELL // 2) * (across // CELL) + across // CELL // 2
+    middle = (along // CELL[0] // 2) * (across // CELL[1]) + across // CELL[1] // 2
     placed = []
-    for place in np.ndindex(CELL, CELL):
-        cells = [(ix, iy) for ix in range(place[0], along, CELL) for iy in range(place[1], across, CELL)]
+    for place in np.ndindex(CELL):
+        cells = [(ix, iy) for ix in range(place[0], along, CELL[0]) for iy in range(place[1], across, CELL[1])]
         copies = [cell for cell in cells if cell not in (OUTLET_AT, HOLE_AT)]
         paint = SPEAKER if place == SPEAKER_AT else TILE
         placed.append(Placement(_panel(paint), _offsets(copies), lit_at=copies.index(cells[middle])))
