@@ -158,9 +158,10 @@ class LikelihoodModel:
     """How a posterior becomes a likelihood: L(y) = [(1 − ε) p̂(y|x)/max(π(y), π_min) + ε]^β, divided by ε^β.
 
     Attributes:
-        prior: π, the density of training poses; None where it is unknown and taken as flat, π_min.
+        prior: π, the mean of the posteriors over many images; None where it is unknown and taken as flat, π_min.
         outlier_floor: ε of an image that says nothing, in units of the ratio p̂/π.
-        temper: β ≤ 1: neighbouring images share their errors, and samples of the network are not calibrated.
+        temper: β ≤ 1: neighbouring images share their errors, and samples of the network are not calibrated. (A trained
+            model brings its own, lower one.)
         prior_floor: π_min, per m³ rad³.
     """
 
@@ -227,7 +228,12 @@ class PosteriorSamples:
 def _neighbourhoods(
     rows: Float64[np.ndarray, "n d"], centres: Float64[np.ndarray, "m d"]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Blocks of embedded poses that lie together, and of each the centres within reach of any pose in it; indices."""
+    """Blocks of rows that lie together, each with the centres within reach of any of them: indices (b,) and (k,).
+
+    Args:
+        rows: Embedded poses, in kernel widths.
+        centres: Embedded centres, likewise.
+    """
     offset = rows - rows.mean(axis=0)
     _, axes = np.linalg.eigh(offset.T @ offset)
     order = np.argsort(offset @ axes[:, -1])

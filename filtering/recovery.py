@@ -71,7 +71,7 @@ class Recovery:
 
 
 def agreement(log_evidence: float, log_best_evidence: float) -> float:
-    """Mean likelihood over the belief relative to the mean over the image's own posterior, at most 1.
+    """Mean likelihood over the belief relative to the mean over the image's own posterior, at most 1, from their logs.
 
     Both are means of unnormalised likelihoods: normalised weights always average 1/n and could tell nothing.
     """
@@ -79,7 +79,7 @@ def agreement(log_evidence: float, log_best_evidence: float) -> float:
 
 
 def log_mean(log_values: Float64[np.ndarray, " n"], log_weights: Float64[np.ndarray, " n"] | None = None) -> float:
-    """Log of the mean of exp(values), weighted by exp(weights); equal weights without."""
+    """Log of the mean of exp(values) (n,), weighted by exp(weights), which need not be normalised; equal without."""
     if log_weights is None:
         return float(np.logaddexp.reduce(log_values) - np.log(len(log_values)))
     return float(np.logaddexp.reduce(log_values + log_weights) - np.logaddexp.reduce(log_weights))

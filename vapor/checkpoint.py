@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import torch
+from jaxtyping import Int64
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
@@ -109,9 +110,12 @@ class Checkpoint:
 
 def thin_poses(poses: Poses, limit: int = MAX_PRIOR_POSES) -> Poses:
     """At most `limit` of the poses (n,), evenly spaced in their order."""
-    if len(poses) <= limit:
-        return poses
-    return poses[np.linspace(0, len(poses) - 1, limit).round().astype(int)]
+    return poses if len(poses) <= limit else poses[spaced(len(poses), limit)]
+
+
+def spaced(count: int, limit: int) -> Int64[np.ndarray, " n"]:
+    """Indices of min(count, limit) of `count` things, evenly spaced in their order."""
+    return np.linspace(0, count - 1, min(count, limit)).round().astype(np.int64)
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint, *, half: bool = False) -> None:

@@ -18,7 +18,7 @@ from filtering.se3 import Poses
 from sequences.datasets import posed_frames
 from sequences.frame import Frame
 from vapor.augment import jitter_and_normalise, random_crops
-from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, load_checkpoint, save_checkpoint
+from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, load_checkpoint, save_checkpoint, spaced
 from vapor.loss import regression_loss
 from vapor.network import SceneBox, VariationalPoseRegressor, load_pretrained
 from vapor.observation import resolve_device
@@ -127,11 +127,18 @@ def train_on(
         training, held_out = _select(loaded, np.flatnonzero(~tails)), _select(loaded, np.flatnonzero(tails))
     if len(training) < 2:
         raise TrainingError(f"{', '.join(sequences)}: {len(training)} training images, expected at least 2")
-    spaced = np.linspace(0, len(held_out) - 1, min(len(held_out), config.validation_images)).round().astype(int)
     names = {"data": list(sequences), "validation_data": list(validation or ())}
     box = SceneBox.around(training.poses)
     state = _start(config, box.union(initial.box) if initial else box, initial)
-    return _fit(state, training, _select(held_out, spaced), names, output, config, report)
+    return _fit(
+        state,
+        training,
+        _select(held_out, spaced(len(held_out), config.validation_images)),
+        names,
+        output,
+        config,
+        report,
+    )
 
 
 def _fit(
@@ -303,10 +310,10 @@ def _best(history: Sequence[Validation], config: TrainConfig) -> Validation | No
 def _prior_poses(
     network: VariationalPoseRegressor, weights: dict[str, torch.Tensor], training: TrainingSet, seed: int
 ) -> Poses:
-    """One posterior sample of each of some evenly spaced training images, by the network with these weights."""
-    spaced = np.linspace(0, len(training) - 1, min(len(training), MAX_PRIOR_POSES)).round().astype(int)
+    """world_from_camera, (n,): a posterior sample of each of n evenly spaced training images, with these weights."""
     network.load_state_dict(weights)
-    return Poses.concatenate(list(predict(network, _select(training, spaced), 1, seed)))
+    images = _select(training, spaced(len(training), MAX_PRIOR_POSES))
+    return Poses.concatenate(list(predict(network, images, 1, seed)))
 
 
 def _weights(network: VariationalPoseRegressor) -> dict[str, torch.Tensor]:
