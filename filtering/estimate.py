@@ -8,10 +8,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from filtering.density import KernelDensity
 from filtering.errors import require_within
+from filtering.moments import group_moments
 from filtering.particles import Particles
-from filtering.posterior import KernelDensity
-from filtering.resampling import systematic
+from filtering.regularisation import spread_draw
 from filtering.se3 import Poses
 
 Status = Literal["converged", "ambiguous", "lost"]
@@ -87,30 +88,48 @@ class Estimate:
     log_evidence: float
 
 
-def find_modes(particles: Particles, config: ModeConfig, *, rng: np.random.Generator) -> tuple[Mode, ...]:
-    """Split particles into hypotheses, by falling weight; at least one.
+def find_hypotheses(particles: Particles, config: ModeConfig, *, rng: np.random.Generator) -> Int64[np.ndarray, " n"]:
+    """Split particles into hypotheses: the label of every particle, from 0, −1 where it belongs to none, (n,).
 
     Peaks of the kernel density are taken greedily from the highest down, each claiming its neighbourhood, and every
-    particle then belongs to the nearest peak within reach. Mean and covariance are over a mode's own particles only,
-    never across modes.
+    particle then belongs to the nearest peak within reach.
     """
-    chosen = systematic(particles.weights, min(config.num_representatives, 4 * len(particles)), rng=rng)
+    chosen, log_weights = spread_draw(particles, min(config.num_representatives, 4 * len(particles)), rng=rng)
     representatives = particles.poses[chosen]
-    height = KernelDensity(representatives, config.bandwidth_m, config.bandwidth_rad).log_density(representatives)
-    peaks = _greedy_peaks(representatives, height, config)
-    label = _nearest_peak(particles.poses, representatives[peaks], config)
-    weights = particles.weights
-    modes = [
-        _mode_of(particles.poses[label == k], weights[label == k]) for k in range(len(peaks)) if (label == k).any()
-    ]
-    modes.sort(key=lambda mode: -mode.weight)
-    kept = [mode for mode in modes if mode.weight >= config.min_weight]
-    return tuple(kept or modes[:1])[: config.max_modes]
+    density = KernelDensity(representatives, config.bandwidth_m, config.bandwidth_rad, log_weights)
+    peaks = _greedy_peaks(representatives, density.log_density(representatives), config)
+    nearest = _nearest_peak(particles.poses, representatives[peaks], config)
+    claimed = np.bincount(nearest + 1, minlength=len(peaks) + 1)[1:] > 0
+    renumbered = np.where(claimed, np.cumsum(claimed) - 1, -1)
+    return np.where(nearest >= 0, renumbered[nearest], -1)
+
+
+def describe_modes(particles: Particles, label: Int64[np.ndarray, " n"], config: ModeConfig) -> tuple[Mode, ...]:
+    """The hypotheses that count, by falling weight; at least one.
+
+    Mean and covariance are over a hypothesis' own particles only, never across hypotheses.
+
+    Args:
+        particles: The belief, (n,).
+        label: Of `find_hypotheses`.
+        config: How many modes and how small ones are reported.
+    """
+    own = np.flatnonzero(label >= 0)
+    weight = np.bincount(label[own], particles.weights[own])
+    order = np.argsort(-weight, kind="stable")[: config.max_modes]
+    order = order[weight[order] >= min(config.min_weight, weight[order[0]])]
+    rank = np.full(len(weight), -1)
+    rank[order] = np.arange(len(order))
+    own = own[rank[label[own]] >= 0]
+    group = rank[label[own]]
+    means, covariances, _ = group_moments(particles.poses[own], particles.weights[own], group, len(order))
+    return tuple(Mode(means[k], covariances[k], float(weight[order[k]])) for k in range(len(order)))
 
 
 def posterior_modes(poses: Poses, config: ModeConfig, *, rng: np.random.Generator) -> tuple[Mode, ...]:
     """Hypotheses of equally weighted posterior samples (m,), by falling weight."""
-    return find_modes(Particles(poses, np.full(len(poses), -np.log(len(poses)))), config, rng=rng)
+    particles = Particles(poses, np.full(len(poses), -np.log(len(poses))))
+    return describe_modes(particles, find_hypotheses(particles, config, rng=rng), config)
 
 
 def _greedy_peaks(poses: Poses, height: np.ndarray, config: ModeConfig) -> Int64[np.ndarray, " k"]:
@@ -134,11 +153,3 @@ def _nearest_peak(poses: Poses, peaks: Poses, config: ModeConfig) -> Int64[np.nd
 def _scaled_distance(poses: Poses, centre: Poses, config: ModeConfig) -> np.ndarray:
     translation_m, rotation_rad = poses.distance(centre)
     return np.maximum(translation_m / config.radius_m, rotation_rad / config.radius_rad)
-
-
-def _mode_of(poses: Poses, weights: np.ndarray) -> Mode:
-    total = float(weights.sum())
-    share = weights / total if total > 0 else np.full(len(weights), 1.0 / len(weights))
-    mean = poses.mean(share)
-    tangent = (mean.inverse() @ poses).log()
-    return Mode(mean, (tangent * share[:, None]).T @ tangent, total)

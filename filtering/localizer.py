@@ -8,12 +8,13 @@ from typing import Generic
 import numpy as np
 
 from filtering.errors import require_within
-from filtering.estimate import Estimate, Mode, ModeConfig, Status, find_modes
+from filtering.estimate import Estimate, Mode, ModeConfig, Status, describe_modes, find_hypotheses
 from filtering.motion import Odometry
 from filtering.particles import Particles
 from filtering.posterior import ObservationModel, PosePosterior, Posterior
 from filtering.proposal import mixture_log_weights, propose
 from filtering.recovery import Recovery, RecoveryConfig, agreement, log_mean
+from filtering.regularisation import KernelConfig
 from filtering.se3 import Poses
 
 
@@ -25,12 +26,6 @@ class LocalizerConfig:
     """Particles that carry the belief."""
     injection_fraction: float = 0.1
     """φ: share of the particles that every image's posterior draws anew."""
-    jitter_m: float = 0.01
-    """Standard deviation in metres that separates duplicated particles."""
-    jitter_rad: float = 0.005
-    """Standard deviation in radians that separates duplicated particles."""
-    max_kernels: int = 1000
-    """Kernels from which the density of the carried belief is built, at most: bounds the cost of a step."""
     converged_weight: float = 0.8
     """Status is "converged" from this share of the belief in the best mode on."""
     converged_std_m: float = 0.5
@@ -41,6 +36,8 @@ class LocalizerConfig:
     """Share of the running mean of the log evidence that an image leaves unchanged."""
     switch_ratio: float = 1.5
     """Another mode becomes the best one when it outweighs the present best by this factor."""
+    kernels: KernelConfig = field(default_factory=KernelConfig)
+    """How the belief is carried from image to image."""
     recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
     """When the belief is doubted."""
     modes: ModeConfig = field(default_factory=ModeConfig)
@@ -51,9 +48,6 @@ class LocalizerConfig:
             self,
             num_particles=(1, 10**7),
             injection_fraction=(0.0, 0.99),
-            jitter_m=(0.0, 1e3),
-            jitter_rad=(0.0, 4.0),
-            max_kernels=(1, 10**6),
             converged_weight=(0.0, 1.0),
             converged_std_m=(0.0, 1e6),
             lost_log_evidence=(-1e6, 1e6),
@@ -78,6 +72,7 @@ class ParticleLocalizer(Generic[Posterior]):
         self.config = config or LocalizerConfig()
         self._model_rng, self._filter_rng = rng.spawn(2)
         self._belief: Particles | None = None
+        self._label = np.empty(0, np.int64)
         self._best: Poses | None = None
         self._mean_log_evidence: float | None = None
         self._recovery = Recovery()
@@ -109,7 +104,8 @@ class ParticleLocalizer(Generic[Posterior]):
                 self._best = self._best @ odom.previous_from_current
             particles, log_evidence = self._continue(self._belief, posterior, odom)
         self._belief = particles
-        modes = self._order(find_modes(particles, self.config.modes, rng=self._filter_rng))
+        self._label = find_hypotheses(particles, self.config.modes, rng=self._filter_rng)
+        modes = self._order(describe_modes(particles, self._label, self.config.modes))
         self._best = modes[0].world_from_camera
         return Estimate(
             modes,
@@ -134,12 +130,12 @@ class ParticleLocalizer(Generic[Posterior]):
         c = self.config
         proposal = propose(
             belief,
+            self._label,
             odom,
             posterior,
             num_particles=c.num_particles,
             injection_fraction=c.injection_fraction,
-            jitter_std=(c.jitter_m, c.jitter_rad),
-            max_kernels=c.max_kernels,
+            kernels=c.kernels,
             rng=self._filter_rng,
         )
         log_likelihood = posterior.log_likelihood(proposal.poses)

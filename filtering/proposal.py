@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from filtering.density import KernelDensity, neighbour_order
 from filtering.motion import Odometry, isotropic_std
 from filtering.particles import Particles
-from filtering.posterior import KernelDensity, PosePosterior
-from filtering.resampling import systematic
+from filtering.posterior import PosePosterior
+from filtering.regularisation import KernelConfig, belief_kernels
 from filtering.se3 import Poses
 
 
@@ -44,32 +45,32 @@ class Proposal:
 
 def propose(
     belief: Particles,
+    label: Int64[np.ndarray, " n"],
     odometry: Odometry,
     posterior: PosePosterior,
     *,
     num_particles: int,
     injection_fraction: float,
-    jitter_std: tuple[float, float],
-    max_kernels: int,
+    kernels: KernelConfig,
     rng: np.random.Generator,
 ) -> Proposal:
     """Draw (1 − φ) n particles from the motion model and φ n from the image's posterior.
 
     The predicted belief p⁻ is a kernel density: its centres are particles of the belief moved by the odometry, its
-    kernel the odometry's noise with the jitter added, made isotropic on the safe side. The particles are drawn from the
-    same kernels, but of the square root of their weights, q: a place that the images have made unlikely keeps enough
-    particles to come back, at its true, small weight. Both densities are evaluated exactly, so the mixture weights owe
-    nothing to a bandwidth. (Evaluating a smoother density than the one drawn from makes large modes grow at the cost of
-    small ones.)
+    kernels those of their hypothesis with the odometry's noise and the jitter added, made isotropic on the safe side.
+    The particles are drawn from the same kernels in equal numbers, q, of centres drawn by the root of their weights and
+    in part evenly by hypothesis: a place that the images have made unlikely keeps enough particles to come back, at its
+    true, small weight. Both densities are evaluated exactly, so the mixture weights owe nothing to a bandwidth.
+    (Evaluating a smoother density than the one drawn from makes large modes grow at the cost of small ones.)
 
     Args:
         belief: The belief after the previous image.
+        label: Hypothesis of every particle of the belief, −1 where it belongs to none.
         odometry: The motion since.
         posterior: The posterior of the present image.
         num_particles: n, all particles together.
         injection_fraction: φ, the share drawn from the image, in [0, 1).
-        jitter_std: Least kernel widths, metres and radians: regularisation of duplicated particles.
-        max_kernels: p⁻ has at most this many kernels, which bounds the cost of evaluating it.
+        kernels: Which particles become centres of p⁻, and how wide its kernels are.
         rng: Source of all draws.
 
     Raises:
@@ -77,33 +78,18 @@ def propose(
     """
     num_injected = min(round(injection_fraction * num_particles), num_particles - 1)
     num_from_motion = num_particles - num_injected
-    num_kernels = min(num_from_motion, max_kernels)
-    ancestors, log_weights = _spread_draw(belief, num_kernels, rng=rng)
-    centres = belief.poses[ancestors] @ odometry.previous_from_current
-    widths = isotropic_std(odometry.covariance, jitter_std)
-    drawn, predicted = KernelDensity(centres, *widths), KernelDensity(centres, *widths, log_weights)
+    num_kernels = min(num_from_motion, kernels.max_kernels)
+    carried = belief_kernels(belief, label, num_kernels, kernels, rng=rng)
+    widths = np.hypot(carried.widths, isotropic_std(odometry.covariance, (kernels.jitter_m, kernels.jitter_rad)))
+    density = KernelDensity(carried.centres @ odometry.previous_from_current, *widths.T)
     # Every kernel gives as many particles as any other, up to rounding: stratified draws from the density.
-    moved = drawn.perturb(centres[np.arange(num_from_motion) * num_kernels // num_from_motion], rng=rng)
-    poses = Poses.concatenate([moved, posterior.sample(num_injected, rng=rng)]) if num_injected else moved
-    return Proposal(
-        poses, num_from_motion, predicted.log_density(poses), drawn.log_density(poses), posterior.log_density(poses)
+    moved = density.draw(np.arange(num_from_motion) * num_kernels // num_from_motion, rng=rng)
+    injected = posterior.sample(num_injected, rng=rng)
+    poses = Poses.concatenate([moved, injected[neighbour_order(injected)]]) if num_injected else moved
+    log_predicted, log_moved = density.log_densities(
+        poses, carried.log_weights, np.full(num_kernels, -np.log(num_kernels))
     )
-
-
-def _spread_draw(
-    belief: Particles, count: int, *, rng: np.random.Generator
-) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
-    """Ancestors by the square root of their weights, and the log weights that make them the belief again, normalised.
-
-    A systematic draw gives every stretch of its input the right number, up to rounding. In the order along the belief's
-    widest direction the stretches are places, so a place keeps its share; in any other order only on average.
-    """
-    offset = belief.poses.translation - belief.weights @ belief.poses.translation
-    _, axes = np.linalg.eigh((offset * belief.weights[:, None]).T @ offset)
-    order = np.argsort(offset @ axes[:, -1], kind="stable")
-    ancestors = order[systematic(np.sqrt(belief.weights[order]), count, rng=rng)]
-    log_weights = 0.5 * belief.log_weights[ancestors]  # weight over root of weight
-    return ancestors, log_weights - np.logaddexp.reduce(log_weights)
+    return Proposal(poses, num_from_motion, log_predicted, log_moved, posterior.log_density(poses))
 
 
 def mixture_log_weights(

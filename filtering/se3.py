@@ -169,9 +169,15 @@ class Poses:
         point between the modes of a multimodal batch: take it over one mode only.
         """
         share = np.full(len(self), 1.0 / len(self)) if weights is None else weights / weights.sum()
-        u, _, vt = np.linalg.svd((share @ self.rotation.reshape(-1, 9)).reshape(3, 3))
-        u[:, 2] *= np.linalg.det(u @ vt)
-        return Poses(u @ vt, share @ self.translation)
+        mean_matrix = (share @ self.rotation.reshape(-1, 9)).reshape(3, 3)
+        return Poses(nearest_rotation(mean_matrix), share @ self.translation)
+
+
+def nearest_rotation(matrix: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3 3"]:
+    """The rotations nearest to matrices in the Frobenius norm: of a mean of rotations, their chordal L2 mean."""
+    u, _, vt = np.linalg.svd(matrix)
+    u[..., :, 2] *= np.linalg.det(u @ vt)[..., None]
+    return u @ vt
 
 
 def rotation_from_quat_xyzw(quat_xyzw: Float64[np.ndarray, "*batch 4"]) -> Float64[np.ndarray, "*batch 3 3"]:

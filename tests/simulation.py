@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from filtering.density import KernelDensity
 from filtering.motion import Odometry
-from filtering.posterior import KernelDensity, PosteriorSamples
+from filtering.posterior import PosteriorSamples
 from filtering.se3 import Poses
 
 FLOOR_HEIGHT_M = 3.0

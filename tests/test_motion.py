@@ -1,11 +1,15 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
 from filtering.motion import MotionNoise, Odometry, covariance_factor, isotropic_std
 from filtering.particles import Particles
-from filtering.posterior import KernelDensity, LikelihoodModel, PosteriorSamples
+from filtering.posterior import LikelihoodModel, PosteriorSamples
 from filtering.proposal import mixture_log_weights, propose
+from filtering.regularisation import KernelConfig
 from filtering.se3 import Poses
 
 
@@ -13,17 +17,21 @@ def belief(poses):
     return Particles.from_unnormalised(poses, np.zeros(len(poses)))[0]
 
 
+STILL = KernelConfig(jitter_m=0.0, jitter_rad=0.0)
+
+
 def draw(odometry, n=20_000, injection_fraction=0.0, seed=0, **changes):
     posterior = PosteriorSamples(KernelDensity(Poses.exp(np.array([[5.0, 0, 0, 0, 0, 0]])), 0.1, 0.1))
-    settings = {"num_particles": n, "jitter_std": (0.0, 0.0), "max_kernels": 1000} | changes
     start = Poses.exp(np.tile([1.0, 2, 3, 0.1, 0.2, 0.3], (10, 1)))
     return start[0], propose(
         belief(start),
+        np.zeros(10, np.int64),
         odometry,
         posterior,
+        num_particles=n,
         injection_fraction=injection_fraction,
+        kernels=replace(STILL, **changes),
         rng=np.random.default_rng(seed),
-        **settings,
     )
 
 
@@ -38,7 +46,7 @@ def test_particles_follow_the_odometry_in_their_own_frame_with_its_noise():
 
 def test_the_predicted_density_is_the_density_that_the_particles_were_drawn_from():
     """Importance sampling with it integrates a known function right: E over draws of f/p⁻ is the integral of f."""
-    _, proposal = draw(Odometry(Poses.identity(), np.diag([0.05**2] * 6)), jitter_std=(0.02, 0.02))
+    _, proposal = draw(Odometry(Poses.identity(), np.diag([0.05**2] * 6)), jitter_m=0.02, jitter_rad=0.02)
     target = KernelDensity(Poses.exp(np.array([[1.0, 2, 3, 0.1, 0.2, 0.3]])), 0.04, 0.04)
     ratio = np.exp(target.log_density(proposal.poses) - proposal.log_predicted)
     assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(len(ratio)))
@@ -51,8 +59,8 @@ def test_an_unlikely_place_keeps_particles_at_its_true_small_weight():
     unlikely = Particles(Poses.exp(there), np.log(weights))
     image = PosteriorSamples(KernelDensity(Poses.identity(1), 0.1, 0.1))
     proposal = propose(
-        unlikely, Odometry(Poses.identity(), 1e-4 * np.eye(6)), image, num_particles=4000,
-        injection_fraction=0.0, jitter_std=(0.01, 0.01), max_kernels=1000, rng=np.random.default_rng(0),
+        unlikely, np.full(200, -1), Odometry(Poses.identity(), 1e-4 * np.eye(6)), image, num_particles=4000,
+        injection_fraction=0.0, kernels=KernelConfig(jitter_m=0.01, jitter_rad=0.01), rng=np.random.default_rng(0),
     )  # fmt: skip
     share = np.exp(proposal.log_predicted - proposal.log_moved)
     at_it = proposal.poses.translation[:, 0] > 1.5
@@ -77,8 +85,10 @@ def test_mixture_weights_integrate_the_filtering_target_whatever_the_fraction():
     for fraction in (0.0, 0.3, 0.7):
         start = Poses.exp(np.tile([1.0, 2, 3, 0.1, 0.2, 0.3], (10, 1)))
         proposal = propose(
-            belief(start), Odometry(Poses.identity(), covariance), PosteriorSamples(wide), num_particles=40_000,
-            injection_fraction=fraction, jitter_std=(0.0, 0.0), max_kernels=10, rng=np.random.default_rng(1),
+            belief(start), np.zeros(len(start), np.int64), Odometry(Poses.identity(), covariance),
+            PosteriorSamples(wide),
+            num_particles=40_000,
+            injection_fraction=fraction, kernels=replace(STILL, max_kernels=10), rng=np.random.default_rng(1),
         )  # fmt: skip
         log_weights = mixture_log_weights(
             proposal, bump.log_density(proposal.poses), prior.log_density(proposal.poses),
@@ -133,8 +143,9 @@ def test_a_kidnapped_share_is_drawn_from_the_image_with_its_evidence_under_the_p
     prior = KernelDensity(place, 1.0, 0.8)
     posterior = PosteriorSamples(KernelDensity(place, 0.1, 0.1), LikelihoodModel(prior, 1e-9, 1.0, 1e-12))
     proposal = propose(
-        belief(place[[0] * 10]), Odometry(Poses.identity(), np.diag([0.05**2] * 6)), posterior, num_particles=4000,
-        injection_fraction=0.5, jitter_std=(0.0, 0.0), max_kernels=10, rng=np.random.default_rng(3),
+        belief(place[[0] * 10]), np.zeros(10, np.int64), Odometry(Poses.identity(), np.diag([0.05**2] * 6)), posterior,
+        num_particles=4000,
+        injection_fraction=0.5, kernels=replace(STILL, max_kernels=10), rng=np.random.default_rng(3),
     )  # fmt: skip
     log_likelihood, log_prior = posterior.log_likelihood(proposal.poses), posterior.log_prior(proposal.poses)
     weights = np.exp(mixture_log_weights(proposal, log_likelihood, log_prior, kidnap_probability=0.2))

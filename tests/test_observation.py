@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
-from filtering.posterior import KernelDensity
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration, Checkpoint, CheckpointError, save_checkpoint
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor

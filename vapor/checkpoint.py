@@ -15,8 +15,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError, require_within
-from filtering.posterior import KernelDensity, LikelihoodModel
+from filtering.posterior import LikelihoodModel
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor

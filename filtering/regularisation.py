@@ -1,0 +1,164 @@
+"""The belief as a kernel density: which particles become kernels, and how wide these are.
+
+Sources: Milstein, Sánchez and Williamson, "Robust global localization using clustered particle filtering", 2002 (every
+hypothesis keeps particles); Liu and West, "Combined parameter and state estimation in simulation-based filtering", 2001
+(kernels that do not inflate what they smooth).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from filtering.density import neighbour_order
+from filtering.errors import require_within
+from filtering.moments import group_moments
+from filtering.particles import Particles
+from filtering.resampling import systematic
+from filtering.se3 import Poses
+
+
+@dataclass(frozen=True)
+class KernelConfig:
+    """How the belief is carried from image to image: as a kernel density over some of its particles."""
+
+    max_kernels: int = 1000
+    """Kernels at most: bounds the cost of a step."""
+    even_share: float = 0.5
+    """Share of the kernels that is dealt out evenly to the hypotheses, however unlikely; the rest by root of weight."""
+    smoothing: float = 0.5
+    """Kernel widths as a share of those that are best for Gaussian hypotheses; 0: the odometry's noise and jitter."""
+    jitter_m: float = 0.01
+    """Standard deviation in metres that separates duplicated particles, at least."""
+    jitter_rad: float = 0.005
+    """Standard deviation in radians that separates duplicated particles, at least."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            max_kernels=(1, 10**6),
+            even_share=(0.0, 1.0),
+            smoothing=(0.0, 1.0),
+            jitter_m=(0.0, 1e3),
+            jitter_rad=(0.0, 4.0),
+        )
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """A belief that is ready to be carried on.
+
+    Attributes:
+        centres: world_from_camera, (k,).
+        log_weights: Log weights, normalised, (k,).
+        widths: Standard deviations along and about each axis, metres and radians, (k, 2); 0 for no width of its own.
+    """
+
+    centres: Poses
+    log_weights: Float64[np.ndarray, " k"]
+    widths: Float64[np.ndarray, "k 2"]
+
+
+def belief_kernels(
+    belief: Particles,
+    label: Int64[np.ndarray, " n"],
+    count: int,
+    config: KernelConfig,
+    *,
+    rng: np.random.Generator,
+) -> Kernels:
+    """Kernels that stand for a belief, neighbours together.
+
+    Args:
+        belief: Particles (n,).
+        label: Hypothesis of every particle, −1 where it belongs to none, (n,).
+        count: How many kernels.
+        config: Which particles become kernels, and how wide.
+        rng: Source of the draw.
+    """
+    drawn, log_weights = spread_draw(belief, count, label=label, even_share=config.even_share, rng=rng)
+    return regularise(belief.poses[drawn], log_weights, label[drawn], scale=config.smoothing)
+
+
+def spread_draw(
+    particles: Particles,
+    count: int,
+    *,
+    label: Int64[np.ndarray, " n"] | None = None,
+    even_share: float = 0.0,
+    rng: np.random.Generator,
+) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+    """Draw particles by the square root of their weights, with the log weights that make them the belief again.
+
+    A systematic draw gives every stretch of its input the right number, up to rounding. Where poses that lie together
+    stand together the stretches are places, so a place keeps its share; in any other order only on average.
+
+    Args:
+        particles: The belief, (n,).
+        count: k, how many to draw.
+        label: Hypothesis of every particle, −1 where it belongs to none, (n,). None: there are none.
+        even_share: Share of the draws that is dealt out evenly to the hypotheses, however unlikely they are.
+        rng: Source of the draw.
+
+    Returns:
+        Indices of the particles drawn (k,), neighbours together, and their log weights, normalised (k,).
+    """
+    draw = np.exp(0.5 * (particles.log_weights - particles.log_weights.max()))
+    draw /= draw.sum()
+    if label is not None:
+        share = np.bincount(label + 1, draw, minlength=2)  # of every label, −1 first
+        hypotheses = np.flatnonzero(share[1:] > 0) + 1
+        factor = np.ones(len(share))
+        if len(hypotheses) > 0:
+            factor[:] = 1.0 - even_share
+            factor[hypotheses] += even_share / (len(hypotheses) * share[hypotheses])
+        draw *= factor[label + 1]
+    order = neighbour_order(particles.poses)
+    drawn = order[systematic(draw[order], count, rng=rng)]
+    log_weights = particles.log_weights[drawn] - np.log(draw[drawn])
+    return drawn, log_weights - np.logaddexp.reduce(log_weights)
+
+
+def regularise(
+    centres: Poses,
+    log_weights: Float64[np.ndarray, " k"],
+    label: Int64[np.ndarray, " k"],
+    *,
+    scale: float,
+) -> Kernels:
+    """Give the particles of each hypothesis kernels wide enough to cover it, and draw them together by as much.
+
+    The width is `scale` times the optimal one for a Gaussian of the hypothesis' own spread and number of particles
+    (Silverman 1986), in translation and rotation each below the narrowest axis. Centres move towards the hypothesis'
+    mean so that the kernels added to them restore its mean and covariance; nothing is smoothed across hypotheses.
+
+    Args:
+        centres: world_from_camera, (k,).
+        log_weights: Log weights, (k,).
+        label: Hypothesis of every centre, −1 where it belongs to none and stays as it is, (k,).
+        scale: 0 for no smoothing, 1 for the optimum of a Gaussian.
+    """
+    widths = np.zeros((len(label), 2))
+    own = np.flatnonzero(label >= 0)
+    if scale <= 0.0 or len(own) == 0:
+        return Kernels(centres, log_weights, widths)
+    found, group = np.unique(label[own], return_inverse=True)
+    weights = np.exp(log_weights[own] - log_weights[own].max())
+    means, covariance, tangent = group_moments(centres[own], weights, group, len(found))
+    effective = np.bincount(group, weights) ** 2 / np.maximum(np.bincount(group, weights**2), 1e-300)
+    # In units of its mean spread in translation and in rotation, a hypothesis is as wide as its least eigenvalue says.
+    variances = np.diagonal(covariance, axis1=1, axis2=2).reshape(-1, 2, 3).mean(axis=2)
+    unit = np.repeat(np.sqrt(np.maximum(variances, 1e-18)), 3, axis=1)
+    eigenvalues, axes = np.linalg.eigh(covariance / (unit[:, :, None] * unit[:, None, :]))
+    silverman = (0.5 / np.maximum(effective, 1.0)) ** 0.1  # (4 / (d + 2) n)^(1 / (d + 4)) for d = 6
+    added = (scale * silverman) ** 2 * np.maximum(eigenvalues[:, 0], 0.0)
+    kept = np.sqrt(1.0 - added[:, None] / np.maximum(eigenvalues, added[:, None] + 1e-12))
+    shrink = (axes * kept[:, None, :]) @ np.swapaxes(axes, 1, 2)
+    shrunk = np.einsum("nij,nj->ni", shrink[group], tangent / unit[group]) * unit[group]
+    moved = means[group] @ Poses.exp(shrunk)
+    rotation, translation = centres.rotation.copy(), centres.translation.copy()
+    rotation[own], translation[own] = moved.rotation, moved.translation
+    widths[own] = (np.sqrt(added)[:, None] * unit[:, [0, 3]])[group]
+    return Kernels(Poses(rotation, translation), log_weights, widths)
