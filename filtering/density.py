@@ -86,19 +86,18 @@ class KernelDensity:
         log_peak = -self.log_normaliser.min()  # of the narrowest kernel; sums are relative to it
         log_scales = np.column_stack(log_weights) - (self.log_normaliser + log_peak)[:, None]
         scales = np.exp(log_scales).astype(np.float32)
-        least = max(_LEAST_TOTAL, np.exp(min(log_floor - log_peak, 0.0)))
+        floor = np.exp(min(log_floor - log_peak, 0.0))
+        least = max(floor, _LEAST_TOTAL)
         total = np.empty((len(rows), len(log_weights)), np.float32)
         for block, near in self._neighbourhoods(rows, reach=np.sqrt(-2 * np.log(_PRECISION * least))):
             exponent = _product(left[block], right[near])
             total[block] = np.exp(exponent, out=exponent) @ scales[near]
         with np.errstate(divide="ignore"):
             log_total = np.log(total.T, dtype=np.float64)
-        if log_floor == -np.inf:
-            far = np.flatnonzero((total < least).any(axis=1))
+        for column, found, log_scale in zip(log_total, total.T, log_scales.T.astype(np.float32), strict=True):
+            far = np.flatnonzero(found < (least if floor < least else 0.0))
             for block in (far[start : start + _BLOCK] for start in range(0, len(far), _BLOCK)):
-                exponent = _product(left[block], right)
-                for column, log_scale in zip(log_total, log_scales.T, strict=True):
-                    column[block] = _log_sum_exp(exponent + log_scale.astype(np.float32))
+                column[block] = _log_sum_exp(_product(left[block], right) + log_scale)
         return tuple(log_total + log_peak)
 
     def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
@@ -209,7 +208,7 @@ def _log_sum_exp(exponent: Float32[np.ndarray, "n k"]) -> Float64[np.ndarray, " 
 
 def _angle_quantiles(width_rad: float) -> tuple[np.ndarray, np.ndarray]:
     """Cumulative distribution of the rotation kernel's angle, p(θ) ∝ exp((cos θ − 1)/h²)(1 − cos θ)."""
-    angle = np.linspace(0.0, min(np.pi, 9.0 * width_rad), 2049)
+    angle = np.linspace(0.0, min(np.pi, 9.0 * width_rad), 513)
     density = np.exp((np.cos(angle) - 1) / width_rad**2) * (1 - np.cos(angle))
     cumulative = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
     return cumulative / cumulative[-1], angle

@@ -50,7 +50,7 @@ class ModeConfig:
     min_weight: float = 0.02
     """Hypotheses with a smaller share of the belief are not reported."""
     num_representatives: int = 400
-    """Peaks are sought among this many particles, drawn by weight."""
+    """Peaks are sought among this many particles, drawn by the root of their weights."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -135,7 +135,7 @@ def posterior_modes(poses: Poses, config: ModeConfig, *, rng: np.random.Generato
 def _greedy_peaks(poses: Poses, height: np.ndarray, config: ModeConfig) -> Int64[np.ndarray, " k"]:
     free = np.ones(len(poses), bool)
     peaks: list[int] = []
-    # One more than are reported, so that the last reported mode does not swallow what lies beyond it.
+    # More than are reported, so that the last reported mode does not swallow what lies beyond it.
     while free.any() and len(peaks) < 2 * config.max_modes:
         peak = int(np.argmax(np.where(free, height, -np.inf)))
         peaks.append(peak)

@@ -64,8 +64,10 @@ class LikelihoodModel:
 
     def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log of max(π, π_min) at poses (n,)."""
-        floor = np.full(len(poses), np.log(self.prior_floor))
-        return floor if self.prior is None else np.maximum(floor, self.prior.log_density(poses, log_floor=floor[0]))
+        log_floor = float(np.log(self.prior_floor))
+        if self.prior is None:
+            return np.full(len(poses), log_floor)
+        return np.maximum(log_floor, self.prior.log_density(poses, log_floor=log_floor))
 
     def log_likelihood(
         self, log_density: Float64[np.ndarray, " n"], log_prior: Float64[np.ndarray, " n"]

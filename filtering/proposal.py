@@ -83,9 +83,11 @@ def propose(
     widths = np.hypot(carried.widths, isotropic_std(odometry.covariance, (kernels.jitter_m, kernels.jitter_rad)))
     density = KernelDensity(carried.centres @ odometry.previous_from_current, *widths.T)
     # Every kernel gives as many particles as any other, up to rounding: stratified draws from the density.
-    moved = density.draw(np.arange(num_from_motion) * num_kernels // num_from_motion, rng=rng)
-    injected = posterior.sample(num_injected, rng=rng)
-    poses = Poses.concatenate([moved, injected[neighbour_order(injected)]]) if num_injected else moved
+    stratum = (np.arange(num_from_motion) + rng.random()) * (num_kernels / num_from_motion)
+    poses = density.draw(np.minimum(stratum.astype(np.int64), num_kernels - 1), rng=rng)
+    if num_injected:
+        injected = posterior.sample(num_injected, rng=rng)
+        poses = Poses.concatenate([poses, injected[neighbour_order(injected)]])
     log_predicted, log_moved = density.log_densities(
         poses, carried.log_weights, np.full(num_kernels, -np.log(num_kernels))
     )

@@ -39,7 +39,7 @@ class KernelConfig:
         require_within(
             self,
             max_kernels=(1, 10**6),
-            even_share=(0.0, 1.0),
+            even_share=(0.0, 0.99),
             smoothing=(0.0, 1.0),
             jitter_m=(0.0, 1e3),
             jitter_rad=(0.0, 4.0),
@@ -79,7 +79,8 @@ def belief_kernels(
         rng: Source of the draw.
     """
     drawn, log_weights = spread_draw(belief, count, label=label, even_share=config.even_share, rng=rng)
-    return regularise(belief.poses[drawn], log_weights, label[drawn], scale=config.smoothing)
+    centres, widths = regularise(belief.poses[drawn], log_weights, label[drawn], drawn, scale=config.smoothing)
+    return Kernels(centres, log_weights, widths)
 
 
 def spread_draw(
@@ -99,7 +100,7 @@ def spread_draw(
         particles: The belief, (n,).
         count: k, how many to draw.
         label: Hypothesis of every particle, −1 where it belongs to none, (n,). None: there are none.
-        even_share: Share of the draws that is dealt out evenly to the hypotheses, however unlikely they are.
+        even_share: Share of the draws that is dealt out evenly to the hypotheses, however unlikely they are, in [0, 1).
         rng: Source of the draw.
 
     Returns:
@@ -109,7 +110,7 @@ def spread_draw(
     draw /= draw.sum()
     if label is not None:
         share = np.bincount(label + 1, draw, minlength=2)  # of every label, −1 first
-        hypotheses = np.flatnonzero(share[1:] > 0) + 1
+        hypotheses = np.flatnonzero(share[1:] > 1e-200) + 1
         factor = np.ones(len(share))
         if len(hypotheses) > 0:
             factor[:] = 1.0 - even_share
@@ -125,40 +126,56 @@ def regularise(
     centres: Poses,
     log_weights: Float64[np.ndarray, " k"],
     label: Int64[np.ndarray, " k"],
+    ancestor: Int64[np.ndarray, " k"],
     *,
     scale: float,
-) -> Kernels:
+) -> tuple[Poses, Float64[np.ndarray, "k 2"]]:
     """Give the particles of each hypothesis kernels wide enough to cover it, and draw them together by as much.
 
-    The width is `scale` times the optimal one for a Gaussian of the hypothesis' own spread and number of particles
-    (Silverman 1986), in translation and rotation each below the narrowest axis. Centres move towards the hypothesis'
-    mean so that the kernels added to them restore its mean and covariance; nothing is smoothed across hypotheses.
+    The width is `scale` times the optimal one for a Gaussian (Silverman 1986) as wide as the hypothesis along its
+    narrowest axis, with its effective number of particles. Centres move towards the hypothesis' mean so that kernels
+    added to them restore its mean and covariance; nothing is smoothed across hypotheses. Centres of no hypothesis stay,
+    with the width of the narrowest one.
 
     Args:
         centres: world_from_camera, (k,).
         log_weights: Log weights, (k,).
-        label: Hypothesis of every centre, −1 where it belongs to none and stays as it is, (k,).
+        label: Hypothesis of every centre, −1 where it belongs to none, (k,).
+        ancestor: The particle that each centre is, (k,): duplicates are one particle.
         scale: 0 for no smoothing, 1 for the optimum of a Gaussian.
+
+    Returns:
+        The centres, and their standard deviations along and about each axis, metres and radians, (k, 2).
     """
-    widths = np.zeros((len(label), 2))
     own = np.flatnonzero(label >= 0)
     if scale <= 0.0 or len(own) == 0:
-        return Kernels(centres, log_weights, widths)
+        return centres, np.zeros((len(label), 2))
     found, group = np.unique(label[own], return_inverse=True)
-    weights = np.exp(log_weights[own] - log_weights[own].max())
+    largest = np.full(len(found), -np.inf)
+    np.maximum.at(largest, group, log_weights[own])
+    weights = np.exp(log_weights[own] - largest[group])
     means, covariance, tangent = group_moments(centres[own], weights, group, len(found))
-    effective = np.bincount(group, weights) ** 2 / np.maximum(np.bincount(group, weights**2), 1e-300)
     # In units of its mean spread in translation and in rotation, a hypothesis is as wide as its least eigenvalue says.
     variances = np.diagonal(covariance, axis1=1, axis2=2).reshape(-1, 2, 3).mean(axis=2)
     unit = np.repeat(np.sqrt(np.maximum(variances, 1e-18)), 3, axis=1)
     eigenvalues, axes = np.linalg.eigh(covariance / (unit[:, :, None] * unit[:, None, :]))
-    silverman = (0.5 / np.maximum(effective, 1.0)) ** 0.1  # (4 / (d + 2) n)^(1 / (d + 4)) for d = 6
+    silverman = (0.5 / _effective_numbers(weights, group, ancestor[own])) ** 0.1  # (4 / (d+2) n)^(1 / (d+4)) for d = 6
     added = (scale * silverman) ** 2 * np.maximum(eigenvalues[:, 0], 0.0)
     kept = np.sqrt(1.0 - added[:, None] / np.maximum(eigenvalues, added[:, None] + 1e-12))
     shrink = (axes * kept[:, None, :]) @ np.swapaxes(axes, 1, 2)
-    shrunk = np.einsum("nij,nj->ni", shrink[group], tangent / unit[group]) * unit[group]
-    moved = means[group] @ Poses.exp(shrunk)
+    moved = means[group] @ Poses.exp(np.einsum("nij,nj->ni", shrink[group], tangent / unit[group]) * unit[group])
     rotation, translation = centres.rotation.copy(), centres.translation.copy()
     rotation[own], translation[own] = moved.rotation, moved.translation
-    widths[own] = (np.sqrt(added)[:, None] * unit[:, [0, 3]])[group]
-    return Kernels(Poses(rotation, translation), log_weights, widths)
+    group_widths = np.sqrt(added)[:, None] * unit[:, [0, 3]]
+    widths = np.tile(group_widths.min(axis=0), (len(label), 1))
+    widths[own] = group_widths[group]
+    return Poses(rotation, translation), widths
+
+
+def _effective_numbers(
+    weights: Float64[np.ndarray, " k"], group: Int64[np.ndarray, " k"], ancestor: Int64[np.ndarray, " k"]
+) -> Float64[np.ndarray, " g"]:
+    """(Σ w)² / Σ w² of every group over its distinct ancestors (Kong et al. 1994)."""
+    _, first, particle = np.unique(ancestor, return_index=True, return_inverse=True)
+    together = np.bincount(particle, weights)
+    return np.bincount(group, weights) ** 2 / np.bincount(group[first], together**2)

@@ -124,6 +124,13 @@ def test_above_its_floor_a_density_is_exact_and_below_it_stays_below():
     assert (floored[~above] < -7.0 + 1e-3).all()
 
 
+def test_a_floor_far_below_the_peak_is_kept_too():
+    density = KernelDensity(Poses.identity(2), 0.01, 0.01)
+    there = Poses(np.eye(3)[None], np.array([[0.082, 0.0, 0.0]]))
+    assert density.log_density(there, log_floor=-30.0)[0] == pytest.approx(density.log_density(there)[0], abs=1e-3)
+    assert density.log_density(there)[0] > -30.0
+
+
 def test_neighbour_order_keeps_places_together():
     places = Poses.concatenate([shifted(cloud(k, 256), 10.0 * k) for k in range(4)])
     mixed = np.random.default_rng(0).permutation(1024)
