@@ -7,7 +7,8 @@ DATA := build/model-data
 
 STAIRCASE := $(foreach seed,$(shell seq 0 19),$(DATA)/staircase-$(seed).mcap)
 CEILING_FEW := $(foreach seed,$(shell seq 0 23),$(DATA)/ceiling-$(seed).mcap)
-CEILING := $(foreach seed,$(shell seq 0 71),$(DATA)/ceiling-$(seed).mcap)
+CEILING_MORE := $(foreach seed,$(shell seq 0 71),$(DATA)/ceiling-$(seed).mcap)
+CEILING := $(foreach seed,$(shell seq 0 99),$(DATA)/ceiling-$(seed).mcap)
 
 .PHONY: demo test check models clean
 
@@ -48,16 +49,21 @@ vapor/models/staircase.safetensors: $(DATA)/features.safetensors
 	    --pretrained-weights $< --loss.alpha 0.1 --epochs 28
 
 # Few images and many winners tell the like places apart, if at the cost of some; more images and fewer winners bring
-# those back.
+# those back; more images still tell them apart better.
 $(DATA)/ceiling-first.safetensors: $(DATA)/features.safetensors $(CEILING_FEW) $(DATA)/ceiling-100.mcap
 	$(BIN)/vapor-track train $(CEILING_FEW) --validation $(DATA)/ceiling-100.mcap --output $@ \
 	    --pretrained-weights $< --loss.alpha 0.06 --loss.num-samples 333 --loss.beta 0.003 \
 	    --learning-rate 3e-3 --evolve 0.4 --epochs 44
 
-vapor/models/ceiling.safetensors: $(DATA)/ceiling-first.safetensors $(CEILING)
-	$(BIN)/vapor-track train $(CEILING) --validation $(DATA)/ceiling-100.mcap --output $@ \
+$(DATA)/ceiling-second.safetensors: $(DATA)/ceiling-first.safetensors $(CEILING_MORE)
+	$(BIN)/vapor-track train $(CEILING_MORE) --validation $(DATA)/ceiling-100.mcap --output $@ \
 	    --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
 	    --learning-rate 2e-3 --epochs 16
+
+vapor/models/ceiling.safetensors: $(DATA)/ceiling-second.safetensors $(CEILING)
+	$(BIN)/vapor-track train $(CEILING) --validation $(DATA)/ceiling-100.mcap --output $@ \
+	    --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
+	    --learning-rate 2e-3 --epochs 20
 
 $(DATA):
 	mkdir -p $@

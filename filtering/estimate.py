@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from scipy.spatial.distance import cdist
 
 from filtering.density import KernelDensity
 from filtering.errors import require_within
@@ -139,17 +140,20 @@ def _greedy_peaks(poses: Poses, height: np.ndarray, config: ModeConfig) -> Int64
     while free.any() and len(peaks) < 2 * config.max_modes:
         peak = int(np.argmax(np.where(free, height, -np.inf)))
         peaks.append(peak)
-        free &= _scaled_distance(poses, poses[peak], config) > 1.0
+        free &= _scaled_distance(poses, poses[[peak]], config)[:, 0] > 1.0
     return np.array(peaks, np.int64)
 
 
 def _nearest_peak(poses: Poses, peaks: Poses, config: ModeConfig) -> Int64[np.ndarray, " n"]:
     """Index of the nearest peak, −1 where none is within reach."""
-    distance = np.stack([_scaled_distance(poses, peaks[k], config) for k in range(len(peaks))], axis=1)
+    distance = _scaled_distance(poses, peaks, config)
     nearest = np.argmin(distance, axis=1)
     return np.where(distance[np.arange(len(nearest)), nearest] <= 1.0, nearest, -1).astype(np.int64)
 
 
-def _scaled_distance(poses: Poses, centre: Poses, config: ModeConfig) -> np.ndarray:
-    translation_m, rotation_rad = poses.distance(centre)
-    return np.maximum(translation_m / config.radius_m, rotation_rad / config.radius_rad)
+def _scaled_distance(poses: Poses, centres: Poses, config: ModeConfig) -> Float64[np.ndarray, "n k"]:
+    """1 at the radius of a mode, in translation or in rotation (by the chord of the angle), whichever is larger."""
+    translation_m = cdist(poses.translation, centres.translation)
+    chord = cdist(poses.rotation.reshape(-1, 9), centres.rotation.reshape(-1, 9))
+    radius_chord = np.sqrt(8.0) * np.sin(min(config.radius_rad, np.pi) / 2)
+    return np.maximum(translation_m / config.radius_m, chord / radius_chord)

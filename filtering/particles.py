@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
+from filtering.density import neighbour_order
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 
@@ -49,6 +51,11 @@ class Particles:
     def weights(self) -> Float64[np.ndarray, " n"]:
         """Normalised weights, (n,)."""
         return np.exp(self.log_weights)
+
+    @cached_property
+    def neighbour_order(self) -> Int64[np.ndarray, " n"]:
+        """Indices in an order in which particles that lie together stand together, (n,)."""
+        return neighbour_order(self.poses)
 
     @property
     def effective_sample_size(self) -> float:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from filtering.density import neighbour_order
 from filtering.errors import require_within
 from filtering.moments import group_moments
 from filtering.particles import Particles
@@ -116,7 +115,7 @@ def spread_draw(
             factor[:] = 1.0 - even_share
             factor[hypotheses] += even_share / (len(hypotheses) * share[hypotheses])
         draw *= factor[label + 1]
-    order = neighbour_order(particles.poses)
+    order = particles.neighbour_order
     drawn = order[systematic(draw[order], count, rng=rng)]
     log_weights = particles.log_weights[drawn] - np.log(draw[drawn])
     return drawn, log_weights - np.logaddexp.reduce(log_weights)
