@@ -13,6 +13,7 @@ from vapor.evaluate import (
     associate,
     convergence_s,
     dead_reckoning,
+    evaluate_consistency,
     evaluate_directory,
     evaluate_trajectory,
 )
@@ -180,6 +181,41 @@ def test_a_pose_that_is_not_finite_is_refused_with_its_time():
 
 
 # --- dead reckoning -------------------------------------------------------------------------------------
+
+
+def test_errors_drawn_from_the_stated_covariance_are_consistent_and_from_a_wider_one_are_not():
+    truth = walk(4000)
+    factor = np.diag([0.1, 0.02, 0.05, 0.01, 0.03, 0.02])
+    factor[1, 0], factor[4, 2] = 0.04, 0.02
+    error = np.random.default_rng(0).standard_normal((4000, 6)) @ factor.T
+    covariance = np.broadcast_to(factor @ factor.T, (4000, 6, 6))
+    figures = {}
+    for scale in (1.0, 2.0):
+        best = Trajectory(truth.times_ns, truth.poses @ Poses.exp(-scale * error))
+        figures[scale] = evaluate_consistency(best, covariance, np.ones(4000, bool), truth)
+    assert figures[1.0]["images"] == 4000
+    assert figures[1.0]["wrong"] == 0.0
+    assert figures[1.0]["coverage"] == pytest.approx({"50%": 0.5, "90%": 0.9, "95%": 0.95}, abs=0.03)
+    assert figures[1.0]["median_nees"] == pytest.approx(5.35, abs=0.3)
+    assert figures[2.0]["coverage"]["95%"] < 0.6
+    assert figures[2.0]["median_nees"] == pytest.approx(4 * 5.35, rel=0.06)
+
+
+def test_consistency_counts_only_images_that_are_said_to_be_converged():
+    truth = walk(10)
+    converged = np.arange(10) >= 6
+    off = np.where(np.arange(10) % 2 == 0, 0.6, 0.0)
+    estimate = shifted(truth, off, np.zeros(10))
+    covariance = np.broadcast_to(0.01 * np.eye(6), (10, 6, 6))
+    figures = evaluate_consistency(estimate, covariance, converged, truth)
+    assert figures == {
+        "images": 4,
+        "wrong": 0.5,
+        "coverage": {"50%": 0.5, "90%": 0.5, "95%": 0.5},
+        "median_nees": pytest.approx(18.0),
+    }
+    nothing = evaluate_consistency(estimate, covariance, np.zeros(10, bool), truth)
+    assert nothing == {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
 
 
 def test_dead_reckoning_with_perfect_odometry_is_the_truth():

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
+from scipy.special import chdtri
 
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
@@ -38,6 +39,11 @@ FILES: Mapping[str, str] = MappingProxyType(
 TRACKING = ("kalman", "filter", "smoothed")
 """Methods that can converge: they remember, and they can find themselves."""
 
+WRONG_M = 0.5
+"""A status of "converged" is wrong when the best mode is further than this from the truth."""
+
+_REGIONS = (0.5, 0.9, 0.95)
+_LEAST_VARIANCE = 1e-12  # of a mode whose particles coincide: a micrometre, a microradian
 _SURE = 0.95  # share of the remaining images that must be right
 
 
@@ -152,6 +158,43 @@ def convergence_s(
     early = 5 * elapsed_ns < 4 * elapsed_ns[-1]
     candidates = np.flatnonzero(right & early & (right_from_here >= _SURE * remaining))
     return float(elapsed_ns[candidates[0]] / 1e9) if len(candidates) else None
+
+
+def evaluate_consistency(
+    estimate: Trajectory,
+    covariance: Float64[np.ndarray, "n 6 6"],
+    converged: Bool[np.ndarray, " n"],
+    truth: Trajectory,
+) -> dict[str, Any]:
+    """Whether a filter is as good as it says, over the images of which it says that it has converged.
+
+    Args:
+        estimate: Best modes, world_from_camera, (n,).
+        covariance: Their covariances in the tangent at the mode, ξ = (v, ω).
+        converged: Whether the status was "converged", (n,).
+        truth: True world_from_camera.
+
+    Returns:
+        `images`: how many said so and have a true pose. `wrong`: the share of them more than 0.5 m off. `coverage`: for
+        each of the 50, 90 and 95 % regions of the best mode's Gaussian the share of them with the true pose inside.
+        `median_nees`: median normalised estimation error squared, ξᵀ Σ⁻¹ ξ, 5.35 for a true covariance (Bar-Shalom
+        et al. 2001, §5.4). All but `images` are None where that is 0.
+    """
+    found, true_poses = associate(estimate.times_ns, truth)
+    sure = converged[found]
+    images = int(sure.sum())
+    if images == 0:
+        return {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
+    best, true_poses = estimate.poses[found][sure], true_poses[sure]
+    error = (best.inverse() @ true_poses).log()
+    regular = covariance[found][sure] + _LEAST_VARIANCE * np.eye(6)
+    nees = np.einsum("ni,ni->n", error, np.linalg.solve(regular, error[..., None])[..., 0])
+    return {
+        "images": images,
+        "wrong": float(np.mean(best.distance(true_poses)[0] > WRONG_M)),
+        "coverage": {f"{round(100 * p)}%": float(np.mean(nees <= chdtri(6, 1 - p))) for p in _REGIONS},
+        "median_nees": float(np.median(nees)),
+    }
 
 
 def dead_reckoning(first_pose: Poses, odometry: Sequence[Odometry | None]) -> Poses:

@@ -51,6 +51,7 @@ class RunRecord:
         times_ns: Header stamps, (n,).
         single_image: Best mode of each image's posterior alone, (n,).
         filter: Best mode of the filter, (n,).
+        covariance: Of ξ = (v, ω) in the tangent at the filter's best mode, metres and radians, (n, 6, 6).
         status: The filter's verdict on itself, (n,).
         num_modes: Number of hypotheses, (n,).
         best_weight: Weight of the reported hypothesis, (n,).
@@ -71,6 +72,7 @@ class RunRecord:
     times_ns: Int64[np.ndarray, " n"]
     single_image: Poses
     filter: Poses
+    covariance: Float64[np.ndarray, "n 6 6"]
     status: tuple[Status, ...]
     num_modes: Int64[np.ndarray, " n"]
     best_weight: Float64[np.ndarray, " n"]
@@ -110,6 +112,7 @@ class RunRecorder:
         self._has_odometry = False
         self._truth_ns: list[int] = []
         self._truth: list[Poses] = []
+        self._covariance: list[np.ndarray] = []
         self._status: list[Status] = []
         self._numbers: list[tuple[int, float, int, float, float, float]] = []
         self._moments: list[Moment] = []
@@ -141,6 +144,7 @@ class RunRecorder:
         self._times_ns.append(frame.time_ns)
         self._single_image.append(single_image)
         self._filter.append(best.world_from_camera)
+        self._covariance.append(best.covariance)
         self._status.append(estimate.status)
         self._numbers.append(
             (
@@ -177,6 +181,7 @@ class RunRecorder:
             times_ns=np.array(self._times_ns, np.int64),
             single_image=Poses.stack(self._single_image),
             filter=Poses.stack(self._filter),
+            covariance=np.stack(self._covariance),
             status=tuple(self._status),
             num_modes=num_modes.astype(np.int64),
             best_weight=best_weight,

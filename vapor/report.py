@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sequences.atomic import atomic_output
-from vapor.evaluate import FILES, THRESHOLDS, associate, evaluate_methods
+from vapor.evaluate import FILES, THRESHOLDS, associate, evaluate_consistency, evaluate_methods
 from vapor.pictures import LABELS, write_pictures
 from vapor.record import RunRecord, RunRecorder
 
@@ -26,7 +26,8 @@ def build_report(record: RunRecord) -> dict[str, Any]:
 
     Returns:
         `frames`, `skipped`, `duration_s`, `status` (share of the images by verdict), `particles` (median), `step_ms`,
-        `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each method's metrics.
+        `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each method's metrics, and
+        `consistency` (see `evaluate_consistency`).
     """
     verdicts = Counter(record.status)
     frames = len(record.times_ns)
@@ -44,6 +45,10 @@ def build_report(record: RunRecord) -> dict[str, Any]:
     }
     if record.truth is not None:
         report |= evaluate_methods(record.methods, record.truth)
+        converged = np.array([status == "converged" for status in record.status])
+        report["consistency"] = evaluate_consistency(
+            record.methods["filter"], record.covariance, converged, record.truth
+        )
     return _rounded(report)
 
 

@@ -21,6 +21,7 @@ from vapor.run import RunConfig
 from vapor.threads import limited_threads
 
 _MAX_SEED = 2**63
+_REGIONS = ("50%", "90%", "95%")
 _METHODS = ("single_image", "dead_reckoning", "kalman", "filter", "smoothed")
 
 
@@ -113,6 +114,7 @@ def _localization(arguments: Sequence[str]) -> None:
     write_report(o.output / "summary.json", {"scene": o.scene, "runs": reports})
     show(_runs_table(reports))
     show(_methods_table(reports))
+    show(_consistency_table(reports))
 
 
 def _runs_table(reports: Sequence[Mapping[str, Any]]) -> Table:
@@ -144,4 +146,25 @@ def _methods_table(reports: Sequence[Mapping[str, Any]]) -> Table:
             f"{median_m:.2f} m",
             *recalls,
         )
+    return table
+
+
+def _consistency_table(reports: Sequence[Mapping[str, Any]]) -> Table:
+    """Over all images of all runs that the filter calls converged."""
+    said = [report["consistency"] for report in reports if report["consistency"]["images"]]
+    images = sum(each["images"] for each in said)
+    table = Table(
+        "said converged", "wrong by 0.5 m", *(f"in the {region} region" for region in _REGIONS), "median NEES"
+    )
+    if not said:
+        table.add_row("0 images", *[""] * (len(_REGIONS) + 2))
+        return table
+    share = np.array([each["images"] / images for each in said])
+    figures = [[each["wrong"], *(each["coverage"][region] for region in _REGIONS)] for each in said]
+    nees = np.median([each["median_nees"] for each in said])
+    table.add_row(
+        f"{images} images",
+        *(f"{100 * value:.1f} %" for value in share @ np.array(figures)),
+        f"{nees:.1f} (5.3 is true)",
+    )
     return table
