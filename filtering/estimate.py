@@ -16,6 +16,8 @@ from filtering.particles import Particles
 from filtering.regularisation import spread_draw
 from filtering.se3 import Poses
 
+_SPREAD = 0.25  # power of the weights by which representatives are drawn: a new place weighs next to nothing
+
 Status = Literal["converged", "ambiguous", "lost"]
 
 
@@ -51,7 +53,7 @@ class ModeConfig:
     min_weight: float = 0.02
     """Hypotheses with a smaller share of the belief are not reported."""
     num_representatives: int = 400
-    """Peaks are sought among this many particles, drawn by the root of their weights."""
+    """Peaks are sought among this many particles, drawn by the fourth root of their weights."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -95,7 +97,8 @@ def find_hypotheses(particles: Particles, config: ModeConfig, *, rng: np.random.
     Peaks of the kernel density are taken greedily from the highest down, each claiming its neighbourhood, and every
     particle then belongs to the nearest peak within reach.
     """
-    chosen, log_weights = spread_draw(particles, min(config.num_representatives, 4 * len(particles)), rng=rng)
+    count = min(config.num_representatives, 4 * len(particles))
+    chosen, log_weights = spread_draw(particles, count, exponent=_SPREAD, rng=rng)
     representatives = particles.poses[chosen]
     density = KernelDensity(representatives, config.bandwidth_m, config.bandwidth_rad, log_weights)
     peaks = _greedy_peaks(representatives, density.log_density(representatives), config)

@@ -18,8 +18,8 @@ from filtering.errors import require_within
 class RecoveryConfig:
     """When the belief is doubted."""
 
-    min_kidnap_probability: float = 0.002
-    """κ while the images fit the belief: chance per image that the camera was carried elsewhere unnoticed."""
+    min_kidnap_probability: float = 1e-4
+    """κ while the images fit the belief: chance per image that the camera was carried elsewhere unnoticed; 0: never."""
     max_kidnap_probability: float = 0.1
     """κ at most, however badly the images fit."""
     slow_rate: float = 0.02
@@ -59,11 +59,11 @@ class Recovery:
         )
 
     def kidnap_probability(self, config: RecoveryConfig) -> float:
-        """κ = 1 − fast/slow, between its limits."""
+        """κ from its least to its greatest value, in equal ratios, as the doubt 1 − fast/slow goes from 0 to 1."""
         if self.slow is None or self.slow <= 0.0:
             return config.min_kidnap_probability
-        doubt = 1.0 - self.fast / self.slow
-        return float(np.clip(doubt, config.min_kidnap_probability, config.max_kidnap_probability))
+        doubt = float(np.clip(1.0 - self.fast / self.slow, 0.0, 1.0))
+        return config.min_kidnap_probability ** (1.0 - doubt) * config.max_kidnap_probability**doubt
 
     def reset(self) -> Recovery:
         """The averages once the belief has moved: the past doubt does not count against the new place."""

@@ -25,8 +25,8 @@ class KernelConfig:
 
     max_kernels: int = 1000
     """Kernels at most: bounds the cost of a step."""
-    even_share: float = 0.5
-    """Share of the kernels that is dealt out evenly to the hypotheses, however unlikely; the rest by root of weight."""
+    share_exponent: float = 0.3
+    """A hypothesis gets kernels by its weight to this power: 1 for its share, 0 for as many as any other."""
     smoothing: float = 0.5
     """Kernel widths as a share of those that are best for Gaussian hypotheses; 0: the odometry's noise and jitter."""
     jitter_m: float = 0.01
@@ -38,7 +38,7 @@ class KernelConfig:
         require_within(
             self,
             max_kernels=(1, 10**6),
-            even_share=(0.0, 0.99),
+            share_exponent=(0.0, 1.0),
             smoothing=(0.0, 1.0),
             jitter_m=(0.0, 1e3),
             jitter_rad=(0.0, 4.0),
@@ -77,7 +77,7 @@ def belief_kernels(
         config: Which particles become kernels, and how wide.
         rng: Source of the draw.
     """
-    drawn, log_weights = spread_draw(belief, count, label=label, even_share=config.even_share, rng=rng)
+    drawn, log_weights = spread_draw(belief, count, label=label, exponent=config.share_exponent, rng=rng)
     centres, widths = regularise(belief.poses[drawn], log_weights, label[drawn], drawn, scale=config.smoothing)
     return Kernels(centres, log_weights, widths)
 
@@ -87,34 +87,33 @@ def spread_draw(
     count: int,
     *,
     label: Int64[np.ndarray, " n"] | None = None,
-    even_share: float = 0.0,
+    exponent: float,
     rng: np.random.Generator,
 ) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
-    """Draw particles by the square root of their weights, with the log weights that make them the belief again.
+    """Draw more particles of unlikely hypotheses than their weights ask for, with log weights that make up for it.
 
-    A systematic draw gives every stretch of its input the right number, up to rounding. Where poses that lie together
+    A hypothesis gets draws by its weight to the power of `exponent`, its particles by the square root of theirs. A
+    systematic draw gives every stretch of its input the right number, up to rounding. Where poses that lie together
     stand together the stretches are places, so a place keeps its share; in any other order only on average.
 
     Args:
         particles: The belief, (n,).
         count: k, how many to draw.
-        label: Hypothesis of every particle, −1 where it belongs to none, (n,). None: there are none.
-        even_share: Share of the draws that is dealt out evenly to the hypotheses, however unlikely they are, in [0, 1).
+        label: Hypothesis of every particle, −1 for those that belong to none, (n,). Without, each is its own.
+        exponent: 1 for draws in proportion to the weights of the hypotheses, 0 for as many of each.
         rng: Source of the draw.
 
     Returns:
         Indices of the particles drawn (k,), neighbours together, and their log weights, normalised (k,).
     """
-    draw = np.exp(0.5 * (particles.log_weights - particles.log_weights.max()))
-    draw /= draw.sum()
-    if label is not None:
-        share = np.bincount(label + 1, draw, minlength=2)  # of every label, −1 first
-        hypotheses = np.flatnonzero(share[1:] > 1e-200) + 1
-        factor = np.ones(len(share))
-        if len(hypotheses) > 0:
-            factor[:] = 1.0 - even_share
-            factor[hypotheses] += even_share / (len(hypotheses) * share[hypotheses])
-        draw *= factor[label + 1]
+    relative = particles.log_weights - particles.log_weights.max()
+    if label is None:
+        draw = np.exp(exponent * relative)
+    else:
+        draw = np.exp(0.5 * relative)
+        own = np.bincount(label + 1, draw)
+        target = np.bincount(label + 1, np.exp(relative)) ** exponent
+        draw *= np.divide(target, own, out=np.zeros_like(own), where=own > 1e-200)[label + 1]
     order = particles.neighbour_order
     drawn = order[systematic(draw[order], count, rng=rng)]
     log_weights = particles.log_weights[drawn] - np.log(draw[drawn])

@@ -42,32 +42,39 @@ def test_a_group_without_weight_counts_its_poses_equally():
     np.testing.assert_allclose(means[0].as_matrix(), poses.mean().as_matrix(), atol=1e-12)
 
 
+@pytest.mark.parametrize("labelled", [True, False])
 @pytest.mark.parametrize("share", [0.3, 1e-4])
-def test_draws_carry_the_weights_that_make_them_the_belief_again(share):
+def test_draws_carry_the_weights_that_make_them_the_belief_again(share, labelled):
     belief, label = two_places(share)
     sums = []
     for seed in range(20):
-        drawn, log_weights = spread_draw(belief, 100, label=label, even_share=0.5, rng=np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        drawn, log_weights = spread_draw(belief, 100, label=label if labelled else None, exponent=0.25, rng=rng)
         assert np.exp(log_weights).sum() == pytest.approx(1.0)
         sums.append(np.exp(log_weights[label[drawn] == 1]).sum())
     assert np.mean(sums) == pytest.approx(share, rel=0.02)
 
 
-def test_draws_go_by_the_root_of_weights_and_an_unlikely_hypothesis_gets_its_even_share():
-    belief, label = two_places(1e-4)
-    for even_share, expected in [(0.0, 0.01), (0.5, 0.255), (0.9, 0.451)]:
-        drawn, _ = spread_draw(belief, 1000, label=label, even_share=even_share, rng=np.random.default_rng(0))
-        assert np.mean(label[drawn] == 1) == pytest.approx(expected, abs=0.002)
+@pytest.mark.parametrize("exponent", [0.0, 0.25, 0.5, 1.0])
+def test_a_hypothesis_is_drawn_by_a_power_of_its_weight(exponent):
+    belief, label = two_places(0.001)
+    drawn, _ = spread_draw(belief, 5000, label=label, exponent=exponent, rng=np.random.default_rng(0))
+    expected = 0.001**exponent / (0.001**exponent + 0.999**exponent)
+    assert np.mean(label[drawn] == 1) == pytest.approx(expected, rel=0.03, abs=0.0003)
 
 
-def test_particles_of_no_hypothesis_are_drawn_too():
-    belief, label = two_places(0.5)
+def test_within_a_hypothesis_particles_are_drawn_by_the_root_of_their_weights():
+    poses = place(0.0, 200, 0)
+    belief, _ = Particles.from_unnormalised(poses, np.repeat([0.0, np.log(0.01)], 100))
+    drawn, _ = spread_draw(belief, 5000, label=np.zeros(200, np.int64), exponent=0.25, rng=np.random.default_rng(0))
+    assert np.mean(drawn >= 100) == pytest.approx(0.1 / 1.1, rel=0.03)
+
+
+def test_particles_of_no_hypothesis_are_drawn_as_if_they_were_one():
+    belief, label = two_places(0.0001)
     label = np.where(label == 1, -1, 0)
-    drawn, _ = spread_draw(belief, 100, label=label, even_share=0.5, rng=np.random.default_rng(0))
-    assert np.mean(label[drawn] == -1) == pytest.approx(0.25, abs=0.02)
-    nobody = np.full(400, -1)
-    drawn, _ = spread_draw(belief, 400, label=nobody, even_share=0.5, rng=np.random.default_rng(0))
-    assert len(np.unique(drawn)) == 400
+    drawn, _ = spread_draw(belief, 2200, label=label, exponent=0.25, rng=np.random.default_rng(0))
+    assert np.mean(label[drawn] == -1) == pytest.approx(0.1 / 1.1, rel=0.03)
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0])
@@ -139,9 +146,7 @@ def test_too_few_particles_for_a_covariance_are_left_where_they_are(count):
 def test_a_belief_of_extreme_weights_is_drawn_without_overflow(gap):
     poses = Poses.concatenate([place(0.0, 200, 0), place(9.0, 200, 1)])
     belief, _ = Particles.from_unnormalised(poses, np.repeat([0.0, -gap], 200))
-    _, log_weights = spread_draw(
-        belief, 100, label=np.repeat([0, 1], 200), even_share=0.5, rng=np.random.default_rng(0)
-    )
+    _, log_weights = spread_draw(belief, 100, label=np.repeat([0, 1], 200), exponent=0.25, rng=np.random.default_rng(0))
     assert np.exp(log_weights).sum() == pytest.approx(1.0)
 
 
