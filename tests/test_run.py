@@ -84,7 +84,8 @@ def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
 def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     report = report_of(finished.directory)
     about = {"frames", "frames_with_true_pose", "skipped", "duration_s", "status", "particles"}
-    assert set(report) == METHODS | about | {"step_ms", "peak_rss_mb"}
+    assert set(report) == METHODS | about | {"step_ms", "peak_rss_mb", "consistency"}
+    assert set(report["consistency"]) == {"images", "wrong", "coverage", "median_nees"}
     assert report["frames"] == 25
     assert report["skipped"] == {}
     assert set(report["step_ms"]) == {"p50", "p95"}
