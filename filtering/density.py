@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float, Float32, Float64, Int64
 from scipy.spatial.distance import cdist
 from scipy.special import ive
 
@@ -173,13 +173,14 @@ def neighbour_order(poses: Poses) -> Int64[np.ndarray, " n"]:
     return np.concatenate(list(_halve(columns, np.arange(len(poses)))))
 
 
-def _halve(columns: Float32[np.ndarray, "12 n"], indices: np.ndarray) -> Iterator[np.ndarray]:
+def _halve(columns: Float32[np.ndarray, "12 n"], indices: Int64[np.ndarray, " k"]) -> Iterator[np.ndarray]:
+    """The indices in groups of at most `_BLOCK` neighbours, whole blocks on the left of every cut."""
     if len(indices) <= _BLOCK:
         yield indices
         return
     here = columns[:, indices]
     axis = np.argmax(here.max(axis=1) - here.min(axis=1))
-    half = _BLOCK * (-(-len(indices) // _BLOCK) // 2)  # whole blocks
+    half = _BLOCK * (-(-len(indices) // _BLOCK) // 2)
     order = np.argpartition(here[axis], half)
     yield from _halve(columns, indices[order[:half]])
     yield from _halve(columns, indices[order[half:]])
@@ -195,7 +196,8 @@ def _squares(embedded: Float64[np.ndarray, "n 12"]) -> Float64[np.ndarray, "n 2"
     return np.stack([np.einsum("ij,ij->i", part, part) for part in (embedded[:, :3], embedded[:, 3:])], axis=1)
 
 
-def _product(left: np.ndarray, right: np.ndarray) -> Float32[np.ndarray, "n k"]:
+def _product(left: Float[np.ndarray, "n 15"], right: Float[np.ndarray, "k 15"]) -> Float32[np.ndarray, "n k"]:
+    """Log kernels, in the precision of the factors, as float32."""
     return (left @ right.T).astype(np.float32, copy=False)
 
 

@@ -58,9 +58,9 @@ def propose(
 
     The predicted belief p⁻ is a kernel density: its centres are particles of the belief moved by the odometry, its
     kernels those of their hypothesis with the odometry's noise and the jitter added, made isotropic on the safe side.
-    The particles are drawn from the same kernels in equal numbers, q, of centres drawn by the root of their weights and
-    in part evenly by hypothesis: a place that the images have made unlikely keeps enough particles to come back, at its
-    true, small weight. Both densities are evaluated exactly, so the mixture weights owe nothing to a bandwidth.
+    The particles are drawn from the same kernels in equal numbers, q, of centres drawn by powers of their weights below
+    1 (`spread_draw`): a place that the images made unlikely keeps enough particles to come back, at its true weight.
+    Both densities are evaluated exactly, so the mixture weights owe nothing to a bandwidth.
     (Evaluating a smoother density than the one drawn from makes large modes grow at the cost of small ones.)
 
     Args:

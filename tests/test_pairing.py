@@ -18,7 +18,7 @@ def random_walk(n: int, seed: int) -> tuple[np.ndarray, Poses, np.ndarray]:
     times_ns = np.cumsum(rng.integers(SECOND // 100, SECOND // 5, n)).astype(np.int64)
     poses = [Poses.exp(rng.normal(size=6))]
     for _ in range(n - 1):
-        poses.append(poses[-1] @ Poses.exp(rng.normal(scale=0.1, size=6)))
+        poses.append(poses[-1] @ Poses.exp(rng.normal(scale=0.05, size=6)))
     root = rng.normal(scale=0.1, size=(n, 6, 6))
     return times_ns, Poses.stack(poses), root @ np.swapaxes(root, 1, 2)
 

@@ -42,7 +42,9 @@ TRACKING = ("kalman", "filter", "smoothed")
 WRONG_M = 0.5
 """A status of "converged" is wrong when the best mode is further than this from the truth."""
 
-_REGIONS = (0.5, 0.9, 0.95)
+REGIONS: Mapping[str, float] = MappingProxyType({"50%": 0.5, "90%": 0.9, "95%": 0.95})
+"""Regions of a mode's Gaussian, by the share of it that they hold."""
+
 _LEAST_VARIANCE = 1e-12  # of a mode whose particles coincide: a micrometre, a microradian
 _SURE = 0.95  # share of the remaining images that must be right
 
@@ -192,7 +194,7 @@ def evaluate_consistency(
     return {
         "images": images,
         "wrong": float(np.mean(best.distance(true_poses)[0] > WRONG_M)),
-        "coverage": {f"{round(100 * p)}%": float(np.mean(nees <= chdtri(6, 1 - p))) for p in _REGIONS},
+        "coverage": {name: float(np.mean(nees <= chdtri(6, 1 - share))) for name, share in REGIONS.items()},
         "median_nees": float(np.median(nees)),
     }
 

@@ -14,14 +14,13 @@ from rich.table import Table
 from filtering.errors import VaporTrackError, require_within
 from vapor.benchmark import Trial, localize_trials, time_step
 from vapor.commands.console import bar, parse, show, usage_error
-from vapor.evaluate import THRESHOLDS
+from vapor.evaluate import REGIONS, THRESHOLDS
 from vapor.observation import VaporObservationModel
 from vapor.report import write_report
 from vapor.run import RunConfig
 from vapor.threads import limited_threads
 
 _MAX_SEED = 2**63
-_REGIONS = ("50%", "90%", "95%")
 _METHODS = ("single_image", "dead_reckoning", "kalman", "filter", "smoothed")
 
 
@@ -153,14 +152,12 @@ def _consistency_table(reports: Sequence[Mapping[str, Any]]) -> Table:
     """Over all images of all runs that the filter calls converged."""
     said = [report["consistency"] for report in reports if report["consistency"]["images"]]
     images = sum(each["images"] for each in said)
-    table = Table(
-        "said converged", "wrong by 0.5 m", *(f"in the {region} region" for region in _REGIONS), "median NEES"
-    )
+    table = Table("said converged", "wrong by 0.5 m", *(f"in the {region} region" for region in REGIONS), "median NEES")
     if not said:
-        table.add_row("0 images", *[""] * (len(_REGIONS) + 2))
+        table.add_row("0 images", *[""] * (len(REGIONS) + 2))
         return table
     share = np.array([each["images"] / images for each in said])
-    figures = [[each["wrong"], *(each["coverage"][region] for region in _REGIONS)] for each in said]
+    figures = [[each["wrong"], *(each["coverage"][region] for region in REGIONS)] for each in said]
     nees = np.median([each["median_nees"] for each in said])
     table.add_row(
         f"{images} images",
