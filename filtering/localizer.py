@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic
 
 import numpy as np
@@ -11,10 +11,11 @@ from filtering.errors import require_within
 from filtering.estimate import Estimate, Mode, ModeConfig, Status, describe_modes, find_hypotheses
 from filtering.motion import Odometry
 from filtering.particles import Particles
-from filtering.posterior import ObservationModel, PosePosterior, Posterior
+from filtering.posterior import DetailedPosterior, ObservationModel, PosePosterior, Posterior
 from filtering.proposal import mixture_log_weights, propose
 from filtering.recovery import Recovery, RecoveryConfig, agreement, log_mean
 from filtering.regularisation import KernelConfig
+from filtering.sample_size import SampleSizeConfig, draw_enough
 from filtering.se3 import Poses
 
 
@@ -22,11 +23,11 @@ from filtering.se3 import Poses
 class LocalizerConfig:
     """Settings of the filter; the defaults serve a hand-held camera or a slow robot in a building."""
 
-    num_particles: int = 2000
-    """Particles that carry the belief."""
+    num_particles: int | None = None
+    """Particles that carry the belief; None for as many as it needs (see `sample_size`)."""
     injection_fraction: float = 0.1
     """φ: share of the particles that every image's posterior draws anew."""
-    converged_weight: float = 0.8
+    converged_weight: float = 0.9
     """Status is "converged" from this share of the belief in the best mode on."""
     converged_std_m: float = 0.5
     """And with at most this standard deviation of its position, in metres, along its widest axis."""
@@ -36,6 +37,8 @@ class LocalizerConfig:
     """Share of the running mean of the log evidence that an image leaves unchanged."""
     switch_ratio: float = 1.5
     """Another mode becomes the best one when it outweighs the present best by this factor."""
+    sample_size: SampleSizeConfig = field(default_factory=SampleSizeConfig)
+    """How many particles the belief needs."""
     kernels: KernelConfig = field(default_factory=KernelConfig)
     """How the belief is carried from image to image."""
     recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
@@ -46,7 +49,6 @@ class LocalizerConfig:
     def __post_init__(self) -> None:
         require_within(
             self,
-            num_particles=(1, 10**7),
             injection_fraction=(0.0, 0.99),
             converged_weight=(0.0, 1.0),
             converged_std_m=(0.0, 1e6),
@@ -54,6 +56,14 @@ class LocalizerConfig:
             evidence_decay=(0.0, 0.9999),
             switch_ratio=(1.0, 1e9),
         )
+        if self.num_particles is not None:
+            require_within(self, num_particles=(1, 10**7))
+
+    @property
+    def size(self) -> SampleSizeConfig:
+        """How many particles: `num_particles` if given, else what the belief needs."""
+        n = self.num_particles
+        return self.sample_size if n is None else replace(self.sample_size, min_particles=n, max_particles=n)
 
 
 class ParticleLocalizer(Generic[Posterior]):
@@ -103,8 +113,8 @@ class ParticleLocalizer(Generic[Posterior]):
             if self._best is not None:
                 self._best = self._best @ odom.previous_from_current
             particles, log_evidence = self._continue(self._belief, posterior, odom)
+        particles = self._settle(particles, posterior, first=odom is None or self._belief is None)
         self._belief = particles
-        self._label = find_hypotheses(particles, self.config.modes, rng=self._filter_rng)
         modes = self._order(describe_modes(particles, self._label, self.config.modes))
         self._best = modes[0].world_from_camera
         return Estimate(
@@ -118,7 +128,7 @@ class ParticleLocalizer(Generic[Posterior]):
 
     def _start(self, posterior: PosePosterior) -> tuple[Particles, float]:
         """The first belief is the image's posterior: L π, untempered, as no image before it shares its errors."""
-        poses = posterior.sample(self.config.num_particles, rng=self._filter_rng)
+        poses = draw_enough(lambda size: posterior.sample(size, rng=self._filter_rng), self.config.size)
         particles, _ = Particles.from_unnormalised(poses, np.zeros(len(poses)))
         log_likelihood = posterior.log_likelihood(poses)
         self._recovery = Recovery()
@@ -133,7 +143,7 @@ class ParticleLocalizer(Generic[Posterior]):
             self._label,
             odom,
             posterior,
-            num_particles=c.num_particles,
+            sample_size=c.size,
             injection_fraction=c.injection_fraction,
             kernels=c.kernels,
             rng=self._filter_rng,
@@ -154,6 +164,18 @@ class ParticleLocalizer(Generic[Posterior]):
         if particles.weights[num_moved:].sum() > 0.5:
             self._recovery = self._recovery.reset()
         return particles, log_evidence
+
+    def _settle(self, particles: Particles, posterior: PosePosterior, *, first: bool) -> Particles:
+        """Find the hypotheses, and weigh each one's particles by what the image says of details, the shares kept.
+
+        A belief that is the image's posterior has its details already.
+        """
+        detail = None
+        if isinstance(posterior, DetailedPosterior) and not first:
+            detail = posterior.log_detail(particles.poses)
+        detailed = particles if detail is None else particles.reweighted(detail)
+        self._label = find_hypotheses(detailed, self.config.modes, rng=self._filter_rng)
+        return particles if detail is None else detailed.keep_shares(particles, self._label)
 
     def _order(self, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
         """Keep the previous best mode first unless another clearly outweighs it."""

@@ -64,3 +64,31 @@ class Particles:
 
     def __len__(self) -> int:
         return len(self.log_weights)
+
+    def reweighted(self, log_factor: Float64[np.ndarray, " n"]) -> Particles:
+        """The same particles with weights multiplied by exp(log_factor) (n,), normalised.
+
+        Raises:
+            VaporTrackError: as `from_unnormalised`.
+        """
+        return self._weighing(Particles.from_unnormalised(self.poses, self.log_weights + log_factor)[0].log_weights)
+
+    def keep_shares(self, of: Particles, label: Int64[np.ndarray, " n"]) -> Particles:
+        """The same particles, every hypothesis with the share that it has among the weights of another belief.
+
+        Args:
+            of: The belief whose shares hold, over the same poses.
+            label: Hypothesis of every particle, −1 where it belongs to none, (n,).
+        """
+        group = label + 1
+        mine, its = np.bincount(group, self.weights), np.bincount(group, of.weights)
+        known = (mine > 1e-200) & (its > 1e-200)  # else the factor says nothing, and the weights stay as they are
+        log_factor = np.log(np.divide(its, mine, out=np.ones_like(mine), where=known))
+        log_weights = self.log_weights + log_factor[group]
+        return self._weighing(log_weights - np.logaddexp.reduce(log_weights))
+
+    def _weighing(self, log_weights: np.ndarray) -> Particles:
+        """The same particles with other weights; where they lie is known already."""
+        other = Particles(self.poses, log_weights)
+        other.__dict__["neighbour_order"] = self.neighbour_order
+        return other

@@ -33,6 +33,18 @@ class PosePosterior(Protocol):
         ...
 
 
+@runtime_checkable
+class DetailedPosterior(PosePosterior, Protocol):
+    """A posterior that trusts itself about where in a place the camera is, but not about which place it is."""
+
+    def log_detail(self, poses: Poses) -> Float64[np.ndarray, " n"] | None:
+        """Log of a further factor of p(image | pose) at poses (n,), which counts within a hypothesis only.
+
+        None where `log_likelihood` says all.
+        """
+        ...
+
+
 Posterior = TypeVar("Posterior", bound=PosePosterior, covariant=True)
 
 
@@ -47,7 +59,16 @@ class ObservationModel(Protocol[Posterior]):
 
 @dataclass(frozen=True)
 class LikelihoodModel:
-    """How a posterior becomes a likelihood: L(y) = [(1 − ε) p̂(y|x)/max(π(y), π_min) + ε]^β, divided by ε^β.
+    """How a posterior becomes a likelihood, in two factors.
+
+    Which place: log L(y) = β [min(x, c) + γ max(x − c, 0)] with x(y) = log(1 + (1 − ε)/ε · p̂(y|x)/max(π(y), π_min)).
+    It is 0 where only the outlier floor is left. A network trained on its best samples only (winners take all) knows
+    which places are possible, but not how likely each is, and it errs alike on neighbouring images. So from the
+    saturation c on a place is possible, and by how much it is preferred counts little.
+
+    Where in the place: log D(y) = β_d (1 − e^{−x}) log(1 + r(y)/δ), r the posterior's density over the same one smoothed
+    to the size of a place. What the image says of a place's details is cut off from the question which place it is
+    (Plummer, "Cuts in Bayesian graphical models", 2015): see `Particles.keep_shares`.
 
     Attributes:
         prior: π, the mean of the posteriors over many images; None where it is unknown and taken as flat, π_min.
@@ -55,12 +76,20 @@ class LikelihoodModel:
         temper: β ≤ 1: neighbouring images share their errors, and samples of the network are not calibrated. (A trained
             model brings its own, lower one.)
         prior_floor: π_min, per m³ rad³.
+        saturation: c, in units of x; ∞ where the posterior's shares can be trusted.
+        preference: γ ≤ 1, how much more of x counts beyond c.
+        detail_temper: β_d ≤ 1.
+        detail_floor: δ: how much of D is left where a place has no sample nearby.
     """
 
     prior: KernelDensity | None = None
     outlier_floor: float = 0.05
     temper: float = 0.3
     prior_floor: float = 1e-4
+    saturation: float = np.inf
+    preference: float = 0.0
+    detail_temper: float = 0.2
+    detail_floor: float = 0.05
 
     def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log of max(π, π_min) at poses (n,)."""
@@ -73,8 +102,25 @@ class LikelihoodModel:
         self, log_density: Float64[np.ndarray, " n"], log_prior: Float64[np.ndarray, " n"]
     ) -> Float64[np.ndarray, " n"]:
         """Log L from log p̂ and log π at the same poses, (n,); 0 where only the outlier floor is left."""
+        evidence = self._evidence(log_density, log_prior)
+        beyond = np.maximum(evidence - self.saturation, 0.0)
+        return self.temper * (np.minimum(evidence, self.saturation) + self.preference * beyond)
+
+    def log_detail(
+        self,
+        log_density: Float64[np.ndarray, " n"],
+        log_place_density: Float64[np.ndarray, " n"],
+        log_prior: Float64[np.ndarray, " n"],
+    ) -> Float64[np.ndarray, " n"]:
+        """Log D from log p̂, the same smoothed to the size of a place, and log π, at the same poses, (n,)."""
+        log_ratio = log_density - log_place_density - np.log(self.detail_floor)
+        possible = -np.expm1(-self._evidence(log_place_density, log_prior))
+        return self.detail_temper * possible * np.logaddexp(log_ratio, 0.0)
+
+    def _evidence(self, log_density: np.ndarray, log_prior: np.ndarray) -> np.ndarray:
+        """x ≥ 0."""
         ratio = np.log1p(-self.outlier_floor) - np.log(self.outlier_floor) + log_density - log_prior
-        return self.temper * np.logaddexp(ratio, 0.0)
+        return np.logaddexp(ratio, 0.0)
 
 
 @dataclass(frozen=True)
@@ -84,11 +130,16 @@ class PosteriorSamples:
     Attributes:
         density: Kernel density over the samples, p̂.
         likelihood: How p̂ becomes a likelihood.
+        places: The same smoothed to the size of a place, over some of the samples; it tells places apart, and p̂ what is
+            where in a place. None where p̂ does both.
     """
 
     density: KernelDensity
     likelihood: LikelihoodModel = field(default_factory=LikelihoodModel)
-    _evaluated: list[tuple[Poses, np.ndarray, np.ndarray]] = field(default_factory=list, repr=False, compare=False)
+    places: KernelDensity | None = None
+    _evaluated: list[tuple[Poses, np.ndarray, np.ndarray, np.ndarray]] = field(
+        default_factory=list, repr=False, compare=False
+    )
 
     @property
     def poses(self) -> Poses:
@@ -105,15 +156,21 @@ class PosteriorSamples:
 
     def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log π(pose) of poses (n,), per m³ rad³."""
-        return self._evaluate(poses)[1]
+        return self._evaluate(poses)[2]
 
     def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log p(image | pose) of poses (n,), 0 where only the outlier floor is left."""
-        return self.likelihood.log_likelihood(*self._evaluate(poses))
+        """Log p(image | pose) of poses (n,), which place; 0 where only the outlier floor is left."""
+        _, log_place_density, log_prior = self._evaluate(poses)
+        return self.likelihood.log_likelihood(log_place_density, log_prior)
 
-    def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
-        """Log p̂ and log π; the filter asks all three densities of the same poses, the kernels are summed once."""
+    def log_detail(self, poses: Poses) -> Float64[np.ndarray, " n"] | None:
+        """Log p(image | pose) of poses (n,), where in a place; None without `places`."""
+        return None if self.places is None else self.likelihood.log_detail(*self._evaluate(poses))
+
+    def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Log p̂, its smoothed version, log π; the filter asks for all of them at the same poses, they are summed once."""
         if not self._evaluated or self._evaluated[0][0] is not poses:
-            values = self.density.log_density(poses), self.likelihood.log_prior(poses)
-            self._evaluated[:] = [(poses, *values)]
+            log_density = self.density.log_density(poses)
+            log_place_density = log_density if self.places is None else self.places.log_density(poses)
+            self._evaluated[:] = [(poses, log_density, log_place_density, self.likelihood.log_prior(poses))]
         return self._evaluated[0][1:]

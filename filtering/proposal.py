@@ -16,6 +16,7 @@ from filtering.motion import Odometry, isotropic_std
 from filtering.particles import Particles
 from filtering.posterior import PosePosterior
 from filtering.regularisation import KernelConfig, belief_kernels
+from filtering.sample_size import SampleSizeConfig, draw_enough
 from filtering.se3 import Poses
 
 
@@ -49,12 +50,12 @@ def propose(
     odometry: Odometry,
     posterior: PosePosterior,
     *,
-    num_particles: int,
+    sample_size: SampleSizeConfig,
     injection_fraction: float,
     kernels: KernelConfig,
     rng: np.random.Generator,
 ) -> Proposal:
-    """Draw (1 − φ) n particles from the motion model and φ n from the image's posterior.
+    """Draw (1 − φ) n particles from the motion model, as many as these need, and φ n from the image's posterior.
 
     The predicted belief p⁻ is a kernel density: its centres are particles of the belief moved by the odometry, its
     kernels those of their hypothesis with the odometry's noise and the jitter added, made isotropic on the safe side.
@@ -68,7 +69,7 @@ def propose(
         label: Hypothesis of every particle of the belief, −1 where it belongs to none.
         odometry: The motion since.
         posterior: The posterior of the present image.
-        num_particles: n, all particles together.
+        sample_size: Of n, all particles together; the need is that of the motion particles.
         injection_fraction: φ, the share drawn from the image, in [0, 1).
         kernels: Which particles become centres of p⁻, and how wide its kernels are.
         rng: Source of all draws.
@@ -76,15 +77,20 @@ def propose(
     Raises:
         VaporTrackError: the odometry covariance is no covariance.
     """
-    num_injected = min(round(injection_fraction * num_particles), num_particles - 1)
-    num_from_motion = num_particles - num_injected
-    num_kernels = min(num_from_motion, kernels.max_kernels)
+    num_kernels = max(1, min(round((1 - injection_fraction) * len(belief)), kernels.max_kernels))
     carried = belief_kernels(belief, label, num_kernels, kernels, rng=rng)
     widths = np.hypot(carried.widths, isotropic_std(odometry.covariance, (kernels.jitter_m, kernels.jitter_rad)))
     density = KernelDensity(carried.centres @ odometry.previous_from_current, *widths.T)
-    # Every kernel gives as many particles as any other, up to rounding: stratified draws from the density.
-    stratum = (np.arange(num_from_motion) + rng.random()) * (num_kernels / num_from_motion)
-    poses = density.draw(np.minimum(stratum.astype(np.int64), num_kernels - 1), rng=rng)
+
+    def move(num_particles: int) -> Poses:
+        # Every kernel gives as many particles as any other, up to rounding: stratified draws from the density.
+        count = num_particles - min(round(injection_fraction * num_particles), num_particles - 1)
+        stratum = (np.arange(count) + rng.random()) * (num_kernels / count)
+        return density.draw(np.minimum(stratum.astype(np.int64), num_kernels - 1), rng=rng)
+
+    poses = draw_enough(move, sample_size)
+    num_from_motion = len(poses)
+    num_injected = round(injection_fraction / (1 - injection_fraction) * num_from_motion)
     if num_injected:
         injected = posterior.sample(num_injected, rng=rng)
         poses = Poses.concatenate([poses, injected[neighbour_order(injected)]])

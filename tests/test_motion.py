@@ -10,11 +10,16 @@ from filtering.particles import Particles
 from filtering.posterior import LikelihoodModel, PosteriorSamples
 from filtering.proposal import mixture_log_weights, propose
 from filtering.regularisation import KernelConfig
+from filtering.sample_size import SampleSizeConfig
 from filtering.se3 import Poses
 
 
 def belief(poses):
     return Particles.from_unnormalised(poses, np.zeros(len(poses)))[0]
+
+
+def fixed(num_particles):
+    return SampleSizeConfig(min_particles=num_particles, max_particles=num_particles)
 
 
 STILL = KernelConfig(jitter_m=0.0, jitter_rad=0.0)
@@ -28,7 +33,7 @@ def draw(odometry, n=20_000, injection_fraction=0.0, seed=0, **changes):
         np.zeros(10, np.int64),
         odometry,
         posterior,
-        num_particles=n,
+        sample_size=fixed(n),
         injection_fraction=injection_fraction,
         kernels=replace(STILL, **changes),
         rng=np.random.default_rng(seed),
@@ -59,7 +64,7 @@ def test_an_unlikely_place_keeps_particles_at_its_true_small_weight():
     unlikely = Particles(Poses.exp(there), np.log(weights))
     image = PosteriorSamples(KernelDensity(Poses.identity(1), 0.1, 0.1))
     proposal = propose(
-        unlikely, np.full(200, -1), Odometry(Poses.identity(), 1e-4 * np.eye(6)), image, num_particles=4000,
+        unlikely, np.full(200, -1), Odometry(Poses.identity(), 1e-4 * np.eye(6)), image, sample_size=fixed(4000),
         injection_fraction=0.0, kernels=KernelConfig(jitter_m=0.01, jitter_rad=0.01), rng=np.random.default_rng(0),
     )  # fmt: skip
     share = np.exp(proposal.log_predicted - proposal.log_moved)
@@ -87,7 +92,7 @@ def test_mixture_weights_integrate_the_filtering_target_whatever_the_fraction():
         proposal = propose(
             belief(start), np.zeros(len(start), np.int64), Odometry(Poses.identity(), covariance),
             PosteriorSamples(wide),
-            num_particles=40_000,
+            sample_size=fixed(40_000),
             injection_fraction=fraction, kernels=replace(STILL, max_kernels=10), rng=np.random.default_rng(1),
         )  # fmt: skip
         log_weights = mixture_log_weights(
@@ -144,7 +149,7 @@ def test_a_kidnapped_share_is_drawn_from_the_image_with_its_evidence_under_the_p
     posterior = PosteriorSamples(KernelDensity(place, 0.1, 0.1), LikelihoodModel(prior, 1e-9, 1.0, 1e-12))
     proposal = propose(
         belief(place[[0] * 10]), np.zeros(10, np.int64), Odometry(Poses.identity(), np.diag([0.05**2] * 6)), posterior,
-        num_particles=4000,
+        sample_size=fixed(4000),
         injection_fraction=0.5, kernels=replace(STILL, max_kernels=10), rng=np.random.default_rng(3),
     )  # fmt: skip
     log_likelihood, log_prior = posterior.log_likelihood(proposal.poses), posterior.log_prior(proposal.poses)

@@ -17,14 +17,15 @@ from torch import Tensor
 
 from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError, require_within
-from filtering.posterior import LikelihoodModel
+from filtering.posterior import LikelihoodModel, PosteriorSamples
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 
 FORMAT = "vapor-track model"
-VERSION = 2
+VERSION = 3
 MAX_PRIOR_POSES = 2000
+_PLACE_SAMPLES = 250  # enough for kernels as wide as a place
 _SHIPPED = Path(__file__).parent / "models"
 _NETWORK = "network."
 _ROTATION, _TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
@@ -48,8 +49,18 @@ class Calibration:
     """Kernel width of the posterior samples about each axis, radians."""
     outlier_floor: float = 0.05
     """ε: how much of the likelihood is left when the image says nothing."""
-    temper: float = 0.1
-    """β: exponent of the likelihood, below 1 as neighbouring images share their errors."""
+    temper: float = 0.2
+    """β: exponent of the likelihood that tells places apart, below 1 as neighbouring images share their errors."""
+    saturation: float = 4.0
+    """c: log evidence from which on a place counts as possible."""
+    preference: float = 0.06
+    """γ: share of the log evidence beyond c that counts: which of the possible places the network prefers."""
+    place_bandwidth_translation_m: float = 0.4
+    """Kernel width along each axis, metres, with which places are told apart."""
+    place_bandwidth_rotation_rad: float = 0.3
+    """Kernel width about each axis, radians, with which places are told apart."""
+    detail_temper: float = 0.2
+    """β_d: exponent of the likelihood within a place."""
     prior_floor_quantile: float = 0.5
     """π_min, the least density that is divided by, is this quantile of π at the poses it is made of.
     Where no camera ever was π is almost nothing: a small floor would reward a smeared posterior for lying there."""
@@ -65,6 +76,11 @@ class Calibration:
             bandwidth_rotation_rad=(1e-3, 10.0),
             outlier_floor=(1e-9, 0.999999),
             temper=(1e-6, 1.0),
+            saturation=(1e-6, 1e6),
+            preference=(0.0, 1.0),
+            place_bandwidth_translation_m=(1e-6, 1e6),
+            place_bandwidth_rotation_rad=(1e-3, 10.0),
+            detail_temper=(0.0, 1.0),
             prior_floor_quantile=(0.0, 1.0),
             prior_bandwidth_translation_m=(1e-6, 1e6),
             prior_bandwidth_rotation_rad=(1e-3, 10.0),
@@ -78,7 +94,20 @@ class Calibration:
         """How p̂ becomes a likelihood, π being the kernel density of the poses (n,)."""
         prior = KernelDensity(prior_poses, self.prior_bandwidth_translation_m, self.prior_bandwidth_rotation_rad)
         log_floor = np.quantile(prior.log_density(prior_poses), self.prior_floor_quantile)
-        return LikelihoodModel(prior, self.outlier_floor, self.temper, float(np.exp(log_floor)))
+        return LikelihoodModel(
+            prior,
+            self.outlier_floor,
+            self.temper,
+            float(np.exp(log_floor)),
+            self.saturation,
+            self.preference,
+            self.detail_temper,
+        )
+
+    def posterior(self, samples: Poses, likelihood: LikelihoodModel) -> PosteriorSamples:
+        """The posterior of an image from its samples (m,), with `likelihood` of the same model."""
+        wide = self.place_bandwidth_translation_m, self.place_bandwidth_rotation_rad
+        return PosteriorSamples(self.density(samples), likelihood, KernelDensity(samples[:_PLACE_SAMPLES], *wide))
 
 
 @dataclass(frozen=True)

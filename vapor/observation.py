@@ -66,7 +66,7 @@ class VaporObservationModel:
         square = prepare(image, config.shortest_edge, config.image_size)
         noise = rng.standard_normal((self.num_samples, config.latent_dim), dtype=np.float32)
         poses = self._infer(square[None], noise[None])
-        return PosteriorSamples(self.checkpoint.calibration.density(poses), self._likelihood)
+        return self.checkpoint.calibration.posterior(poses, self._likelihood)
 
     def _infer(self, squares: np.ndarray, noise: Float32[np.ndarray, "1 m d"]) -> Poses:
         """Posterior samples (m,) of one prepared image (1, h, w, 3)."""
