@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.density import KernelDensity
+from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 
 
@@ -89,6 +90,44 @@ class PosteriorSamples:
     density: KernelDensity
     likelihood: LikelihoodModel = field(default_factory=LikelihoodModel)
     _evaluated: list[tuple[Poses, np.ndarray, np.ndarray]] = field(default_factory=list, repr=False, compare=False)
+
+    @staticmethod
+    def from_estimates(
+        estimates: Poses,
+        std_m: float | Float64[np.ndarray, " m"],
+        std_rad: float | Float64[np.ndarray, " m"],
+        *,
+        outlier_share: float,
+        outlier_spread: float,
+        likelihood: LikelihoodModel,
+    ) -> PosteriorSamples:
+        """The posterior of an image of which some methods give one pose each: one of them is right, any as likely.
+
+        Each estimate is a kernel of its stated uncertainty and, as the errors of pose estimators have heavy tails, a
+        wide one beside it. Estimates that agree make no narrower a posterior: they see the same image.
+
+        Args:
+            estimates: world_from_camera, batch (m,), m ≥ 1.
+            std_m: Stated standard deviation along each axis, metres; of all estimates or of each.
+            std_rad: Stated standard deviation about each axis, radians; of all estimates or of each.
+            outlier_share: Share of the wide kernels, inside (0, 1).
+            outlier_spread: How many times wider they are, at least 1.
+            likelihood: How the density becomes a likelihood.
+
+        Raises:
+            VaporTrackError: no estimate, or a number out of its range.
+        """
+        if not 0.0 < outlier_share < 1.0 or not outlier_spread >= 1.0:
+            raise VaporTrackError(
+                f"outlier share {outlier_share} and spread {outlier_spread}, expected inside (0, 1) and at least 1"
+            )
+        m = len(estimates)
+        widths = np.array([np.broadcast_to(std_m, m), np.broadcast_to(std_rad, m)])
+        weights = np.repeat([1.0 - outlier_share, outlier_share], m) / m
+        kernels = np.concatenate([widths, outlier_spread * widths], axis=1)
+        return PosteriorSamples(
+            KernelDensity(Poses.concatenate([estimates, estimates]), *kernels, np.log(weights)), likelihood
+        )
 
     @property
     def poses(self) -> Poses:
