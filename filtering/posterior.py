@@ -122,12 +122,15 @@ class PosteriorSamples:
                 f"outlier share {outlier_share} and spread {outlier_spread}, expected inside (0, 1) and at least 1"
             )
         m = len(estimates)
-        widths = np.array([np.broadcast_to(std_m, m), np.broadcast_to(std_rad, m)])
+        spread = np.repeat([1.0, outlier_spread], m)
         weights = np.repeat([1.0 - outlier_share, outlier_share], m) / m
-        kernels = np.concatenate([widths, outlier_spread * widths], axis=1)
-        return PosteriorSamples(
-            KernelDensity(Poses.concatenate([estimates, estimates]), *kernels, np.log(weights)), likelihood
+        density = KernelDensity(
+            Poses.concatenate([estimates, estimates]),
+            spread * np.tile(np.broadcast_to(std_m, m), 2),
+            spread * np.tile(np.broadcast_to(std_rad, m), 2),
+            np.log(weights),
         )
+        return PosteriorSamples(density, likelihood)
 
     @property
     def poses(self) -> Poses:

@@ -41,7 +41,7 @@ class EstimateOptions:
 
     direction: Direction | None = None
     """Which way the poses of named frames map, in all files. TUM trajectories are camera-to-world."""
-    rate_hz: float = SEVEN_SCENES_HZ
+    rate_hz: float = float(SEVEN_SCENES_HZ)
     """Named frames have no stamps: how many there are in a second."""
     noise: OdometryNoise = field(default_factory=OdometryNoise)
     """Of simulated odometry."""

@@ -75,8 +75,9 @@ def read_poses(path: Path, direction: Direction | None = None) -> PoseFile:
     if _is_number(lines[0][1][0]):
         return _timed(path, direction)
     if direction is None:
-        raise SequenceError(f"{path}: poses of named frames, expected their direction with them: world-to-camera or"
-                            " camera-to-world")  # fmt: skip
+        raise SequenceError(
+            f"{path}: poses of named frames, expected their direction with them: world-to-camera or camera-to-world"
+        )
     seen: dict[FrameName, int] = {}
     rows: list[list[float]] = []
     for number, fields in lines:

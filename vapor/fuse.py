@@ -161,8 +161,11 @@ def fuse(
             "run": asdict(config),
             "trust": asdict(trust),
             "reading": asdict(reading),
-            "likelihood": {"temper": likelihood.temper, "outlier_floor": likelihood.outlier_floor,
-                           "flat_prior_per_m3_rad3": likelihood.prior_floor},  # fmt: skip
+            "likelihood": {
+                "temper": likelihood.temper,
+                "outlier_floor": likelihood.outlier_floor,
+                "flat_prior_per_m3_rad3": likelihood.prior_floor,
+            },
         }
         return write_results(record, partial, settings, title=", ".join(file.path.stem for file in sequence.files))
 

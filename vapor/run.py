@@ -1,4 +1,4 @@
-"""Where sequence, observation model, filter, smoother, report and viewer meet: one run of `vapor-track run` or `fuse`."""
+"""Where sequence, observation model, filter, smoother, report and viewer meet: `vapor-track run` and `fuse`."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ import secrets
 import shutil
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,7 +28,8 @@ from filtering.motion import Odometry
 from filtering.posterior import ObservationModel, PosteriorSamples
 from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, smooth
-from sequences.frame import Frame, Trajectory
+from sequences.estimates import EstimateSequence
+from sequences.frame import Trajectory
 from sequences.reader import SequenceOptions, SequenceReader
 from sequences.tum import write_tum
 from sequences.writer import EstimateWriter
@@ -81,20 +81,6 @@ class RunConfig(FilteringConfig):
         for name in ("num_samples", "threads"):
             if getattr(self, name) < 1:
                 raise VaporTrackError(f"{name} is {getattr(self, name)}, expected at least 1")
-
-
-class FrameSource(Protocol):
-    """Frames in order of time: a `SequenceReader`, or alike."""
-
-    path: Path
-    num_images: int
-    """At most so many will come."""
-    skipped: Counter[str]
-    """Images left out so far, by reason."""
-
-    def __iter__(self) -> Iterator[Frame]:
-        """From the first frame on."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -164,7 +150,7 @@ def refuse_file(output: Path) -> None:
 
 
 def localize(
-    source: FrameSource,
+    source: SequenceReader | EstimateSequence,
     model: ObservationModel[PosteriorSamples],
     directory: Path,
     config: FilteringConfig,
