@@ -74,8 +74,8 @@ def test_a_file_may_lack_frames_and_odometry_reaches_across_those_that_all_lack(
     assert sum(frame.world_from_camera is not None for frame in frames) == 48
     led = frames[9].world_from_camera @ frames[10].odometry.previous_from_current
     np.testing.assert_allclose(led.as_matrix(), frames[10].world_from_camera.as_matrix(), atol=1e-7)
-    first_step = np.trace(frames[1].odometry.covariance)
-    assert np.trace(frames[10].odometry.covariance) == pytest.approx(3 * first_step)
+    one, three = (np.trace(frames[i].odometry.covariance) for i in (1, 10))  # exact, so the motion noise speaks
+    assert 3 * one < three < 9 * one
 
 
 def test_frames_that_odometry_does_not_cover_are_counted(tmp_path, truth):
