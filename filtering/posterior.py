@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.density import KernelDensity
+from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 
 
@@ -140,6 +141,47 @@ class PosteriorSamples:
     _evaluated: list[tuple[Poses, np.ndarray, np.ndarray, np.ndarray]] = field(
         default_factory=list, repr=False, compare=False
     )
+
+    @staticmethod
+    def from_estimates(
+        estimates: Poses,
+        std_m: float | Float64[np.ndarray, " m"],
+        std_rad: float | Float64[np.ndarray, " m"],
+        *,
+        outlier_share: float,
+        outlier_spread: float,
+        likelihood: LikelihoodModel,
+    ) -> PosteriorSamples:
+        """The posterior of an image of which some methods give one pose each: one of them is right, any as likely.
+
+        Each estimate is a kernel of its stated uncertainty and, as the errors of pose estimators have heavy tails, a
+        wide one beside it. Estimates that agree make no narrower a posterior: they see the same image.
+
+        Args:
+            estimates: world_from_camera, batch (m,), m ≥ 1.
+            std_m: Stated standard deviation along each axis, metres; of all estimates or of each.
+            std_rad: Stated standard deviation about each axis, radians; of all estimates or of each.
+            outlier_share: Share of the wide kernels, inside (0, 1).
+            outlier_spread: How many times wider they are, at least 1.
+            likelihood: How the density becomes a likelihood.
+
+        Raises:
+            VaporTrackError: no estimate, or a number out of its range.
+        """
+        if not 0.0 < outlier_share < 1.0 or not outlier_spread >= 1.0:
+            raise VaporTrackError(
+                f"outlier share {outlier_share} and spread {outlier_spread}, expected inside (0, 1) and at least 1"
+            )
+        m = len(estimates)
+        spread = np.repeat([1.0, outlier_spread], m)
+        weights = np.repeat([1.0 - outlier_share, outlier_share], m) / m
+        density = KernelDensity(
+            Poses.concatenate([estimates, estimates]),
+            spread * np.tile(np.broadcast_to(std_m, m), 2),
+            spread * np.tile(np.broadcast_to(std_rad, m), 2),
+            np.log(weights),
+        )
+        return PosteriorSamples(density, likelihood)
 
     @property
     def poses(self) -> Poses:

@@ -18,8 +18,8 @@ from sequences.reader import MAX_ODOMETRY_GAP_S
 from sequences.tum import read_tum
 from sequences.writer import SequenceWriter
 
-# The body that carries the camera looks where it looks: x ahead, y left, z up.
-_BASE_FROM_CAMERA = Poses(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+BASE_FROM_CAMERA = Poses(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+"""The body that carries the camera looks where it looks: x ahead, y left, z up."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def convert(
     if images.layout == "7-Scenes":
         metadata["time_stamps"] = f"assumed, {SEVEN_SCENES_HZ} Hz"
     num_images = 0
-    with SequenceWriter(output, camera=images.camera, base_from_camera=_BASE_FROM_CAMERA, metadata=metadata) as writer:
+    with SequenceWriter(output, camera=images.camera, base_from_camera=BASE_FROM_CAMERA, metadata=metadata) as writer:
         next_odometry = 0
         for i, file in enumerate(images.files):
             time_ns = int(images.times_ns[i])
@@ -111,7 +111,7 @@ def _odometry(
     images: PosedImages, recorded: Path | None, noise: OdometryNoise | None, seed: int
 ) -> _OdometryTrack | None:
     """Recorded odometry where there is some, else simulated, else none."""
-    camera_from_base = _BASE_FROM_CAMERA.inverse()
+    camera_from_base = BASE_FROM_CAMERA.inverse()
     if recorded is not None:
         trajectory = read_tum(recorded)
         # The last pose before the images to the first one after them: what their increments need.

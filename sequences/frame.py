@@ -32,7 +32,7 @@ class Frame:
 
     Attributes:
         time_ns: Header stamp of the image, integer nanoseconds.
-        image: RGB, uint8.
+        image: RGB, uint8; empty where there is none.
         odometry: Motion of the camera since the previous frame that was yielded; None for the first frame, and for
             sequences without odometry.
         world_from_camera: True pose, one pose; None where unknown.

@@ -40,6 +40,7 @@ def test_the_truth_itself_has_no_error_and_converges_at_once():
         "median_rotation_deg": pytest.approx(0.0, abs=1e-5),
         "ape_rmse_m": 0.0,
         "recall": {"0.1m/10deg": 1.0, "0.2m/15deg": 1.0, "0.3m/20deg": 1.0},
+        "worse_than": {"0.1m": 0.0, "0.25m": 0.0, "0.5m": 0.0},
         "converged_at_s": 0.0,
         "success": True,
     }
@@ -47,13 +48,14 @@ def test_the_truth_itself_has_no_error_and_converges_at_once():
 
 def test_known_errors_give_known_medians_rmse_and_recalls():
     truth = walk(5)
-    estimate = shifted(truth, np.array([0.05, 0.15, 0.25, 0.05, 3.0]), np.array([1.0, 12.0, 18.0, 40.0, 1.0]))
+    estimate = shifted(truth, np.array([0.05, 0.15, 0.24, 0.05, 3.0]), np.array([1.0, 12.0, 18.0, 40.0, 1.0]))
     metrics = evaluate_trajectory(estimate, truth, tracking=False)
     assert metrics["median_translation_m"] == pytest.approx(0.15)
     assert metrics["median_rotation_deg"] == pytest.approx(12.0)
-    assert metrics["ape_rmse_m"] == pytest.approx(np.sqrt((2 * 0.05**2 + 0.15**2 + 0.25**2 + 9.0) / 5))
+    assert metrics["ape_rmse_m"] == pytest.approx(np.sqrt((2 * 0.05**2 + 0.15**2 + 0.24**2 + 9.0) / 5))
     assert metrics["recall"] == pytest.approx({"0.1m/10deg": 0.2, "0.2m/15deg": 0.4, "0.3m/20deg": 0.6})
-    assert set(metrics) == {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall"}
+    assert metrics["worse_than"] == pytest.approx({"0.1m": 0.6, "0.25m": 0.2, "0.5m": 0.2})
+    assert set(metrics) == {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "worse_than"}
 
 
 def test_a_trajectory_displaced_as_a_whole_is_not_aligned_away():

@@ -100,7 +100,13 @@ def test_the_report_has_the_keys_of_its_specification(record):
     assert report["peak_rss_mb"] == 512.0
     assert report["step_ms"]["p50"] <= report["step_ms"]["p95"]
     for method in ("single_image", "dead_reckoning"):
-        assert set(report[method]) == {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall"}
+        assert set(report[method]) == {
+            "median_translation_m",
+            "median_rotation_deg",
+            "ape_rmse_m",
+            "recall",
+            "worse_than",
+        }
     assert report["filter"]["success"] is True
     assert report["filter"]["recall"]["0.3m/20deg"] > report["single_image"]["recall"]["0.3m/20deg"] + 0.2
     assert "kalman" not in report

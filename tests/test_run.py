@@ -27,7 +27,7 @@ README = Path(__file__).parents[1] / "README.md"
 TRAJECTORIES = {"trajectory.tum", "smoothed.tum", "single_image.tum", "dead_reckoning.tum", "kalman.tum"}
 WITH_TRUTH = {"ground_truth.tum", "errors.png"}
 FILES = TRAJECTORIES | {"estimate.mcap", "config.json", "report.json", "trajectory.png", "particles.png"}
-METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall"}
+METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "worse_than"}
 METHODS = {"single_image", "dead_reckoning", "kalman", "filter", "smoothed"}
 
 
@@ -150,7 +150,8 @@ def test_evaluate_finds_the_figures_of_the_report_again(finished, tmp_path, caps
     figures, report = json.loads(again.read_text()), report_of(finished.directory)
     assert set(figures) == METHODS | {"frames", "frames_with_true_pose"}
     for method in METHODS:
-        assert figures[method].pop("recall") == report[method].pop("recall")
+        for shares in ("recall", "worse_than"):
+            assert figures[method].pop(shares) == report[method].pop(shares)
         assert figures[method] == pytest.approx(report[method], abs=2e-6)
 
 

@@ -25,6 +25,9 @@ THRESHOLDS: Mapping[str, tuple[float, float]] = MappingProxyType(
 RIGHT = "0.3m/20deg"
 """The threshold within which a pose counts as right when convergence is judged."""
 
+TAIL_M: Mapping[str, float] = MappingProxyType({"0.1m": 0.1, "0.25m": 0.25, "0.5m": 0.5})
+"""Translation errors in metres beyond which images are counted: medians say nothing of the tail."""
+
 FILES: Mapping[str, str] = MappingProxyType(
     {
         "single_image": "single_image.tum",
@@ -111,7 +114,8 @@ def evaluate_trajectory(estimate: Trajectory, truth: Trajectory, *, tracking: bo
 
     Returns:
         `median_translation_m`, `median_rotation_deg`, `ape_rmse_m` (root mean square of the translation error) and
-        `recall`: for each of `THRESHOLDS` the share of images within both limits. With `tracking` also
+        `recall`: for each of `THRESHOLDS` the share of images within both limits; `worse_than`: for each of `TAIL_M`
+        the share of images with a larger translation error. With `tracking` also
         `converged_at_s` (see `convergence_s`, null if never) and `success`: whether that moment lies before four
         fifths of the sequence.
 
@@ -128,6 +132,7 @@ def evaluate_trajectory(estimate: Trajectory, truth: Trajectory, *, tracking: bo
         "median_rotation_deg": float(np.median(rotation_deg)),
         "ape_rmse_m": float(np.sqrt(np.mean(translation_m**2))),
         "recall": {name: float(np.mean(inside)) for name, inside in right.items()},
+        "worse_than": {name: float(np.mean(translation_m > limit_m)) for name, limit_m in TAIL_M.items()},
     }
     if tracking:
         start_ns = int(estimate.times_ns[0])

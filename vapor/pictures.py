@@ -197,14 +197,15 @@ def _particles_figure(record: RunRecord, title: str) -> Figure:
     size = (high - low)[list(plane)]
     panel_width = 2.35
     panel_height = float(np.clip(panel_width * size[1] / size[0], 1.6, 6.0))
-    aspect = moments[0].thumbnail.shape[0] / moments[0].thumbnail.shape[1]
-    image_height = panel_width * min(aspect, 1.0)
+    pixels_high, pixels_wide = moments[0].thumbnail.shape[:2]
+    image_height = panel_width * min(pixels_high / pixels_wide, 1.0) if pixels_high else 0.05
     width = max(panel_width * len(moments) + 0.8, 6.0)
     one_line = width > 9.0
     figure = _figure(width, image_height + panel_height + (1.4 if one_line else 1.7))
     axes = figure.subplots(2, len(moments), squeeze=False, gridspec_kw={"height_ratios": [image_height, panel_height]})
     for column, moment in enumerate(moments):
-        axes[0, column].imshow(moment.thumbnail)
+        if moment.thumbnail.size:
+            axes[0, column].imshow(moment.thumbnail)
         axes[0, column].set_axis_off()
         count = len(moment.modes)
         hypotheses = "1 hypothesis" if count == 1 else f"{count} hypotheses"

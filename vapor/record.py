@@ -26,7 +26,7 @@ class Moment:
 
     Attributes:
         time_ns: Header stamp of the image.
-        thumbnail: The image, its longer side at most 320 pixels, RGB.
+        thumbnail: The image, its longer side at most 320 pixels, RGB; empty where there is none.
         cloud: At most 300 equally weighted particles, world_from_camera.
         modes: The hypotheses, the reported one first.
         status: The filter's own verdict.
@@ -60,7 +60,7 @@ class RunRecord:
         log_evidence: Log of the mean likelihood of each image under the predicted belief, (n,).
         step_ms: Wall-clock milliseconds of each step, (n,).
         dead_reckoning: Poses from odometry alone, (n,), started at the first true pose, or at the first estimate
-            where that is unknown; None for a sequence without odometry.
+            where that is unknown, and anew where there is no odometry; None for a sequence without any.
         truth: True poses of the images that have one; None if none has.
         smoothed: Smoothed trajectory, if any.
         kalman: Trajectory of the single-hypothesis baseline, if any.
@@ -133,9 +133,7 @@ class RunRecorder:
         if frame.odometry is not None and self._dead_reckoning:
             self._has_odometry = True
             self._dead_reckoning.append(self._dead_reckoning[-1] @ frame.odometry.previous_from_current)
-        elif self._dead_reckoning:
-            self._dead_reckoning.append(self._dead_reckoning[-1])
-        else:
+        else:  # the first image, of the run or after a gap; a sequence without odometry shows no dead reckoning
             start = best.world_from_camera if frame.world_from_camera is None else frame.world_from_camera
             self._dead_reckoning.append(start)
         if frame.world_from_camera is not None:
@@ -247,6 +245,8 @@ def _thumbnail(image: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, 
     import cv2
 
     height, width = image.shape[:2]
+    if image.size == 0:  # estimates without images
+        return image
     scale = min(1.0, _THUMBNAIL_SIDE / max(height, width))
     if scale == 1.0:
         return image.copy()  # the decoder's buffer may be used again

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sequences.atomic import atomic_output
-from vapor.evaluate import FILES, THRESHOLDS, associate, evaluate_consistency, evaluate_methods
+from vapor.evaluate import FILES, TAIL_M, THRESHOLDS, associate, evaluate_consistency, evaluate_methods
 from vapor.pictures import LABELS, write_pictures
 from vapor.record import RunRecord, RunRecorder
 
@@ -59,8 +59,8 @@ def write_report(path: Path, report: Mapping[str, Any]) -> None:
         partial.write_text(text, encoding="utf-8")
 
 
-def format_table(report: Mapping[str, Any], *, title: str | None = None) -> Table:
-    """The methods of a report side by side: medians, recalls, and when each converged.
+def format_table(report: Mapping[str, Any], *, title: str | None = None, tail: bool = False) -> Table:
+    """The methods of a report side by side: medians, recalls or the tail of the errors, and when each converged.
 
     Without true poses the table has no rows.
     """
@@ -69,9 +69,11 @@ def format_table(report: Mapping[str, Any], *, title: str | None = None) -> Tabl
     table = Table(title=title, title_justify="left", caption_justify="left")
     table.add_column("")
     table.add_column("median error", justify="right")
-    for threshold in THRESHOLDS:
-        table.add_column(threshold.replace("m/", " m\n").replace("deg", "°"), justify="right")
+    for threshold in TAIL_M if tail else THRESHOLDS:
+        name = threshold.replace("m/", " m\n").replace("deg", "°")
+        table.add_column(f"worse than\n{TAIL_M[threshold]:g} m" if tail else name, justify="right")
     table.add_column("converged", justify="right")
+    digits = 3 if tail else 2
     for name in FILES:
         if name not in report:
             continue
@@ -80,8 +82,8 @@ def format_table(report: Mapping[str, Any], *, title: str | None = None) -> Tabl
         converged = "" if "success" not in metrics else "no" if converged_at_s is None else f"{converged_at_s:.1f} s"
         table.add_row(
             LABELS[name],
-            f"{metrics['median_translation_m']:.2f} m  {metrics['median_rotation_deg']:5.1f}°",
-            *(f"{100 * metrics['recall'][threshold]:.0f} %" for threshold in THRESHOLDS),
+            f"{metrics['median_translation_m']:.{digits}f} m  {metrics['median_rotation_deg']:5.1f}°",
+            *(f"{100 * share:.{digits - 2}f} %" for share in metrics["worse_than" if tail else "recall"].values()),
             converged,
             style="bold" if name == "filter" else None,
         )

@@ -1,4 +1,4 @@
-"""Where sequence, regressor, filter, smoother, report and viewer meet: one run of `vapor-track run`."""
+"""Where sequence, observation model, filter, smoother, report and viewer meet: `vapor-track run` and `fuse`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,8 +25,10 @@ from filtering.estimate import Mode, posterior_modes
 from filtering.kalman import KalmanLocalizer
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
+from filtering.posterior import ObservationModel, PosteriorSamples
 from filtering.se3 import Poses
-from filtering.smoothing import smooth
+from filtering.smoothing import SmoothingConfig, smooth
+from sequences.estimates import EstimateSequence
 from sequences.frame import Trajectory
 from sequences.reader import SequenceOptions, SequenceReader
 from sequences.tum import write_tum
@@ -40,21 +43,16 @@ from vapor.view import NullViewer, RerunViewer
 
 _PUBLISHED_PARTICLES = 500
 _SMOOTHED_MODES = 6  # of each image, the heaviest: what the smoother keeps in memory
+_PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
 _SOMETIMES_WRITTEN = (*FILES.values(), "ground_truth.tum", "errors.png", "recording.rrd")
 
 
 @dataclass(frozen=True)
-class RunConfig:
-    """Settings of a run, beside the sequence and the model."""
+class FilteringConfig:
+    """Settings of a run, whatever the observation model."""
 
     seed: int = 0
     """Of all random draws: same seed, same file, same machine, same output."""
-    num_samples: int = 1000
-    """Posterior samples per image."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the network runs."""
-    threads: int = 1
-    """Processor threads of the network. More pay for a large network on an idle machine; on a busy one they cost."""
     recording: bool = True
     """Write recording.rrd for the Rerun viewer."""
     view: bool = False
@@ -63,9 +61,26 @@ class RunConfig:
     """The particle filter."""
 
     def __post_init__(self) -> None:
-        for name, least in (("seed", 0), ("num_samples", 1), ("threads", 1)):
-            if getattr(self, name) < least:
-                raise VaporTrackError(f"{name} is {getattr(self, name)}, expected at least {least}")
+        if self.seed < 0:
+            raise VaporTrackError(f"seed is {self.seed}, expected at least 0")
+
+
+@dataclass(frozen=True)
+class RunConfig(FilteringConfig):
+    """Settings of a run with a regressor, beside the sequence and the model."""
+
+    num_samples: int = 1000
+    """Posterior samples per image."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the network runs."""
+    threads: int = 1
+    """Processor threads of the network. More pay for a large network on an idle machine; on a busy one they cost."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("num_samples", "threads"):
+            if getattr(self, name) < 1:
+                raise VaporTrackError(f"{name} is {getattr(self, name)}, expected at least 1")
 
 
 @dataclass(frozen=True)
@@ -106,54 +121,80 @@ def run(
         VaporTrackError: unusable sequence, model or output, or no image left to localize.
     """
     config, reading = config or RunConfig(), reading or SequenceOptions()
-    if output.exists() and not output.is_dir():
-        raise VaporTrackError(f"{output}: is a file, expected a directory to write the results to")
+    refuse_file(output)
     checkpoint = find_model(model)
     reader = SequenceReader(sequence, reading)
     observation_model = VaporObservationModel.from_checkpoint(
         str(checkpoint), num_samples=config.num_samples, device=config.device
     )
-    with _complete_directory(output) as partial, limited_threads(config.threads):
-        record = _localize(reader, observation_model, partial, config, progress)
-        _write_trajectories(record, partial)
-        pictures = write_pictures(record, partial, title=sequence.name)
+
+    def image_modes(posterior: PosteriorSamples, rng: np.random.Generator) -> tuple[Mode, ...]:
+        return posterior_modes(posterior.poses, config.localizer.modes, rng=rng)
+
+    with complete_directory(output) as partial, limited_threads(config.threads):
+        record = localize(reader, observation_model, partial, config, image_modes=image_modes, progress=progress)
         device = str(observation_model.device)
         settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
-        settings = _resolved(sequence, model, checkpoint, reader, settings)
-        (partial / "config.json").write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
-        report = build_report(record)
-        write_report(partial / "report.json", report)
-    return RunResult(record, report, tuple(picture.name for picture in pictures))
+        settings = {
+            "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
+            "model": {"name": Path(model).name, "sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest()},
+            **settings,
+        }
+        return write_results(record, partial, settings, title=sequence.name)
 
 
-def _localize(
-    reader: SequenceReader,
-    model: VaporObservationModel,
+def refuse_file(output: Path) -> None:
+    """Raise VaporTrackError where the directory for the results is a file."""
+    if output.exists() and not output.is_dir():
+        raise VaporTrackError(f"{output}: is a file, expected a directory to write the results to")
+
+
+def localize(
+    source: SequenceReader | EstimateSequence,
+    model: ObservationModel[PosteriorSamples],
     directory: Path,
-    config: RunConfig,
-    progress: Callable[[int, int], None] | None,
+    config: FilteringConfig,
+    *,
+    image_modes: Callable[[PosteriorSamples, np.random.Generator], tuple[Mode, ...]],
+    observed: Callable[[Any], np.ndarray] = attrgetter("image"),
+    smoothing: SmoothingConfig | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> RunRecord:
-    """Image by image: observe, update, show, write; then smooth."""
+    """Frame by frame: observe, update, show, write; then smooth.
+
+    Args:
+        source: The frames.
+        model: Maps what was observed to its posterior.
+        directory: Where `estimate.mcap` and `recording.rrd` go.
+        config: Settings.
+        image_modes: The hypotheses of one posterior alone, the best one first.
+        observed: What the model takes of a frame.
+        smoothing: Settings of the smoother.
+        progress: Called after every frame with the number done and an upper bound of all.
+
+    Raises:
+        VaporTrackError: unusable frames, or none.
+    """
     filter_rng, mode_rng = np.random.default_rng(config.seed).spawn(2)
     localizer = ParticleLocalizer(model, config.localizer, rng=filter_rng)
     kalman = KalmanLocalizer()
     recorder = RunRecorder()
-    image_modes: list[tuple[Mode, ...]] = []
+    modes_of_images: list[tuple[Mode, ...]] = []
     odometry: list[Odometry | None] = []
     kalman_modes: list[Mode] = []
     recording = directory / "recording.rrd" if config.recording else None
     viewer = RerunViewer(recording, spawn=config.view) if recording or config.view else NullViewer()
     with viewer, EstimateWriter(directory / "estimate.mcap") as writer:
-        for frame in reader:
+        for frame in source:
             begin = time.perf_counter()
             try:
-                posterior = localizer.observe(frame.image)
+                posterior = localizer.observe(observed(frame))
                 estimate = localizer.update(posterior, frame.odometry)
             except VaporTrackError as error:
-                raise VaporTrackError(f"{reader.path}: image at {frame.time_ns} ns: {error}") from error
+                raise VaporTrackError(f"{source.path}: image at {frame.time_ns} ns: {error}") from error
             step_ms = 1e3 * (time.perf_counter() - begin)
-            alone = posterior_modes(posterior.poses, config.localizer.modes, rng=mode_rng)
-            image_modes.append(alone[:_SMOOTHED_MODES])
+            alone = image_modes(posterior, mode_rng)
+            modes_of_images.append(alone[:_SMOOTHED_MODES])
             odometry.append(frame.odometry)
             kalman_modes.append(kalman.update(alone[0], frame.odometry))
             recorder.add(frame, alone[0].world_from_camera, estimate, step_ms)
@@ -162,16 +203,31 @@ def _localize(
             writer.write(frame.time_ns, modes, cloud)
             viewer.log(frame, estimate, posterior.poses)
             if progress is not None:
-                progress(len(recorder), reader.num_images)
-    record = recorder.finish(skipped=reader.skipped)
+                progress(len(recorder), source.num_images)
+    record = recorder.finish(skipped=source.skipped)
     sure = np.array([status == "converged" for status in record.status])
-    smoothed = smooth(image_modes, odometry, record.filter, sure)
+    smoothed = smooth(modes_of_images, odometry, record.filter, sure, smoothing)
     return recorder.finish(
-        skipped=reader.skipped,
+        skipped=source.skipped,
         smoothed=Trajectory(record.times_ns, smoothed),
         kalman=Trajectory(record.times_ns, Poses.stack([mode.world_from_camera for mode in kalman_modes])),
         peak_rss_mb=peak_rss_mb(),
     )
+
+
+def write_results(record: RunRecord, directory: Path, settings: dict[str, Any], *, title: str) -> RunResult:
+    """Write trajectories, pictures, `config.json` (settings, and the versions they were used with), `report.json`."""
+    for name, trajectory in record.methods.items():
+        write_tum(directory / FILES[name], trajectory)
+    if record.truth is not None:
+        write_tum(directory / "ground_truth.tum", record.truth)
+    pictures = write_pictures(record, directory, title=title)
+    versions = {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in _PACKAGES}
+    text = json.dumps(settings | {"versions": versions}, indent=2) + "\n"
+    (directory / "config.json").write_text(text, encoding="utf-8")
+    report = build_report(record)
+    write_report(directory / "report.json", report)
+    return RunResult(record, report, tuple(picture.name for picture in pictures))
 
 
 def peak_rss_mb() -> float:
@@ -180,29 +236,8 @@ def peak_rss_mb() -> float:
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
-def _write_trajectories(record: RunRecord, directory: Path) -> None:
-    for name, trajectory in record.methods.items():
-        write_tum(directory / FILES[name], trajectory)
-    if record.truth is not None:
-        write_tum(directory / "ground_truth.tum", record.truth)
-
-
-def _resolved(
-    sequence: Path, model: str, checkpoint: Path, reader: SequenceReader, settings: dict[str, Any]
-) -> dict[str, Any]:
-    """Every setting as it was used, and the versions it was used with."""
-    packages = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
-    return {
-        "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
-        "model": {"name": Path(model).name, "sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest()},
-        **settings,
-        "versions": {"python": platform.python_version()}
-        | {name: importlib.metadata.version(name) for name in packages},
-    }
-
-
 @contextmanager
-def _complete_directory(directory: Path) -> Iterator[Path]:
+def complete_directory(directory: Path) -> Iterator[Path]:
     """A hidden directory to write to; on success its files take the place of an earlier run's in `directory`."""
     directory = directory.absolute()
     # In the directory itself where it exists: its parent may be another disk, or not be writable.

@@ -12,6 +12,7 @@ from filtering.errors import VaporTrackError
 COMMANDS = {
     "run": "localize the camera of a recorded sequence",
     "demo": "synthesize a sequence, localize in it with a model that ships, and compare",
+    "fuse": "localize from pose estimates of others, given as text, and odometry",
     "train": "train a pose regressor on sequences or data sets with true poses",
     "synthesize": "render a sequence through a synthetic scene",
     "convert": "write a TUM RGB-D or 7-Scenes folder as an MCAP sequence",

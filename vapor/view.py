@@ -128,6 +128,21 @@ class RerunViewer:
         import rerun as rr
 
         best, truth = estimate.modes[0].world_from_camera, frame.world_from_camera
+        self._log_image(frame)
+        self._stream.log("world/camera", rr.Transform3D(translation=best.translation, mat3x3=best.rotation))
+        moved = np.zeros(3) if frame.odometry is None else frame.odometry.previous_from_current.translation
+        limit_m = _JUMP_M + 1.5 * float(np.linalg.norm(moved))
+        self._log_step("world/path/filter", self._last_best, best, limit_m=limit_m)
+        if truth is not None:
+            ahead = rr.Arrows3D(origins=[truth.translation], vectors=[0.5 * truth.rotation[:, 2]])
+            self._stream.log("world/truth", ahead)
+            self._log_step("world/path/truth", self._last_truth, truth, limit_m=np.inf)
+
+    def _log_image(self, frame: Frame) -> None:
+        import rerun as rr
+
+        if frame.image.size == 0:  # estimates without images
+            return
         jpeg, width, height = _jpeg(frame.image)
         camera = frame.camera or _stand_in_camera(frame.image)
         if camera != self._camera:
@@ -138,15 +153,7 @@ class RerunViewer:
             size = {"width": width, "height": height, "image_plane_distance": 0.5}
             pinhole = rr.Pinhole(focal_length=focal, principal_point=centre, **size, color=_rgb("filter"))
             self._stream.log("world/camera", pinhole)
-        self._stream.log("world/camera", rr.Transform3D(translation=best.translation, mat3x3=best.rotation))
         self._stream.log("world/camera", rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
-        moved = np.zeros(3) if frame.odometry is None else frame.odometry.previous_from_current.translation
-        limit_m = _JUMP_M + 1.5 * float(np.linalg.norm(moved))
-        self._log_step("world/path/filter", self._last_best, best, limit_m=limit_m)
-        if truth is not None:
-            ahead = rr.Arrows3D(origins=[truth.translation], vectors=[0.5 * truth.rotation[:, 2]])
-            self._stream.log("world/truth", ahead)
-            self._log_step("world/path/truth", self._last_truth, truth, limit_m=np.inf)
 
     def _log_step(self, entity: str, last: Poses | None, now: Poses, *, limit_m: float) -> None:
         """One segment an image: the view adds them up, and the recording grows with the path, not its square."""

@@ -1,0 +1,142 @@
+"""Poses of named or timed frames as text, as pose estimators write them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.tum import read_lines, read_tum
+
+Direction = Literal["world-to-camera", "camera-to-world"]
+"""Which way the poses of a file map points."""
+
+_COLUMNS = "name qw qx qy qz tx ty tz"
+_MAX_NUMBER = 10**9  # beyond, it counts nanoseconds rather than frames
+
+
+class FrameName(NamedTuple):
+    """One frame of one sequence.
+
+    Attributes:
+        sequence: What its name begins with, up to the number, such as `seq-01/frame-`; empty where frames are timed.
+        number: Its number in the sequence, or its stamp in integer nanoseconds.
+    """
+
+    sequence: str
+    number: int
+
+
+@dataclass(frozen=True)
+class PoseFile:
+    """Poses of frames, sequence by sequence and in the order of their numbers.
+
+    Attributes:
+        path: The file.
+        timed: Whether the frames are named by their stamps.
+        frames: n frames, no two of them the same.
+        poses: world_from_camera, batch (n,).
+    """
+
+    path: Path
+    timed: bool
+    frames: tuple[FrameName, ...]
+    poses: Poses
+
+
+def read_poses(path: Path, direction: Direction | None = None) -> PoseFile:
+    """Read poses of named frames, or a TUM trajectory.
+
+    Lines are `name qw qx qy qz tx ty tz`, in any order, with further columns ignored: the format of published 7-Scenes
+    estimates. The last number before the first dot of a name's last part is the frame's; what stands before it names
+    the sequence. Where the first line begins with a number the file is a TUM trajectory, `time tx ty tz qx qy qz qw`,
+    camera-to-world. Lines that start with # are comments.
+
+    Args:
+        path: The file.
+        direction: Which way the poses of named frames map; without it only a TUM trajectory can be read.
+
+    Raises:
+        SequenceError: the file is missing or empty, a line has too few columns, no number where one belongs, a value
+            that is not finite or a quaternion without length, or names the same frame as an earlier one; or the
+            direction is missing, or contradicts a TUM trajectory.
+    """
+    path = Path(path)
+    lines = [(number, line.split()) for number, line in enumerate(read_lines(path), start=1)]
+    lines = [(number, fields) for number, fields in lines if fields and not fields[0].startswith("#")]
+    if not lines:
+        raise SequenceError(f"{path}: no poses, expected lines of `{_COLUMNS}` or of a TUM trajectory")
+    if _is_number(lines[0][1][0]):
+        return _timed(path, direction)
+    if direction is None:
+        raise SequenceError(
+            f"{path}: poses of named frames, expected their direction with them: world-to-camera or camera-to-world"
+        )
+    seen: dict[FrameName, int] = {}
+    rows: list[list[float]] = []
+    for number, fields in lines:
+        where = f"{path}:{number}"
+        if len(fields) < 8:
+            raise SequenceError(f"{where}: {len(fields)} columns, expected the eight of `{_COLUMNS}`")
+        frame = _frame_name(fields[0], where)
+        if frame in seen:
+            raise SequenceError(f"{where}: {fields[0]} names the same frame as line {seen[frame]}, expected it once")
+        try:
+            row = [float(value) for value in fields[1:8]]
+            _poses(np.array(row))
+        except (ValueError, VaporTrackError) as error:
+            raise SequenceError(f"{where}: {error}; expected numbers `{_COLUMNS}`") from error
+        seen[frame] = number
+        rows.append(row)
+    frames = list(seen)
+    order = sorted(range(len(frames)), key=lambda i: natural_order(frames[i]))
+    poses = _poses(np.array(rows)[order])
+    return PoseFile(
+        path, False, tuple(frames[i] for i in order), poses.inverse() if direction == "world-to-camera" else poses
+    )
+
+
+def natural_order(frame: FrameName) -> tuple[list[tuple[int, str]], int]:
+    """Sort key by which `seq-2/frame-10` comes after `seq-2/frame-9` and before `seq-10/frame-1`."""
+    parts = re.split(r"(\d+)", frame.sequence)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], frame.number
+
+
+def _timed(path: Path, direction: Direction | None) -> PoseFile:
+    if direction == "world-to-camera":
+        raise SequenceError(f"{path}: a TUM trajectory, which is camera-to-world, expected no world-to-camera with it")
+    trajectory = read_tum(path)
+    return PoseFile(path, True, tuple(FrameName("", int(time)) for time in trajectory.times_ns), trajectory.poses)
+
+
+def _frame_name(name: str, where: str) -> FrameName:
+    folder, slash, file = name.rpartition("/")
+    match = re.fullmatch(r"(.*?)(\d+)\D*", file.split(".")[0], flags=re.ASCII)
+    if match is None:
+        raise SequenceError(f"{where}: name {name!r}, expected a frame number in it, such as frame-000017.png")
+    number = int(match[2])
+    if number > _MAX_NUMBER:
+        raise SequenceError(
+            f"{where}: name {name!r} gives frame number {number}, expected one that counts frames; of stamps, a TUM"
+            " trajectory is read"
+        )
+    return FrameName(folder + slash + match[1], number)
+
+
+def _poses(rows: np.ndarray) -> Poses:
+    """From rows (*batch, 7) of `qw qx qy qz tx ty tz`, as they are."""
+    return Poses.from_quat_xyzw(rows[..., 4:], rows[..., [1, 2, 3, 0]])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,51 @@
+"""Files of poses as estimators write them, and a walk of two sequences to estimate."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from filtering.se3 import Poses
+
+FRAMES = 60  # of each of the two sequences
+
+
+def walk(seed: int = 0) -> dict[str, Poses]:
+    """World_from_camera by frame name: two short curved walks that turn about every axis."""
+    rng = np.random.default_rng(seed)
+    poses = {}
+    for sequence in ("seq-2", "seq-10"):
+        start = Poses.exp(rng.normal(scale=0.5, size=6))
+        steps = np.arange(FRAMES)[:, None] * np.array([0.02, 0.005, 0.01, 0.004, 0.01, 0.002])
+        for number, pose in enumerate(_each(start @ Poses.exp(steps))):
+            poses[f"{sequence}/frame-{number:06d}.color.png"] = pose
+    return poses
+
+
+def noisy(poses: Mapping[str, Poses], std_m: float, std_rad: float, seed: int = 0) -> dict[str, Poses]:
+    """The same frames with Gaussian errors."""
+    scale = np.repeat([std_m, std_rad], 3)
+    rng = np.random.default_rng(seed)
+    return {name: pose @ Poses.exp(scale * rng.standard_normal(6)) for name, pose in poses.items()}
+
+
+def moved(pose: Poses, metres: float) -> Poses:
+    """A pose so far along the x axis of the world."""
+    return Poses(pose.rotation, pose.translation + np.array([metres, 0.0, 0.0]))
+
+
+def write_named(path: Path, poses: Mapping[str, Poses], *, world_to_camera: bool, extra: str = " 525.0") -> Path:
+    """Write `name qw qx qy qz tx ty tz`, lines shuffled."""
+    lines = []
+    for name, pose in poses.items():
+        written = pose.inverse() if world_to_camera else pose
+        x, y, z, w = written.as_quat_xyzw()
+        values = " ".join(f"{value:.9f}" for value in (w, x, y, z, *written.translation))
+        lines.append(f"{name} {values}{extra}")
+    np.random.default_rng(0).shuffle(lines)
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def _each(poses: Poses) -> list[Poses]:
+    return [poses[i] for i in range(len(poses))]

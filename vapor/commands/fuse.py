@@ -1,0 +1,66 @@
+"""`vapor-track fuse`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sequences.estimates import EstimateOptions
+from vapor.commands.console import bar, parse, show, show_files, show_skipped, usage_error
+from vapor.fuse import EstimateConfig, fuse
+from vapor.report import format_table
+from vapor.run import FilteringConfig
+
+
+@dataclass(frozen=True)
+class Options:
+    """Localize a camera from pose estimates of others, given as text, and odometry; no images needed.
+
+    Files hold lines of `name qw qx qy qz tx ty tz`, in any order, or a TUM trajectory, `time tx ty tz qx qy qz qw`.
+    """
+
+    estimates: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="ESTIMATES")]
+    """Files of pose estimates, one for each method; each is one hypothesis of where the camera is."""
+    output: Path
+    """Directory for the results."""
+    odometry: Path | None = None
+    """Recorded odometry: poses of the camera in any frame, of which only the relative motion counts."""
+    simulate_odometry: Path | None = None
+    """True poses to simulate odometry from, with the noise below, where there is none."""
+    ground_truth: Path | None = None
+    """True poses to compare with. Default: those that odometry is simulated from."""
+    trust: Annotated[EstimateConfig, tyro.conf.arg(name="")] = field(default_factory=EstimateConfig)
+    reading: Annotated[EstimateOptions, tyro.conf.arg(name="")] = field(default_factory=EstimateOptions)
+    config: Annotated[FilteringConfig, tyro.conf.arg(name="")] = field(default_factory=FilteringConfig)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command."""
+    o = parse("fuse", Options, arguments)
+    if not o.estimates:
+        usage_error("fuse", "no ESTIMATES, expected at least one file")
+    if (o.odometry is None) == (o.simulate_odometry is None):
+        usage_error("fuse", "expected either --odometry FILE or --simulate-odometry FILE")
+    with bar("localizing") as advance:
+        result = fuse(
+            o.estimates,
+            o.output,
+            o.config,
+            odometry=o.odometry,
+            simulate_odometry=o.simulate_odometry,
+            ground_truth=o.ground_truth,
+            trust=o.trust,
+            reading=o.reading,
+            progress=advance,
+        )
+    report = result.report
+    if report["frames_with_true_pose"]:
+        show(format_table(report, title=", ".join(path.name for path in o.estimates), tail=True))
+    verdicts = ", ".join(f"{100 * share:.0f} % {verdict}" for verdict, share in report["status"].items())
+    show(f"{report['frames']} frames: {verdicts}")
+    show_skipped(report["skipped"])
+    show_files(o.output, result.pictures, recording=o.config.recording)
