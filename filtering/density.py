@@ -45,6 +45,17 @@ class KernelDensity:
         least_m, least_rad = np.min(self.bandwidth_translation_m), np.min(self.bandwidth_rotation_rad)
         if not (least_m > 0 and least_rad > 0):
             raise VaporTrackError(f"kernel bandwidths must be positive, got {least_m} m and {least_rad} rad")
+        finite = self.centres.is_finite()
+        if not finite.all():
+            first = int(np.argmin(finite))
+            raise VaporTrackError(
+                f"kernel centre {first} of {len(finite)} is not finite: {self.centres[first].as_matrix()[:3].tolist()}"
+            )
+        if self.log_weights is not None and not (self.log_weights <= 1e-6).all():  # NaN compares as false
+            first = int(np.argmin(self.log_weights <= 1e-6))
+            raise VaporTrackError(
+                f"log weight of kernel {first} of {len(finite)} is {self.log_weights[first]}, expected at most 0"
+            )
 
     @cached_property
     def log_normaliser(self) -> Float64[np.ndarray, " m"]:

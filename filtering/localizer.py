@@ -7,9 +7,10 @@ from typing import Generic
 
 import numpy as np
 
+from filtering.checked import CheckedPosterior
 from filtering.errors import require_within
 from filtering.estimate import Estimate, Mode, ModeConfig, Status, describe_modes, find_hypotheses
-from filtering.motion import Odometry
+from filtering.motion import Odometry, require_odometry
 from filtering.particles import Particles
 from filtering.posterior import DetailedPosterior, ObservationModel, PosePosterior, Posterior
 from filtering.proposal import mixture_log_weights, propose
@@ -96,20 +97,38 @@ class ParticleLocalizer(Generic[Posterior]):
                 is not used. None on a later step means that the motion is unknown: the belief starts anew.
 
         Raises:
-            VaporTrackError: the odometry covariance is no covariance, or the posterior yields weights that are NaN.
+            VaporTrackError: the image is refused by the model, the odometry is none (`require_odometry`), the posterior
+                answers what is no density (`CheckedPosterior`), or no particle is left any weight. The localizer is
+                then as it was before, so a step that is tried again with good input gives what it would have given.
         """
-        return self.update(self.observe(image), odom)
+        before = self._model_rng.bit_generator.state
+        try:
+            return self.update(self.observe(image), odom)
+        except BaseException:
+            self._model_rng.bit_generator.state = before
+            raise
 
     def observe(self, image: np.ndarray) -> Posterior:
         """The posterior of one image (H, W, 3), uint8 RGB: the first half of `step`, one call of the model."""
         return self.model.observe(image, rng=self._model_rng)
 
     def update(self, posterior: PosePosterior, odom: Odometry | None) -> Estimate:
-        """Localize one image whose posterior is at hand: the second half of `step`."""
+        """Localize one image whose posterior is at hand: the second half of `step`; raises as it does."""
+        # All state but the generator's is replaced, never changed in place: a shallow copy is a full one.
+        before, generator = dict(vars(self)), self._filter_rng.bit_generator.state
+        try:
+            return self._update(CheckedPosterior(posterior), odom)
+        except BaseException:
+            vars(self).update(before)
+            self._filter_rng.bit_generator.state = generator
+            raise
+
+    def _update(self, posterior: PosePosterior, odom: Odometry | None) -> Estimate:
         if self._belief is None or odom is None:
             self._best = None
             particles, log_evidence = self._start(posterior)
         else:
+            require_odometry(odom)
             if self._best is not None:
                 self._best = self._best @ odom.previous_from_current
             particles, log_evidence = self._continue(self._belief, posterior, odom)
@@ -191,6 +210,8 @@ class ParticleLocalizer(Generic[Posterior]):
         return modes
 
     def _status(self, modes: tuple[Mode, ...], log_evidence: float) -> Status:
+        if log_evidence == -np.inf:  # impossible everywhere; in the running mean it would stay for good
+            return "lost"
         previous = log_evidence if self._mean_log_evidence is None else self._mean_log_evidence
         decay = self.config.evidence_decay
         self._mean_log_evidence = decay * previous + (1 - decay) * log_evidence

@@ -10,6 +10,8 @@ from jaxtyping import Float64
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 
+_RIGID = 1e-6  # of RRᵀ − I: float32 passes. Particles compose every increment and are never made orthonormal again
+
 
 @dataclass(frozen=True)
 class Odometry:
@@ -23,6 +25,26 @@ class Odometry:
 
     previous_from_current: Poses
     covariance: Float64[np.ndarray, "6 6"]
+
+
+def require_odometry(odometry: Odometry) -> None:
+    """Check that odometry is one rigid motion with a covariance. However far it goes is its covariance's affair.
+
+    Raises:
+        VaporTrackError: the motion is not one pose, not finite or not rigid, or as `covariance_factor`.
+    """
+    motion = odometry.previous_from_current
+    if motion.batch_shape != ():
+        raise VaporTrackError(f"odometry increment has batch shape {motion.batch_shape}, expected (): one pose")
+    if not motion.is_finite():
+        raise VaporTrackError(f"odometry increment is not finite: {motion.as_matrix()[:3].tolist()}")
+    rotation = motion.rotation
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _RIGID or np.linalg.det(rotation) < 0:
+        raise VaporTrackError(
+            f"odometry increment has {rotation.tolist()} for a rotation, expected orthonormal columns (to {_RIGID:g}) "
+            "and determinant 1"
+        )
+    covariance_factor(odometry.covariance)
 
 
 @dataclass(frozen=True)
@@ -83,8 +105,10 @@ def covariance_factor(covariance: Float64[np.ndarray, "6 6"]) -> Float64[np.ndar
     """A matrix F with F Fᵀ = covariance; a singular covariance is fine.
 
     Raises:
-        VaporTrackError: the covariance is not finite, not symmetric, or has a negative eigenvalue.
+        VaporTrackError: the covariance is not 6 × 6, not finite, not symmetric, or has a negative eigenvalue.
     """
+    if covariance.shape != (6, 6):
+        raise VaporTrackError(f"odometry covariance has shape {covariance.shape}, expected (6, 6)")
     if not np.isfinite(covariance).all():
         raise VaporTrackError(f"odometry covariance is not finite: {covariance.tolist()}")
     scale = max(float(np.abs(covariance).max()), 1e-300)

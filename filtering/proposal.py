@@ -126,7 +126,8 @@ def mixture_log_weights(
     if kidnap_probability <= 0.0 or len(log_likelihood[injected]) == 0:
         return carried - drawn
     # Z over the image's own draws; L − 1 leaves out the outlier floor, which is no evidence for this place.
-    above_floor = np.log(np.expm1(np.maximum(log_likelihood[injected], 1e-12)))
+    above = np.maximum(log_likelihood[injected], 1e-12)
+    above_floor = above + np.log(-np.expm1(-above))  # log(L − 1) that no L overflows
     ratio = above_floor + log_prior[injected] - proposal.log_image[injected]
     log_evidence = np.logaddexp.reduce(ratio) - np.log(len(ratio))
     return _log_mix(carried, log_evidence + proposal.log_image, kidnap_probability) - drawn

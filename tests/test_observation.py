@@ -6,6 +6,8 @@ import torch
 
 from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
+from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.motion import Odometry
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration, Checkpoint, CheckpointError, save_checkpoint
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
@@ -124,3 +126,31 @@ def test_unknown_models_and_absent_devices_are_refused():
     if not torch.cuda.is_available():
         with pytest.raises(VaporTrackError, match="no CUDA device"):
             VaporObservationModel(make_checkpoint(), device="cuda")
+
+
+def test_a_step_whose_image_is_refused_leaves_the_localizer_as_it_was():
+    localizer, untouched = (
+        ParticleLocalizer(MODEL, LocalizerConfig(num_particles=50), rng=np.random.default_rng(3)) for _ in range(2)
+    )
+    still = Odometry(Poses.identity(), 1e-4 * np.eye(6))
+    for both in (localizer, untouched):
+        both.step(IMAGE, None)
+    with pytest.raises(VaporTrackError, match=r"shape \(60, 80\) and type uint8, expected \(H, W, 3\)"):
+        localizer.step(IMAGE[..., 0], still)
+    with pytest.raises(VaporTrackError, match="not finite"):
+        localizer.step(IMAGE, Odometry(Poses.identity(), np.full((6, 6), np.nan)))  # the network has drawn by then
+    after, expected = localizer.step(IMAGE, still), untouched.step(IMAGE, still)
+    np.testing.assert_array_equal(after.particles.translation, expected.particles.translation)
+    np.testing.assert_array_equal(after.log_weights, expected.log_weights)
+    larger = localizer.step(np.kron(IMAGE, np.ones((3, 3, 1), np.uint8)), still)
+    assert np.isfinite(larger.log_evidence)
+
+
+def test_a_network_that_yields_nan_is_an_error_and_no_estimate():
+    checkpoint = make_checkpoint()
+    state = {name: torch.full_like(value, float("nan")) if value.is_floating_point() else value
+             for name, value in checkpoint.state_dict.items()}  # fmt: skip
+    model = VaporObservationModel(replace(checkpoint, state_dict=state), num_samples=50, device="cpu")
+    localizer = ParticleLocalizer(model, rng=np.random.default_rng(0))
+    with pytest.raises(VaporTrackError, match="kernel centre 0 of 50 is not finite"):
+        localizer.step(IMAGE, None)

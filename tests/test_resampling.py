@@ -38,6 +38,42 @@ def test_systematic_agrees_with_filterpy_for_the_same_offset(monkeypatch):
     np.testing.assert_array_equal(systematic(weights, 64, rng=np.random.default_rng(4)), theirs)
 
 
+WEIGHTS = [
+    np.random.default_rng(5).dirichlet(np.ones(8)),
+    np.random.default_rng(6).dirichlet(np.full(8, 0.1)),  # a few hold nearly all
+    np.full(8, 1 / 8),
+    np.eye(8)[1],
+    np.array([1e-300, 1 - 2e-16, 1e-17, 0.0, 0.0, 1e-300, 1e-12, 1e-8]),
+]
+
+
+@pytest.mark.parametrize("weights", WEIGHTS)
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_counts_have_the_mean_of_filterpys_systematic_ones_and_no_scheme_but_the_independent_a_larger_variance(
+    scheme, weights, monkeypatch
+):
+    """filterpy's draws from the same number of offsets: means agree within 4 standard errors of the binomial, for the
+    systematic scheme every count is ⌊nw⌋ or ⌈nw⌉ and has filterpy's variance too."""
+    n, repeats, rng = len(weights), 4000, np.random.default_rng(7)
+    monkeypatch.setattr("filterpy.monte_carlo.resampling.random", lambda: rng.random())
+    theirs = np.array([np.bincount(systematic_resample(weights), minlength=n) for _ in range(repeats)])
+    counts = np.array([np.bincount(scheme(weights, n, rng=rng), minlength=n) for _ in range(repeats)])
+    binomial = n * weights * (1 - weights)
+    error = 4 * np.sqrt(2 * np.maximum(binomial, 0.0) / repeats) + 1e-3
+    assert (np.abs(counts.mean(axis=0) - theirs.mean(axis=0)) < error).all()
+    assert (counts.sum(axis=1) == n).all()
+    fraction = n * weights % 1
+    least_variance = fraction * (1 - fraction)
+    if scheme is systematic:
+        assert (np.abs(counts - n * weights) < 1 + 1e-9).all()
+        for drawn in (counts, theirs):
+            np.testing.assert_allclose(drawn.var(axis=0), least_variance, atol=0.02)
+    elif scheme is multinomial:
+        np.testing.assert_allclose(counts.var(axis=0), binomial, rtol=0.15, atol=0.02)
+    else:
+        assert (counts.var(axis=0) <= 1.15 * binomial + 0.02).all()
+
+
 @pytest.mark.parametrize("weights", [[np.nan, 1.0], [-0.1, 1.1], [0.0, 0.0], [np.inf, 1.0]])
 def test_weights_that_are_none_are_refused(weights):
     with pytest.raises(VaporTrackError, match="resampling weights"):
