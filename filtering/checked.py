@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
-from filtering.posterior import PosePosterior
+from filtering.posterior import DetailedPosterior, PosePosterior
 from filtering.se3 import Poses
 
 
@@ -50,6 +50,13 @@ class CheckedPosterior:
     def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """As of the posterior, (n,)."""
         return self._values("log_likelihood", self.posterior.log_likelihood(poses), len(poses))
+
+    def log_detail(self, poses: Poses) -> Float64[np.ndarray, " n"] | None:
+        """As of the posterior, (n,); None where it has no such method or nothing to add."""
+        if not isinstance(self.posterior, DetailedPosterior):
+            return None
+        values = self.posterior.log_detail(poses)
+        return None if values is None else self._values("log_detail", values, len(poses))
 
     @property
     def _name(self) -> str:

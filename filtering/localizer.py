@@ -12,7 +12,7 @@ from filtering.errors import require_within
 from filtering.estimate import Estimate, Mode, ModeConfig, Status, describe_modes, find_hypotheses
 from filtering.motion import Odometry, require_odometry
 from filtering.particles import Particles
-from filtering.posterior import DetailedPosterior, ObservationModel, PosePosterior, Posterior
+from filtering.posterior import ObservationModel, PosePosterior, Posterior
 from filtering.proposal import mixture_log_weights, propose
 from filtering.recovery import Recovery, RecoveryConfig, agreement, log_mean
 from filtering.regularisation import KernelConfig
@@ -123,7 +123,7 @@ class ParticleLocalizer(Generic[Posterior]):
             self._filter_rng.bit_generator.state = generator
             raise
 
-    def _update(self, posterior: PosePosterior, odom: Odometry | None) -> Estimate:
+    def _update(self, posterior: CheckedPosterior, odom: Odometry | None) -> Estimate:
         if self._belief is None or odom is None:
             self._best = None
             particles, log_evidence = self._start(posterior)
@@ -184,14 +184,12 @@ class ParticleLocalizer(Generic[Posterior]):
             self._recovery = self._recovery.reset()
         return particles, log_evidence
 
-    def _settle(self, particles: Particles, posterior: PosePosterior, *, first: bool) -> Particles:
+    def _settle(self, particles: Particles, posterior: CheckedPosterior, *, first: bool) -> Particles:
         """Find the hypotheses, and weigh each one's particles by what the image says of details, the shares kept.
 
         A belief that is the image's posterior has its details already.
         """
-        detail = None
-        if isinstance(posterior, DetailedPosterior) and not first:
-            detail = posterior.log_detail(particles.poses)
+        detail = None if first else posterior.log_detail(particles.poses)
         detailed = particles if detail is None else particles.reweighted(detail)
         self._label = find_hypotheses(detailed, self.config.modes, rng=self._filter_rng)
         return particles if detail is None else detailed.keep_shares(particles, self._label)

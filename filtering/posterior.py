@@ -62,14 +62,14 @@ class ObservationModel(Protocol[Posterior]):
 class LikelihoodModel:
     """How a posterior becomes a likelihood, in two factors.
 
-    Which place: log L(y) = β [min(x, c) + γ max(x − c, 0)] with x(y) = log(1 + (1 − ε)/ε · p̂(y|x)/max(π(y), π_min)).
+    Which place: log L(y) = β [min(e, c) + γ max(e − c, 0)], e(y) = log(1 + (1 − ε)/ε · p̂(y|x)/max(π(y), π_min)).
     It is 0 where only the outlier floor is left. A network trained on its best samples only (winners take all) knows
     which places are possible, but not how likely each is, and it errs alike on neighbouring images. So from the
     saturation c on a place is possible, and by how much it is preferred counts little.
 
-    Where in the place: log D(y) = β_d (1 − e^{−x}) log(1 + r(y)/δ), r the posterior's density over the same one smoothed
-    to the size of a place. What the image says of a place's details is cut off from the question which place it is
-    (Plummer, "Cuts in Bayesian graphical models", 2015): see `Particles.keep_shares`.
+    Where in the place: log D(y) = β_d (1 − exp(−e)) log(1 + r(y)/δ), r the posterior's density over the same one
+    smoothed to the size of a place. What the image says of a place's details is cut off from the question which place
+    it is (Plummer, "Cuts in Bayesian graphical models", 2015): see `Particles.keep_shares`.
 
     Attributes:
         prior: π, the mean of the posteriors over many images; None where it is unknown and taken as flat, π_min.
@@ -77,8 +77,8 @@ class LikelihoodModel:
         temper: β ≤ 1: neighbouring images share their errors, and samples of the network are not calibrated. (A trained
             model brings its own, lower one.)
         prior_floor: π_min, per m³ rad³.
-        saturation: c, in units of x; ∞ where the posterior's shares can be trusted.
-        preference: γ ≤ 1, how much more of x counts beyond c.
+        saturation: c, in units of e; ∞ where the posterior's shares can be trusted.
+        preference: γ ≤ 1, how much of e counts beyond c.
         detail_temper: β_d ≤ 1.
         detail_floor: δ: how much of D is left where a place has no sample nearby.
     """
@@ -119,7 +119,7 @@ class LikelihoodModel:
         return self.detail_temper * possible * np.logaddexp(log_ratio, 0.0)
 
     def _evidence(self, log_density: np.ndarray, log_prior: np.ndarray) -> np.ndarray:
-        """x ≥ 0."""
+        """e ≥ 0."""
         ratio = np.log1p(-self.outlier_floor) - np.log(self.outlier_floor) + log_density - log_prior
         return np.logaddexp(ratio, 0.0)
 
@@ -131,7 +131,7 @@ class PosteriorSamples:
     Attributes:
         density: Kernel density over the samples, p̂.
         likelihood: How p̂ becomes a likelihood.
-        places: The same smoothed to the size of a place, over some of the samples; it tells places apart, and p̂ what is
+        places: The same smoothed to the size of a place, over some of the samples: it tells places apart, and p̂ tells
             where in a place. None where p̂ does both.
     """
 
@@ -210,7 +210,7 @@ class PosteriorSamples:
         return None if self.places is None else self.likelihood.log_detail(*self._evaluate(poses))
 
     def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Log p̂, its smoothed version, log π; the filter asks for all of them at the same poses, they are summed once."""
+        """Log p̂, the same smoothed, log π; the filter asks for all at the same poses, the kernels are summed once."""
         if not self._evaluated or self._evaluated[0][0] is not poses:
             log_density = self.density.log_density(poses)
             log_place_density = log_density if self.places is None else self.places.log_density(poses)

@@ -28,7 +28,7 @@ class SampleSizeConfig:
     cell_rad: float = 0.5
     """Edge of a cell in rotation: change of a camera axis' direction, radians."""
     divergence: float = 0.05
-    """Kullback-Leibler divergence, in nats, that may lie between the particles' histogram over cells and the belief's."""
+    """Kullback-Leibler divergence, in nats, between the particles' histogram over cells and the belief's, at most."""
     confidence: float = 0.99
     """With this probability at least."""
 
@@ -58,8 +58,8 @@ class SampleSizeConfig:
 def occupied_cells(poses: Poses, config: SampleSizeConfig) -> int:
     """How many cells the poses (n,) lie in.
 
-    A cell is a cube in translation and, in rotation, a cube each for the directions of the camera's x and z axes: unlike
-    cells of Euler angles these have no poles, where cells shrink to nothing and one rotation has many.
+    A cell is a cube in translation and, in rotation, a cube each for the directions of the camera's x and z axes:
+    unlike cells of Euler angles these have no poles, where cells shrink to nothing and one rotation has many.
     """
     axes = poses.rotation[:, :, [0, 2]].reshape(-1, 6)
     cells = np.floor(np.concatenate([poses.translation / config.cell_m, axes / config.cell_rad], axis=1))

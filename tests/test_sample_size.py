@@ -25,7 +25,7 @@ def test_the_number_keeps_its_bounds():
 
 
 def test_so_many_particles_do_keep_the_divergence():
-    """What the formula promises, by simulation: 99 of 100 histograms lie within the divergence of what was drawn from."""
+    """What the formula promises, by simulation: 99 of 100 histograms lie within the divergence of their source."""
     rng = np.random.default_rng(0)
     share = rng.dirichlet(np.ones(50))
     n = CONFIG.particles_needed(50)
