@@ -25,7 +25,8 @@ from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 FORMAT = "vapor-track model"
 VERSION = 3
 MAX_PRIOR_POSES = 2000
-_PLACE_SAMPLES = 250  # enough for kernels as wide as a place
+# Enough for kernels as wide as a place: log densities change by 0.1.
+_PLACE_SAMPLES, _PRIOR_KERNELS = 250, 500
 _SHIPPED = Path(__file__).parent / "models"
 _NETWORK = "network."
 _ROTATION, _TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
@@ -92,6 +93,7 @@ class Calibration:
 
     def likelihood(self, prior_poses: Poses) -> LikelihoodModel:
         """How p̂ becomes a likelihood, π being the kernel density of the poses (n,)."""
+        prior_poses = thin_poses(prior_poses, _PRIOR_KERNELS)
         prior = KernelDensity(prior_poses, self.prior_bandwidth_translation_m, self.prior_bandwidth_rotation_rad)
         log_floor = np.quantile(prior.log_density(prior_poses), self.prior_floor_quantile)
         return LikelihoodModel(
