@@ -15,7 +15,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.localizer import LocalizerConfig
 from vapor.checkpoint import find_model
 from vapor.recordings import CameraPath, RecordingSettings, camera_path, make_recording
-from vapor.trials import Setup, recording_settings, run_trial
+from vapor.trials import Setup, run_trial
 from vapor.variants import VARIANTS
 from vapor.windows import Kind, Trial, choose_trials
 
@@ -101,7 +101,7 @@ class Benchmark:
         wanted: dict[RecordingSettings, Setup] = {}
         for trial in trials:
             setup = self._setups[trial.scene]
-            wanted |= {setup.recording(trial, piece.seed): setup for piece in trial.pieces}
+            wanted |= {setup.recording(trial.scene, trial.kind, piece.seed): setup for piece in trial.pieces}
         directory = self.directory / "recordings"
         jobs = [(settings, setup, directory) for settings, setup in wanted.items()]
         jobs = [job for job in jobs if not (directory / job[0].name).is_dir()]
@@ -124,7 +124,7 @@ class Benchmark:
 
 
 def _paths(setup: Setup, scene: str, kind: Kind, directory: Path) -> Callable[[int], CameraPath]:
-    return cache(lambda seed: camera_path(recording_settings(setup, scene, kind, seed), directory))
+    return cache(lambda seed: camera_path(setup.recording(scene, kind, seed), directory))
 
 
 def _make(settings: RecordingSettings, setup: Setup, directory: Path) -> None:

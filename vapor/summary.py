@@ -97,7 +97,7 @@ def _belief(beliefs: Results, images: Sequence[int]) -> dict[str, Any]:
         needed = [kidnap["images"] for kidnap in kidnaps if kidnap["images"] is not None]
         total["kidnap"] = {
             "right_before": sum(kidnap["right_before"] for kidnap in kidnaps),
-            "recovered_within_50": sum(_recovered(belief) for belief in beliefs),
+            "recovered_in_time": sum(_recovered(belief) for belief in beliefs),
             "recovered": len(needed),
             "median_images": _median(needed),
         }

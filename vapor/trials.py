@@ -27,14 +27,14 @@ from filtering.se3 import Poses
 from filtering.smoothing import smooth
 from sequences.atomic import atomic_output
 from sequences.frame import Trajectory
-from vapor import evaluate, variants, verdicts, windows
+from vapor import checkpoint, evaluate, variants, verdicts
 from vapor.checkpoint import Calibration, Checkpoint, load_checkpoint
 from vapor.evaluate import FILES, TRACKING, dead_reckoning, evaluate_trajectory
 from vapor.recordings import Recording, RecordingSettings, digest, load_recording
 from vapor.threads import limited_threads
 from vapor.variants import VARIANTS
 from vapor.verdicts import Belief, judge_belief, mode_status, truth_among_modes
-from vapor.windows import CUES, Trial, recording_frames
+from vapor.windows import CUES, Kind, Trial, recording_frames
 
 _SMOOTHED_MODES = 6  # of each image, the heaviest, as in a run
 _STREAMS = {"cue": 0, "no-cue": 1, "kidnap": 2}
@@ -65,22 +65,17 @@ class Setup:
     calibration: Mapping[str, float]
     variant: str = "full"
 
-    def recording(self, trial: Trial, seed: int) -> RecordingSettings:
-        """The recording with a seed that trials of the kind are cut from."""
-        return recording_settings(self, trial.scene, trial.kind, seed)
+    def recording(self, scene: str, kind: Kind, seed: int) -> RecordingSettings:
+        """The recording with a seed that trials of a kind are cut from."""
+        frames = recording_frames(kind, self.frames)
+        return RecordingSettings(
+            scene, seed, CUES[kind], frames, self.width, self.height, self.model_sha256, self.num_samples
+        )
 
     def checkpoint(self) -> Checkpoint:
         """The model with the calibration asked for."""
         loaded = _load(self.model, self.model_sha256)
         return replace(loaded, calibration=replace(loaded.calibration, **self.calibration))
-
-
-def recording_settings(setup: Setup, scene: str, kind: windows.Kind, seed: int) -> RecordingSettings:
-    """Settings of the recording with a seed that trials of a kind are cut from."""
-    frames = recording_frames(kind, setup.frames)
-    return RecordingSettings(
-        scene, seed, CUES[kind], frames, setup.width, setup.height, setup.model_sha256, setup.num_samples
-    )
 
 
 @dataclass(frozen=True)
@@ -146,7 +141,9 @@ def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
         return json.loads(file.read_text(encoding="utf-8"))["result"]
     except (OSError, ValueError, KeyError):
         pass
-    replay = assemble(trial, lambda seed: load_recording(setup.recording(trial, seed), directory / "recordings"))
+    replay = assemble(
+        trial, lambda seed: load_recording(setup.recording(trial.scene, trial.kind, seed), directory / "recordings")
+    )
     with limited_threads(1):
         result = _localize(trial, setup, replay)
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -156,11 +153,9 @@ def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
 
 
 def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
-    checkpoint = setup.checkpoint()
+    model = setup.checkpoint()
     variant = VARIANTS[setup.variant]
-    likelihood = variant.likelihood(
-        _likelihood(setup.model, setup.model_sha256, checkpoint.calibration), checkpoint.prior_poses
-    )
+    likelihood = variant.likelihood(_likelihood(setup.model, setup.model_sha256, model.calibration), model.prior_poses)
     config = variant.localizer(setup.localizer)
     seed = [trial.pieces[0].seed, trial.pieces[0].start, _STREAMS[trial.kind]]
     filter_rng, mode_rng = np.random.default_rng(seed).spawn(2)
@@ -169,7 +164,7 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
     for i, motion in enumerate(replay.odometry):
         poses = replay.posterior_poses(i)
         begin = time.perf_counter()
-        posterior = PosteriorSamples(checkpoint.calibration.density(poses), likelihood)
+        posterior = PosteriorSamples(model.calibration.density(poses), likelihood)
         estimate = localizer.update(posterior, motion)
         step_ms.append(1e3 * (time.perf_counter() - begin))
         estimates.append((estimate.modes, estimate.status, len(estimate.particles)))
@@ -236,7 +231,7 @@ def _settings(trial: Trial, setup: Setup) -> dict[str, Any]:
     content = asdict(trial) | asdict(setup) | {"calibration": calibration, "code": _code()}
     content["package"] = importlib.metadata.version("vapor-track")
     content["model"] = setup.model.name
-    content["recordings"] = [setup.recording(trial, piece.seed).name for piece in trial.pieces]
+    content["recordings"] = [setup.recording(trial.scene, trial.kind, piece.seed).name for piece in trial.pieces]
     return json.loads(json.dumps(content))
 
 
@@ -244,7 +239,7 @@ def _settings(trial: Trial, setup: Setup) -> dict[str, Any]:
 def _code() -> str:
     """Digest of the code that a result comes from: a filter that was changed is run again."""
     files = sorted(Path(str(filtering.__path__[0])).glob("*.py"))
-    files += [Path(inspect.getfile(module)) for module in (evaluate, variants, verdicts, windows)] + [Path(__file__)]
+    files += [Path(inspect.getfile(module)) for module in (checkpoint, evaluate, variants, verdicts)] + [Path(__file__)]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 

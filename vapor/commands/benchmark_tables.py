@@ -11,37 +11,44 @@ from vapor.evaluate import FILES, REGIONS, THRESHOLDS
 from vapor.summary import OFTEN, WITHIN_IMAGES
 
 Aggregate = Mapping[str, Any]
+Summary = Mapping[str, Mapping[str, Mapping[str, Aggregate]]]
 
 _KINDS = {"cue": "something unique in the first half", "no-cue": "nothing unique", "kidnap": "carried off"}
-_TRUE_NEES = "5.3 is true"
+_STATES = ("converged", "ambiguous", "lost")
+_BELIEVERS = ("filter", "kalman")
+_OWN = {
+    "cue": ("success", "conv.\nat"),
+    "no-cue": ("wrong\nruns", "often\nwrong"),
+    "kidnap": (f"within\n{WITHIN_IMAGES}", "median\nimages"),
+}
 
 
-def tables(summary: Mapping[str, Mapping[str, Mapping[str, Aggregate]]]) -> Iterator[Table]:
-    """Per scene and kind of run: the methods, their honesty, after a kidnap their recovery, and the variants."""
+def tables(summary: Summary) -> Iterator[Table]:
+    """Per scene and kind of run: the methods, how honest they are, after a kidnap their recovery, and the variants."""
     for scene, kinds in summary.items():
         for kind, variants in kinds.items():
-            full = variants.get("full") or next(iter(variants.values()))
-            title = f"{scene}, {_KINDS[kind]}: {full['runs']} runs"
-            yield _methods_table(title, full)
-            yield _honesty_table(full)
+            shown, total = ("full", variants["full"]) if "full" in variants else next(iter(variants.items()))
+            of_variant = "" if shown == "full" else f", filter {shown}"
+            yield _methods_table(f"{scene}, {_KINDS[kind]}: {total['runs']} runs{of_variant}", total)
+            yield _honesty_table(total)
             if kind == "kidnap":
-                yield _recovery_table(full)
+                yield _recovery_table(total)
             if len(variants) > 1:
                 yield _variants_table(kind, variants)
 
 
-def failures(summary: Mapping[str, Mapping[str, Mapping[str, Aggregate]]]) -> Iterator[str]:
+def failures(summary: Summary) -> Iterator[str]:
     """A line for every scene, kind and variant in which runs failed, with their names."""
     for kinds in summary.values():
         for variants in kinds.values():
             for variant, total in variants.items():
                 if total["failed"]:
-                    yield f"failed, {variant}: {', '.join(total['failed'])}"
+                    yield f"failed, {variant}: {' '.join(total['failed'])}"
 
 
 def _methods_table(title: str, total: Aggregate) -> Table:
-    after = [f"{name} after" for name in THRESHOLDS]
-    table = _table(title, "method", "success", "converged at", "median error", *THRESHOLDS, *after)
+    limits = " ".join(f"{name:>10}" for name in THRESHOLDS)
+    table = _table(title, "method", "success", "converged\nat", "median\nerror", f"recall, %\n{limits}")
     for name in FILES:
         method = total["methods"][name]
         tracking = "successes" in method
@@ -49,86 +56,93 @@ def _methods_table(title: str, total: Aggregate) -> Table:
             name.replace("_", " "),
             str(method["successes"]) if tracking else "",
             _number(method["converged_at_s"], ".1f", " s") if tracking else "",
-            f"{method['median_translation_m']:.2f} m {method['median_rotation_deg']:.1f}°",
-            *(_share(method["recall"][threshold]) for threshold in THRESHOLDS),
-            *(_share(method["recall_after_convergence"][threshold]) if tracking else "" for threshold in THRESHOLDS),
+            f"{method['median_translation_m']:.2f} m {method['median_rotation_deg']:5.1f}°",
+            _recalls(method["recall"]),
         )
+        if tracking:
+            table.add_row("  from convergence on", "", "", "", _recalls(method["recall_after_convergence"]))
     return table
 
 
 def _honesty_table(total: Aggregate) -> Table:
-    """Twice two rows: over the images that say "converged", and over those after the method was right to stay."""
-    coverage = [f"in {region}" for region in REGIONS]
-    states = ("converged", "ambiguous", "lost")
-    table = _table(None, "over", "images", "wrong 0.5 m", *coverage, f"NEES ({_TRUE_NEES})", *states, "truth in modes")
-    for method in ("filter", "kalman"):
+    """Twice two rows: over the images that say "converged", and over those from when on the method was right."""
+    regions = [f"in {region.replace('%', ' %')}\nregion" for region in REGIONS]
+    table = _table(None, "over the images", "number", "wrong by\n0.5 m", *regions, "median\nNEES (5.3)")
+    caption = []
+    for method in _BELIEVERS:
         belief = total["belief"][method]
-        of_all = [_share(belief["status"][state]) for state in states] + [_share(belief["truth_among_modes"])]
-        for key, meaning, more in (
-            ("said_converged", "said converged", of_all),
-            ("after_convergence", "from convergence on", [""] * len(of_all)),
-        ):
+        for key, meaning in (("said_converged", "said converged"), ("after_convergence", "from convergence on")):
             part = belief[key]
+            shares = [part["wrong"], *(part["coverage"][region] for region in REGIONS)]
             table.add_row(
                 f"{method}, {meaning}",
                 str(part["images"]),
-                _share(part["wrong"], 1),
-                *(_share(part["coverage"][region], 1) for region in REGIONS),
+                *(_share(share, 1) for share in shares),
                 _number(part["median_nees"], ".1f"),
-                *more,
             )
-    belief, kalman = total["belief"]["filter"], total["belief"]["kalman"]
-    table.caption = (
-        f"runs converged to a wrong place in any image: {belief['runs_wrongly_converged']} (kalman"
-        f" {kalman['runs_wrongly_converged']}), in {100 * OFTEN:.0f} % of their images:"
-        f" {belief['runs_wrongly_converged_often']} (kalman {kalman['runs_wrongly_converged_often']}); false recoveries:"
-        f" {belief['false_recoveries']} in {belief['runs_with_false_recovery']} runs; truth among the modes of the"
-        f" single image: {_share(total['image_truth_among_modes'])}; a step takes {total['step_ms']:.1f} ms"
+        states = ", ".join(f"{_share(belief['status'][state])} {state}" for state in _STATES)
+        caption += [
+            f"{method}: {states}; truth among its modes in {_share(belief['truth_among_modes'])} of the images; false"
+            f" recoveries: {belief['false_recoveries']} in {belief['runs_with_false_recovery']} runs",
+            f"{method}: converged to a wrong place in {belief['runs_wrongly_converged']} runs, in at least"
+            f" {100 * OFTEN:.0f} % of the images of {belief['runs_wrongly_converged_often']}",
+        ]
+    caption.append(
+        f"single image: truth among its modes in {_share(total['image_truth_among_modes'])};"
+        f" a step of the filter: {total['step_ms']:.1f} ms, {total['particles']:.0f} particles"
     )
+    table.caption = "\n".join(caption)
     return table
 
 
 def _recovery_table(total: Aggregate) -> Table:
     table = _table(None, "method", "right before", f"right within {WITHIN_IMAGES} images", "ever", "median images")
-    for method in ("filter", "kalman"):
+    for method in _BELIEVERS:
         kidnap = total["belief"][method]["kidnap"]
-        numbers = [str(kidnap[key]) for key in ("right_before", "recovered_within_50", "recovered")]
+        numbers = [str(kidnap[key]) for key in ("right_before", "recovered_in_time", "recovered")]
         table.add_row(method, *numbers, _number(kidnap["median_images"], ".0f"))
     return table
 
 
 def _variants_table(kind: str, variants: Mapping[str, Aggregate]) -> Table:
-    first = {"cue": ("success",), "no-cue": ("wrong at all", "wrong often"), "kidnap": ("within 50", "median images")}
     table = _table(
-        None, "variant", *first[kind], "0.3m/20deg", "converged", "and wrong", "in 95%", "NEES", "ambiguous", "lost",
-        "truth in modes", "false rec.", "step",
-    )  # fmt: skip
+        None,
+        "variant",
+        *_OWN[kind],
+        "recall\n0.3 m",
+        "conv./am-\nbig./lost",
+        "and\nwrong",
+        "in\n95 %",
+        "NEES",
+        "truth in\nmodes",
+        "false\nrec.",
+        "step",
+    )
     for variant, total in variants.items():
-        belief = total["belief"]["filter"]
-        method = total["methods"]["filter"]
-        if kind == "cue":
-            own = [str(method["successes"])]
-        elif kind == "no-cue":
-            own = [str(belief["runs_wrongly_converged"]), str(belief["runs_wrongly_converged_often"])]
-        else:
-            kidnap = belief["kidnap"]
-            own = [str(kidnap["recovered_within_50"]), _number(kidnap["median_images"], ".0f")]
-        said = belief["said_converged"]
+        belief, said = total["belief"]["filter"], total["belief"]["filter"]["said_converged"]
         table.add_row(
             variant,
-            *own,
-            _share(method["recall"]["0.3m/20deg"]),
-            _share(belief["status"]["converged"]),
+            *_own_figures(kind, total),
+            _share(total["methods"]["filter"]["recall"]["0.3m/20deg"]),
+            "/".join(f"{100 * belief['status'][state]:.0f}" for state in _STATES),
             _share(said["wrong"], 1),
-            _share(said["coverage"]["95%"], 1),
+            _share(said["coverage"]["95%"]),
             _number(said["median_nees"], ".1f"),
-            _share(belief["status"]["ambiguous"]),
-            _share(belief["status"]["lost"]),
             _share(belief["truth_among_modes"]),
             str(belief["false_recoveries"]),
-            f"{total['step_ms']:.1f} ms",
+            f"{total['step_ms']:.0f} ms",
         )
     return table
+
+
+def _own_figures(kind: str, total: Aggregate) -> tuple[str, str]:
+    """The two figures that a kind of run is about, as headed by `_OWN`."""
+    belief, method = total["belief"]["filter"], total["methods"]["filter"]
+    if kind == "cue":
+        return str(method["successes"]), _number(method["converged_at_s"], ".1f", " s")
+    if kind == "no-cue":
+        return str(belief["runs_wrongly_converged"]), str(belief["runs_wrongly_converged_often"])
+    return str(belief["kidnap"]["recovered_in_time"]), _number(belief["kidnap"]["median_images"], ".0f")
 
 
 def _table(title: str | None, *columns: str) -> Table:
@@ -136,6 +150,10 @@ def _table(title: str | None, *columns: str) -> Table:
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i == 0 else "right")
     return table
+
+
+def _recalls(recall: Mapping[str, float | None]) -> str:
+    return " ".join("–".rjust(10) if share is None else f"{100 * share:10.0f}" for share in recall.values())
 
 
 def _share(value: float | None, digits: int = 0) -> str:
