@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -16,6 +16,7 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.render import render, sees_cue
+from sequences.route import Cues, choose_path
 from sequences.scenes import ceiling, staircase
 from sequences.scenes.paths import STEP_S, roll_through_hall, walk_stairs
 from sequences.scenes.surface import Scene, build_scene
@@ -23,9 +24,6 @@ from sequences.writer import SequenceWriter
 
 SCENES: tuple[str, ...] = ("staircase", "ceiling")
 """Names that `synthesize` takes."""
-
-Cues = Literal["early", "any", "none"]
-"""How much of what is unique in a scene a path passes."""
 
 SYNTHESIS = 1
 """Counts up when a seed gives other images, odometry or poses than before."""
@@ -36,10 +34,9 @@ _LEAD_NS = 513_000_000  # the first image comes later, and between two odometry 
 _TAIL_S = 0.5  # of odometry after the last image
 _EXPOSURE_S = 0.014
 _SAMPLES = 4  # per pixel and exposure
-_PATHS_TRIED = 100  # one in three will do at 300 images; where none can, as in a very tall image, any must do
 _ONE_RAY = 1e-9  # share of the image: a single coarse ray that meets something unique counts
-_DETOUR = 4  # a path without anything unique is a stretch of one this many times as long
 _STREAMS = {"train": 1, "test": 2}
+_CUES: dict[str, Cues] = {"train": "any", "test": "early"}
 _FIELD_OF_VIEW = {"staircase": 77.0, "ceiling": 64.0}  # horizontal, degrees
 
 
@@ -106,9 +103,7 @@ def synthesize(
         split: "test" paths keep further from the edges of the hall than "train" paths, and show something unique
             "early" where `cues` does not say otherwise; "train" paths show "any". The same seed gives different paths
             in the two.
-        cues: "early": paths of 100 images or more come by something unique in their first half, but seldom, so that a
-            filter can know where it is (unless 100 random paths do not). "any": the first random path. "none": a path
-            that never shows anything unique, not even small.
+        cues: What is unique in the scene is passed "early", at will ("any"), or never ("none"); see `choose_path`.
         width, height: Image size in pixels; the horizontal field of view stays the same.
         noise: Of the odometry.
 
@@ -128,22 +123,32 @@ def synthesize(
     path_seed, odometry_seed, image_seed = np.random.SeedSequence([seed, _STREAMS[split], SCENES.index(scene)]).spawn(3)
     built = load_scene(scene)
     camera, base_from_camera = _camera(scene, width, height), _extrinsics(scene)
-    image_times_ns = EPOCH_NS + _LEAD_NS + IMAGE_PERIOD_NS * np.arange(num_frames, dtype=np.int64)
-    duration_s = (image_times_ns[-1] - EPOCH_NS) * 1e-9 + _TAIL_S
     rng = np.random.default_rng(path_seed)
-    view = _View(built, camera, base_from_camera, image_times_ns)
-    draw = partial(_path, scene, split=split, rng=rng)
-    cues = cues or ("early" if split == "test" else "any")
-    if cues == "none":
-        base = _uneventful_path(draw, view, float(duration_s), name=f"{scene}, seed {seed}")
-    else:
-        base = draw(float(duration_s))
-        for _ in range(_PATHS_TRIED - 1):
-            if cues == "any" or _resolvable(view.sees_cue(base, 300)):
-                break
-            base = draw(float(duration_s))
-    base_times_ns = _base_times_ns(len(base))
-    world_from_camera = view.world_from_camera(base)
+
+    def draw(num_images: int) -> Poses:
+        duration_s = float((_image_times_ns(num_images)[-1] - EPOCH_NS) * 1e-9 + _TAIL_S)
+        return _path(scene, duration_s, split, rng)
+
+    def at_images(base: Poses, num_images: int) -> Poses:
+        return _at(_base_times_ns(base), base, _image_times_ns(num_images)) @ base_from_camera
+
+    def look(base: Poses, num_images: int, *, closely: bool = False) -> Bool[np.ndarray, " n"]:
+        at_least = {"min_share": _ONE_RAY} if closely else {}
+        return sees_cue(built, camera, at_images(base, num_images), **at_least)
+
+    base = choose_path(
+        cues or _CUES[split],
+        num_frames,
+        poses_per_image=IMAGE_PERIOD_NS // ODOMETRY_PERIOD_NS,
+        draw=draw,
+        look=look,
+    )
+    if base is None:
+        raise SequenceError(
+            f"{scene}, seed {seed}: no random path has {num_frames} images in a row that show nothing unique,"
+            " expected fewer frames or another seed"
+        )
+    base_times_ns = _base_times_ns(base)
     odom_from_base, twist_covariances = simulate_odometry(
         base_times_ns, base, noise or OdometryNoise(), rng=np.random.default_rng(odometry_seed)
     )
@@ -151,8 +156,8 @@ def synthesize(
         scene=built,
         camera=camera,
         base_from_camera=base_from_camera,
-        image_times_ns=image_times_ns,
-        world_from_camera=world_from_camera,
+        image_times_ns=_image_times_ns(num_frames),
+        world_from_camera=at_images(base, num_frames),
         odometry_times_ns=base_times_ns,
         odom_from_base=odom_from_base,
         twist_covariances=twist_covariances,
@@ -230,6 +235,14 @@ def _metered_exposure(radiance: np.ndarray) -> float:
     return float(np.clip(np.log2(0.42) - np.log2(luminance + 1e-3).mean(), -5.0, 4.5))
 
 
+def _image_times_ns(count: int) -> Int64[np.ndarray, " n"]:
+    return EPOCH_NS + _LEAD_NS + IMAGE_PERIOD_NS * np.arange(count, dtype=np.int64)
+
+
+def _base_times_ns(base: Poses) -> Int64[np.ndarray, " k"]:
+    return EPOCH_NS + round(STEP_S * 1e9) * np.arange(len(base), dtype=np.int64)
+
+
 def _at(times_ns: np.ndarray, poses: Poses, query_ns: np.ndarray) -> Poses:
     """Poses at other times, along the geodesic between neighbours."""
     after = np.clip(np.searchsorted(times_ns, query_ns, side="right"), 1, len(times_ns) - 1)
@@ -237,62 +250,7 @@ def _at(times_ns: np.ndarray, poses: Poses, query_ns: np.ndarray) -> Poses:
     return poses[after - 1].interpolate(poses[after], fraction)
 
 
-@dataclass(frozen=True)
-class _View:
-    """What the camera would see on a path of the body, every 20 ms from `EPOCH_NS` on."""
-
-    scene: Scene
-    camera: Camera
-    base_from_camera: Poses
-    image_times_ns: Int64[np.ndarray, " n"]
-
-    def world_from_camera(self, base: Poses) -> Poses:
-        """Poses of the camera at the images, batch (n,)."""
-        return _at(_base_times_ns(len(base)), base, self.image_times_ns) @ self.base_from_camera
-
-    def sees_cue(self, base: Poses, first: int) -> Bool[np.ndarray, " k"]:
-        """Whether the first so many images show something unique."""
-        return sees_cue(self.scene, self.camera, self.world_from_camera(base)[:first])
-
-
-def _uneventful_path(draw: Callable[[float], Poses], view: _View, duration_s: float, *, name: str) -> Poses:
-    """The first stretch of that duration that never shows anything unique, of random paths `_DETOUR` times as long.
-
-    One path in twelve through the hall has such a stretch of 300 images; of paths just that long, one in 350 is one.
-    """
-    wanted = len(view.image_times_ns)
-    per_image = IMAGE_PERIOD_NS // ODOMETRY_PERIOD_NS
-    total = _DETOUR * wanted
-    longer = _View(
-        view.scene,
-        view.camera,
-        view.base_from_camera,
-        view.image_times_ns[0] + IMAGE_PERIOD_NS * np.arange(total, dtype=np.int64),
-    )
-    for _ in range(_PATHS_TRIED):
-        base = draw(duration_s + (total - wanted) * IMAGE_PERIOD_NS * 1e-9)
-        seen = sees_cue(view.scene, view.camera, longer.world_from_camera(base), min_share=_ONE_RAY)
-        seen_before = np.concatenate([[0], np.cumsum(seen)])
-        starts = np.flatnonzero(seen_before[wanted:] == seen_before[:-wanted])
-        if len(starts):
-            first = per_image * int(starts[0])
-            return base[first : first + int(np.ceil(duration_s / STEP_S)) + 1]
-    raise SequenceError(
-        f"{name}: none of {_PATHS_TRIED} random paths has {wanted} images in a row that show nothing unique, expected"
-        " fewer frames or another seed"
-    )
-
-
-def _base_times_ns(count: int) -> Int64[np.ndarray, " k"]:
-    return EPOCH_NS + round(STEP_S * 1e9) * np.arange(count, dtype=np.int64)
-
-
-def _resolvable(seen: np.ndarray) -> bool:
-    """Something unique shows for half a second in the first half, but seldom overall; short paths all pass."""
-    return len(seen) < 100 or bool(seen[: len(seen) // 2].sum() >= 5 and seen.mean() < 0.25)
-
-
-def _path(scene: str, duration_s: float, *, split: str, rng: np.random.Generator) -> Poses:
+def _path(scene: str, duration_s: float, split: str, rng: np.random.Generator) -> Poses:
     if scene == "staircase":
         return walk_stairs(duration_s, rng=rng)
     return roll_through_hall(duration_s, margin_m=1.0 if split == "train" else 1.8, rng=rng)

@@ -20,7 +20,8 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.reader import SequenceReader
 from sequences.render import sees_cue
-from sequences.synthesize import SYNTHESIS, Cues, synthesize, write_synthetic
+from sequences.route import Cues
+from sequences.synthesize import SYNTHESIS, SyntheticSequence, synthesize, write_synthetic
 from vapor.checkpoint import Checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.threads import limited_threads
@@ -155,7 +156,7 @@ def digest(settings: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:10]
 
 
-def _sequence(settings: RecordingSettings):
+def _sequence(settings: RecordingSettings) -> SyntheticSequence:
     return synthesize(
         settings.scene,
         seed=settings.seed,

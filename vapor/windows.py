@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from filtering.errors import VaporTrackError
-from sequences.synthesize import Cues
+from sequences.route import Cues
 from vapor.recordings import CameraPath
 
 Kind = Literal["cue", "no-cue", "kidnap"]

@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 import tyro
 
 from sequences.errors import SequenceError
-from sequences.synthesize import Cues, synthesize, write_synthetic
+from sequences.route import Cues
+from sequences.synthesize import synthesize, write_synthetic
 from vapor.commands.console import bar, parse, show, usage_error
 
 
