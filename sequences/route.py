@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool
@@ -13,17 +13,12 @@ from filtering.se3 import Poses
 Cues = Literal["early", "any", "none"]
 """How much of what is unique in a scene a path passes: see `choose_path`."""
 
+Look = Callable[[Poses, int, bool], Bool[np.ndarray, " n"]]
+"""Whether each of the first so many images of a path shows something unique; closely, however small."""
+
 _PATHS_TRIED = 100  # one in three will do at 300 images; where none can, as in a very tall image, any must do
 _LOOKED_AT = 300  # images
 _DETOUR = 4  # a path without anything unique is a stretch of one this many times as long
-
-
-class Look(Protocol):
-    """Whether the first images of a path show something unique."""
-
-    def __call__(self, base: Poses, num_images: int, *, closely: bool = False) -> Bool[np.ndarray, " n"]:
-        """One answer per image; looking closely, what is too small to tell a place by counts as well."""
-        ...
 
 
 def choose_path(
@@ -47,7 +42,7 @@ def choose_path(
         return _uneventful(num_images, poses_per_image, draw, look)
     base = draw(num_images)
     for _ in range(_PATHS_TRIED - 1):
-        if cues == "any" or resolvable(look(base, min(num_images, _LOOKED_AT))):
+        if cues == "any" or resolvable(look(base, min(num_images, _LOOKED_AT), False)):
             break
         base = draw(num_images)
     return base
@@ -66,7 +61,7 @@ def _uneventful(num_images: int, poses_per_image: int, draw: Callable[[int], Pos
     surplus = (_DETOUR - 1) * num_images
     for _ in range(_PATHS_TRIED):
         base = draw(num_images + surplus)
-        seen_before = np.concatenate([[0], np.cumsum(look(base, num_images + surplus, closely=True))])
+        seen_before = np.concatenate([[0], np.cumsum(look(base, num_images + surplus, True))])
         starts = np.flatnonzero(seen_before[num_images:] == seen_before[:-num_images])
         if len(starts):
             first = poses_per_image * int(starts[0])

@@ -132,7 +132,7 @@ def synthesize(
     def at_images(base: Poses, num_images: int) -> Poses:
         return _at(_base_times_ns(base), base, _image_times_ns(num_images)) @ base_from_camera
 
-    def look(base: Poses, num_images: int, *, closely: bool = False) -> Bool[np.ndarray, " n"]:
+    def look(base: Poses, num_images: int, closely: bool) -> Bool[np.ndarray, " n"]:
         at_least = {"min_share": _ONE_RAY} if closely else {}
         return sees_cue(built, camera, at_images(base, num_images), **at_least)
 

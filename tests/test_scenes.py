@@ -208,6 +208,27 @@ def test_test_paths_pass_something_unique_in_their_first_half_but_seldom(name):
         assert seen.mean() < 0.25
 
 
+def test_paths_without_anything_unique_show_none_of_it_even_at_full_resolution(name):
+    for seed in range(3):
+        sequence = synthesize(name, seed=seed, num_frames=120, cues="none", width=160, height=120)
+        assert len(sequence.world_from_camera) == 120
+        assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
+        scene = sequence.scene
+        quads = [depth_and_quads(scene, sequence.camera, pose)[1] for pose in sequence.world_from_camera[::6]]
+        assert max((scene.geometry.cue[seen] & (seen >= 0)).mean() for seen in quads) < 0.002
+
+
+def test_cues_follow_from_the_split_where_they_are_not_asked_for(name):
+    def path(**options) -> np.ndarray:
+        return synthesize(name, seed=5, num_frames=150, width=64, height=48, **options).world_from_camera.as_matrix()
+
+    np.testing.assert_array_equal(path(), path(cues="early"))
+    np.testing.assert_array_equal(path(split="train"), path(split="train", cues="any"))
+    assert not np.array_equal(path(cues="none"), path())
+    with pytest.raises(SequenceError, match="unknown cues 'some', expected one of early, any, none"):
+        path(cues="some")
+
+
 def test_images_are_exposed_neither_black_nor_white(name):
     sequence = synthesize(name, seed=3, num_frames=40, width=64, height=48)
     levels = np.array([np.median(image) for image in islice(sequence.images(), 0, None, 5)])

@@ -55,8 +55,8 @@ class BenchmarkConfig:
             **dict.fromkeys(("width", "height"), (8, 10**5)),
             first_seed=(0, _MAX_SEED),
         )
-        if self.frames < 20:
-            raise VaporTrackError(f"frames is {self.frames}, expected at least 20: half a second in a tenth of them")
+        if self.frames < 50:
+            raise VaporTrackError(f"frames is {self.frames}, expected at least 50: half a second is a tenth of them")
         for name, chosen in (("kinds", self.kinds), ("variants", self.variants)):
             if not chosen or len(set(chosen)) < len(chosen):
                 raise VaporTrackError(f"{name} are {', '.join(chosen) or 'none'}, expected each at most once, and one")

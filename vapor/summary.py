@@ -126,9 +126,9 @@ def _recovered(belief: Mapping[str, Any]) -> bool:
     return images is not None and images <= WITHIN_IMAGES
 
 
-def _mean(values: Sequence[float], weights: Sequence[float] | None = None) -> float | None:
+def _mean(values: Sequence[int | float], weights: Sequence[int | float] | None = None) -> float | None:
     return float(np.average(values, weights=weights)) if len(values) else None
 
 
-def _median(values: Sequence[float]) -> float | None:
+def _median(values: Sequence[int | float]) -> float | None:
     return float(np.median(values)) if len(values) else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from vapor.evaluate import FILES, REGIONS, THRESHOLDS
@@ -105,19 +106,22 @@ def _recovery_table(total: Aggregate) -> Table:
 
 
 def _variants_table(kind: str, variants: Mapping[str, Aggregate]) -> Table:
-    table = _table(
-        None,
+    table = Table(
         "variant",
         *_OWN[kind],
         "recall\n0.3 m",
-        "conv./am-\nbig./lost",
+        "conv./amb./\nlost, %",
         "and\nwrong",
         "in\n95 %",
         "NEES",
         "truth in\nmodes",
         "false\nrec.",
         "step",
+        box=SIMPLE_HEAD,
+        collapse_padding=True,
     )
+    for column in table.columns[1:]:
+        column.justify = "right"
     for variant, total in variants.items():
         belief, said = total["belief"]["filter"], total["belief"]["filter"]["said_converged"]
         table.add_row(
