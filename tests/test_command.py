@@ -366,10 +366,6 @@ WRONG = {
     ),
     "unknown scene": (["synthesize", "attic", "s.mcap"], "attic"),
     "unknown cues": (["synthesize", "ceiling", "s.mcap", "--cues", "some"], "some"),
-    "no such path": (
-        ["synthesize", "ceiling", "s.mcap", "--cues", "none", "--frames", "6000"],
-        "no random path has 6000 images in a row that show nothing unique",
-    ),
     "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),
     "negative seed of a scene": (["synthesize", "staircase", "s.mcap", "--seed", "-1"], "seed -1"),
     "demo of no frames": (["demo", "--frames", "0"], "0 frames"),

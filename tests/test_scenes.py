@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
+from sequences import synthesize as synthesize_module
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.render import depth_and_quads, render, sees_cue
@@ -225,8 +226,12 @@ def test_cues_follow_from_the_split_where_they_are_not_asked_for(name):
     np.testing.assert_array_equal(path(), path(cues="early"))
     np.testing.assert_array_equal(path(split="train"), path(split="train", cues="any"))
     assert not np.array_equal(path(cues="none"), path())
-    with pytest.raises(SequenceError, match="unknown cues 'some', expected one of early, any, none"):
-        path(cues="some")
+
+
+def test_where_something_unique_always_shows_no_path_is_without(name, monkeypatch):
+    monkeypatch.setattr(synthesize_module, "sees_cue", lambda scene, camera, poses, **_: np.ones(len(poses), bool))
+    with pytest.raises(SequenceError, match=f"{name}, seed 3: no random path has 10 images in a row .* another seed"):
+        synthesize(name, seed=3, num_frames=10, cues="none")
 
 
 def test_images_are_exposed_neither_black_nor_white(name):
