@@ -6,16 +6,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.render import render, sees_cue
+from sequences.route import Cues, choose_path
 from sequences.scenes import ceiling, staircase
 from sequences.scenes.paths import STEP_S, roll_through_hall, walk_stairs
 from sequences.scenes.surface import Scene, build_scene
@@ -24,14 +25,18 @@ from sequences.writer import SequenceWriter
 SCENES: tuple[str, ...] = ("staircase", "ceiling")
 """Names that `synthesize` takes."""
 
+SYNTHESIS = 1
+"""Counts up when a seed gives other images, odometry or poses than before."""
+
 IMAGE_PERIOD_NS, ODOMETRY_PERIOD_NS = 100_000_000, 20_000_000
 EPOCH_NS = 1_700_000_000_000_000_000  # the first odometry message
 _LEAD_NS = 513_000_000  # the first image comes later, and between two odometry messages
 _TAIL_S = 0.5  # of odometry after the last image
 _EXPOSURE_S = 0.014
 _SAMPLES = 4  # per pixel and exposure
-_PATHS_TRIED = 100  # one in three will do at 300 images; where none can, as in a very tall image, any must do
+_ONE_RAY = 1e-9  # share of the image: a single coarse ray that meets something unique counts
 _STREAMS = {"train": 1, "test": 2}
+_CUES: dict[str, Cues] = {"train": "any", "test": "early"}
 _FIELD_OF_VIEW = {"staircase": 77.0, "ceiling": 64.0}  # horizontal, degrees
 
 
@@ -84,6 +89,7 @@ def synthesize(
     seed: int,
     num_frames: int,
     split: Literal["train", "test"] = "test",
+    cues: Cues | None = None,
     width: int = 320,
     height: int = 240,
     noise: OdometryNoise | None = None,
@@ -94,19 +100,22 @@ def synthesize(
         scene: Name of the scene.
         seed: Of path, odometry and sensor noise; the scene itself is always the same.
         num_frames: Number of images, 10 a second.
-        split: "test" paths of 100 images or more come by something unique early on, so that a filter can know where
-            it is (unless 100 random paths do not); "train" paths go everywhere. The same seed gives different paths in
-            the two.
+        split: "test" paths keep further from the edges of the hall than "train" paths, and show something unique
+            "early" where `cues` does not say otherwise; "train" paths show "any". The same seed gives different paths
+            in the two.
+        cues: What is unique in the scene is passed "early", at will ("any"), or never ("none"); see `choose_path`.
         width, height: Image size in pixels; the horizontal field of view stays the same.
         noise: Of the odometry.
 
     Raises:
-        SequenceError: unknown scene, split or size, or a negative seed.
+        SequenceError: unknown scene, split, cues or size, a negative seed, or no path without anything unique found.
     """
     if scene not in SCENES:
         raise SequenceError(f"unknown scene {scene!r}, expected one of {', '.join(SCENES)}")
     if split not in _STREAMS:
         raise SequenceError(f"unknown split {split!r}, expected train or test")
+    if cues not in (None, *get_args(Cues)):
+        raise SequenceError(f"unknown cues {cues!r}, expected one of {', '.join(get_args(Cues))}")
     if seed < 0:
         raise SequenceError(f"seed {seed}, expected at least 0")
     if num_frames < 1 or width < 8 or height < 8:
@@ -114,17 +123,32 @@ def synthesize(
     path_seed, odometry_seed, image_seed = np.random.SeedSequence([seed, _STREAMS[split], SCENES.index(scene)]).spawn(3)
     built = load_scene(scene)
     camera, base_from_camera = _camera(scene, width, height), _extrinsics(scene)
-    image_times_ns = EPOCH_NS + _LEAD_NS + IMAGE_PERIOD_NS * np.arange(num_frames, dtype=np.int64)
-    duration_s = (image_times_ns[-1] - EPOCH_NS) * 1e-9 + _TAIL_S
     rng = np.random.default_rng(path_seed)
-    tried = 0
-    while True:
-        base = _path(scene, float(duration_s), split, rng)
-        base_times_ns = EPOCH_NS + round(STEP_S * 1e9) * np.arange(len(base), dtype=np.int64)
-        world_from_camera = _at(base_times_ns, base, image_times_ns) @ base_from_camera
-        tried += 1
-        if split == "train" or tried == _PATHS_TRIED or _resolvable(sees_cue(built, camera, world_from_camera[:300])):
-            break
+
+    def draw(num_images: int) -> Poses:
+        duration_s = float((_image_times_ns(num_images)[-1] - EPOCH_NS) * 1e-9 + _TAIL_S)
+        return _path(scene, duration_s, split, rng)
+
+    def at_images(base: Poses, num_images: int) -> Poses:
+        return _at(_base_times_ns(base), base, _image_times_ns(num_images)) @ base_from_camera
+
+    def look(base: Poses, num_images: int, closely: bool) -> Bool[np.ndarray, " n"]:
+        at_least = {"min_share": _ONE_RAY} if closely else {}
+        return sees_cue(built, camera, at_images(base, num_images), **at_least)
+
+    base = choose_path(
+        cues or _CUES[split],
+        num_frames,
+        poses_per_image=IMAGE_PERIOD_NS // ODOMETRY_PERIOD_NS,
+        draw=draw,
+        look=look,
+    )
+    if base is None:
+        raise SequenceError(
+            f"{scene}, seed {seed}: no random path has {num_frames} images in a row that show nothing unique,"
+            " expected fewer frames or another seed"
+        )
+    base_times_ns = _base_times_ns(base)
     odom_from_base, twist_covariances = simulate_odometry(
         base_times_ns, base, noise or OdometryNoise(), rng=np.random.default_rng(odometry_seed)
     )
@@ -132,8 +156,8 @@ def synthesize(
         scene=built,
         camera=camera,
         base_from_camera=base_from_camera,
-        image_times_ns=image_times_ns,
-        world_from_camera=world_from_camera,
+        image_times_ns=_image_times_ns(num_frames),
+        world_from_camera=at_images(base, num_frames),
         odometry_times_ns=base_times_ns,
         odom_from_base=odom_from_base,
         twist_covariances=twist_covariances,
@@ -211,16 +235,19 @@ def _metered_exposure(radiance: np.ndarray) -> float:
     return float(np.clip(np.log2(0.42) - np.log2(luminance + 1e-3).mean(), -5.0, 4.5))
 
 
+def _image_times_ns(count: int) -> Int64[np.ndarray, " n"]:
+    return EPOCH_NS + _LEAD_NS + IMAGE_PERIOD_NS * np.arange(count, dtype=np.int64)
+
+
+def _base_times_ns(base: Poses) -> Int64[np.ndarray, " k"]:
+    return EPOCH_NS + round(STEP_S * 1e9) * np.arange(len(base), dtype=np.int64)
+
+
 def _at(times_ns: np.ndarray, poses: Poses, query_ns: np.ndarray) -> Poses:
     """Poses at other times, along the geodesic between neighbours."""
     after = np.clip(np.searchsorted(times_ns, query_ns, side="right"), 1, len(times_ns) - 1)
     fraction = (query_ns - times_ns[after - 1]) / (times_ns[after] - times_ns[after - 1])
     return poses[after - 1].interpolate(poses[after], fraction)
-
-
-def _resolvable(seen: np.ndarray) -> bool:
-    """Something unique shows for half a second in the first half, but seldom overall; short paths all pass."""
-    return len(seen) < 100 or bool(seen[: len(seen) // 2].sum() >= 5 and seen.mean() < 0.25)
 
 
 def _path(scene: str, duration_s: float, split: str, rng: np.random.Generator) -> Poses:

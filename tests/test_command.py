@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from filtering.se3 import Poses
-from sequences import synthesize as synthesize_module
+from sequences import route
 from sequences.frame import Trajectory
 from sequences.reader import SequenceReader
 from sequences.synthesize import synthesize
@@ -365,6 +365,7 @@ WRONG = {
         "--base-from-camera: ",
     ),
     "unknown scene": (["synthesize", "attic", "s.mcap"], "attic"),
+    "unknown cues": (["synthesize", "ceiling", "s.mcap", "--cues", "some"], "some"),
     "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),
     "negative seed of a scene": (["synthesize", "staircase", "s.mcap", "--seed", "-1"], "seed -1"),
     "demo of no frames": (["demo", "--frames", "0"], "0 frames"),
@@ -378,10 +379,21 @@ WRONG = {
     "malformed frames": (["convert", "d", "o.mcap", "--frames", "1-9"], "expected START:STOP"),
     "no directory": (["evaluate"], "What `vapor-track run` wrote"),
     "no workers": (["benchmark", "localization", "ceiling", "--output", "o", "--workers", "0"], "workers is 0"),
-    "no seeds": (["benchmark", "localization", "ceiling", "--output", "o", "--seeds", "-1"], "seeds is -1"),
+    "no runs": (["benchmark", "localization", "ceiling", "--output", "o", "--runs", "-1"], "runs is -1"),
     "no frames of a benchmark": (
-        ["benchmark", "localization", "ceiling", "--output", "o", "--frames", "0"],
-        "frames is",
+        ["benchmark", "localization", "ceiling", "--output", "o", "--frames", "49"],
+        "frames is 49, expected at least 50",
+    ),
+    "no scene": (["benchmark", "localization", "--output", "o"], "expected each at most once, and one"),
+    "a scene twice": (["benchmark", "localization", *["ceiling"] * 2, "--output", "o"], "scenes are ceiling, ceiling"),
+    "unknown variant": (
+        ["benchmark", "localization", "ceiling", "--output", "o", "--variants", "best"],
+        "unknown variant 'best', expected one of full,",
+    ),
+    "no kinds": (["benchmark", "localization", "ceiling", "--output", "o", "--kinds"], "kinds are none"),
+    "more models than scenes": (
+        ["benchmark", "localization", "ceiling", "--output", "o", "--models", "a", "b"],
+        "2 models for 1 scenes, expected one for each",
     ),
     "no repetitions": (["benchmark", "step", "--repetitions", "0"], "repetitions is 0"),
     "a filter of no particles": (["benchmark", "step", "--particles", "10", "0"], "particles are (10, 0)"),
@@ -591,7 +603,7 @@ def test_a_folder_that_cannot_be_written_to_is_named(tmp_path, capsys):
 
 def test_a_test_path_is_found_even_where_no_path_can_be_as_wished(monkeypatch):
     tried = []
-    monkeypatch.setattr(synthesize_module, "_resolvable", lambda seen: tried.append(len(seen)))  # never
+    monkeypatch.setattr(route, "resolvable", lambda seen: tried.append(len(seen)))  # never
     sequence = synthesize("ceiling", seed=0, num_frames=110, width=16, height=12)
     assert len(sequence.world_from_camera) == 110
     assert 10 < len(tried) <= 100

@@ -43,7 +43,23 @@ def test_the_truth_itself_has_no_error_and_converges_at_once():
         "worse_than": {"0.1m": 0.0, "0.25m": 0.0, "0.5m": 0.0},
         "converged_at_s": 0.0,
         "success": True,
+        "after_convergence": {
+            "images": 100,
+            "recall": {"0.1m/10deg": 1.0, "0.2m/15deg": 1.0, "0.3m/20deg": 1.0},
+        },
     }
+
+
+def test_recall_after_convergence_leaves_out_what_was_before():
+    metres = np.full(100, 0.05)
+    metres[:30], metres[60:62] = 5.0, 0.15
+    metrics = evaluate_trajectory(shifted(walk(), metres, np.zeros(100)), walk(), tracking=True)
+    assert metrics["after_convergence"]["images"] == 70
+    assert metrics["after_convergence"]["recall"] == pytest.approx(
+        {"0.1m/10deg": 68 / 70, "0.2m/15deg": 1.0, "0.3m/20deg": 1.0}
+    )
+    never = evaluate_trajectory(shifted(walk(), np.full(100, 5.0), np.zeros(100)), walk(), tracking=True)
+    assert never["after_convergence"] is None
 
 
 def test_known_errors_give_known_medians_rmse_and_recalls():

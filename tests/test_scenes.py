@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
+from sequences import synthesize as synthesize_module
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.render import depth_and_quads, render, sees_cue
@@ -206,6 +207,31 @@ def test_test_paths_pass_something_unique_in_their_first_half_but_seldom(name):
         seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
         assert seen[:150].sum() >= 5
         assert seen.mean() < 0.25
+
+
+def test_paths_without_anything_unique_show_none_of_it_even_at_full_resolution(name):
+    for seed in range(3):
+        sequence = synthesize(name, seed=seed, num_frames=120, cues="none", width=160, height=120)
+        assert len(sequence.world_from_camera) == 120
+        assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
+        scene = sequence.scene
+        quads = [depth_and_quads(scene, sequence.camera, pose)[1] for pose in sequence.world_from_camera[::6]]
+        assert max((scene.geometry.cue[seen] & (seen >= 0)).mean() for seen in quads) < 0.002
+
+
+def test_cues_follow_from_the_split_where_they_are_not_asked_for(name):
+    def path(**options) -> np.ndarray:
+        return synthesize(name, seed=5, num_frames=150, width=64, height=48, **options).world_from_camera.as_matrix()
+
+    np.testing.assert_array_equal(path(), path(cues="early"))
+    np.testing.assert_array_equal(path(split="train"), path(split="train", cues="any"))
+    assert not np.array_equal(path(cues="none"), path())
+
+
+def test_where_something_unique_always_shows_no_path_is_without(name, monkeypatch):
+    monkeypatch.setattr(synthesize_module, "sees_cue", lambda scene, camera, poses, **_: np.ones(len(poses), bool))
+    with pytest.raises(SequenceError, match=f"{name}, seed 3: no random path has 10 images in a row .* another seed"):
+        synthesize(name, seed=3, num_frames=10, cues="none")
 
 
 def test_images_are_exposed_neither_black_nor_white(name):

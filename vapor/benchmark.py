@@ -1,142 +1,137 @@
-"""Measurements: how long the parts of a step take, and how often a scene is localized."""
+"""Many runs, in parallel, each done once: which trials, their recordings, their results, and what these add up to."""
 
 from __future__ import annotations
 
-import json
-import multiprocessing
-import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, replace
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-import cv2
-import numpy as np
+from joblib import Parallel, delayed, parallel_config
 
-from filtering.localizer import LocalizerConfig, ParticleLocalizer
-from filtering.motion import Odometry
-from filtering.se3 import Poses
-from sequences.messages import decode_image_bytes
-from sequences.synthesize import synthesize, write_synthetic
-from vapor.observation import VaporObservationModel
-from vapor.run import RunConfig, run
+from filtering.errors import VaporTrackError, require_within
+from filtering.localizer import LocalizerConfig
+from vapor.checkpoint import find_model
+from vapor.recordings import CameraPath, RecordingSettings, camera_path, make_recording
+from vapor.trials import Setup, run_trial
+from vapor.variants import VARIANTS
+from vapor.windows import Kind, Trial, choose_trials
 
-_IMAGE_SHAPE = (240, 320, 3)
+_MAX_SEED = 2**62
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Timing:
-    """Wall-clock time of one part of a step.
+class BenchmarkConfig:
+    """Settings of a benchmark, the same for all its scenes."""
 
-    Attributes:
-        part: What was timed.
-        median_ms: Median over the repetitions, milliseconds.
-        p95_ms: 95th percentile, milliseconds.
-    """
+    kinds: tuple[Kind, ...] = ("cue", "no-cue", "kidnap")
+    """Runs that pass something unique in their first half, that never do, or in which the camera is carried off."""
+    runs: int = 100
+    """Runs of each kind and scene."""
+    first_seed: int = 2000
+    """Seeds of the sequences count up from here."""
+    frames: int = 300
+    """Images of each run."""
+    width: int = 240
+    """Image width in pixels."""
+    height: int = 180
+    """Image height in pixels."""
+    num_samples: int = 1000
+    """Posterior samples per image."""
+    variants: tuple[str, ...] = ("full",)
+    """Filters to run: the full one, and such as lack a part."""
+    workers: int = 2
+    """Processes at a time, each with one thread."""
+    localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
+    """The particle filter."""
 
-    part: str
-    median_ms: float
-    p95_ms: float
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            **dict.fromkeys(("runs", "frames", "workers", "num_samples"), (1, 10**6)),
+            **dict.fromkeys(("width", "height"), (8, 10**5)),
+            first_seed=(0, _MAX_SEED),
+        )
+        if self.frames < 50:
+            raise VaporTrackError(f"frames is {self.frames}, expected at least 50: half a second is a tenth of them")
+        for name, chosen in (("kinds", self.kinds), ("variants", self.variants)):
+            if not chosen or len(set(chosen)) < len(chosen):
+                raise VaporTrackError(f"{name} are {', '.join(chosen) or 'none'}, expected each at most once, and one")
+        for variant in self.variants:
+            if variant not in VARIANTS:
+                raise VaporTrackError(f"unknown variant {variant!r}, expected one of {', '.join(VARIANTS)}")
 
 
-def time_step(model: VaporObservationModel, *, repetitions: int, particles: Sequence[int], seed: int) -> list[Timing]:
-    """Time decoding, network and filter one by one, on an image of noise and odometry at walking pace.
+class Benchmark:
+    """The trials of a benchmark and where their results lie.
 
     Args:
-        model: The network and its number of posterior samples.
-        repetitions: Of every part, after three that do not count.
-        particles: Sizes of the filter to time.
-        seed: Of the image and all draws.
-    """
-    rng = np.random.default_rng(seed)
-    image = rng.integers(0, 256, _IMAGE_SHAPE, dtype=np.uint8)
-    blurred = cv2.GaussianBlur(image, (0, 0), 3)  # compresses like a photograph, unlike noise
-    encoded = bytes(cv2.imencode(".jpg", blurred, [cv2.IMWRITE_JPEG_QUALITY, 90])[1])
-    timings = [
-        _time("decode a JPEG image of 320 × 240", lambda: decode_image_bytes(encoded), repetitions),
-        _time(f"network, {model.num_samples} samples", lambda: model.observe(blurred, rng=rng), repetitions),
-    ]
-    step = Odometry(Poses.exp(np.array([0.05, 0, 0, 0, 0, 0.01])), np.diag([0.005**2] * 3 + [0.003**2] * 3))
-    for count in particles:
-        localizer = ParticleLocalizer(model, LocalizerConfig(num_particles=count), rng=rng)
-        localizer.step(blurred, None)
-        posteriors = iter([model.observe(blurred, rng=rng) for _ in range(repetitions + 3)])
-        label = f"filter, {count} particles and {model.num_samples} samples"
-        timings.append(_time(label, lambda loc=localizer, p=posteriors: loc.update(next(p), step), repetitions))
-    return timings
-
-
-def _time(part: str, call: Callable[[], object], repetitions: int) -> Timing:
-    durations_ms = []
-    for _ in range(repetitions + 3):
-        begin = time.perf_counter()
-        call()
-        durations_ms.append(1e3 * (time.perf_counter() - begin))
-    median_ms, p95_ms = np.percentile(durations_ms[3:], [50, 95])
-    return Timing(part, float(median_ms), float(p95_ms))
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One synthetic sequence to localize.
-
-    Attributes:
-        scene: Name of the scene.
-        seed: Of the sequence and of the filter.
-        frames: Number of images.
-        model: Model file, or name of a model that ships.
+        scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.
+        directory: For recordings and results; one that is interrupted goes on where it was.
+        config: Settings.
+        calibration: What replaces the models' own calibration, by name.
     """
 
-    scene: str
-    seed: int
-    frames: int
-    model: str
+    def __init__(
+        self, scenes: Mapping[str, str], directory: Path, config: BenchmarkConfig, calibration: Mapping[str, float]
+    ) -> None:
+        self.directory = directory
+        self.config = config
+        self._setups = {scene: self._setup(find_model(model), calibration) for scene, model in scenes.items()}
+        for setup in self._setups.values():
+            setup.checkpoint()  # refuses an unusable calibration before anything is rendered
+
+    def choose(self, progress: Callable[[int, int], None]) -> list[Trial]:
+        """The trials: the same for the same settings."""
+        trials: list[Trial] = []
+        c = self.config
+        for scene, setup in self._setups.items():
+            # Runs of two kinds may share recordings, and neighbouring kidnaps do.
+            for kind in c.kinds:
+                paths = _paths(setup, scene, kind, self.directory / "recordings")
+                trials += choose_trials(scene, kind, runs=c.runs, first_seed=c.first_seed, frames=c.frames, path=paths)
+                progress(len(trials), len(self._setups) * len(c.kinds) * c.runs)
+        return trials
+
+    def record(self, trials: Sequence[Trial]) -> Iterator[tuple[int, int]]:
+        """Make the recordings that are missing; yields the number done and the number of all after each."""
+        wanted: dict[RecordingSettings, Setup] = {}
+        for trial in trials:
+            setup = self._setups[trial.scene]
+            wanted |= {setup.recording(trial.scene, trial.kind, piece.seed): setup for piece in trial.pieces}
+        directory = self.directory / "recordings"
+        jobs = [(settings, setup, directory) for settings, setup in wanted.items()]
+        jobs = [job for job in jobs if not (directory / job[0].name).is_dir()]
+        for done, _ in enumerate(_parallel(_make, jobs, self.config.workers), len(wanted) - len(jobs) + 1):
+            yield done, len(wanted)
+
+    def localize(self, trials: Sequence[Trial]) -> Iterator[dict[str, Any]]:
+        """The result of every trial and variant, in no order; those that are there are not computed again."""
+        jobs = [
+            (trial, replace(self._setups[trial.scene], variant=variant), self.directory)
+            for variant in self.config.variants
+            for trial in trials
+        ]
+        yield from _parallel(run_trial, jobs, self.config.workers)
+
+    def _setup(self, model: Path, calibration: Mapping[str, float]) -> Setup:
+        c = self.config
+        sha256 = hashlib.sha256(model.read_bytes()).hexdigest()
+        return Setup(model, sha256, c.frames, c.width, c.height, c.num_samples, c.localizer, calibration)
 
 
-def localize_trials(
-    trials: Sequence[Trial], directory: Path, config: RunConfig, *, workers: int
-) -> Iterator[dict[str, Any]]:
-    """Render and localize every trial, `workers` at a time; yields each one's report as it is done.
-
-    Results lie in one directory a trial. A trial whose report is there, made with the same settings, is not run again.
-    """
-    pending = []
-    for trial in trials:
-        folder = directory / f"{trial.scene}-{trial.seed}"
-        done = _finished(folder, trial, config)
-        if done is not None:
-            yield done
-        else:
-            pending.append((trial, folder))
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        futures = [pool.submit(_localize, trial, folder, config) for trial, folder in pending]
-        for future in as_completed(futures):
-            yield future.result()
+def _paths(setup: Setup, scene: str, kind: Kind, directory: Path) -> Callable[[int], CameraPath]:
+    return cache(lambda seed: camera_path(setup.recording(scene, kind, seed), directory))
 
 
-def _localize(trial: Trial, folder: Path, config: RunConfig) -> dict[str, Any]:
-    folder.mkdir(parents=True, exist_ok=True)
-    sequence = folder / "sequence.mcap"
-    if not sequence.exists():
-        write_synthetic(synthesize(trial.scene, seed=trial.seed, num_frames=trial.frames), sequence)
-    report = asdict(trial) | run(sequence, trial.model, folder, _with_seed(config, trial.seed)).report
-    (folder / "trial.json").write_text(json.dumps({"settings": _settings(trial, config), "report": report}))
-    return report
+def _make(settings: RecordingSettings, setup: Setup, directory: Path) -> None:
+    make_recording(settings, setup.checkpoint(), directory)
 
 
-def _finished(folder: Path, trial: Trial, config: RunConfig) -> dict[str, Any] | None:
-    try:
-        stored = json.loads((folder / "trial.json").read_text())
-    except (OSError, ValueError):
-        return None
-    return stored["report"] if stored["settings"] == _settings(trial, config) else None
-
-
-def _settings(trial: Trial, config: RunConfig) -> dict[str, Any]:
-    return json.loads(json.dumps({"trial": asdict(trial), "config": asdict(_with_seed(config, trial.seed))}))
-
-
-def _with_seed(config: RunConfig, seed: int) -> RunConfig:
-    return replace(config, seed=seed)
+def _parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers: int) -> Iterator[Result]:
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        results = Parallel(n_jobs=workers, return_as="generator_unordered")(delayed(function)(*job) for job in jobs)
+    yield from results  # pyright: ignore[reportReturnType]

@@ -48,8 +48,10 @@ WRONG_M = 0.5
 REGIONS: Mapping[str, float] = MappingProxyType({"50%": 0.5, "90%": 0.9, "95%": 0.95})
 """Regions of a mode's Gaussian, by the share of it that they hold."""
 
+SURE = 0.95
+"""Share of the remaining images that must be right once a method has found itself."""
+
 _LEAST_VARIANCE = 1e-12  # of a mode whose particles coincide: a micrometre, a microradian
-_SURE = 0.95  # share of the remaining images that must be right
 
 
 def associate(
@@ -115,9 +117,9 @@ def evaluate_trajectory(estimate: Trajectory, truth: Trajectory, *, tracking: bo
     Returns:
         `median_translation_m`, `median_rotation_deg`, `ape_rmse_m` (root mean square of the translation error) and
         `recall`: for each of `THRESHOLDS` the share of images within both limits; `worse_than`: for each of `TAIL_M`
-        the share of images with a larger translation error. With `tracking` also
-        `converged_at_s` (see `convergence_s`, null if never) and `success`: whether that moment lies before four
-        fifths of the sequence.
+        the share of images with a larger translation error. With `tracking` also `converged_at_s` (see
+        `convergence_s`, null if never), `success`: whether that moment lies before four fifths of the sequence, and
+        `after_convergence`: number of `images` from that moment on, and their `recall` (null if never).
 
     Raises:
         VaporTrackError: a pose is not finite, or no stamp of the estimate has a true pose.
@@ -136,8 +138,12 @@ def evaluate_trajectory(estimate: Trajectory, truth: Trajectory, *, tracking: bo
     }
     if tracking:
         start_ns = int(estimate.times_ns[0])
-        metrics["converged_at_s"] = convergence_s(times_ns, right[RIGHT], start_ns=start_ns)
-        metrics["success"] = metrics["converged_at_s"] is not None
+        converged_at_s = convergence_s(times_ns, right[RIGHT], start_ns=start_ns)
+        metrics |= {"converged_at_s": converged_at_s, "success": converged_at_s is not None, "after_convergence": None}
+        if converged_at_s is not None:
+            after = times_ns - start_ns >= round(converged_at_s * 1e9)
+            recall = {name: float(np.mean(inside[after])) for name, inside in right.items()}
+            metrics["after_convergence"] = {"images": int(after.sum()), "recall": recall}
     return metrics
 
 
@@ -163,7 +169,7 @@ def convergence_s(
     right_from_here = np.cumsum(right[::-1])[::-1]
     elapsed_ns = times_ns - start_ns
     early = 5 * elapsed_ns < 4 * elapsed_ns[-1]
-    candidates = np.flatnonzero(right & early & (right_from_here >= _SURE * remaining))
+    candidates = np.flatnonzero(right & early & (right_from_here >= SURE * remaining))
     return float(elapsed_ns[candidates[0]] / 1e9) if len(candidates) else None
 
 

@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _shortage(error: Exception) -> str | None:
     """What to say where the machine is too small; None for any other error. By names: torch may not be loaded."""
     kind, text = type(error).__name__, str(error).lower()
-    if kind == "BrokenProcessPool":
+    if kind in ("BrokenProcessPool", "TerminatedWorkerError"):
         return "a worker process ended unexpectedly, perhaps for lack of memory; fewer --workers need less"
     signs = ("not enough memory", "can't allocate memory", "out of memory")
     if isinstance(error, MemoryError) or kind == "OutOfMemoryError" or any(sign in text for sign in signs):

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
-import numpy as np
 import tyro
 from rich.table import Table
 
 from filtering.errors import VaporTrackError, require_within
-from vapor.benchmark import Trial, localize_trials, time_step
+from vapor.benchmark import Benchmark, BenchmarkConfig
+from vapor.checkpoint import Calibration
+from vapor.commands.benchmark_tables import failures, tables
 from vapor.commands.console import bar, parse, show, usage_error
-from vapor.evaluate import REGIONS, THRESHOLDS
 from vapor.observation import VaporObservationModel
 from vapor.report import write_report
-from vapor.run import RunConfig
+from vapor.summary import summarise
 from vapor.threads import limited_threads
+from vapor.timing import time_step
 
 _MAX_SEED = 2**63
-_METHODS = ("single_image", "dead_reckoning", "kalman", "filter", "smoothed")
 
 
 @dataclass(frozen=True)
@@ -49,28 +49,38 @@ class StepOptions:
             raise VaporTrackError(f"particles are {self.particles}, expected numbers of at least 1")
 
 
+_Override = make_dataclass(
+    "CalibrationOverride",
+    [
+        (name, Annotated[kind | None, tyro.conf.arg(help="As the model says where not given.")], None)
+        for name, kind in get_type_hints(Calibration).items()
+    ],
+    frozen=True,
+)
+"""A calibration of which anything may be left to the model."""
+
+
 @dataclass(frozen=True)
 class LocalizationOptions:
     """Localize many synthetic sequences, and count successes."""
 
-    scene: tyro.conf.Positional[Literal["staircase", "ceiling"]]
+    scenes: Annotated[
+        tyro.conf.Positional[tuple[Literal["staircase", "ceiling"], ...]], tyro.conf.arg(metavar="SCENE ...")
+    ]
     """What the camera moves through."""
     output: Path
-    """Directory for sequences, runs and summary.json; an interrupted benchmark of the same output goes on."""
-    model: str | None = None
-    """Model file, or name of a model that ships. Default: the scene's name."""
-    seeds: int = 10
-    """Number of sequences."""
-    first_seed: int = 1000
-    """Their seeds count up from here."""
-    frames: int = 300
-    """Images of each sequence."""
-    workers: int = 2
-    """Sequences at a time."""
-    config: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=lambda: RunConfig(recording=False))
+    """Directory for recordings, results and summary.json; an interrupted benchmark of the same output goes on."""
+    models: tuple[str, ...] = ()
+    """Model file, or name of a model that ships, for each scene. Default: the scenes' names."""
+    config: Annotated[BenchmarkConfig, tyro.conf.arg(name="")] = field(default_factory=BenchmarkConfig)
+    calibration: Annotated[Any, tyro.conf.arg(constructor=_Override)] = field(default_factory=_Override)
+    """What replaces the calibration of the models."""
 
     def __post_init__(self) -> None:
-        require_within(self, **dict.fromkeys(("seeds", "frames", "workers"), (1, 10**6)), first_seed=(0, _MAX_SEED))
+        if not self.scenes or len(set(self.scenes)) < len(self.scenes):
+            raise VaporTrackError(f"scenes are {', '.join(self.scenes) or 'none'}, expected each at most once, and one")
+        if len(self.models) not in (0, len(self.scenes)):
+            raise VaporTrackError(f"{len(self.models)} models for {len(self.scenes)} scenes, expected one for each")
 
 
 _OPTIONS = {"step": StepOptions, "localization": LocalizationOptions}
@@ -101,67 +111,25 @@ def _step(arguments: Sequence[str]) -> None:
 
 def _localization(arguments: Sequence[str]) -> None:
     o = parse("benchmark localization", LocalizationOptions, arguments)
-    seeds = range(o.first_seed, o.first_seed + o.seeds)
-    trials = [Trial(o.scene, seed, o.frames, o.model or o.scene) for seed in seeds]
+    scenes: dict[str, str] = dict(zip(o.scenes, o.models or o.scenes, strict=True))
+    calibration = {name: value for name, value in asdict(o.calibration).items() if value is not None}
+    benchmark = Benchmark(scenes, o.output, o.config, calibration)
     o.output.mkdir(parents=True, exist_ok=True)
-    reports = []
-    with bar("localizing sequences") as advance:
-        for report in localize_trials(trials, o.output, o.config, workers=o.workers):
-            reports.append(report)
-            advance(len(reports), len(trials))
-    reports.sort(key=lambda report: report["seed"])
-    write_report(o.output / "summary.json", {"scene": o.scene, "runs": reports})
-    show(_runs_table(reports))
-    show(_methods_table(reports))
-    show(_consistency_table(reports))
-
-
-def _runs_table(reports: Sequence[Mapping[str, Any]]) -> Table:
-    table = Table("seed", "single image right", "filter right", "smoothed right", "converged at", "success")
-    for report in reports:
-        right = [
-            f"{100 * report[name]['recall']['0.3m/20deg']:.0f} %" for name in ("single_image", "filter", "smoothed")
-        ]
-        at_s = report["filter"]["converged_at_s"]
-        table.add_row(
-            str(report["seed"]),
-            *right,
-            "–" if at_s is None else f"{at_s:.1f} s",
-            "yes" if report["filter"]["success"] else "no",
-        )
-    return table
-
-
-def _methods_table(reports: Sequence[Mapping[str, Any]]) -> Table:
-    table = Table("all runs", "success", "median error", *(f"within {name}" for name in THRESHOLDS))
-    for method in _METHODS:
-        metrics = [report[method] for report in reports]
-        recalls = [f"{100 * np.mean([m['recall'][name] for m in metrics]):.0f} %" for name in THRESHOLDS]
-        successes = sum(m["success"] for m in metrics) if "success" in metrics[0] else None
-        median_m = np.median([m["median_translation_m"] for m in metrics])
-        table.add_row(
-            method.replace("_", " "),
-            "" if successes is None else f"{successes} of {len(reports)}",
-            f"{median_m:.2f} m",
-            *recalls,
-        )
-    return table
-
-
-def _consistency_table(reports: Sequence[Mapping[str, Any]]) -> Table:
-    """Over all images of all runs that the filter calls converged."""
-    said = [report["consistency"] for report in reports if report["consistency"]["images"]]
-    images = sum(each["images"] for each in said)
-    table = Table("said converged", "wrong by 0.5 m", *(f"in the {region} region" for region in REGIONS), "median NEES")
-    if not said:
-        table.add_row("0 images", *[""] * (len(REGIONS) + 2))
-        return table
-    share = np.array([each["images"] / images for each in said])
-    figures = [[each["wrong"], *(each["coverage"][region] for region in REGIONS)] for each in said]
-    nees = np.median([each["median_nees"] for each in said])
-    table.add_row(
-        f"{images} images",
-        *(f"{100 * value:.1f} %" for value in share @ np.array(figures)),
-        f"{nees:.1f} (5.3 is true)",
-    )
-    return table
+    with bar("choosing runs") as advance:
+        trials = benchmark.choose(advance)
+    with bar("recording") as advance:
+        for done, total in benchmark.record(trials):
+            advance(done, total)
+    results = []
+    with bar("localizing") as advance:
+        for result in benchmark.localize(trials):
+            results.append(result)
+            advance(len(results), len(trials) * len(o.config.variants))
+    results.sort(key=lambda result: (result["variant"], result["name"]))
+    summary = summarise(results)
+    settings = asdict(o.config) | {"models": scenes, "calibration": calibration}
+    write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "runs": results})
+    for table in tables(summary):
+        show(table)
+    for line in failures(summary):
+        show(line)

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from sequences.errors import SequenceError
+from sequences.route import Cues
 from sequences.synthesize import synthesize, write_synthetic
 from vapor.commands.console import bar, parse, show, usage_error
 
@@ -28,6 +29,8 @@ class Options:
     """Number of images, ten a second."""
     split: Literal["test", "train"] = "test"
     """Test paths pass something unique in their first half; training paths go everywhere."""
+    cues: Cues | None = None
+    """Something unique in the first half, at will, or never. Default: as the split says."""
     width: int = 320
     """Image width in pixels."""
     height: int = 240
@@ -38,7 +41,9 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("synthesize", Options, arguments)
     try:
-        sequence = synthesize(o.scene, seed=o.seed, num_frames=o.frames, split=o.split, width=o.width, height=o.height)
+        sequence = synthesize(
+            o.scene, seed=o.seed, num_frames=o.frames, split=o.split, cues=o.cues, width=o.width, height=o.height
+        )
     except SequenceError as error:  # of numbers that no sequence can have
         usage_error("synthesize", str(error))
     with bar("rendering") as advance:

@@ -1,0 +1,212 @@
+"""`vapor-track benchmark localization` from end to end, with a network that knows nothing."""
+
+import json
+from collections import Counter
+
+import pytest
+
+from vapor import recordings, trials
+from vapor.summary import failed, summarise
+from vapor.track import main
+
+OPTIONS = [
+    "--runs", "1", "--frames", "50", "--width", "32", "--height", "24", "--num-samples", "40", "--workers", "1",
+    "--first-seed", "700", "--localizer.num-particles", "80",
+]  # fmt: skip
+KINDS = ["cue", "no-cue", "kidnap"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("benchmark")
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """How often something was recorded and localized; each can be made to be interrupted at a call."""
+    counter: Counter[str] = Counter()
+    interrupt_at: dict[str, int] = {}
+
+    def counted(name, original):
+        def call(*arguments):
+            counter[name] += 1
+            if counter[name] == interrupt_at.get(name):
+                raise KeyboardInterrupt
+            return original(*arguments)
+
+        return call
+
+    for module, name in ((recordings, "_record"), (trials, "_localize")):
+        monkeypatch.setattr(module, name, counted(name, getattr(module, name)))
+    counter.interrupt_at = interrupt_at  # pyright: ignore[reportAttributeAccessIssue]
+    return counter
+
+
+def run(folder, tiny_model, *more: str) -> int:
+    words = ["benchmark", "localization", "ceiling", "--models", str(tiny_model), "--output", str(folder)]
+    return main([*words, *OPTIONS, *more])
+
+
+def test_an_interrupted_benchmark_goes_on_and_a_finished_one_computes_nothing(folder, tiny_model, calls, capsys):
+    calls.interrupt_at.update(_record=2)
+    assert run(folder, tiny_model) == 130
+    assert calls == {"_record": 2}  # one of them done
+    calls.interrupt_at.clear()
+    calls.interrupt_at.update(_localize=3)
+    assert run(folder, tiny_model) == 130
+    needed = len(list((folder / "recordings").iterdir()))
+    assert calls == {"_record": 1 + needed, "_localize": 3}
+    assert not (folder / "summary.json").exists()
+    calls.interrupt_at.clear()
+    capsys.readouterr()
+    assert run(folder, tiny_model) == 0
+    assert calls == {"_record": 1 + needed, "_localize": 3 + 3 - 2}
+    printed, summary = capsys.readouterr().out, (folder / "summary.json").read_bytes()
+    assert run(folder, tiny_model) == 0
+    assert calls == {"_record": 1 + needed, "_localize": 3 + 3 - 2}
+    assert (capsys.readouterr().out, (folder / "summary.json").read_bytes()) == (printed, summary)
+
+
+def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model, capsys):
+    assert run(folder, tiny_model) == 0
+    out = capsys.readouterr().out
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["settings"]["localizer"]["num_particles"] == 80
+    assert summary["summary"].keys() == {"ceiling"}
+    assert summary["summary"]["ceiling"].keys() == set(KINDS)
+    runs = summary["runs"]
+    assert Counter((each["kind"], each["variant"]) for each in runs) == {(kind, "full"): 1 for kind in KINDS}
+    for each in runs:
+        assert each["images"] == 50
+        assert (each["cue_images"] == 0) == (each["kind"] == "no-cue")
+        assert (each["belief"]["filter"]["kidnap"] is None) == (each["kind"] != "kidnap")
+        if failed(each):
+            assert each["name"] in out
+    for said in ("something unique in the first half: 1 runs", "nothing unique: 1 runs", "carried off: 1 runs"):
+        assert f"ceiling, {said}" in out
+
+
+@pytest.mark.parametrize(
+    ("more", "again"),
+    [
+        (("--calibration.temper", "0.5"), "_localize"),
+        (("--localizer.switch-ratio", "2"), "_localize"),
+        (("--num-samples", "41"), "_record"),
+    ],
+)
+def test_other_settings_use_no_result_of_these(more, again, folder, tiny_model, calls, tmp_path):
+    assert run(folder, tiny_model, "--kinds", "no-cue", *more) == 0
+    assert calls[again] == 1
+    assert calls["_record"] == (again == "_record")
+
+
+def test_variants_are_compared_in_a_table_of_their_own(folder, tiny_model, calls, capsys):
+    assert run(folder, tiny_model, "--kinds", "no-cue", "--variants", "full", "no-recovery") == 0
+    assert calls == {"_localize": 1}  # the full one is there
+    out = capsys.readouterr().out
+    assert len([line for line in out.splitlines() if line.split()[:1] in (["full"], ["no-recovery"])]) == 2
+    summary = json.loads((folder / "summary.json").read_text())["summary"]["ceiling"]["no-cue"]
+    assert summary.keys() == {"full", "no-recovery"}
+
+
+def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, monkeypatch):
+    monkeypatch.setattr(trials, "_code", lambda: "another")
+    assert run(folder, tiny_model, "--kinds", "cue") == 0
+    assert calls == {"_localize": 1}
+
+
+def test_processes_give_the_results_of_one(folder, tiny_model, tmp_path):
+    assert run(folder, tiny_model, "--kinds", "cue", "--runs", "3") == 0
+    alone = json.loads((folder / "summary.json").read_text())["runs"]
+    assert run(tmp_path, tiny_model, "--kinds", "cue", "--runs", "3", "--workers", "2") == 0
+    together = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    assert len(together) == 3
+    for ours, theirs in zip(alone, together, strict=True):
+        assert ours | {"step_ms": 0} == theirs | {"step_ms": 0}
+
+
+def test_a_recording_of_something_else_is_refused(folder, tiny_model, capsys):
+    of_seed_700 = (folder / "recordings").glob("ceiling-none-700-*/settings.json")
+    settings = next(file for file in of_seed_700 if json.loads(file.read_text())["num_samples"] == 40)
+    before = settings.read_text()
+    settings.write_text(before.replace('"seed": 700', '"seed": 701'))
+    more = ("--kinds", "no-cue", "--localizer.switch-ratio", "3")
+    try:
+        assert run(folder, tiny_model, *more) == 1
+    finally:
+        settings.write_text(before)
+    assert "recorded with seed 701, expected 700; remove it to make it anew" in capsys.readouterr().err
+
+
+def consistency(images: int, wrong: float = 0.0) -> dict:
+    if images == 0:
+        return {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
+    return {
+        "images": images,
+        "wrong": wrong,
+        "coverage": {"50%": 0.4, "90%": 0.8, "95%": 1 - wrong},
+        "median_nees": 5.0,
+    }
+
+
+def result(kind: str, *, converged: float, wrong: float, success: bool = True, recovered: int | None = None) -> dict:
+    """Of a run of 100 images."""
+    recall = {"0.1m/10deg": 0.2, "0.2m/15deg": 0.4, "0.3m/20deg": 0.6}
+    metrics = {"median_translation_m": 0.1, "median_rotation_deg": 2.0, "ape_rmse_m": 0.3, "recall": recall}
+    tracked = metrics | {
+        "success": success,
+        "converged_at_s": 3.0 if success else None,
+        "after_convergence": {"images": 70, "recall": dict.fromkeys(recall, 0.9)} if success else None,
+    }
+    belief = {
+        "status": {"converged": converged, "ambiguous": 1 - converged, "lost": 0.0},
+        "said_converged": consistency(round(100 * converged), wrong),
+        "after_convergence": consistency(70 if success else 0),
+        "truth_among_modes": 0.9,
+        "false_recoveries": 1,
+        "kidnap": {"right_before": True, "images": recovered} if kind == "kidnap" else None,
+    }
+    methods = dict.fromkeys(("single_image", "dead_reckoning"), metrics)
+    methods |= dict.fromkeys(("kalman", "filter", "smoothed"), tracked)
+    return {
+        "name": f"ceiling-{kind}-{converged}", "scene": "ceiling", "kind": kind, "variant": "full", "images": 100,
+        "cue_images": 3, "methods": methods, "belief": {"filter": belief, "kalman": belief},
+        "image_truth_among_modes": 0.8, "particles": 100, "step_ms": 4.0,
+    }  # fmt: skip
+
+
+def test_shares_of_images_are_weighed_by_how_many_images_there_were():
+    both = [
+        result("cue", converged=0.9, wrong=0.0),
+        result("cue", converged=0.1, wrong=1.0, success=False),
+        result("cue", converged=0.0, wrong=0.0),
+    ]
+    total = summarise(both)["ceiling"]["cue"]["full"]
+    said = total["belief"]["filter"]["said_converged"]
+    assert (said["images"], said["wrong"]) == (100, pytest.approx(0.1))
+    assert said["coverage"]["95%"] == pytest.approx(0.9)
+    assert total["belief"]["filter"]["status"]["converged"] == pytest.approx(1 / 3)
+    assert total["belief"]["filter"]["runs_wrongly_converged"] == 1
+    assert total["belief"]["filter"]["false_recoveries"] == 3
+    assert total["methods"]["filter"]["successes"] == 2
+    assert total["methods"]["filter"]["recall_after_convergence"]["0.1m/10deg"] == pytest.approx(0.9)
+    assert "successes" not in total["methods"]["single_image"]
+    assert total["failed"] == ["ceiling-cue-0.1"]
+
+
+def test_a_wrong_place_counts_in_any_image_and_in_a_twentieth_of_them():
+    runs = [result("no-cue", converged=share, wrong=0.5) for share in (0.02, 0.08, 0.1, 0.3)]
+    total = summarise(runs)["ceiling"]["no-cue"]["full"]
+    assert total["belief"]["filter"]["runs_wrongly_converged"] == 4
+    assert total["belief"]["filter"]["runs_wrongly_converged_often"] == 2
+    assert total["failed"] == ["ceiling-no-cue-0.1", "ceiling-no-cue-0.3"]
+
+
+def test_recovery_counts_up_to_the_fiftieth_image():
+    runs = [
+        result("kidnap", converged=share, wrong=0.1, recovered=images)
+        for share, images in ((0.1, 1), (0.2, 50), (0.3, 51), (0.4, None))
+    ]
+    kidnap = summarise(runs)["ceiling"]["kidnap"]["full"]["belief"]["filter"]["kidnap"]
+    assert kidnap == {"right_before": 4, "recovered_in_time": 2, "recovered": 3, "median_images": 50.0}
+    assert [each["name"] for each in runs if failed(each)] == ["ceiling-kidnap-0.3", "ceiling-kidnap-0.4"]

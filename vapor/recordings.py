@@ -1,0 +1,232 @@
+"""Synthetic sequences as a benchmark keeps them: rendered once, looked at by the network once, replayed often."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import secrets
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from filtering.errors import VaporTrackError
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+from sequences.reader import SequenceReader
+from sequences.render import sees_cue
+from sequences.route import Cues
+from sequences.synthesize import SYNTHESIS, SyntheticSequence, synthesize, write_synthetic
+from vapor.checkpoint import Checkpoint
+from vapor.observation import VaporObservationModel
+from vapor.threads import limited_threads
+
+_SETTINGS, _PATH, _SAMPLES = "settings.json", "path.npz", "samples.npy"
+
+
+@dataclass(frozen=True)
+class RecordingSettings:
+    """Everything that a recording depends on."""
+
+    scene: str
+    seed: int
+    cues: Cues
+    frames: int
+    width: int
+    height: int
+    model_sha256: str
+    num_samples: int
+    synthesis: int = SYNTHESIS
+    package: str = field(default_factory=lambda: importlib.metadata.version("vapor-track"))
+
+    @property
+    def name(self) -> str:
+        """Of its folder: recordings of other settings lie beside it."""
+        return f"{self.scene}-{self.cues}-{self.seed}-{digest(asdict(self))}"
+
+
+@dataclass(frozen=True)
+class CameraPath:
+    """Where the camera goes, and what it comes by.
+
+    Attributes:
+        world_from_camera: True poses, batch (n,).
+        sees_cue: Whether an image shows something unique, (n,).
+    """
+
+    world_from_camera: Poses
+    sees_cue: Bool[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A sequence of n images with the posterior of each.
+
+    Attributes:
+        times_ns: Stamps of the images, (n,).
+        path: True poses and what is seen.
+        odometry: Camera motion since the previous image as read from the file, (n,); the first is the identity.
+        odometry_covariance: Of ξ = (v, ω), (n, 6, 6).
+        samples: Posterior samples, rotation matrix by rows and translation, (n, m, 12); on disk until they are asked
+            for.
+    """
+
+    times_ns: Int64[np.ndarray, " n"]
+    path: CameraPath
+    odometry: Poses
+    odometry_covariance: Float64[np.ndarray, "n 6 6"]
+    samples: Float32[np.ndarray, "n m 12"]
+
+    def posterior_poses(self, image: int) -> Poses:
+        """Posterior samples (m,) of an image, the same bits that the network gave."""
+        return _from_rows(np.asarray(self.samples[image], np.float64))
+
+    def motion(self, image: int) -> Odometry:
+        """Camera motion from the image before to this one."""
+        return Odometry(self.odometry[image], self.odometry_covariance[image])
+
+
+def make_recording(settings: RecordingSettings, checkpoint: Checkpoint, directory: Path) -> None:
+    """Render a sequence to a file, read it as a user's would be, ask the network, and keep the answers; once.
+
+    The folder appears in `directory` when it is complete.
+
+    Raises:
+        VaporTrackError: there is no such sequence, or the directory cannot be written to.
+    """
+    folder = directory / settings.name
+    if folder.is_dir():
+        return
+    partial = directory / f".{settings.name}.{secrets.token_hex(4)}.partial"
+    try:
+        partial.mkdir(parents=True)
+        with limited_threads(1):
+            _record(settings, checkpoint, partial)
+        (partial / _SETTINGS).write_text(json.dumps(asdict(settings), indent=2) + "\n", encoding="utf-8")
+        if not folder.is_dir():  # another process may have been faster
+            partial.rename(folder)
+    except OSError as error:
+        raise VaporTrackError(
+            f"{folder}: cannot write: {error.strerror or error}, expected a directory that can be written to"
+        ) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def load_recording(settings: RecordingSettings, directory: Path) -> Recording:
+    """A recording made before.
+
+    Raises:
+        VaporTrackError: there is none, or it was made with other settings.
+    """
+    folder = directory / settings.name
+    stored = _checked(settings, folder)
+    return Recording(
+        stored["times_ns"],
+        CameraPath(_from_rows(stored["truth"]), stored["sees_cue"]),
+        _from_rows(stored["odometry"]),
+        stored["odometry_covariance"],
+        np.load(folder / _SAMPLES, mmap_mode="r"),
+    )
+
+
+def camera_path(settings: RecordingSettings, directory: Path) -> CameraPath:
+    """Where the camera of a recording goes: as recorded, or where there is no recording yet as it will be.
+
+    Raises:
+        VaporTrackError: there is no such sequence, or what is there was made with other settings.
+    """
+    folder = directory / settings.name
+    if folder.is_dir():
+        stored = _checked(settings, folder)
+        return CameraPath(_from_rows(stored["truth"]), stored["sees_cue"])
+    sequence = _sequence(settings)
+    seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
+    return CameraPath(sequence.world_from_camera, seen)
+
+
+def digest(settings: Mapping[str, Any]) -> str:
+    """Ten characters that other settings hardly share."""
+    text = json.dumps(settings, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:10]
+
+
+def _sequence(settings: RecordingSettings) -> SyntheticSequence:
+    return synthesize(
+        settings.scene,
+        seed=settings.seed,
+        num_frames=settings.frames,
+        cues=settings.cues,
+        width=settings.width,
+        height=settings.height,
+    )
+
+
+def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -> None:
+    sequence = _sequence(settings)
+    seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
+    file = folder / "sequence.mcap"
+    write_synthetic(sequence, file)
+    model = VaporObservationModel(checkpoint, num_samples=settings.num_samples, device="cpu")
+    rng = np.random.default_rng([settings.seed, settings.num_samples])
+    n = settings.frames
+    samples = np.lib.format.open_memmap(folder / _SAMPLES, "w+", np.float32, (n, settings.num_samples, 12))
+    times_ns, odometry, covariance, truth = np.empty(n, np.int64), [Poses.identity()], np.zeros((n, 6, 6)), []
+    count = 0
+    for i, frame in enumerate(SequenceReader(file)):
+        if i >= n or frame.world_from_camera is None or (i > 0 and frame.odometry is None):
+            raise VaporTrackError(
+                f"{file}: image {i} at {frame.time_ns} ns has no odometry or no true pose, or is one too many"
+            )
+        samples[i] = _to_rows(model.observe(frame.image, rng=rng).poses)
+        times_ns[i] = frame.time_ns
+        truth.append(frame.world_from_camera)
+        if i > 0 and frame.odometry is not None:
+            odometry.append(frame.odometry.previous_from_current)
+            covariance[i] = frame.odometry.covariance
+        count = i + 1
+    if count != n:
+        raise VaporTrackError(f"{file}: {count} images read, expected the {n} that were written")
+    samples.flush()
+    np.savez(
+        folder / _PATH,
+        times_ns=times_ns,
+        truth=_to_rows(Poses.stack(truth)),
+        sees_cue=seen,
+        odometry=_to_rows(Poses.stack(odometry)),
+        odometry_covariance=covariance,
+    )
+    file.unlink()
+
+
+def _checked(settings: RecordingSettings, folder: Path) -> Mapping[str, np.ndarray]:
+    """What a recording holds beside its samples, once its settings are found to be these."""
+    try:
+        found = json.loads((folder / _SETTINGS).read_text(encoding="utf-8"))
+        with np.load(folder / _PATH) as stored:
+            content = dict(stored)
+    except (OSError, ValueError) as error:
+        raise VaporTrackError(
+            f"{folder}: cannot be read ({error}), expected a recording; remove it to make it anew"
+        ) from error
+    expected = asdict(settings)
+    for name in expected:
+        if found.get(name) != expected[name]:
+            raise VaporTrackError(
+                f"{folder}: recorded with {name} {found.get(name)!r}, expected {expected[name]!r};"
+                " remove it to make it anew"
+            )
+    return content
+
+
+def _to_rows(poses: Poses) -> Float64[np.ndarray, "n 12"]:
+    return np.concatenate([poses.rotation.reshape(-1, 9), poses.translation], axis=1)
+
+
+def _from_rows(rows: Float64[np.ndarray, "n 12"]) -> Poses:
+    return Poses(rows[:, :9].reshape(-1, 3, 3).copy(), rows[:, 9:].copy())

@@ -1,0 +1,70 @@
+"""How long the parts of a step take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+from sequences.messages import decode_image_bytes
+from vapor.observation import VaporObservationModel
+
+_IMAGE_SHAPE = (240, 320, 3)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Wall-clock time of one part of a step.
+
+    Attributes:
+        part: What was timed.
+        median_ms: Median over the repetitions, milliseconds.
+        p95_ms: 95th percentile, milliseconds.
+    """
+
+    part: str
+    median_ms: float
+    p95_ms: float
+
+
+def time_step(model: VaporObservationModel, *, repetitions: int, particles: Sequence[int], seed: int) -> list[Timing]:
+    """Time decoding, network and filter one by one, on an image of noise and odometry at walking pace.
+
+    Args:
+        model: The network and its number of posterior samples.
+        repetitions: Of every part, after three that do not count.
+        particles: Sizes of the filter to time.
+        seed: Of the image and all draws.
+    """
+    rng = np.random.default_rng(seed)
+    image = rng.integers(0, 256, _IMAGE_SHAPE, dtype=np.uint8)
+    blurred = cv2.GaussianBlur(image, (0, 0), 3)  # compresses like a photograph, unlike noise
+    encoded = bytes(cv2.imencode(".jpg", blurred, [cv2.IMWRITE_JPEG_QUALITY, 90])[1])
+    timings = [
+        _time("decode a JPEG image of 320 × 240", lambda: decode_image_bytes(encoded), repetitions),
+        _time(f"network, {model.num_samples} samples", lambda: model.observe(blurred, rng=rng), repetitions),
+    ]
+    step = Odometry(Poses.exp(np.array([0.05, 0, 0, 0, 0, 0.01])), np.diag([0.005**2] * 3 + [0.003**2] * 3))
+    for count in particles:
+        localizer = ParticleLocalizer(model, LocalizerConfig(num_particles=count), rng=rng)
+        localizer.step(blurred, None)
+        posteriors = iter([model.observe(blurred, rng=rng) for _ in range(repetitions + 3)])
+        label = f"filter, {count} particles and {model.num_samples} samples"
+        timings.append(_time(label, lambda loc=localizer, p=posteriors: loc.update(next(p), step), repetitions))
+    return timings
+
+
+def _time(part: str, call: Callable[[], object], repetitions: int) -> Timing:
+    durations_ms = []
+    for _ in range(repetitions + 3):
+        begin = time.perf_counter()
+        call()
+        durations_ms.append(1e3 * (time.perf_counter() - begin))
+    median_ms, p95_ms = np.percentile(durations_ms[3:], [50, 95])
+    return Timing(part, float(median_ms), float(p95_ms))

@@ -1,0 +1,50 @@
+"""The filter with one of its parts taken out, to see what that part is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from filtering.localizer import LocalizerConfig
+from filtering.posterior import LikelihoodModel
+from filtering.se3 import Poses
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Changes to the settings of a filter.
+
+    Attributes:
+        meaning: What is different.
+        localizer: Settings of the filter -> those of the variant.
+        likelihood: The likelihood and the poses that its prior is made of -> that of the variant.
+    """
+
+    meaning: str
+    localizer: Callable[[LocalizerConfig], LocalizerConfig] = lambda config: config
+    likelihood: Callable[[LikelihoodModel, Poses], LikelihoodModel] = lambda model, poses: model
+
+
+def _flat_prior(model: LikelihoodModel, poses: Poses) -> LikelihoodModel:
+    """π flat, at the geometric mean of what it was where cameras are: ε then keeps its meaning on average."""
+    return replace(model, prior=None, prior_floor=float(np.exp(np.mean(model.log_prior(poses)))))
+
+
+def _no_recovery(config: LocalizerConfig) -> LocalizerConfig:
+    return replace(config, recovery=replace(config.recovery, min_kidnap_probability=0.0, max_kidnap_probability=0.0))
+
+
+# To add one: a name, what is different, and a function of the settings.
+VARIANTS: Mapping[str, Variant] = MappingProxyType(
+    {
+        "full": Variant("the filter as it is"),
+        "no-prior": Variant("posterior not divided by π", likelihood=_flat_prior),
+        "no-tempering": Variant("β = 1", likelihood=lambda model, poses: replace(model, temper=1.0)),
+        "no-injection": Variant("φ = 0", localizer=lambda config: replace(config, injection_fraction=0.0)),
+        "no-recovery": Variant("κ = 0", localizer=_no_recovery),
+    }
+)
+"""Variants by name."""
