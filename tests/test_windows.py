@@ -41,7 +41,7 @@ def test_windows_of_a_recording_begin_by_chance_but_apart():
     several = [spread_starts(starts, rng=np.random.default_rng(seed)) for seed in range(30)]
     for chosen_starts in several:
         assert 1 < len(chosen_starts) <= 4
-        assert np.diff(chosen_starts).min() >= 40
+        assert np.diff(chosen_starts).min() >= 60
         assert set(chosen_starts) <= set(starts.tolist())
     assert len({first for first, *_ in several}) > 15
     assert spread_starts(starts[:0], rng=np.random.default_rng(0)) == []

@@ -13,7 +13,7 @@ from joblib import Parallel, delayed, parallel_config
 
 from filtering.errors import VaporTrackError, require_within
 from filtering.localizer import LocalizerConfig
-from vapor.checkpoint import find_model
+from vapor.checkpoint import find_model, load_checkpoint
 from vapor.recordings import CameraPath, RecordingSettings, camera_path, make_recording
 from vapor.trials import Setup, run_trial
 from vapor.variants import VARIANTS
@@ -120,7 +120,9 @@ class Benchmark:
     def _setup(self, model: Path, calibration: Mapping[str, float]) -> Setup:
         c = self.config
         sha256 = hashlib.sha256(model.read_bytes()).hexdigest()
-        return Setup(model, sha256, c.frames, c.width, c.height, c.num_samples, c.localizer, calibration)
+        network_sha256 = load_checkpoint(model).network_sha256()
+        images = c.frames, c.width, c.height
+        return Setup(model, sha256, network_sha256, *images, c.num_samples, c.localizer, calibration)
 
 
 def _paths(setup: Setup, scene: str, kind: Kind, directory: Path) -> Callable[[int], CameraPath]:

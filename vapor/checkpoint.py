@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
@@ -138,6 +139,14 @@ class Checkpoint:
         network = VariationalPoseRegressor(self.network, self.box)
         network.load_state_dict(dict(self.state_dict))
         return network.eval()
+
+    def network_sha256(self) -> str:
+        """What the posterior samples depend on: a digest of network, box and weights, but not of the calibration."""
+        digest = hashlib.sha256(json.dumps([asdict(self.network), asdict(self.box)], sort_keys=True).encode())
+        for name in sorted(self.state_dict):
+            digest.update(name.encode())
+            digest.update(self.state_dict[name].numpy().tobytes())
+        return digest.hexdigest()
 
 
 def thin_poses(poses: Poses, limit: int = MAX_PRIOR_POSES) -> Poses:

@@ -39,7 +39,7 @@ class RecordingSettings:
     frames: int
     width: int
     height: int
-    model_sha256: str
+    network_sha256: str
     num_samples: int
     synthesis: int = SYNTHESIS
     package: str = field(default_factory=lambda: importlib.metadata.version("vapor-track"))

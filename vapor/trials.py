@@ -22,7 +22,7 @@ from filtering.estimate import posterior_modes
 from filtering.kalman import KalmanLocalizer
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
-from filtering.posterior import PosteriorSamples
+from filtering.posterior import LikelihoodModel
 from filtering.se3 import Poses
 from filtering.smoothing import smooth
 from sequences.atomic import atomic_output
@@ -47,6 +47,7 @@ class Setup:
     Attributes:
         model: Model file.
         model_sha256: Of its content.
+        network_sha256: Of what its posterior samples depend on.
         frames: Images of a trial.
         width, height: Image size in pixels.
         num_samples: Posterior samples per image.
@@ -57,6 +58,7 @@ class Setup:
 
     model: Path
     model_sha256: str
+    network_sha256: str
     frames: int
     width: int
     height: int
@@ -69,7 +71,7 @@ class Setup:
         """The recording with a seed that trials of a kind are cut from."""
         frames = recording_frames(kind, self.frames)
         return RecordingSettings(
-            scene, seed, CUES[kind], frames, self.width, self.height, self.model_sha256, self.num_samples
+            scene, seed, CUES[kind], frames, self.width, self.height, self.network_sha256, self.num_samples
         )
 
     def checkpoint(self) -> Checkpoint:
@@ -164,7 +166,7 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
     for i, motion in enumerate(replay.odometry):
         poses = replay.posterior_poses(i)
         begin = time.perf_counter()
-        posterior = PosteriorSamples(model.calibration.density(poses), likelihood)
+        posterior = model.calibration.posterior(poses, likelihood)
         estimate = localizer.update(posterior, motion)
         step_ms.append(1e3 * (time.perf_counter() - begin))
         estimates.append((estimate.modes, estimate.status, len(estimate.particles)))
@@ -249,5 +251,5 @@ def _load(model: Path, sha256: str) -> Checkpoint:
 
 
 @cache
-def _likelihood(model: Path, sha256: str, calibration: Calibration):
+def _likelihood(model: Path, sha256: str, calibration: Calibration) -> LikelihoodModel:
     return calibration.likelihood(_load(model, sha256).prior_poses)

@@ -22,7 +22,7 @@ CUES: dict[Kind, Cues] = {"cue": "early", "no-cue": "none", "kidnap": "early"}
 
 _LEAST_CUE_IMAGES = 5  # half a second
 _PER_RECORDING = 4  # windows at most
-_APART = 40  # images between the starts of two windows of a recording, at least
+_APART = 60  # images between the starts of two windows of a recording, at least
 _CARRIED_M = 2.0  # at least, by a kidnap
 _BARREN = 50  # seeds in a row without a window, after which there is none to be hoped for
 
@@ -114,7 +114,7 @@ def cue_starts(seen: Bool[np.ndarray, " n"], *, length: int, within: int) -> Int
 
 
 def spread_starts(starts: Int64[np.ndarray, " k"], *, rng: np.random.Generator) -> list[int]:
-    """At most four of the starts, by chance, 40 images or more apart; in order."""
+    """At most four of the starts, by chance, 60 images or more apart; in order."""
     chosen: list[int] = []
     for start in rng.permutation(starts):
         if len(chosen) < _PER_RECORDING and all(abs(int(start) - other) >= _APART for other in chosen):
