@@ -12,7 +12,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import ive
 
 from filtering.errors import VaporTrackError
-from filtering.se3 import Poses
+from filtering.se3 import Poses, rotation_from_rotvec
 
 _BLOCK = 128  # kernel rows at a time: 128 × 1000 float32 fit a core's second-level cache and need no BLAS threads
 _PRECISION = 1e-5  # of a density: what is left out weighs less than that share of it
@@ -125,7 +125,7 @@ class KernelDensity:
         angle, share = np.empty(n), rng.random(n)
         for width in np.unique(width_rad):
             angle[width_rad == width] = np.interp(share[width_rad == width], *_angle_quantiles(width))
-        rotation = Poses.exp(np.concatenate([np.zeros((n, 3)), angle[:, None] * axis], axis=1)).rotation
+        rotation = rotation_from_rotvec(angle[:, None] * axis)
         shift = width_m[:, None] * rng.standard_normal((n, 3))
         centres = self.centres[kernels]
         return Poses(centres.rotation @ rotation, centres.translation + shift)
@@ -136,17 +136,13 @@ class KernelDensity:
         m = len(self.centres)
         return np.broadcast_to(self.bandwidth_translation_m, m), np.broadcast_to(self.bandwidth_rotation_rad, m)
 
-    @cached_property
-    def _embedded(self) -> np.ndarray:
-        return _embed(self.centres)
-
     def _factors(self, poses: Poses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Embedded poses (n, 12), and factors (n, 15) and (m, 15) whose product is −½ squared distance in widths.
 
         −½|a − c|² p = a·c p − ½|c|² p − |a|² ½p: the last two are three more columns. They cancel, so where they are
         large (narrow kernels, wide scenes) the factors are in double precision.
         """
-        rows, centres = _embed(poses), self._embedded
+        rows, centres = poses.chordal, self.centres.chordal
         origin = centres.mean(axis=0)
         precision = np.stack([1 / np.square(width) for width in self._widths], axis=1)
         row_squares, centre_squares = _squares(rows - origin), _squares(centres - origin)
@@ -169,7 +165,7 @@ class KernelDensity:
         radii = np.sqrt(np.maximum.reduceat(_squares(rows - np.repeat(middles, sizes, axis=0)), starts))
         distance_squared = np.zeros((len(starts), len(self.centres)))
         for part, radius, width in zip((slice(3), slice(3, 12)), radii.T, self._widths, strict=True):
-            distance = cdist(middles[:, part], self._embedded[:, part])
+            distance = cdist(middles[:, part], self.centres.chordal[:, part])
             distance_squared += np.square(np.maximum(distance - radius[:, None], 0.0) / width)
         for start, within in zip(starts, distance_squared < reach**2, strict=True):
             yield slice(start, start + _BLOCK), np.flatnonzero(within)
@@ -180,7 +176,7 @@ def neighbour_order(poses: Poses) -> Int64[np.ndarray, " n"]:
 
     Halves the poses along their widest axis again and again. In this order a kernel density is evaluated fastest.
     """
-    columns = np.ascontiguousarray(_embed(poses).T, dtype=np.float32)
+    columns = np.ascontiguousarray(poses.chordal.T, dtype=np.float32)
     return np.concatenate(list(_halve(columns, np.arange(len(poses)))))
 
 
@@ -195,11 +191,6 @@ def _halve(columns: Float32[np.ndarray, "12 n"], indices: Int64[np.ndarray, " k"
     order = np.argpartition(here[axis], half)
     yield from _halve(columns, indices[order[:half]])
     yield from _halve(columns, indices[order[half:]])
-
-
-def _embed(poses: Poses) -> Float64[np.ndarray, "n 12"]:
-    """[t, vec(R)/√2]: squared Euclidean distances are |Δt|² and 2 − 2 cos θ."""
-    return np.concatenate([poses.translation, poses.rotation.reshape(-1, 9) / np.sqrt(2.0)], axis=1)
 
 
 def _squares(embedded: Float64[np.ndarray, "n 12"]) -> Float64[np.ndarray, "n 2"]:

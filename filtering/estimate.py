@@ -157,6 +157,8 @@ def _nearest_peak(poses: Poses, peaks: Poses, config: ModeConfig) -> Int64[np.nd
 def _scaled_distance(poses: Poses, centres: Poses, config: ModeConfig) -> Float64[np.ndarray, "n k"]:
     """1 at the radius of a mode, in translation or in rotation (by the chord of the angle), whichever is larger."""
     translation_m = cdist(poses.translation, centres.translation)
-    chord = cdist(poses.rotation.reshape(-1, 9), centres.rotation.reshape(-1, 9))
+    # Half the squared chord is 2 − 2 cos θ; it may round to less than nothing.
+    half_chord_squared = 2.0 - 2.0 * (poses.chordal[:, 3:] @ centres.chordal[:, 3:].T - 0.5)
+    chord = np.sqrt(2.0 * np.maximum(half_chord_squared, 0.0))
     radius_chord = np.sqrt(8.0) * np.sin(min(config.radius_rad, np.pi) / 2)
     return np.maximum(translation_m / config.radius_m, chord / radius_chord)

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from filtering.density import neighbour_order
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
+
+
+def log_sum(log_values: Float64[np.ndarray, " n"]) -> float:
+    """Log of the sum of exp(values) (n,), n ≥ 1."""
+    largest = float(log_values.max())
+    if not np.isfinite(largest):
+        return largest
+    return largest + float(np.log(np.exp(log_values - largest).sum()))
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,7 @@ class Particles:
                 f"log weight of particle {first} is {log_weights[first]}, expected a finite number or −∞ "
                 f"({int(bad.sum())} of {len(bad)} particles are so)"
             )
-        total = float(np.logaddexp.reduce(log_weights))
+        total = log_sum(log_weights)
         if total == -np.inf:
             raise VaporTrackError(f"all {len(log_weights)} particle weights are zero, expected at least one positive")
         return Particles(poses, log_weights - total), total - float(np.log(len(log_weights)))
@@ -52,15 +58,10 @@ class Particles:
         """Normalised weights, (n,)."""
         return np.exp(self.log_weights)
 
-    @cached_property
-    def neighbour_order(self) -> Int64[np.ndarray, " n"]:
-        """Indices in an order in which particles that lie together stand together, (n,)."""
-        return neighbour_order(self.poses)
-
     @property
     def effective_sample_size(self) -> float:
         """1 / Σ w², between 1 and n (Kong et al. 1994)."""
-        return float(np.exp(-np.logaddexp.reduce(2 * self.log_weights)))
+        return float(np.exp(-log_sum(2 * self.log_weights)))
 
     def __len__(self) -> int:
         return len(self.log_weights)
@@ -71,7 +72,7 @@ class Particles:
         Raises:
             VaporTrackError: as `from_unnormalised`.
         """
-        return self._weighing(Particles.from_unnormalised(self.poses, self.log_weights + log_factor)[0].log_weights)
+        return Particles.from_unnormalised(self.poses, self.log_weights + log_factor)[0]
 
     def keep_shares(self, of: Particles, label: Int64[np.ndarray, " n"]) -> Particles:
         """The same particles, every hypothesis with the share that it has among the weights of another belief.
@@ -85,10 +86,4 @@ class Particles:
         known = (mine > 1e-200) & (its > 1e-200)  # else the factor says nothing, and the weights stay as they are
         log_factor = np.log(np.divide(its, mine, out=np.ones_like(mine), where=known))
         log_weights = self.log_weights + log_factor[group]
-        return self._weighing(log_weights - np.logaddexp.reduce(log_weights))
-
-    def _weighing(self, log_weights: np.ndarray) -> Particles:
-        """The same particles with other weights; where they lie is known already."""
-        other = Particles(self.poses, log_weights)
-        other.__dict__["neighbour_order"] = self.neighbour_order
-        return other
+        return Particles(self.poses, log_weights - log_sum(log_weights))

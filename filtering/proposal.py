@@ -14,7 +14,7 @@ from jaxtyping import Float64, Int64
 
 from filtering.density import KernelDensity, neighbour_order
 from filtering.motion import Odometry, isotropic_std
-from filtering.particles import Particles
+from filtering.particles import Particles, log_sum
 from filtering.posterior import PosePosterior
 from filtering.regularisation import KernelConfig, belief_kernels
 from filtering.sample_size import SampleSizeConfig, draw_enough
@@ -132,7 +132,7 @@ def mixture_log_weights(
     above = np.maximum(log_likelihood[injected], 1e-12)
     above_floor = above + np.log(-np.expm1(-above))  # log(L − 1) that no L overflows
     ratio = above_floor + log_prior[injected] - proposal.log_image[injected]
-    log_evidence = np.logaddexp.reduce(ratio) - np.log(len(ratio))
+    log_evidence = log_sum(ratio) - np.log(len(ratio))
     return _log_mix(carried, log_evidence + proposal.log_image, kidnap_probability) - drawn
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.errors import require_within
+from filtering.particles import log_sum
 
 
 @dataclass(frozen=True)
@@ -81,5 +82,5 @@ def agreement(log_evidence: float, log_best_evidence: float) -> float:
 def log_mean(log_values: Float64[np.ndarray, " n"], log_weights: Float64[np.ndarray, " n"] | None = None) -> float:
     """Log of the mean of exp(values) (n,), weighted by exp(weights), which need not be normalised; equal without."""
     if log_weights is None:
-        return float(np.logaddexp.reduce(log_values) - np.log(len(log_values)))
-    return float(np.logaddexp.reduce(log_values + log_weights) - np.logaddexp.reduce(log_weights))
+        return log_sum(log_values) - float(np.log(len(log_values)))
+    return log_sum(log_values + log_weights) - log_sum(log_weights)

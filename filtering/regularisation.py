@@ -14,7 +14,7 @@ from jaxtyping import Float64, Int64
 
 from filtering.errors import require_within
 from filtering.moments import group_moments
-from filtering.particles import Particles
+from filtering.particles import Particles, log_sum
 from filtering.resampling import systematic
 from filtering.se3 import Poses
 
@@ -93,8 +93,8 @@ def spread_draw(
     """Draw more particles of unlikely hypotheses than their weights ask for, with log weights that make up for it.
 
     A hypothesis gets draws by its weight to the power of `exponent`, its particles by the square root of theirs. A
-    systematic draw gives every stretch of its input the right number, up to rounding. Where poses that lie together
-    stand together the stretches are places, so a place keeps its share; in any other order only on average.
+    systematic draw gives every stretch of its input the right number, up to rounding: hypothesis by hypothesis, each
+    keeps its share exactly; in any other order it would on average only.
 
     Args:
         particles: The belief, (n,).
@@ -104,20 +104,21 @@ def spread_draw(
         rng: Source of the draw.
 
     Returns:
-        Indices of the particles drawn (k,), neighbours together, and their log weights, normalised (k,).
+        Indices of the particles drawn (k,), hypothesis by hypothesis, and their log weights, normalised (k,).
     """
     relative = particles.log_weights - particles.log_weights.max()
     if label is None:
         draw = np.exp(exponent * relative)
+        drawn = systematic(draw, count, rng=rng)
     else:
         draw = np.exp(0.5 * relative)
         own = np.bincount(label + 1, draw)
         target = np.bincount(label + 1, np.exp(relative)) ** exponent
         draw *= np.divide(target, own, out=np.zeros_like(own), where=own > 1e-200)[label + 1]
-    order = particles.neighbour_order
-    drawn = order[systematic(draw[order], count, rng=rng)]
+        order = np.argsort(label.astype(np.int16), kind="stable")
+        drawn = order[systematic(draw[order], count, rng=rng)]
     log_weights = particles.log_weights[drawn] - np.log(draw[drawn])
-    return drawn, log_weights - np.logaddexp.reduce(log_weights)
+    return drawn, log_weights - log_sum(log_weights)
 
 
 def regularise(

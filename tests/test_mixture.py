@@ -13,6 +13,7 @@ from filtering.particles import Particles
 from filtering.posterior import LikelihoodModel, PosteriorSamples
 from filtering.proposal import mixture_log_weights, propose
 from filtering.regularisation import KernelConfig
+from filtering.sample_size import SampleSizeConfig
 from filtering.se3 import Poses
 
 HALF_M = 2.4
@@ -58,7 +59,9 @@ CONFIG = KernelConfig(max_kernels=6, share_exponent=1.0, smoothing=0.0, jitter_m
 
 def proposed(posterior, injection_fraction, num_particles, seed=0, share_left=4 / 6, kernels=CONFIG):
     return propose(
-        *belief(share_left), MOTION, posterior, num_particles=num_particles, injection_fraction=injection_fraction,
+        *belief(share_left), MOTION, posterior, 
+        sample_size=SampleSizeConfig(min_particles=num_particles, max_particles=num_particles),
+        injection_fraction=injection_fraction,
         kernels=kernels, rng=np.random.default_rng(seed),
     )  # fmt: skip
 

@@ -81,8 +81,8 @@ def test_an_interrupted_recording_leaves_nothing(checkpoint, tmp_path, monkeypat
 
 
 OTHER = {
-    "scene": "staircase", "seed": 4, "cues": "none", "frames": 13, "width": 50, "height": 40, "network_sha256": "1" * 64,
-    "num_samples": 31, "synthesis": 99, "package": "9.9",
+    "scene": "staircase", "seed": 4, "cues": "none", "frames": 13, "width": 50, "height": 40,
+    "network_sha256": "1" * 64, "num_samples": 31, "synthesis": 99, "package": "9.9",
 }  # fmt: skip
 
 
