@@ -13,7 +13,7 @@ from filtering.estimate import Estimate, Mode, ModeConfig, Status, describe_mode
 from filtering.motion import Odometry, require_odometry
 from filtering.particles import Particles
 from filtering.posterior import ObservationModel, PosePosterior, Posterior
-from filtering.proposal import mixture_log_weights, propose
+from filtering.proposal import Proposal, mixture_log_weights, propose
 from filtering.recovery import Recovery, RecoveryConfig, agreement, log_mean
 from filtering.regularisation import KernelConfig
 from filtering.sample_size import SampleSizeConfig, draw_enough
@@ -146,7 +146,7 @@ class ParticleLocalizer(Generic[Posterior]):
         )
 
     def _start(self, posterior: PosePosterior) -> tuple[Particles, float]:
-        """The first belief is the image's posterior: L π, untempered, as no image before it shares its errors."""
+        """The first belief is the image's posterior, untempered, as no image before it shares its errors."""
         poses = draw_enough(lambda size: posterior.sample(size, rng=self._filter_rng), self.config.size)
         particles, _ = Particles.from_unnormalised(poses, np.zeros(len(poses)))
         log_likelihood = posterior.log_likelihood(poses)
@@ -173,26 +173,26 @@ class ParticleLocalizer(Generic[Posterior]):
         if num_moved < len(log_likelihood):
             best_evidence = log_mean(log_likelihood[num_moved:])
             self._recovery = self._recovery.update(agreement(log_evidence, best_evidence), c.recovery)
-        log_weights = mixture_log_weights(
-            proposal,
-            log_likelihood,
-            posterior.log_prior(proposal.poses),
-            kidnap_probability=self._recovery.kidnap_probability(c.recovery),
-        )
+        log_weights = self._weigh(proposal, log_likelihood, posterior.log_prior(proposal.poses))
         particles, _ = Particles.from_unnormalised(proposal.poses, log_weights)
         if particles.weights[num_moved:].sum() > 0.5:
             self._recovery = self._recovery.reset()
         return particles, log_evidence
 
+    def _weigh(self, proposal: Proposal, log_likelihood: np.ndarray, log_prior: np.ndarray) -> np.ndarray:
+        """Log weights of the particles, not normalised, (n,)."""
+        kidnap_probability = self._recovery.kidnap_probability(self.config.recovery)
+        return mixture_log_weights(proposal, log_likelihood, log_prior, kidnap_probability=kidnap_probability)
+
     def _settle(self, particles: Particles, posterior: CheckedPosterior, *, first: bool) -> Particles:
         """Find the hypotheses, and weigh each one's particles by what the image says of details, the shares kept.
 
-        A belief that is the image's posterior has its details already.
+        A first belief is the image's posterior, and has its details already.
         """
-        detail = None if first else posterior.log_detail(particles.poses)
-        detailed = particles if detail is None else particles.reweighted(detail)
+        log_detail = None if first else posterior.log_detail(particles.poses)
+        detailed = particles if log_detail is None else particles.reweighted(log_detail)
         self._label = find_hypotheses(detailed, self.config.modes, rng=self._filter_rng)
-        return particles if detail is None else detailed.keep_shares(particles, self._label)
+        return particles if log_detail is None else detailed.keep_shares(particles, self._label)
 
     def _order(self, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
         """Keep the previous best mode first unless another clearly outweighs it."""

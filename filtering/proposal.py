@@ -78,14 +78,15 @@ def propose(
     Raises:
         VaporTrackError: the odometry covariance is no covariance.
     """
-    num_kernels = max(1, min(round((1 - injection_fraction) * len(belief)), kernels.max_kernels))
+    fewest_moved = sample_size.min_particles - _num_injected(sample_size.min_particles, injection_fraction)
+    num_kernels = min(fewest_moved, kernels.max_kernels)
     carried = belief_kernels(belief, label, num_kernels, kernels, rng=rng)
     widths = np.hypot(carried.widths, isotropic_std(odometry.covariance, (kernels.jitter_m, kernels.jitter_rad)))
     density = KernelDensity(carried.centres @ odometry.previous_from_current, *widths.T)
 
     def move(num_particles: int) -> Poses:
         # Every kernel gives as many particles as any other, up to rounding: stratified draws from the density.
-        count = num_particles - min(round(injection_fraction * num_particles), num_particles - 1)
+        count = num_particles - _num_injected(num_particles, injection_fraction)
         stratum = (np.arange(count) + rng.random()) * (num_kernels / count)
         return density.draw(np.minimum(stratum.astype(np.int64), num_kernels - 1), rng=rng)
 
@@ -101,6 +102,11 @@ def propose(
             poses, carried.log_weights, np.full(num_kernels, -np.log(num_kernels))
         )
     return Proposal(poses, num_from_motion, log_predicted, log_moved, log_image.result())
+
+
+def _num_injected(num_particles: int, injection_fraction: float) -> int:
+    """How many of all particles the image draws: at least one is left to the motion model."""
+    return min(round(injection_fraction * num_particles), num_particles - 1)
 
 
 def mixture_log_weights(

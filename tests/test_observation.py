@@ -95,7 +95,12 @@ def test_the_calibration_shapes_density_and_likelihood():
         0.2,
         0.3,
         outlier_floor=0.1,
-        temper=1.0,
+        temper=0.5,
+        saturation=2.5,
+        preference=0.1,
+        place_bandwidth_translation_m=0.4,
+        place_bandwidth_rotation_rad=0.6,
+        detail_temper=0.7,
         prior_floor_quantile=0.2,
         prior_bandwidth_translation_m=0.3,
         prior_bandwidth_rotation_rad=0.5,
@@ -108,8 +113,14 @@ def test_the_calibration_shapes_density_and_likelihood():
     density = KernelDensity(prior_poses, 0.3, 0.5)
     floor = np.quantile(density.log_density(prior_poses), 0.2)
     prior = np.exp(np.maximum(density.log_density(poses), floor))
-    expected = (0.9 * np.exp(posterior.log_density(poses)) / prior + 0.1) / 0.1
-    np.testing.assert_allclose(np.exp(posterior.log_likelihood(poses)), expected, rtol=1e-6)
+    place = np.exp(KernelDensity(posterior.poses, 0.4, 0.6).log_density(poses))
+    evidence = np.log((0.9 * place / prior + 0.1) / 0.1)
+    assert evidence.min() < 2.5 < evidence.max()  # on both sides of the saturation
+    likelihood = 0.5 * (np.minimum(evidence, 2.5) + 0.1 * np.maximum(evidence - 2.5, 0.0))
+    np.testing.assert_allclose(posterior.log_likelihood(poses), likelihood, rtol=1e-5)
+    ratio = np.exp(posterior.log_density(poses)) / place
+    detail = 0.7 * (1 - np.exp(-evidence)) * np.log(1 + ratio / 0.05)
+    np.testing.assert_allclose(posterior.log_detail(poses), detail, rtol=1e-5)
 
 
 def test_a_model_file_observes_as_the_checkpoint_it_was_saved_from(tmp_path):

@@ -20,7 +20,7 @@ import filtering
 from filtering.errors import VaporTrackError
 from filtering.estimate import posterior_modes
 from filtering.kalman import KalmanLocalizer
-from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.localizer import LocalizerConfig
 from filtering.motion import Odometry
 from filtering.posterior import LikelihoodModel
 from filtering.se3 import Poses
@@ -161,7 +161,7 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
     config = variant.localizer(setup.localizer)
     seed = [trial.pieces[0].seed, trial.pieces[0].start, _STREAMS[trial.kind]]
     filter_rng, mode_rng = np.random.default_rng(seed).spawn(2)
-    localizer, kalman = ParticleLocalizer(_NoImages(), config, rng=filter_rng), KalmanLocalizer()
+    localizer, kalman = variant.kind(_NoImages(), config, rng=filter_rng), KalmanLocalizer()
     image_modes, estimates, kalman_modes, step_ms = [], [], [], []
     for i, motion in enumerate(replay.odometry):
         poses = replay.posterior_poses(i)

@@ -8,8 +8,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from filtering.localizer import LocalizerConfig
+from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.posterior import LikelihoodModel
+from filtering.proposal import Proposal
+from filtering.recovery import log_mean
 from filtering.se3 import Poses
 
 
@@ -19,11 +21,13 @@ class Variant:
 
     Attributes:
         meaning: What is different.
+        kind: The filter.
         localizer: Settings of the filter -> those of the variant.
         likelihood: The likelihood and the poses that its prior is made of -> that of the variant.
     """
 
     meaning: str
+    kind: type[ParticleLocalizer] = ParticleLocalizer
     localizer: Callable[[LocalizerConfig], LocalizerConfig] = lambda config: config
     likelihood: Callable[[LikelihoodModel, Poses], LikelihoodModel] = lambda model, poses: model
 
@@ -37,14 +41,27 @@ def _no_recovery(config: LocalizerConfig) -> LocalizerConfig:
     return replace(config, recovery=replace(config.recovery, min_kidnap_probability=0.0, max_kidnap_probability=0.0))
 
 
+class EqualInjectedWeights(ParticleLocalizer):
+    """Injected particles weigh 1/n each whatever the belief says of where they are, as in public filters."""
+
+    def _weigh(self, proposal: Proposal, log_likelihood: np.ndarray, log_prior: np.ndarray) -> np.ndarray:
+        moved = slice(proposal.num_from_motion)
+        log_weights = log_likelihood + proposal.log_predicted - proposal.log_moved
+        log_weights[proposal.num_from_motion :] = log_mean(log_weights[moved])
+        return log_weights
+
+
 # To add one: a name, what is different, and a function of the settings.
 VARIANTS: Mapping[str, Variant] = MappingProxyType(
     {
         "full": Variant("the filter as it is"),
         "no-prior": Variant("posterior not divided by π", likelihood=_flat_prior),
-        "no-tempering": Variant("β = 1", likelihood=lambda model, poses: replace(model, temper=1.0)),
+        "no-tempering": Variant("β = β_d = 1", likelihood=lambda m, _: replace(m, temper=1.0, detail_temper=1.0)),
+        "no-saturation": Variant("c = ∞, β = 0.1", likelihood=lambda m, _: replace(m, temper=0.1, saturation=np.inf)),
         "no-injection": Variant("φ = 0", localizer=lambda config: replace(config, injection_fraction=0.0)),
+        "equal-injected-weights": Variant("injected particles weigh 1/n", EqualInjectedWeights),
         "no-recovery": Variant("κ = 0", localizer=_no_recovery),
+        "fixed-size": Variant("1000 particles", localizer=lambda config: replace(config, num_particles=1000)),
     }
 )
 """Variants by name."""
