@@ -11,8 +11,9 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.sequence_files import Walk, rewrite
 from tests.simulation import climb
-from vapor.calibrate import calibrate, fit_images
+from vapor.calibrate import calibrate
 from vapor.checkpoint import Calibration, load_checkpoint, read_safetensors
+from vapor.image_fit import fit_images
 from vapor.loss import LossConfig
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 from vapor.stretches import GRIDS, SAFE_PREFERENCE, Stretch, belief_scores, choose, find_stretches, simulated_odometry
