@@ -11,6 +11,7 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.sequence_files import Walk, rewrite
 from tests.simulation import climb
+from vapor import calibrate as calibrate_module
 from vapor.calibrate import calibrate
 from vapor.checkpoint import Calibration, load_checkpoint, read_safetensors
 from vapor.image_fit import fit_images
@@ -143,6 +144,9 @@ def test_of_values_that_differ_by_less_than_their_noise_the_most_cautious_is_tak
     assert (unsure, choice.preferred) == (Calibration(), 0.4)
     lower, choice = choose("temper", Calibration(), given(0.1, 100.0))
     assert (lower.temper, choice.preferred) == (0.1, 0.1)
+    detail, choice = choose("detail_temper", Calibration(), given(0.2, 100.0, on="detail_temper"))
+    assert (detail.detail_temper, choice.preferred) == (0.1, 0.2)
+    assert choice.gain == pytest.approx(-1.0)
 
 
 def test_a_preference_that_would_converge_wrongly_is_told_but_not_taken():
@@ -216,6 +220,7 @@ def test_without_stretches_only_the_fits_image_by_image_are_made():
 
 
 def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path, monkeypatch):
+    monkeypatch.setattr(calibrate_module, "NUM_SAMPLES", 100)
     for name in GRIDS:
         monkeypatch.setitem(GRIDS, name, ())  # the present value only: one run of the filter
     config = TrainConfig(NETWORK, LossConfig(num_samples=16), epochs=1, precision="float32", device="cpu")
