@@ -42,7 +42,7 @@ $(DATA)/ceiling-%.mcap: | $(INSTALLED) $(DATA)
 
 $(DATA)/features.safetensors: $(STAIRCASE) $(DATA)/staircase-100.mcap
 	$(BIN)/vapor-track train $(STAIRCASE) --validation $(DATA)/staircase-100.mcap --output $@ \
-	    --loss.alpha 0.1 --epochs 16
+	    --loss.alpha 0.1 --epochs 16 --no-calibrate
 
 vapor/models/staircase.safetensors: $(DATA)/features.safetensors
 	$(BIN)/vapor-track train $(STAIRCASE) --validation $(DATA)/staircase-100.mcap --output $@ \
@@ -53,12 +53,12 @@ vapor/models/staircase.safetensors: $(DATA)/features.safetensors
 $(DATA)/ceiling-first.safetensors: $(DATA)/features.safetensors $(CEILING_FEW) $(DATA)/ceiling-100.mcap
 	$(BIN)/vapor-track train $(CEILING_FEW) --validation $(DATA)/ceiling-100.mcap --output $@ \
 	    --pretrained-weights $< --loss.alpha 0.06 --loss.num-samples 333 --loss.beta 0.003 \
-	    --learning-rate 3e-3 --evolve 0.4 --epochs 44
+	    --learning-rate 3e-3 --evolve 0.4 --epochs 44 --no-calibrate
 
 $(DATA)/ceiling-second.safetensors: $(DATA)/ceiling-first.safetensors $(CEILING_MORE)
 	$(BIN)/vapor-track train $(CEILING_MORE) --validation $(DATA)/ceiling-100.mcap --output $@ \
 	    --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
-	    --learning-rate 2e-3 --epochs 16
+	    --learning-rate 2e-3 --epochs 16 --no-calibrate
 
 vapor/models/ceiling.safetensors: $(DATA)/ceiling-second.safetensors $(CEILING)
 	$(BIN)/vapor-track train $(CEILING) --validation $(DATA)/ceiling-100.mcap --output $@ \

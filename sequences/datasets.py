@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -69,7 +69,7 @@ class PosedImages:
 
 
 def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOptions | None = None) -> Iterator[Frame]:
-    """Frames with true poses and without odometry, in order of time.
+    """Frames with true poses, in order of time; MCAP sequences with their odometry, where there is any to be found.
 
     Args:
         path: MCAP file, rosbag2 folder, TUM RGB-D folder, 7-Scenes sequence, or 7-Scenes scene (all its sequences).
@@ -87,10 +87,10 @@ def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOp
                 f"{path}: frames {frames.start}:{frames.stop}:{frames.step} count from the end, which"
                 " a stream does not know; expected numbers from 0 on"
             )
-        reader = SequenceReader(path, options, require_odometry=False)
-        posed = (frame for frame in reader if frame.world_from_camera is not None)
-        for number, frame in enumerate(islice(posed, frames.start, frames.stop, frames.step), start=1):  # noqa: B007
-            yield frame
+        posed = _posed(SequenceReader(path, options, odometry="optional"))
+        for number, frame in enumerate(islice(posed, frames.start, frames.stop, frames.step), start=1):
+            follows = number > 1 and frames.step in (None, 1)
+            yield frame if follows else replace(frame, odometry=None)
     else:
         for number, frame in enumerate(_load(list_images(path)[frames]), start=1):  # noqa: B007
             yield frame
@@ -104,7 +104,7 @@ def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOp
 def count_frames(path: Path) -> int:
     """How many frames `posed_frames` yields at most: for progress."""
     path = Path(path)
-    return SequenceReader(path, require_odometry=False).num_images if _is_bag(path) else len(list_images(path))
+    return SequenceReader(path, odometry="unread").num_images if _is_bag(path) else len(list_images(path))
 
 
 def list_images(path: Path) -> PosedImages:
@@ -130,6 +130,15 @@ def list_images(path: Path) -> PosedImages:
 
 def _is_bag(path: Path) -> bool:
     return path.is_file() or (path / "metadata.yaml").is_file()
+
+
+def _posed(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """Those with a true pose; without odometry where the frame before was left out."""
+    follows = True
+    for frame in frames:
+        if frame.world_from_camera is not None:
+            yield frame if follows else replace(frame, odometry=None)
+        follows = frame.world_from_camera is not None
 
 
 def _load(images: PosedImages) -> Iterator[Frame]:

@@ -33,8 +33,8 @@ class Frame:
     Attributes:
         time_ns: Header stamp of the image, integer nanoseconds.
         image: RGB, uint8; empty where there is none.
-        odometry: Motion of the camera since the previous frame that was yielded; None for the first frame, and for
-            sequences without odometry.
+        odometry: Motion of the camera since the previous frame that was yielded; None for the first frame, and where
+            no odometry covers it.
         world_from_camera: True pose, one pose; None where unknown.
         camera: Intrinsics, None where unknown.
     """

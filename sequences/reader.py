@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import UInt8
@@ -31,6 +31,8 @@ from sequences.messages import (
 )
 from sequences.pairing import PoseWindow
 from sequences.transforms import TransformTree
+
+OdometryUse = Literal["required", "optional", "unread"]
 
 METADATA_NAME = "vapor-track"  # of the record in which a file says where its odometry comes from
 MAX_ODOMETRY_GAP_S = 0.5
@@ -97,14 +99,16 @@ class SequenceReader:
         odometry_description: What the file says of where its odometry comes from; None where it says nothing.
     """
 
-    def __init__(self, path: Path | str, options: SequenceOptions | None = None, *, require_odometry: bool = True):
+    def __init__(
+        self, path: Path | str, options: SequenceOptions | None = None, *, odometry: OdometryUse = "required"
+    ) -> None:
         """Open a sequence, find its topics and extrinsics.
 
         Args:
             path: MCAP file or rosbag2 folder.
             options: What to read; None for all of it, as found.
-            require_odometry: Read odometry, and skip what it does not cover. False leaves it unread: training needs
-                images and true poses only.
+            odometry: "required" reads it, and skips the images that it does not cover. "optional" gives images it where
+                it can be found, without a choice to make, and skips none for lack of it. "unread" leaves it alone.
 
         Raises:
             SequenceError: the file is damaged, a topic is missing or ambiguous, or no transform leads from the
@@ -114,14 +118,19 @@ class SequenceReader:
         self.skipped: Counter[str] = Counter()
         self._options = options or SequenceOptions()
         self._bag = Bag(self.path)
-        self._topics = _Topics(self._bag, self._options, require_odometry=require_odometry)
+        self._topics = _Topics(self._bag, self._options, odometry)
         self.num_images = self._topics.image.num_messages
         self.camera = _read_camera(self._bag, self._topics.camera_info)
         self.base_from_camera: Poses | None = None
         if self._topics.odometry is not None:
-            self.base_from_camera = _read_extrinsics(
-                self._bag, self._options, self._topics.image, self._topics.odometry
-            )
+            try:
+                self.base_from_camera = _read_extrinsics(
+                    self._bag, self._options, self._topics.image, self._topics.odometry
+                )
+            except SequenceError:
+                if odometry == "required":
+                    raise
+                self._topics.odometry = None
         self.odometry_description = self._bag.metadata.get(METADATA_NAME, {}).get("odometry")
 
     @property
@@ -144,7 +153,7 @@ class SequenceReader:
         for raw in self._bag.messages(self._topics.streamed):
             if pairing.is_over(raw):
                 break
-            pairing.take(raw, _decode(self._bag, raw, tolerate=raw.topic == self._topics.image.name))
+            pairing.take(raw, _decode(self._bag, raw, tolerate=self._topics.may_be_damaged(raw.topic)))
             for frame in pairing.ready_frames():
                 num_frames += 1
                 yield frame
@@ -183,6 +192,7 @@ class _Pairing:
         self._waiting: deque[tuple[int, SimpleNamespace]] = deque()
         self._begin: tuple[int, int] | None = None  # stamp and log time of the first image
         self._previous_ns: int | None = None  # stamp of the last frame
+        self._previous_covered = False  # by odometry
         self._ahead_ns: dict[str, int] = {}  # topic -> stamp less log time of its last usual message
 
     def is_over(self, raw: RawMessage) -> bool:
@@ -193,9 +203,10 @@ class _Pairing:
         return since_s > self._options.start_s + self._options.duration_s + _MAX_LATENESS_S
 
     def take(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
-        """Take one message in, of whichever topic; None for an image message that is none."""
+        """Take one message in, of whichever topic; None for bytes that are no message."""
         if message is None:
-            self._skip("undecodable image", raw.log_time_ns)
+            is_image = raw.topic == self._topics.image.name
+            self._skip("undecodable image" if is_image else "unusable odometry", raw.log_time_ns)
             return
         time_ns = stamp_ns(message.header)
         if self._jumps_ahead(raw, time_ns):
@@ -216,6 +227,9 @@ class _Pairing:
             else:
                 pose, covariance = pose_from_message(message.pose), None
         except VaporTrackError as error:
+            if is_odometry and not self._topics.odometry_required:
+                self._skip("unusable odometry", time_ns, error)
+                return
             raise SequenceError(f"{self._path}: {raw.topic} at {time_ns} ns: {what}: {error}") from error
         if not window.append(time_ns, pose, covariance):
             self._skip(f"{what} time stamp not increasing", time_ns)
@@ -248,14 +262,15 @@ class _Pairing:
         previous_ns = self._previous_ns
         if previous_ns is not None and time_ns <= previous_ns:
             return self._skip("time stamp not increasing", time_ns)
-        if self._topics.odometry is not None and self._odometry.at(time_ns) is None:
+        covered = self._topics.odometry is not None and self._odometry.at(time_ns) is not None
+        if self._topics.odometry_required and not covered:
             return self._skip("odometry does not cover", time_ns)
         try:
             image = self._decode_image(message)
         except SequenceError as error:
             return self._skip("undecodable image", time_ns, error)
         odometry = None
-        if self._base_from_camera is not None and previous_ns is not None:
+        if self._base_from_camera is not None and previous_ns is not None and covered and self._previous_covered:
             odometry = self._odometry.odometry_between(
                 previous_ns,
                 time_ns,
@@ -265,7 +280,7 @@ class _Pairing:
         truth = self._truth.at(time_ns)
         self._odometry.forget_before(time_ns)
         self._truth.forget_before(time_ns)
-        self._previous_ns = time_ns
+        self._previous_ns, self._previous_covered = time_ns, covered
         return Frame(time_ns, image, odometry, truth, self._camera)
 
     def _skip(self, reason: str, time_ns: int, error: Exception | None = None) -> None:
@@ -277,13 +292,18 @@ class _Pairing:
 class _Topics:
     """Which topic plays which role: the one named by an option, or the only one of its types."""
 
-    def __init__(self, bag: Bag, options: SequenceOptions, *, require_odometry: bool):
+    def __init__(self, bag: Bag, options: SequenceOptions, odometry: OdometryUse):
         image = _choose(bag, "image", tuple(_IMAGE_DECODERS), options.image_topic, required=True)
         assert image is not None
         self.image = image
         self.odometry: Topic | None = None
-        if require_odometry:
-            self.odometry = _choose(bag, "odometry", ("nav_msgs/Odometry",), options.odometry_topic, required=True)
+        self.odometry_required = odometry == "required"
+        if odometry != "unread":
+            try:
+                self.odometry = _choose(bag, "odometry", ("nav_msgs/Odometry",), options.odometry_topic, required=True)
+            except SequenceError:
+                if self.odometry_required:
+                    raise
         self.truth = _choose(bag, "ground-truth", ("geometry_msgs/PoseStamped",), options.ground_truth_topic)
         info_name = options.camera_info_topic
         if info_name is None:
@@ -291,6 +311,12 @@ class _Topics:
             beside = image.name.removesuffix("/compressed").rsplit("/", 1)[0] + "/camera_info"
             info_name = beside if beside in bag.topics else None
         self.camera_info = _choose(bag, "camera-info", ("sensor_msgs/CameraInfo",), info_name)
+
+    def may_be_damaged(self, name: str) -> bool:
+        """Whether messages of a topic that cannot be decoded are left out, rather than an error."""
+        return name == self.image.name or (
+            self.odometry is not None and name == self.odometry.name and not self.odometry_required
+        )
 
     @property
     def streamed(self) -> list[str]:

@@ -17,7 +17,7 @@ from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
 from sequences.reader import SequenceOptions, SequenceReader
 from sequences.tum import format_time, write_tum
-from tests.sequence_files import BEGIN_NS, FORMS, Walk, world_from_camera
+from tests.sequence_files import BEGIN_NS, FORMS, Walk, rewrite, world_from_camera
 
 STEP_NS = 33_333_333
 
@@ -284,3 +284,36 @@ def test_real_7_scenes_images_have_their_poses(shared_data: Path) -> None:
     assert frames[0].image.shape == (256, 341, 3)
     assert frames[0].camera is not None
     np.testing.assert_allclose(frames[0].camera.fx, 311.695, atol=0.01)
+
+
+# --- odometry of posed frames ----------------------------------------------------------------------
+
+
+def test_posed_frames_bring_the_odometry_between_them_and_none_across_a_frame_left_out(tmp_path: Path) -> None:
+    walk = Walk()
+    del walk.truth[5]
+    walk.odometry = [(t, pose) for t, pose in walk.odometry if t < BEGIN_NS + 1_050_000_000]  # one image longer
+    frames = list(posed_frames(walk.write(tmp_path / "walk.mcap"), frames=slice(1, None)))
+    numbers = [(frame.time_ns - BEGIN_NS) // 100_000_000 for frame in frames]
+    assert numbers == [1, 2, 3, 4, 6, 7, 8, 9, 10, 11]  # the last is not covered by odometry, and not left out
+    assert [n for n, f in zip(numbers, frames, strict=True) if f.odometry is None] == [1, 6, 11]
+    for before, frame in pairwise(frames):
+        if frame.odometry is not None and before.world_from_camera is not None:
+            moved = before.world_from_camera @ frame.odometry.previous_from_current
+            assert same(frame.world_from_camera, moved, 1e-3)
+
+
+@pytest.mark.parametrize("trouble", ["no such topic", "no transform", "damaged"])
+def test_odometry_that_cannot_be_used_costs_no_posed_frame(trouble: str, tmp_path: Path) -> None:
+    path, whole = tmp_path / "walk.mcap", Walk().write(tmp_path / "whole.mcap")
+    if trouble == "damaged":
+        rewrite(whole, path, data=lambda topic, _, data: data[:9] if topic == "/odom" else data)
+    elif trouble == "no transform":
+        rewrite(whole, path, keep=lambda topic, _: not topic.startswith("/tf"))
+    else:
+        rewrite(whole, path)
+        options = SequenceOptions(odometry_topic="/other")
+        assert len(list(posed_frames(path, options=options))) == 12
+    frames = list(posed_frames(path))
+    assert len(frames) == 12
+    assert (trouble == "no such topic") == any(frame.odometry is not None for frame in frames)

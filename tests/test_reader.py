@@ -19,7 +19,7 @@ from sequences.errors import SequenceError
 from sequences.message_definitions import decoder, schema_name, schema_text
 from sequences.messages import odometry_from_message
 from sequences.pairing import odometry_between
-from sequences.reader import SequenceOptions, SequenceReader
+from sequences.reader import OdometryUse, SequenceOptions, SequenceReader
 from tests.sequence_files import (
     BASE_FROM_CAMERA,
     BEGIN_NS,
@@ -88,7 +88,7 @@ def test_the_file_says_where_its_odometry_comes_from(walk_file: Path, tmp_path: 
 
 def test_without_odometry_every_image_is_read(tmp_path: Path) -> None:
     path = rewrite(Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap", keep=lambda topic, _: topic != "/odom")
-    frames = list(SequenceReader(path, require_odometry=False))
+    frames = list(SequenceReader(path, odometry="unread"))
     assert len(frames) == 12
     assert all(frame.odometry is None and frame.world_from_camera is not None for frame in frames)
     with pytest.raises(SequenceError, match=r"no odometry topic.*nav_msgs/Odometry.*/tf_static \(tf2_msgs/TFMessage\)"):
@@ -412,10 +412,10 @@ def far_ahead(of_topic: str, walk: Path, target: Path) -> Path:
     return rewrite(walk, target, data=stamped)
 
 
-@pytest.mark.parametrize("require_odometry", [True, False])
-def test_a_stamp_far_in_the_future_costs_one_image_only(require_odometry: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("odometry", ["required", "optional", "unread"])
+def test_a_stamp_far_in_the_future_costs_one_image_only(odometry: OdometryUse, tmp_path: Path) -> None:
     path = far_ahead(IMAGES, Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap")
-    reader = SequenceReader(path, require_odometry=require_odometry)
+    reader = SequenceReader(path, odometry=odometry)
     assert [f.time_ns for f in reader] == [BEGIN_NS + 100_000_000 * i for i in range(12) if i != 5]
     assert reader.skipped == {"time stamp far ahead": 1}
 

@@ -14,6 +14,7 @@ COMMANDS = {
     "demo": "synthesize a sequence, localize in it with a model that ships, and compare",
     "fuse": "localize from pose estimates of others, given as text, and odometry",
     "train": "train a pose regressor on sequences or data sets with true poses",
+    "calibrate": "calibrate a trained model on held-out sequences with true poses",
     "synthesize": "render a sequence through a synthetic scene",
     "convert": "write a TUM RGB-D or 7-Scenes folder as an MCAP sequence",
     "evaluate": "measure the trajectories of a run against true poses",

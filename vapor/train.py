@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,15 +14,15 @@ import numpy as np
 import torch
 
 from filtering.se3 import Poses
-from sequences.datasets import posed_frames
 from sequences.frame import Frame
 from vapor.augment import jitter_and_normalise, random_crops
+from vapor.calibrate import CalibrationResult, calibrate
 from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, load_checkpoint, save_checkpoint, spaced
 from vapor.loss import regression_loss
 from vapor.network import SceneBox, VariationalPoseRegressor, load_pretrained
 from vapor.observation import resolve_device
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
-from vapor.training_set import TrainingError, TrainingSet, held_out_tails, load_training_set
+from vapor.training_set import TrainingError, TrainingSet, held_out_tails, load_training_set, open_sequences
 from vapor.training_state import TrainingState, load_state, save_state, state_path
 from vapor.validation import Validation, predict, validate
 
@@ -33,9 +32,9 @@ class Progress:
     """Where a training stands.
 
     Attributes:
-        stage: "reading" of images, then "training".
-        done: Images read, or steps done since the training's start, interrupted or not.
-        total: Steps in all; None while reading.
+        stage: "reading" of images, then "training", then "calibrating".
+        done: Images read, steps done since the training's start, interrupted or not, or filter runs done.
+        total: Steps or runs in all; None while reading.
         epoch: The current epoch, from 1.
         epochs: Of so many.
         loss: Mean training loss of this epoch so far.
@@ -44,7 +43,7 @@ class Progress:
         best: Figures of the best epoch.
     """
 
-    stage: Literal["reading", "training"]
+    stage: Literal["reading", "training", "calibrating"]
     done: int
     total: int | None = None
     epoch: int = 0
@@ -65,6 +64,7 @@ class TrainResult:
         best: Figures of the epoch that was kept; None without held-out images.
         seconds: Wall clock of this call's training, reading and interruptions left out.
         images_seen: Of this call.
+        calibration: What was calibrated at the end, and what that gained; None where it was not asked for.
     """
 
     checkpoint: Checkpoint
@@ -72,6 +72,7 @@ class TrainResult:
     best: Validation | None
     seconds: float
     images_seen: int
+    calibration: CalibrationResult | None = None
 
 
 ProgressCallback = Callable[[Progress], None]
@@ -99,7 +100,7 @@ def train(
         SequenceError: unreadable data.
         CheckpointError: an interrupted training of another configuration.
     """
-    return train_on(_open(data), output, config, validation=_open(validation), progress=progress)
+    return train_on(open_sequences(data), output, config, validation=open_sequences(validation), progress=progress)
 
 
 def train_on(
@@ -124,21 +125,13 @@ def train_on(
         training, held_out = loaded, load_training_set(validation, edge, square=central)
     else:
         tails = held_out_tails(loaded.sequence, config.validation_share)
-        training, held_out = _select(loaded, np.flatnonzero(~tails)), _select(loaded, np.flatnonzero(tails))
+        training, held_out = loaded.select(np.flatnonzero(~tails)), loaded.select(np.flatnonzero(tails))
     if len(training) < 2:
         raise TrainingError(f"{', '.join(sequences)}: {len(training)} training images, expected at least 2")
     names = {"data": list(sequences), "validation_data": list(validation or ())}
     box = SceneBox.around(training.poses)
     state = _start(config, box.union(initial.box) if initial else box, initial)
-    return _fit(
-        state,
-        training,
-        _select(held_out, spaced(len(held_out), config.validation_images)),
-        names,
-        output,
-        config,
-        report,
-    )
+    return _fit(state, training, held_out, names, output, config, report)
 
 
 def _fit(
@@ -150,7 +143,8 @@ def _fit(
     config: TrainConfig,
     report: ProgressCallback,
 ) -> TrainResult:
-    identity = {**names, "images": len(training), "held_out": len(held_out), **_settings(config)}
+    judged = held_out.select(spaced(len(held_out), config.validation_images))
+    identity = {**names, "images": len(training), "held_out": len(judged), **_settings(config)}
     if config.resume and state_path(output).exists():
         load_state(state_path(output), state, identity)
     begin, first_epoch = perf_counter(), state.epoch
@@ -158,11 +152,11 @@ def _fit(
     while state.epoch < config.epochs:
         loss = _train_epoch(state, training, config, report, best)
         state.epoch += 1
-        if len(held_out):
+        if len(judged):
             kept = state.average if config.average else state.network
             figures = validate(
                 kept,
-                held_out,
+                judged,
                 config.calibration,
                 num_samples=config.loss.num_samples,
                 seed=config.seed,
@@ -186,18 +180,31 @@ def _fit(
         "selected_by": config.select_by if best else "last epoch",
         "validation": asdict(best) if best else None,
     }
+    prior_poses = _prior_poses(state.average, weights, training, config.seed)
+    calibrated = None
+    if config.calibrate:
+        calibrated = calibrate(
+            state.average,  # with the weights kept, as `_prior_poses` left it
+            held_out,
+            prior_poses,
+            config.calibration,
+            max_images=config.validation_images,
+            seed=config.seed,
+            advance=lambda done, total: report(Progress("calibrating", done, total, best=best)),
+        )
+        provenance["calibration"] = calibrated.provenance
     checkpoint = Checkpoint(
         config.network,
         state.network.box,
-        config.calibration,
-        _prior_poses(state.average, weights, training, config.seed),
+        calibrated.calibration if calibrated else config.calibration,
+        prior_poses,
         weights,
         json.loads(json.dumps(provenance)),
     )
     save_checkpoint(output, checkpoint, half=config.half)
     state_path(output).unlink(missing_ok=True)
     images_seen = (state.epoch - first_epoch) * len(training)
-    return TrainResult(checkpoint, tuple(state.history), best, seconds, images_seen)
+    return TrainResult(checkpoint, tuple(state.history), best, seconds, images_seen, calibrated)
 
 
 def _train_epoch(
@@ -312,7 +319,7 @@ def _prior_poses(
 ) -> Poses:
     """world_from_camera, (n,): a posterior sample of each of n evenly spaced training images, with these weights."""
     network.load_state_dict(weights)
-    images = _select(training, spaced(len(training), MAX_PRIOR_POSES))
+    images = training.select(spaced(len(training), MAX_PRIOR_POSES))
     return Poses.concatenate(list(predict(network, images, 1, seed)))
 
 
@@ -326,26 +333,3 @@ def _settings(config: TrainConfig) -> dict[str, Any]:
     for name in ("initial_model", "pretrained_weights"):
         settings[name] = settings[name].name if settings[name] else None
     return {key: value for key, value in settings.items() if key not in ("device", "resume")}
-
-
-def _select(images: TrainingSet, indices: np.ndarray) -> TrainingSet:
-    whole = len(indices) == len(images)  # a selection is copied into memory, the whole stays on disk
-    return TrainingSet(
-        images.images if whole else images.images[indices], images.poses[indices], images.sequence[indices]
-    )
-
-
-def _open(data: Sequence[Path | str]) -> dict[str, Iterable[Frame]]:
-    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder."""
-    opened: dict[str, Iterable[Frame]] = {}
-    for number, entry in enumerate(data):
-        match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
-        path = Path(match["path"] if match else entry)
-        if match is None and re.search(r"@[^/]*:[^/]*$", str(entry)) and not path.exists():
-            raise TrainingError(f"{entry}: expected START:STOP after @ to be whole numbers, or one of them left out")
-        frames = (
-            slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None) if match else slice(None)
-        )
-        name = Path(str(entry)).name
-        opened[name if name not in opened else f"{name} ({number + 1})"] = posed_frames(path, frames=frames)
-    return opened

@@ -26,7 +26,9 @@ class TrainConfig:
     augment: AugmentConfig = field(default_factory=AugmentConfig)
     """How much training images vary."""
     calibration: Calibration = field(default_factory=Calibration)
-    """Kernel widths and likelihood, stored with the model."""
+    """Kernel widths and likelihood; stored with the model, but for what `calibrate` fits."""
+    calibrate: bool = True
+    """At the end fit kernel widths, the prior's widths, outlier floor, β, γ and β_d on the held-out images."""
     pretrained_weights: Path | None = None
     """Weights of the backbone to start from: ImageNet's, as safetensors or a torch state dict with torchvision's names,
     or those of a model trained here. Without it a ResNet starts from random weights, EfficientNet-Lite0 from those of

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Int64, UInt8
 
 from filtering.errors import VaporTrackError
+from filtering.motion import Odometry
 from filtering.se3 import Poses
+from sequences.datasets import posed_frames
 from sequences.frame import Frame
 from vapor.images import centre_crop, resize_shortest_edge
 
@@ -27,14 +31,50 @@ class TrainingSet:
         images: RGB of one size, the shortest edge scaled; memory-mapped, so the system decides what stays in memory.
         poses: world_from_camera, batch (n,).
         sequence: Index of the sequence each image is from; images of one sequence lie together, in its order.
+        times_ns: Stamps of the images, integer nanoseconds, (n,).
+        odometry: Motion since the image before, n of them; None where that image is not here, or none was recorded.
     """
 
     images: UInt8[np.ndarray, "n h w 3"]
     poses: Poses
     sequence: Int64[np.ndarray, " n"]
+    times_ns: Int64[np.ndarray, " n"]
+    odometry: tuple[Odometry | None, ...]
 
     def __len__(self) -> int:
         return len(self.sequence)
+
+    def select(self, indices: Int64[np.ndarray, " k"]) -> TrainingSet:
+        """Some of the images, (k,), in increasing order."""
+        whole = len(indices) == len(self)  # a selection is copied into memory, the whole stays on disk
+        follows = np.diff(indices, prepend=-2) == 1
+        return TrainingSet(
+            self.images if whole else self.images[indices],
+            self.poses[indices],
+            self.sequence[indices],
+            self.times_ns[indices],
+            tuple(self.odometry[i] if after else None for i, after in zip(indices, follows, strict=True)),
+        )
+
+
+def open_sequences(data: Sequence[Path | str]) -> dict[str, Iterable[Frame]]:
+    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
+
+    Raises:
+        TrainingError: what follows the @ is no range.
+    """
+    opened: dict[str, Iterable[Frame]] = {}
+    for number, entry in enumerate(data):
+        match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
+        path = Path(match["path"] if match else entry)
+        if match is None and re.search(r"@[^/]*:[^/]*$", str(entry)) and not path.exists():
+            raise TrainingError(f"{entry}: expected START:STOP after @ to be whole numbers, or one of them left out")
+        frames = (
+            slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None) if match else slice(None)
+        )
+        name = Path(str(entry)).name
+        opened[name if name not in opened else f"{name} ({number + 1})"] = posed_frames(path, frames=frames)
+    return opened
 
 
 def load_training_set(
@@ -58,11 +98,15 @@ def load_training_set(
     """
     matrices: list[np.ndarray] = []
     sequence: list[int] = []
+    times_ns: list[int] = []
+    odometry: list[Odometry | None] = []
     shape: tuple[int, ...] | None = None
     with tempfile.TemporaryFile() as file:
         for index, (name, frames) in enumerate(sequences.items()):
+            follows = False
             for frame in frames:
                 if frame.world_from_camera is None:
+                    follows = False
                     continue
                 image = resize_shortest_edge(frame.image, shortest_edge)
                 image = centre_crop(image, shortest_edge) if square else image
@@ -77,6 +121,9 @@ def load_training_set(
                 file.write(np.ascontiguousarray(image).data)
                 matrices.append(frame.world_from_camera.as_matrix())
                 sequence.append(index)
+                times_ns.append(frame.time_ns)
+                odometry.append(frame.odometry if follows else None)
+                follows = True
                 progress(len(sequence))
             if index not in sequence[-1:]:
                 raise TrainingError(f"{name}: no image with a true pose, expected at least one")
@@ -84,7 +131,8 @@ def load_training_set(
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(sequence), *shape))
-    return TrainingSet(images, Poses.from_matrix(np.stack(matrices)), np.array(sequence, np.int64))
+    poses = Poses.from_matrix(np.stack(matrices))
+    return TrainingSet(images, poses, np.array(sequence, np.int64), np.array(times_ns, np.int64), tuple(odometry))
 
 
 def held_out_tails(sequence: Int64[np.ndarray, " n"], share: float) -> Bool[np.ndarray, " n"]:

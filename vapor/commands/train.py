@@ -11,6 +11,7 @@ from typing import Annotated
 
 import tyro
 
+from vapor.commands.calibrate import show_calibration
 from vapor.commands.console import parse, progress_display, show, usage_error
 from vapor.presets import PRESETS
 from vapor.train import Progress, TrainConfig, TrainResult, train
@@ -44,6 +45,8 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("train", "no training data, expected at least one file or folder")
     with _display() if sys.stderr.isatty() else _log() as report:
         result = train(options.data, options.output, options.config, validation=options.validation, progress=report)
+    if result.calibration is not None:
+        show_calibration(result.calibration)
     show(_summary(result, options.output))
 
 
@@ -90,7 +93,7 @@ def _display() -> Iterator[Callable[[Progress], None]]:
             nonlocal stage
             if progress.stage != stage:
                 stage = progress.stage
-                display.reset(task, description="training", total=progress.total)
+                display.reset(task, description=stage, total=progress.total)
             figures = ""
             if progress.loss is not None:
                 figures = f"epoch {progress.epoch}/{progress.epochs}  loss {progress.loss:.3f}"
