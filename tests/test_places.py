@@ -31,7 +31,7 @@ def floor_weights(estimate, truth, num_floors):
     return np.array([np.exp(estimate.log_weights)[floor == k].sum() for k in range(num_floors)])
 
 
-def follow(shares_at, num_images, *, seed, likelihood=MODEL, num_particles=None):
+def follow(shares_at, num_images, *, seed, likelihood=MODEL, num_particles=500):
     """Weights of the floors after every image of a walk past floors that look alike."""
     rng = np.random.default_rng(seed)
     truth, odometry = climb(num_images, rng=rng)
