@@ -16,6 +16,7 @@ from filtering.se3 import Poses, rotation_from_rotvec
 
 _BLOCK = 128  # kernel rows at a time: 128 × 1000 float32 fit a core's second-level cache and need no BLAS threads
 _PRECISION = 1e-5  # of a density: what is left out weighs less than that share of it
+_GAUSSIAN_FROM = 1e6  # 1/h_r² from which on the rotation kernel's integral is a Gaussian's, to 4e-7
 _LEAST_TOTAL = 1e-9  # of kernel peaks: where less is within reach, all kernels are summed
 
 
@@ -61,7 +62,9 @@ class KernelDensity:
     def log_normaliser(self) -> Float64[np.ndarray, " m"]:
         """Log of each kernel's integral over R³ × SO(3), with rotation volume 8π² (Lebesgue at the identity), (m,)."""
         k = 1.0 / np.square(self.bandwidth_rotation_rad)
-        log_rotation = np.log(8 * np.pi**2 * (ive(0, k) - ive(1, k)))
+        # The difference of Bessel functions cancels for narrow kernels, where it is that of a Gaussian.
+        wide = np.minimum(k, _GAUSSIAN_FROM)
+        log_rotation = np.log(8 * np.pi**2 * (ive(0, wide) - ive(1, wide))) - 1.5 * np.log(k / wide)
         log_translation = 1.5 * np.log(2 * np.pi * np.square(self.bandwidth_translation_m))
         return np.broadcast_to(log_translation + log_rotation, len(self.centres))
 

@@ -83,7 +83,9 @@ class Particles:
         """
         group = label + 1
         mine, its = np.bincount(group, self.weights), np.bincount(group, of.weights)
-        known = (mine > 1e-200) & (its > 1e-200)  # else the factor says nothing, and the weights stay as they are
-        log_factor = np.log(np.divide(its, mine, out=np.ones_like(mine), where=known))
-        log_weights = self.log_weights + log_factor[group]
+        known = mine > 1e-200 * its
+        with np.errstate(divide="ignore"):
+            log_factor = np.log(np.divide(its, mine, out=np.zeros_like(mine), where=known))
+        # Where nothing is left of a hypothesis that has a share, the other belief's weights are all there is to say.
+        log_weights = np.where(known[group], self.log_weights + log_factor[group], of.log_weights)
         return Particles(self.poses, log_weights - log_sum(log_weights))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.density import KernelDensity
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 
 
@@ -22,7 +22,10 @@ class PosePosterior(Protocol):
         ...
 
     def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log p(pose | image) of poses (n,), per m³ rad³, normalised."""
+        """Log p(pose | image) of poses (n,), per m³ rad³, normalised.
+
+        The filter asks this one on a second thread, while it works on the first.
+        """
         ...
 
     def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
@@ -30,7 +33,11 @@ class PosePosterior(Protocol):
         ...
 
     def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log p(image | pose) of poses (n,), up to a constant of the image."""
+        """Log p(image | pose) of poses (n,), at least 0, and 0 where only the chance of an outlier is left.
+
+        That constant matters: by how far the likelihood rises above 0 the filter tells a fitting image from one that
+        fits nowhere (status "lost", recovery).
+        """
         ...
 
 
@@ -92,6 +99,18 @@ class LikelihoodModel:
     detail_temper: float = 0.2
     detail_floor: float = 0.05
 
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            outlier_floor=(1e-12, 1.0 - 1e-12),
+            temper=(0.0, 1.0),
+            prior_floor=(1e-300, 1e300),
+            saturation=(0.0, np.inf),
+            preference=(0.0, 1.0),
+            detail_temper=(0.0, 1.0),
+            detail_floor=(1e-12, 1e12),
+        )
+
     def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log of max(π, π_min) at poses (n,)."""
         log_floor = float(np.log(self.prior_floor))
@@ -139,7 +158,7 @@ class PosteriorSamples:
     likelihood: LikelihoodModel = field(default_factory=LikelihoodModel)
     places: KernelDensity | None = None
     _evaluated: list[tuple[Poses, np.ndarray, np.ndarray, np.ndarray]] = field(
-        default_factory=list, repr=False, compare=False
+        init=False, default_factory=list, repr=False, compare=False
     )
 
     @staticmethod
@@ -173,6 +192,9 @@ class PosteriorSamples:
                 f"outlier share {outlier_share} and spread {outlier_spread}, expected inside (0, 1) and at least 1"
             )
         m = len(estimates)
+        for name, std in (("std_m", std_m), ("std_rad", std_rad)):
+            if np.shape(std) not in ((), (m,)):
+                raise VaporTrackError(f"{name} has shape {np.shape(std)}, expected one number or ({m},)")
         spread = np.repeat([1.0, outlier_spread], m)
         weights = np.repeat([1.0 - outlier_share, outlier_share], m) / m
         density = KernelDensity(

@@ -118,7 +118,7 @@ def mixture_log_weights(
 ) -> Float64[np.ndarray, " n"]:
     """Log weight of every particle, wherever it was drawn: target over mixture.
 
-    The mixture is (1 − φ) q + φ p̂. The target is (1 − κ) L p⁻ + κ Z p̂ with Z = ∫ L π: either odometry carried the
+    The mixture is (1 − φ) q + φ p̂. The target is (1 − κ) L p⁻ + κ Z p̂ with Z = ∫ (L − 1) π: either odometry carried the
     belief here and the image weighs it, or the camera was carried elsewhere and the image is the first one there. For
     an untempered likelihood L = p̂/π this is L · [(1 − κ) p⁻ + κ π]; tempering speaks about the errors that an image
     shares with the ones before it, so it sets how much the first image weighs against the belief, Z, not its shape.

@@ -115,7 +115,7 @@ def spread_draw(
         own = np.bincount(label + 1, draw)
         target = np.bincount(label + 1, np.exp(relative)) ** exponent
         draw *= np.divide(target, own, out=np.zeros_like(own), where=own > 1e-200)[label + 1]
-        order = np.argsort(label.astype(np.int16), kind="stable")
+        order = np.argsort(label.astype(np.int32), kind="stable")
         drawn = order[systematic(draw[order], count, rng=rng)]
     log_weights = particles.log_weights[drawn] - np.log(draw[drawn])
     return drawn, log_weights - log_sum(log_weights)

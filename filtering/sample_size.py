@@ -63,7 +63,7 @@ def occupied_cells(poses: Poses, config: SampleSizeConfig) -> int:
     """
     axes = poses.rotation[:, :, [0, 2]].reshape(-1, 6)
     cells = np.floor(np.concatenate([poses.translation / config.cell_m, axes / config.cell_rad], axis=1))
-    return len(np.unique(cells.astype(np.int64) @ _MIXER))
+    return len(np.unique(np.clip(cells, -(2.0**62), 2.0**62).astype(np.int64) @ _MIXER))
 
 
 # Odd numbers, wrapping around: two cells of a belief share one sum of products about once in 2⁶⁴ pairs.

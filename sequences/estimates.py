@@ -107,6 +107,7 @@ class EstimateSequence:
         self._frames = sorted({frame for file in self.files for frame in file.frames}, key=natural_order)
         self._rows = [{frame: i for i, frame in enumerate(file.frames)} for file in self.files]
         self._truth = truth
+        self._all = source if truth is None else truth  # the frames that there could be estimates of
         self._tracks = self._odometry(source, None if simulate_odometry_from is None else seed)
         self.odometry_description = f"recorded: {source.path.name}"
         if simulate_odometry_from is not None:
@@ -116,8 +117,8 @@ class EstimateSequence:
 
     def __iter__(self) -> Iterator[EstimatedFrame]:
         self.skipped.clear()
-        if self._truth is not None and not self._truth.timed:
-            unseen = len(set(self._truth.frames) - set(self._frames))
+        if not self._all.timed:
+            unseen = len(set(self._all.frames) - set(self._frames))
             self.skipped |= Counter({"no estimate": unseen} if unseen else {})
         true_poses, known = self._true_poses()
         previous: tuple[str, int] | None = None

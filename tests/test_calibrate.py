@@ -181,7 +181,7 @@ def test_stretches_break_where_odometry_does_and_where_time_does():
     images = load_training_set({"a": frames, "b": late, "short": frames_of(30)}, 36)
     spans = [(int(s[0]), int(s[-1]) + 1) for s in find_stretches(images, 500)]
     assert spans == [(0, 60), (60, 150), (150, 240), (240, 300)]
-    assert len(find_stretches(images, 200)) == 2
+    assert len(find_stretches(images, 200)) == 3  # fewer could not tell a gain from noise
     thinned = images.select(np.arange(0, len(images), 2))
     assert all(odometry is None for odometry in thinned.odometry)
     assert images.select(np.arange(5, 9)).odometry == (None, *images.odometry[6:9])

@@ -149,3 +149,10 @@ def test_a_bandwidth_that_is_not_positive_is_refused(width):
 def test_an_empty_posterior_is_refused():
     with pytest.raises(VaporTrackError, match="empty"):
         KernelDensity(Poses.identity(0), 0.1, 0.1)
+
+
+@pytest.mark.parametrize("width", [1e-2, 1.001e-3, 0.999e-3, 1e-5, 1e-8])
+def test_a_narrow_rotation_kernel_is_a_gaussian(width):
+    density = KernelDensity(Poses.identity(1), 1.0, width)
+    gaussian = 1.5 * np.log(2 * np.pi) + 1.5 * np.log(2 * np.pi * width**2)
+    np.testing.assert_allclose(density.log_normaliser, gaussian, atol=width**2 + 1e-5)

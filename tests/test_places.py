@@ -92,10 +92,11 @@ def test_details_narrow_a_place_and_leave_its_share():
     assert spread[1] < 0.85 * spread[0]
 
 
-def test_keeping_shares_leaves_alone_what_has_none():
-    belief, _ = Particles.from_unnormalised(Poses.identity(4), np.array([0.0, 0.0, -np.inf, -np.inf]))
-    kept = belief.keep_shares(belief, np.array([0, 1, 2, -1]))
-    np.testing.assert_allclose(kept.weights, belief.weights)
+def test_a_hypothesis_whose_details_are_impossible_keeps_its_share():
+    belief, _ = Particles.from_unnormalised(Poses.identity(5), np.log([0.2, 0.3, 0.1, 0.4, 1e-300]))
+    detailed = belief.reweighted(np.array([np.log(3.0), 0.0, -np.inf, -np.inf, 0.0]))
+    kept = detailed.keep_shares(belief, np.array([0, 0, 1, 1, -1]))
+    np.testing.assert_allclose(kept.weights, [0.5 * 2 / 3, 0.5 / 3, 0.1, 0.4, 1e-300])
 
 
 def test_a_posterior_without_places_has_no_details():

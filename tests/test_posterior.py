@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from filtering.density import KernelDensity
+from filtering.errors import VaporTrackError
 from filtering.posterior import LikelihoodModel, PosteriorSamples
 from filtering.se3 import Poses
 
@@ -25,3 +28,17 @@ def test_the_outlier_floor_bounds_the_likelihood_from_below_and_the_temper_scale
     assert sharp.log_likelihood(nowhere)[0] == pytest.approx(0.0, abs=1e-9)
     here = Poses.identity(1)
     assert soft.log_likelihood(here)[0] == pytest.approx(0.3 * sharp.log_likelihood(here)[0])
+
+
+def test_another_likelihood_of_the_same_posterior_is_its_own():
+    at = Poses.identity(3)
+    first = PosteriorSamples(KernelDensity(at, 0.1, 0.1), LikelihoodModel(prior_floor=1e-4))
+    second = replace(first, likelihood=LikelihoodModel(prior_floor=1e-2))
+    assert first.log_prior(at)[0] == pytest.approx(np.log(1e-4))
+    assert second.log_prior(at)[0] == pytest.approx(np.log(1e-2))
+
+
+@pytest.mark.parametrize("bad", [{"outlier_floor": 0.0}, {"temper": -1.0}, {"preference": 2.0}, {"detail_floor": 0.0}])
+def test_a_likelihood_of_impossible_settings_is_refused(bad):
+    with pytest.raises(VaporTrackError, match=next(iter(bad))):
+        LikelihoodModel(**bad)

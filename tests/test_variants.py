@@ -6,6 +6,7 @@ import pytest
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosteriorSamples
+from filtering.proposal import Proposal
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration
 from vapor.variants import VARIANTS
@@ -35,10 +36,10 @@ def test_every_variant_follows_a_camera_that_stands_still(name):
     localizer = ParticleLocalizer(NoModel(), config, rng=np.random.default_rng(0))
     still = Odometry(Poses.identity(), 1e-4 * np.eye(6))
     for i in range(8):
-        posterior = PosteriorSamples(CALIBRATION.density(poses_around(0.0, 100, 10 + i)), likelihood)
+        posterior = CALIBRATION.posterior(poses_around(0.0, 100, 10 + i), likelihood)
         estimate = localizer.update(posterior, still)
     assert np.linalg.norm(estimate.modes[0].world_from_camera.translation) < 0.1
-    assert np.isfinite(estimate.log_weights).any()
+    assert np.isfinite(estimate.log_weights).all() or name in ("no-tempering", "no-recovery", "no-injection")
 
 
 def test_a_flat_prior_is_as_high_as_the_true_one_is_on_average_where_cameras_are():
@@ -64,5 +65,16 @@ def test_each_variant_changes_what_it_says_and_nothing_else():
     assert changed["full"] == (False, False, False)
     assert all(sum(change) == 1 for name, change in changed.items() if name != "full")
     assert VARIANTS["no-tempering"].likelihood(likelihood, PRIOR).temper == 1.0
+    unsaturated = VARIANTS["no-saturation"].likelihood(likelihood, PRIOR)
+    assert (unsaturated.saturation, unsaturated.temper) == (np.inf, 0.1)
+    assert VARIANTS["fixed-size"].localizer(config).num_particles == 1000
     assert VARIANTS["no-injection"].localizer(config).injection_fraction == 0.0
     assert VARIANTS["no-recovery"].localizer(config).recovery.max_kidnap_probability == 0.0
+
+
+def test_equal_injected_weights_are_the_mean_of_the_others():
+    poses = poses_around(0.0, 4, 0)
+    proposal = Proposal(poses, 3, np.log([0.1, 0.2, 0.3, 0.9]), np.zeros(4), np.zeros(4))
+    localizer = VARIANTS["equal-injected-weights"].kind(NoModel(), rng=np.random.default_rng(0))
+    weights = np.exp(localizer._weigh(proposal, np.zeros(4), np.zeros(4)))
+    np.testing.assert_allclose(weights, [0.1, 0.2, 0.3, 0.2])

@@ -28,7 +28,8 @@ class BenchmarkConfig:
     """Settings of a benchmark, the same for all its scenes."""
 
     kinds: tuple[Kind, ...] = ("cue", "no-cue", "kidnap")
-    """Runs that pass something unique in their first half, that never do, or in which the camera is carried off."""
+    """Runs that pass something unique in their first half, that never do, or in which the camera is carried off to
+    where it soon sees something unique."""
     runs: int = 100
     """Runs of each kind and scene."""
     first_seed: int = 2000
@@ -42,7 +43,8 @@ class BenchmarkConfig:
     num_samples: int = 1000
     """Posterior samples per image."""
     variants: tuple[str, ...] = ("full",)
-    """Filters to run: the full one, and such as lack a part."""
+    """Filters to run: full, or without a part: no-prior, no-tempering, no-saturation, no-injection,
+    equal-injected-weights, no-recovery, fixed-size."""
     workers: int = 2
     """Processes at a time, each with one thread."""
     localizer: LocalizerConfig = field(default_factory=LocalizerConfig)

@@ -18,13 +18,13 @@ from vapor.checkpoint import Calibration, find_model, load_checkpoint, read_safe
 from vapor.image_fit import Change, fit_images
 from vapor.network import VariationalPoseRegressor
 from vapor.observation import Device, resolve_device
-from vapor.stretches import GRIDS, Stretch, belief_scores, choose, find_stretches, simulated_odometry
+from vapor.stretches import GRIDS, LEAST_STRETCHES, Stretch, belief_scores, choose, find_stretches, simulated_odometry
 from vapor.threads import limited_threads
 from vapor.training_set import TrainingSet, load_training_set, open_sequences
 from vapor.validation import predict
 
 NUM_SAMPLES = 1000  # an image, as in use: fewer want wider kernels
-LEAST_IMAGES, LEAST_STRETCHES = 50, 3
+LEAST_IMAGES = 50
 
 Advance = Callable[[int, int], None]
 

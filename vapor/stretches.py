@@ -18,6 +18,7 @@ from vapor.checkpoint import Calibration
 from vapor.training_set import TrainingSet
 
 STRETCH_IMAGES = 100
+LEAST_STRETCHES = 3  # fewer cannot tell a gain from noise
 LEAST_IMAGES = 40  # of a stretch: the filter needs some to choose between places
 SAFE_PREFERENCE = 0.02
 """γβ, at most. Beyond it the preference of one place over another that looks alike, which neighbouring images share,
@@ -66,7 +67,7 @@ class Choice:
 
 
 def find_stretches(images: TrainingSet, limit: int) -> list[Int64[np.ndarray, " k"]]:
-    """Indices of consecutive images, about 100 in each stretch and `limit` in all, spread over the whole set.
+    """Indices of consecutive images, about 100 in each stretch, `limit` or three stretches in all, over the whole set.
 
     Images are consecutive where odometry leads from one to the next, and in sequences without any where less than a
     second lies between.
@@ -80,7 +81,7 @@ def find_stretches(images: TrainingSet, limit: int) -> list[Int64[np.ndarray, " 
     for begin, end in zip(begins, [*begins[1:], len(images)], strict=True):
         count = max(1, round((end - begin) / STRETCH_IMAGES))
         pieces += [piece for piece in np.array_split(np.arange(begin, end), count) if len(piece) >= LEAST_IMAGES]
-    wanted = max(1, limit // STRETCH_IMAGES)
+    wanted = max(LEAST_STRETCHES, limit // STRETCH_IMAGES)
     if len(pieces) <= wanted:
         return pieces
     return [pieces[k] for k in np.linspace(0, len(pieces) - 1, wanted).round().astype(np.int64)]

@@ -27,7 +27,7 @@ from filtering.se3 import Poses
 from filtering.smoothing import smooth
 from sequences.atomic import atomic_output
 from sequences.frame import Trajectory
-from vapor import checkpoint, evaluate, variants, verdicts
+from vapor import checkpoint, evaluate, recordings, variants, verdicts
 from vapor.checkpoint import Calibration, Checkpoint, load_checkpoint
 from vapor.evaluate import FILES, TRACKING, dead_reckoning, evaluate_trajectory
 from vapor.recordings import Recording, RecordingSettings, digest, load_recording
@@ -241,7 +241,8 @@ def _settings(trial: Trial, setup: Setup) -> dict[str, Any]:
 def _code() -> str:
     """Digest of the code that a result comes from: a filter that was changed is run again."""
     files = sorted(Path(str(filtering.__path__[0])).glob("*.py"))
-    files += [Path(inspect.getfile(module)) for module in (checkpoint, evaluate, variants, verdicts)] + [Path(__file__)]
+    files += [Path(inspect.getfile(module)) for module in (checkpoint, evaluate, recordings, variants, verdicts)]
+    files.append(Path(__file__))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 

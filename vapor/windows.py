@@ -15,7 +15,8 @@ from sequences.route import Cues
 from vapor.recordings import CameraPath
 
 Kind = Literal["cue", "no-cue", "kidnap"]
-"""A run that passes something unique in its first half, one that never does, one whose camera is carried off."""
+"""A run that passes something unique in its first half, one that never does, one whose camera is carried off to where
+it soon sees something unique."""
 
 CUES: dict[Kind, Cues] = {"cue": "early", "no-cue": "none", "kidnap": "early"}
 """The paths that the trials of a kind are cut from."""
