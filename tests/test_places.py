@@ -7,6 +7,7 @@ from filtering.density import KernelDensity
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.particles import Particles
 from filtering.posterior import LikelihoodModel, PosteriorSamples
+from filtering.regularisation import KernelConfig
 from filtering.se3 import Poses
 from tests.simulation import FLOOR_HEIGHT_M, POSTERIOR_STD, Oracle, climb
 
@@ -31,15 +32,16 @@ def floor_weights(estimate, truth, num_floors):
     return np.array([np.exp(estimate.log_weights)[floor == k].sum() for k in range(num_floors)])
 
 
-def follow(shares_at, num_images, *, seed, likelihood=MODEL, num_particles=500):
+def follow(shares_at, num_images, *, seed, likelihood=MODEL):
     """Weights of the floors after every image of a walk past floors that look alike."""
     rng = np.random.default_rng(seed)
     truth, odometry = climb(num_images, rng=rng)
-    localizer = ParticleLocalizer(Oracle(truth, (0,), range(0)), LocalizerConfig(num_particles=num_particles), rng=rng)
+    config = LocalizerConfig(num_particles=800, kernels=KernelConfig(max_kernels=400))
+    localizer = ParticleLocalizer(Oracle(truth, (0,), range(0)), config, rng=rng)
     weights = []
     for i in range(num_images):
         shares = shares_at(i)
-        posterior = posterior_of(truth[i], shares, num_samples=200, rng=rng, likelihood=likelihood)
+        posterior = posterior_of(truth[i], shares, num_samples=100, rng=rng, likelihood=likelihood)
         weights.append(floor_weights(localizer.update(posterior, odometry[i]), truth[i], len(shares)))
     return np.array(weights)
 
@@ -55,10 +57,10 @@ def test_two_equal_places_keep_their_shares_for_300_images_until_one_is_unique(s
 
 def test_a_network_that_prefers_one_of_two_places_all_the_time_does_not_make_the_filter_sure():
     """Four in five samples on one floor, image after image: the other is no less possible for that."""
-    biased = [follow(lambda _: (0.2, 0.8), 100, seed=seed)[-1, 0] for seed in range(3)]
-    assert min(biased) > 0.02
+    biased = [follow(lambda _: (0.2, 0.8), 60, seed=seed)[-1, 0] for seed in range(2)]
+    assert min(biased) > 0.05
     trusting = LikelihoodModel(temper=0.2)  # no saturation
-    assert max(follow(lambda _: (0.2, 0.8), 100, seed=seed, likelihood=trusting)[-1, 0] for seed in range(3)) < 1e-3
+    assert max(follow(lambda _: (0.2, 0.8), 60, seed=seed, likelihood=trusting)[-1, 0] for seed in range(2)) < 1e-3
 
 
 def test_a_place_that_images_rule_out_is_lost():

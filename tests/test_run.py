@@ -92,7 +92,8 @@ def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     assert 0 < report["step_ms"]["p50"] <= report["step_ms"]["p95"]
     assert report["peak_rss_mb"] > 50
     for method in METHODS:
-        tracking = {"converged_at_s", "success"} if method in ("kalman", "filter", "smoothed") else set()
+        tracks = method in ("kalman", "filter", "smoothed")
+        tracking = {"converged_at_s", "success", "after_convergence"} if tracks else set()
         assert set(report[method]) == METRICS | tracking
         assert set(report[method]["recall"]) == {"0.1m/10deg", "0.2m/15deg", "0.3m/20deg"}
     assert report["dead_reckoning"]["recall"]["0.1m/10deg"] == 1.0  # the odometry of the walk is exact
