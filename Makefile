@@ -16,7 +16,7 @@ demo: $(INSTALLED)
 	$(BIN)/vapor-track demo
 
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal  # two workers: BLAS threads would only spin
 
 check: $(INSTALLED)
 	$(BIN)/ruff check .

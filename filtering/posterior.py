@@ -22,10 +22,7 @@ class PosePosterior(Protocol):
         ...
 
     def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log p(pose | image) of poses (n,), per m³ rad³, normalised.
-
-        The filter asks this one on a second thread, while it works on the first.
-        """
+        """Log p(pose | image) of poses (n,), per m³ rad³, normalised."""
         ...
 
     def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:

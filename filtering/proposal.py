@@ -6,7 +6,6 @@ deterministic-mixture weight of Owen and Zhou, 2000.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,12 +95,10 @@ def propose(
     if num_injected:
         injected = posterior.sample(num_injected, rng=rng)
         poses = Poses.concatenate([poses, injected[neighbour_order(injected)]])
-    with ThreadPoolExecutor(max_workers=1) as other_core:  # both take long, and neither draws anything
-        log_image = other_core.submit(posterior.log_density, poses)
-        log_predicted, log_moved = density.log_densities(
-            poses, carried.log_weights, np.full(num_kernels, -np.log(num_kernels))
-        )
-    return Proposal(poses, num_from_motion, log_predicted, log_moved, log_image.result())
+    log_predicted, log_moved = density.log_densities(
+        poses, carried.log_weights, np.full(num_kernels, -np.log(num_kernels))
+    )
+    return Proposal(poses, num_from_motion, log_predicted, log_moved, posterior.log_density(poses))
 
 
 def _num_injected(num_particles: int, injection_fraction: float) -> int:
