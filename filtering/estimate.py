@@ -35,6 +35,11 @@ class Mode:
     covariance: Float64[np.ndarray, "6 6"]
     weight: float
 
+    @property
+    def widest_std_m(self) -> float:
+        """Standard deviation of the position along its widest axis, metres."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
+
 
 @dataclass(frozen=True)
 class ModeConfig:

@@ -8,7 +8,7 @@ from typing import Generic
 import numpy as np
 
 from filtering.checked import CheckedPosterior
-from filtering.errors import require_within
+from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Estimate, Mode, ModeConfig, Status, describe_modes, find_hypotheses
 from filtering.motion import Odometry, require_odometry
 from filtering.particles import Particles
@@ -71,13 +71,17 @@ class ParticleLocalizer(Generic[Posterior]):
     """Localizes a camera from images and odometry; the filter's one mutable object.
 
     Args:
-        model: Maps an image to its posterior over poses.
+        model: Maps an image to its posterior over poses; None where posteriors are at hand, for `update` alone.
         config: Settings of the filter.
         rng: Source of all randomness; the model's draws and the filter's come from two streams spawned from it.
     """
 
     def __init__(
-        self, model: ObservationModel[Posterior], config: LocalizerConfig | None = None, *, rng: np.random.Generator
+        self,
+        model: ObservationModel[Posterior] | None,
+        config: LocalizerConfig | None = None,
+        *,
+        rng: np.random.Generator,
     ) -> None:
         self.model = model
         self.config = config or LocalizerConfig()
@@ -109,7 +113,13 @@ class ParticleLocalizer(Generic[Posterior]):
             raise
 
     def observe(self, image: np.ndarray) -> Posterior:
-        """The posterior of one image (H, W, 3), uint8 RGB: the first half of `step`, one call of the model."""
+        """The posterior of one image (H, W, 3), uint8 RGB: the first half of `step`, one call of the model.
+
+        Raises:
+            VaporTrackError: there is no model, or it refuses the image.
+        """
+        if self.model is None:
+            raise VaporTrackError("this localizer has no observation model, expected posteriors through `update`")
         return self.model.observe(image, rng=self._model_rng)
 
     def update(self, posterior: PosePosterior, odom: Odometry | None) -> Estimate:
@@ -215,7 +225,7 @@ class ParticleLocalizer(Generic[Posterior]):
         self._mean_log_evidence = decay * previous + (1 - decay) * log_evidence
         if self._mean_log_evidence < self.config.lost_log_evidence:
             return "lost"
-        widest_std_m = float(np.sqrt(np.linalg.eigvalsh(modes[0].covariance[:3, :3])[-1]))
-        if modes[0].weight >= self.config.converged_weight and widest_std_m <= self.config.converged_std_m:
+        best = modes[0]
+        if best.weight >= self.config.converged_weight and best.widest_std_m <= self.config.converged_std_m:
             return "converged"
         return "ambiguous"

@@ -68,7 +68,7 @@ def belief_kernels(
     *,
     rng: np.random.Generator,
 ) -> Kernels:
-    """Kernels that stand for a belief, neighbours together.
+    """Kernels that stand for a belief, hypothesis by hypothesis.
 
     Args:
         belief: Particles (n,).

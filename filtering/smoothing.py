@@ -20,6 +20,9 @@ from filtering.estimate import Mode
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 
+SMOOTHED_MODES = 6
+"""Of each image, the heaviest: enough for the smoother, and bounded in memory over a long sequence."""
+
 _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 
 

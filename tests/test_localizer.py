@@ -222,3 +222,9 @@ def test_smoothing_resolves_the_ambiguous_start_in_hindsight():
 def test_smoothing_refuses_lists_of_different_length():
     with pytest.raises(VaporTrackError, match="got 0, 1, 2 and 2"):
         smooth([], [None], Poses.identity(2), np.zeros(2, bool))
+
+
+def test_a_filter_fed_with_posteriors_needs_no_model_and_says_so_when_shown_an_image():
+    localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
+    with pytest.raises(VaporTrackError, match="no observation model"):
+        localizer.step(image_of(0), None)

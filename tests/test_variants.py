@@ -5,7 +5,6 @@ import pytest
 
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
-from filtering.posterior import PosteriorSamples
 from filtering.proposal import Proposal
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration
@@ -20,11 +19,6 @@ def poses_around(x_m: float, count: int, seed: int) -> Poses:
     return Poses.exp(tangent)
 
 
-class NoModel:
-    def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosteriorSamples:
-        raise AssertionError("asked for a posterior that is given")
-
-
 PRIOR = Poses.concatenate([poses_around(0.0, 300, 0), poses_around(6.0, 20, 1)])
 
 
@@ -33,7 +27,7 @@ def test_every_variant_follows_a_camera_that_stands_still(name):
     variant = VARIANTS[name]
     likelihood = variant.likelihood(CALIBRATION.likelihood(PRIOR), PRIOR)
     config = variant.localizer(LocalizerConfig(num_particles=200))
-    localizer = ParticleLocalizer(NoModel(), config, rng=np.random.default_rng(0))
+    localizer = ParticleLocalizer(None, config, rng=np.random.default_rng(0))
     still = Odometry(Poses.identity(), 1e-4 * np.eye(6))
     for i in range(8):
         posterior = CALIBRATION.posterior(poses_around(0.0, 100, 10 + i), likelihood)
@@ -75,6 +69,6 @@ def test_each_variant_changes_what_it_says_and_nothing_else():
 def test_equal_injected_weights_are_the_mean_of_the_others():
     poses = poses_around(0.0, 4, 0)
     proposal = Proposal(poses, 3, np.log([0.1, 0.2, 0.3, 0.9]), np.zeros(4), np.zeros(4))
-    localizer = VARIANTS["equal-injected-weights"].kind(NoModel(), rng=np.random.default_rng(0))
+    localizer = VARIANTS["equal-injected-weights"].kind(None, rng=np.random.default_rng(0))
     weights = np.exp(localizer._weigh(proposal, np.zeros(4), np.zeros(4)))
     np.testing.assert_allclose(weights, [0.1, 0.2, 0.3, 0.2])

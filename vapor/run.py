@@ -27,7 +27,7 @@ from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import ObservationModel, PosteriorSamples
 from filtering.se3 import Poses
-from filtering.smoothing import SmoothingConfig, smooth
+from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth
 from sequences.estimates import EstimateSequence
 from sequences.frame import Trajectory
 from sequences.reader import SequenceOptions, SequenceReader
@@ -42,7 +42,6 @@ from vapor.threads import limited_threads
 from vapor.view import NullViewer, RerunViewer
 
 _PUBLISHED_PARTICLES = 500
-_SMOOTHED_MODES = 6  # of each image, the heaviest: what the smoother keeps in memory
 _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
 _SOMETIMES_WRITTEN = (*FILES.values(), "ground_truth.tum", "errors.png", "recording.rrd")
 
@@ -194,7 +193,7 @@ def localize(
                 raise VaporTrackError(f"{source.path}: image at {frame.time_ns} ns: {error}") from error
             step_ms = 1e3 * (time.perf_counter() - begin)
             alone = image_modes(posterior, mode_rng)
-            modes_of_images.append(alone[:_SMOOTHED_MODES])
+            modes_of_images.append(alone[:SMOOTHED_MODES])
             odometry.append(frame.odometry)
             kalman_modes.append(kalman.update(alone[0], frame.odometry))
             recorder.add(frame, alone[0].world_from_camera, estimate, step_ms)

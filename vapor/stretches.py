@@ -114,7 +114,7 @@ def belief_scores(
     """
     scores = np.empty(len(stretches))
     for k, stretch in enumerate(stretches):
-        localizer = ParticleLocalizer[PosteriorSamples](_Given(), config, rng=np.random.default_rng([seed, k]))
+        localizer = ParticleLocalizer[PosteriorSamples](None, config, rng=np.random.default_rng([seed, k]))
         log_prior = likelihood.log_prior(stretch.truth)
         total = 0.0
         for i, samples in enumerate(stretch.samples):
@@ -174,10 +174,3 @@ def _with(calibration: Calibration, name: str, value: float) -> Calibration:
 
 def _mean_and_error(values: Float64[np.ndarray, " s"]) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
-
-
-class _Given:
-    """No observation model: posteriors are at hand."""
-
-    def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosteriorSamples:
-        raise NotImplementedError

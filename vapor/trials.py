@@ -11,20 +11,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
 
 import filtering
-from filtering.errors import VaporTrackError
 from filtering.estimate import posterior_modes
 from filtering.kalman import KalmanLocalizer
 from filtering.localizer import LocalizerConfig
 from filtering.motion import Odometry
 from filtering.posterior import LikelihoodModel
 from filtering.se3 import Poses
-from filtering.smoothing import smooth
+from filtering.smoothing import SMOOTHED_MODES, smooth
 from sequences.atomic import atomic_output
 from sequences.frame import Trajectory
 from vapor import checkpoint, evaluate, recordings, variants, verdicts
@@ -36,7 +35,6 @@ from vapor.variants import VARIANTS
 from vapor.verdicts import Belief, judge_belief, mode_status, truth_among_modes
 from vapor.windows import CUES, Kind, Trial, recording_frames
 
-_SMOOTHED_MODES = 6  # of each image, the heaviest, as in a run
 _STREAMS = {"cue": 0, "no-cue": 1, "kidnap": 2}
 
 
@@ -161,7 +159,7 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
     config = variant.localizer(setup.localizer)
     seed = [trial.pieces[0].seed, trial.pieces[0].start, _STREAMS[trial.kind]]
     filter_rng, mode_rng = np.random.default_rng(seed).spawn(2)
-    localizer, kalman = variant.kind(_NoImages(), config, rng=filter_rng), KalmanLocalizer()
+    localizer, kalman = variant.kind(None, config, rng=filter_rng), KalmanLocalizer()
     image_modes, estimates, kalman_modes, step_ms = [], [], [], []
     for i, motion in enumerate(replay.odometry):
         poses = replay.posterior_poses(i)
@@ -180,7 +178,7 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
         "filter": Belief([modes for modes, _, _ in estimates], [status for _, status, _ in estimates]),
     }
     sure = np.array([status == "converged" for status in beliefs["filter"].status])
-    few_modes = [modes[:_SMOOTHED_MODES] for modes in image_modes]
+    few_modes = [modes[:SMOOTHED_MODES] for modes in image_modes]
     poses = {
         "single_image": Poses.stack([modes[0].world_from_camera for modes in image_modes]),
         "dead_reckoning": dead_reckoning(replay.truth[0], replay.odometry),
@@ -217,14 +215,6 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
         "particles": int(np.median([particles for _, _, particles in estimates])),
         "step_ms": float(np.median(step_ms)),
     }
-
-
-class _NoImages:
-    """Stands for the network of a filter that is fed recorded posteriors."""
-
-    def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> NoReturn:
-        """Never asked."""
-        raise VaporTrackError("a replay has no images to observe, expected its recorded posteriors to be used")
 
 
 def _settings(trial: Trial, setup: Setup) -> dict[str, Any]:

@@ -132,5 +132,4 @@ def recovery_images(right: Bool[np.ndarray, " n"], *, seam: int) -> int | None:
 
 def mode_status(mode: Mode, converged_std_m: float) -> Status:
     """The verdict of a method with one hypothesis, by the filter's own rule: sure while its position is."""
-    widest_std_m = float(np.sqrt(np.linalg.eigvalsh(mode.covariance[:3, :3])[-1]))
-    return "converged" if widest_std_m <= converged_std_m else "ambiguous"
+    return "converged" if mode.widest_std_m <= converged_std_m else "ambiguous"
