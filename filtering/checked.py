@@ -43,10 +43,6 @@ class CheckedPosterior:
         """As of the posterior, (n,)."""
         return self._values("log_density", self.posterior.log_density(poses), len(poses))
 
-    def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """As of the posterior, (n,)."""
-        return self._values("log_prior", self.posterior.log_prior(poses), len(poses))
-
     def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """As of the posterior, (n,)."""
         return self._values("log_likelihood", self.posterior.log_likelihood(poses), len(poses))

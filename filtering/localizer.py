@@ -11,10 +11,10 @@ from filtering.checked import CheckedPosterior
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Estimate, Mode, ModeConfig, Status, describe_modes, find_hypotheses
 from filtering.motion import Odometry, require_odometry
-from filtering.particles import Particles
+from filtering.particles import Particles, log_mean
 from filtering.posterior import ObservationModel, PosePosterior, Posterior
 from filtering.proposal import Proposal, mixture_log_weights, propose
-from filtering.recovery import Recovery, RecoveryConfig, agreement, log_mean
+from filtering.recovery import Recovery, RecoveryConfig
 from filtering.regularisation import KernelConfig
 from filtering.sample_size import SampleSizeConfig, draw_enough
 from filtering.se3 import Poses
@@ -157,7 +157,7 @@ class ParticleLocalizer(Generic[Posterior]):
 
     def _start(self, posterior: PosePosterior) -> tuple[Particles, float]:
         """The first belief is the image's posterior, untempered, as no image before it shares its errors."""
-        poses = draw_enough(lambda size: posterior.sample(size, rng=self._filter_rng), self.config.size)
+        poses, _ = draw_enough(lambda size: posterior.sample(size, rng=self._filter_rng), self.config.size)
         particles, _ = Particles.from_unnormalised(poses, np.zeros(len(poses)))
         log_likelihood = posterior.log_likelihood(poses)
         self._recovery = Recovery()
@@ -178,21 +178,20 @@ class ParticleLocalizer(Generic[Posterior]):
             rng=self._filter_rng,
         )
         log_likelihood = posterior.log_likelihood(proposal.poses)
+        log_evidence = proposal.log_evidence(log_likelihood)
         num_moved = proposal.num_from_motion
-        log_evidence = log_mean(log_likelihood[:num_moved], (proposal.log_predicted - proposal.log_moved)[:num_moved])
         if num_moved < len(log_likelihood):
-            best_evidence = log_mean(log_likelihood[num_moved:])
-            self._recovery = self._recovery.update(agreement(log_evidence, best_evidence), c.recovery)
-        log_weights = self._weigh(proposal, log_likelihood, posterior.log_prior(proposal.poses))
+            self._recovery = self._recovery.update(log_evidence, log_mean(log_likelihood[num_moved:]), c.recovery)
+        log_weights = self._weigh(proposal, log_likelihood)
         particles, _ = Particles.from_unnormalised(proposal.poses, log_weights)
         if particles.weights[num_moved:].sum() > 0.5:
             self._recovery = self._recovery.reset()
         return particles, log_evidence
 
-    def _weigh(self, proposal: Proposal, log_likelihood: np.ndarray, log_prior: np.ndarray) -> np.ndarray:
+    def _weigh(self, proposal: Proposal, log_likelihood: np.ndarray) -> np.ndarray:
         """Log weights of the particles, not normalised, (n,)."""
         kidnap_probability = self._recovery.kidnap_probability(self.config.recovery)
-        return mixture_log_weights(proposal, log_likelihood, log_prior, kidnap_probability=kidnap_probability)
+        return mixture_log_weights(proposal, log_likelihood, kidnap_probability=kidnap_probability)
 
     def _settle(self, particles: Particles, posterior: CheckedPosterior, *, first: bool) -> Particles:
         """Find the hypotheses, and weigh each one's particles by what the image says of details, the shares kept.

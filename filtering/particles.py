@@ -19,6 +19,13 @@ def log_sum(log_values: Float64[np.ndarray, " n"]) -> float:
     return largest + float(np.log(np.exp(log_values - largest).sum()))
 
 
+def log_mean(log_values: Float64[np.ndarray, " n"], log_weights: Float64[np.ndarray, " n"] | None = None) -> float:
+    """Log of the mean of exp(values) (n,), weighted by exp(weights), which need not be normalised; equal without."""
+    if log_weights is None:
+        return log_sum(log_values) - float(np.log(len(log_values)))
+    return log_sum(log_values + log_weights) - log_sum(log_weights)
+
+
 @dataclass(frozen=True)
 class Particles:
     """Weighted samples of the belief.

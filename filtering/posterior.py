@@ -25,10 +25,6 @@ class PosePosterior(Protocol):
         """Log p(pose | image) of poses (n,), per m³ rad³, normalised."""
         ...
 
-    def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log π(pose) of poses (n,), per m³ rad³: where a camera can be before any image is seen."""
-        ...
-
     def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log p(image | pose) of poses (n,), at least 0, and 0 where only the chance of an outlier is left.
 
@@ -214,10 +210,6 @@ class PosteriorSamples:
     def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log p̂(pose | image) of poses (n,), per m³ rad³."""
         return self._evaluate(poses)[0]
-
-    def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log π(pose) of poses (n,), per m³ rad³."""
-        return self._evaluate(poses)[2]
 
     def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log p(image | pose) of poses (n,), which place; 0 where only the outlier floor is left."""

@@ -13,7 +13,7 @@ from jaxtyping import Float64, Int64
 
 from filtering.density import KernelDensity, neighbour_order
 from filtering.motion import Odometry, isotropic_std
-from filtering.particles import Particles, log_sum
+from filtering.particles import Particles, log_mean
 from filtering.posterior import PosePosterior
 from filtering.regularisation import KernelConfig, belief_kernels
 from filtering.sample_size import SampleSizeConfig, draw_enough
@@ -42,6 +42,11 @@ class Proposal:
     def injected_fraction(self) -> float:
         """φ as it came out: the share of particles that the image drew."""
         return 1.0 - self.num_from_motion / len(self.poses)
+
+    def log_evidence(self, log_likelihood: Float64[np.ndarray, " n"]) -> float:
+        """Log of the mean of L over the predicted belief, ∫ L p⁻, from log L at the poses (n,)."""
+        moved = slice(self.num_from_motion)
+        return log_mean(log_likelihood[moved], (self.log_predicted - self.log_moved)[moved])
 
 
 def propose(
@@ -89,9 +94,9 @@ def propose(
         stratum = (np.arange(count) + rng.random()) * (num_kernels / count)
         return density.draw(np.minimum(stratum.astype(np.int64), num_kernels - 1), rng=rng)
 
-    poses = draw_enough(move, sample_size)
+    poses, size = draw_enough(move, sample_size)
     num_from_motion = len(poses)
-    num_injected = round(injection_fraction / (1 - injection_fraction) * num_from_motion)
+    num_injected = size - num_from_motion
     if num_injected:
         injected = posterior.sample(num_injected, rng=rng)
         poses = Poses.concatenate([poses, injected[neighbour_order(injected)]])
@@ -107,36 +112,25 @@ def _num_injected(num_particles: int, injection_fraction: float) -> int:
 
 
 def mixture_log_weights(
-    proposal: Proposal,
-    log_likelihood: Float64[np.ndarray, " n"],
-    log_prior: Float64[np.ndarray, " n"],
-    *,
-    kidnap_probability: float,
+    proposal: Proposal, log_likelihood: Float64[np.ndarray, " n"], *, kidnap_probability: float
 ) -> Float64[np.ndarray, " n"]:
     """Log weight of every particle, wherever it was drawn: target over mixture.
 
-    The mixture is (1 − φ) q + φ p̂. The target is (1 − κ) L p⁻ + κ Z p̂ with Z = ∫ (L − 1) π: either odometry carried the
-    belief here and the image weighs it, or the camera was carried elsewhere and the image is the first one there. For
-    an untempered likelihood L = p̂/π this is L · [(1 − κ) p⁻ + κ π]; tempering speaks about the errors that an image
-    shares with the ones before it, so it sets how much the first image weighs against the belief, Z, not its shape.
+    The mixture is (1 − φ) q + φ p̂. The target is (1 − κ) L p⁻ / ∫ L p⁻ + κ p̂: either odometry carried the belief here
+    and the image weighs it, or the camera is elsewhere and this image is the first one there, whose posterior is the
+    belief as it is at a start.
 
     Args:
         proposal: Where the particles came from.
         log_likelihood: Log L at the particles.
-        log_prior: Log π at the particles, the density of where a camera can be at all.
-        kidnap_probability: κ, the chance that the camera was carried away since the previous image.
+        kidnap_probability: κ, the chance that the camera is not where the belief was carried.
     """
-    carried = log_likelihood + proposal.log_predicted
     drawn = _log_mix(proposal.log_moved, proposal.log_image, proposal.injected_fraction)
-    injected = slice(proposal.num_from_motion, None)
-    if kidnap_probability <= 0.0 or len(log_likelihood[injected]) == 0:
-        return carried - drawn
-    # Z over the image's own draws; L − 1 leaves out the outlier floor, which is no evidence for this place.
-    above = np.maximum(log_likelihood[injected], 1e-12)
-    above_floor = above + np.log(-np.expm1(-above))  # log(L − 1) that no L overflows
-    ratio = above_floor + log_prior[injected] - proposal.log_image[injected]
-    log_evidence = log_sum(ratio) - np.log(len(ratio))
-    return _log_mix(carried, log_evidence + proposal.log_image, kidnap_probability) - drawn
+    carried = log_likelihood + proposal.log_predicted
+    log_evidence = proposal.log_evidence(log_likelihood)
+    if log_evidence == -np.inf:  # the carried belief is impossible: whatever κ, its share is none
+        return (carried if kidnap_probability <= 0.0 else proposal.log_image) - drawn
+    return _log_mix(carried - log_evidence, proposal.log_image, kidnap_probability) - drawn
 
 
 def _log_mix(first: np.ndarray, second: np.ndarray, share_of_second: float) -> np.ndarray:

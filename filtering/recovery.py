@@ -9,17 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from filtering.errors import require_within
-from filtering.particles import log_sum
 
 
 @dataclass(frozen=True)
 class RecoveryConfig:
     """When the belief is doubted."""
 
-    min_kidnap_probability: float = 1e-4
+    min_kidnap_probability: float = 1e-5
     """κ while the images fit the belief: chance per image that the camera was carried elsewhere unnoticed; 0: never."""
     max_kidnap_probability: float = 0.1
     """κ at most, however badly the images fit."""
@@ -38,9 +36,16 @@ class RecoveryConfig:
         )
 
 
+_NOTHING = 1e-9  # log likelihoods begin at 0, where only an outlier is left
+
+
 @dataclass(frozen=True)
 class Recovery:
-    """Long- and short-term averages of how well images fit the belief, each relative to the best they could.
+    """Long- and short-term averages of how well images agree with the belief.
+
+    The agreement of an image is the log of its mean likelihood over the belief as a share of the log of that over its
+    own posterior. Of the likelihoods themselves no ratio would do: tempered ones hardly differ between a place that
+    fits and one that does not, and normalised weights always average 1/n.
 
     Attributes:
         slow: Long-term average, in [0, 1]; None before the first image.
@@ -50,8 +55,17 @@ class Recovery:
     slow: float | None = None
     fast: float = 0.0
 
-    def update(self, agreement: float, config: RecoveryConfig) -> Recovery:
-        """The averages after an image with this `agreement`."""
+    def update(self, log_evidence: float, log_best_evidence: float, config: RecoveryConfig) -> Recovery:
+        """The averages after an image; one that says nothing leaves them as they are.
+
+        Args:
+            log_evidence: Log of the mean likelihood over the belief, before normalisation.
+            log_best_evidence: Log of the mean likelihood over the image's own posterior.
+            config: How fast the averages follow.
+        """
+        if log_best_evidence < _NOTHING:
+            return self
+        agreement = float(np.clip(log_evidence / log_best_evidence, 0.0, 1.0))
         if self.slow is None:
             return Recovery(agreement, agreement)
         return Recovery(
@@ -69,18 +83,3 @@ class Recovery:
     def reset(self) -> Recovery:
         """The averages once the belief has moved: the past doubt does not count against the new place."""
         return self if self.slow is None else replace(self, fast=self.slow)
-
-
-def agreement(log_evidence: float, log_best_evidence: float) -> float:
-    """Mean likelihood over the belief relative to the mean over the image's own posterior, at most 1, from their logs.
-
-    Both are means of unnormalised likelihoods: normalised weights always average 1/n and could tell nothing.
-    """
-    return float(np.exp(min(0.0, log_evidence - log_best_evidence)))
-
-
-def log_mean(log_values: Float64[np.ndarray, " n"], log_weights: Float64[np.ndarray, " n"] | None = None) -> float:
-    """Log of the mean of exp(values) (n,), weighted by exp(weights), which need not be normalised; equal without."""
-    if log_weights is None:
-        return log_sum(log_values) - float(np.log(len(log_values)))
-    return log_sum(log_values + log_weights) - log_sum(log_weights)

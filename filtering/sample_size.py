@@ -59,10 +59,11 @@ def occupied_cells(poses: Poses, config: SampleSizeConfig) -> int:
     """How many cells the poses (n,) lie in.
 
     A cell is a cube in translation and, in rotation, a cube each for the directions of the camera's x and z axes:
-    unlike cells of Euler angles these have no poles, where cells shrink to nothing and one rotation has many.
+    unlike cells of Euler angles these have no poles, where cells shrink to nothing and one rotation has many. Zero is
+    in the middle of a cell: level cameras and those at the origin do not lie where cells meet.
     """
     axes = poses.rotation[:, :, [0, 2]].reshape(-1, 6)
-    cells = np.floor(np.concatenate([poses.translation / config.cell_m, axes / config.cell_rad], axis=1))
+    cells = np.rint(np.concatenate([poses.translation / config.cell_m, axes / config.cell_rad], axis=1))
     return len(np.unique(np.clip(cells, -(2.0**62), 2.0**62).astype(np.int64) @ _MIXER))
 
 
@@ -70,12 +71,15 @@ def occupied_cells(poses: Poses, config: SampleSizeConfig) -> int:
 _MIXER = np.random.default_rng(0).integers(-(2**63), 2**63 - 1, 9) | 1
 
 
-def draw_enough(draw: Callable[[int], Poses], config: SampleSizeConfig) -> Poses:
+def draw_enough(draw: Callable[[int], Poses], config: SampleSizeConfig) -> tuple[Poses, int]:
     """Draw poses for as many particles as the belief needs: again, and more, while they occupy too many cells for that.
 
     Args:
         draw: Draws the poses of a belief of so many particles.
         config: How many are needed.
+
+    Returns:
+        What was drawn last, and for how many particles.
     """
     size = config.min_particles
     poses = draw(size)
@@ -85,4 +89,4 @@ def draw_enough(draw: Callable[[int], Poses], config: SampleSizeConfig) -> Poses
             break
         size = needed
         poses = draw(size)
-    return poses
+    return poses, size

@@ -49,9 +49,6 @@ class GaussianPosterior:
         squared = np.square((poses.translation - self.measured_m) / MEASUREMENT_STD_M).sum(axis=1)
         return log_rotation - 0.5 * squared - np.log(MEASUREMENT_STD_M).sum() - 1.5 * np.log(2 * np.pi)
 
-    def log_prior(self, poses):
-        return np.full(len(poses), LOG_FLAT_PRIOR)
-
     def log_likelihood(self, poses):
         return self.log_density(poses) - LOG_FLAT_PRIOR
 

@@ -9,8 +9,9 @@ from filtering.estimate import ModeConfig, posterior_modes
 from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import MotionNoise, Odometry
+from filtering.particles import log_mean
 from filtering.posterior import PosteriorSamples
-from filtering.recovery import Recovery, RecoveryConfig, agreement, log_mean
+from filtering.recovery import Recovery, RecoveryConfig
 from filtering.regularisation import KernelConfig
 from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, smooth
@@ -154,21 +155,30 @@ def test_equally_likely_images_leave_the_doubt_at_its_floor_and_worse_ones_raise
     config = RecoveryConfig()
     steady = Recovery()
     for _ in range(50):
-        steady = steady.update(0.8, config)
+        steady = steady.update(0.8, 1.0, config)
     assert steady.kidnap_probability(config) == pytest.approx(config.min_kidnap_probability)
     shaken = steady
     for _ in range(5):
-        shaken = shaken.update(0.05, config)
+        shaken = shaken.update(0.05, 1.0, config)
     assert 0.005 < shaken.kidnap_probability(config) < config.max_kidnap_probability
     assert Recovery(slow=0.8, fast=0.0).kidnap_probability(config) == config.max_kidnap_probability
     # Somewhat worse images are no reason to think of a kidnap: half the doubt is the geometric mean.
-    assert Recovery(slow=0.8, fast=0.4).kidnap_probability(config) == pytest.approx(np.sqrt(1e-4 * 0.1))
+    assert Recovery(slow=0.8, fast=0.4).kidnap_probability(config) == pytest.approx(
+        np.sqrt(config.min_kidnap_probability * config.max_kidnap_probability)
+    )
     assert shaken.reset().kidnap_probability(config) == pytest.approx(config.min_kidnap_probability)
 
 
-def test_agreement_is_taken_before_normalisation():
-    assert agreement(log_mean(np.zeros(10)), log_mean(np.full(5, 3.0))) == pytest.approx(np.exp(-3.0))
-    assert agreement(log_mean(np.full(10, 9.0)), log_mean(np.zeros(5))) == 1.0
+def test_the_doubt_does_not_depend_on_how_much_likelihoods_are_tempered():
+    for temper in (1.0, 0.1):
+        assert Recovery().update(1.5 * temper, 3.0 * temper, RecoveryConfig()).slow == pytest.approx(0.5)
+    assert Recovery().update(3.0, 1.0, RecoveryConfig()).slow == 1.0
+    assert Recovery().update(-np.inf, 1.0, RecoveryConfig()).slow == 0.0
+
+
+def test_an_image_that_says_nothing_raises_and_allays_no_doubt():
+    shaken = Recovery(slow=0.8, fast=0.1)
+    assert shaken.update(0.0, 0.0, RecoveryConfig()) == shaken
 
 
 def test_a_weighted_mean_counts_every_value_by_its_weight():

@@ -7,7 +7,7 @@ from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
 from filtering.motion import MotionNoise, Odometry, covariance_factor, isotropic_std
 from filtering.particles import Particles
-from filtering.posterior import LikelihoodModel, PosteriorSamples
+from filtering.posterior import PosteriorSamples
 from filtering.proposal import mixture_log_weights, propose
 from filtering.regularisation import KernelConfig
 from filtering.sample_size import SampleSizeConfig
@@ -80,13 +80,12 @@ def test_the_image_draws_its_fraction():
 
 
 def test_mixture_weights_integrate_the_filtering_target_whatever_the_fraction():
-    """Bayes by brute force: the mean weight is the integral of L · [(1 − κ) p⁻ + κ π], for any φ."""
+    """Bayes by brute force: L p⁻ / ∫ L p⁻ integrates to one for any φ, and the evidence is ∫ L p⁻."""
     covariance = np.diag([0.05**2] * 6)
-    prior = KernelDensity(Poses.exp(np.array([[3.0, 1, 1, 0, 0, 0]])), 2.0, 1.0)
     likelihood_centre = Poses.exp(np.array([[1.05, 2, 3, 0.1, 0.2, 0.3]]))
     bump = KernelDensity(likelihood_centre, 0.1, 0.1)
     wide = KernelDensity(likelihood_centre, 0.12, 0.12)
-    means = []
+    means, evidence = [], []
     for fraction in (0.0, 0.3, 0.7):
         start = Poses.exp(np.tile([1.0, 2, 3, 0.1, 0.2, 0.3], (10, 1)))
         proposal = propose(
@@ -96,14 +95,14 @@ def test_mixture_weights_integrate_the_filtering_target_whatever_the_fraction():
             injection_fraction=fraction, kernels=replace(STILL, max_kernels=10), rng=np.random.default_rng(1),
         )  # fmt: skip
         log_weights = mixture_log_weights(
-            proposal, bump.log_density(proposal.poses), prior.log_density(proposal.poses),
-            kidnap_probability=0.0,
+            proposal, bump.log_density(proposal.poses), kidnap_probability=0.0
         )  # fmt: skip
         means.append(np.exp(log_weights).mean())
-    np.testing.assert_allclose(means, means[0], rtol=0.05)  # standard errors are near 1 %
+        evidence.append(np.exp(proposal.log_evidence(bump.log_density(proposal.poses))))
+    np.testing.assert_allclose(means, 1.0, rtol=0.05)  # standard errors are near 1 %
     # The integral of two kernels' product, by drawing from one and evaluating the other.
     exact = np.exp(bump.log_density(KernelDensity(start[:1], 0.05, 0.05).sample(200_000, rng=np.random.default_rng(2))))
-    assert means[0] == pytest.approx(exact.mean(), rel=0.04)
+    np.testing.assert_allclose(evidence, exact.mean(), rtol=0.05)
 
 
 def test_noise_is_made_isotropic_on_the_safe_side():
@@ -142,18 +141,20 @@ def test_stated_noise_grows_with_motion_and_time():
     np.testing.assert_allclose(np.diag(later), 10 * np.diag(still))
 
 
-def test_a_kidnapped_share_is_drawn_from_the_image_with_its_evidence_under_the_prior():
-    """With an untempered likelihood the weights are L · [(1 − κ) p⁻ + κ π] / [(1 − φ) p⁻ + φ p̂], evaluated directly."""
-    place = Poses.exp(np.array([[1.0, 2, 3, 0.1, 0.2, 0.3]]))
-    prior = KernelDensity(place, 1.0, 0.8)
-    posterior = PosteriorSamples(KernelDensity(place, 0.1, 0.1), LikelihoodModel(prior, 1e-9, 1.0, 1e-12))
+def test_the_kidnapped_share_of_the_belief_is_the_posterior_of_the_image():
+    place, elsewhere = Poses.exp(np.array([[1.0, 2, 3, 0.1, 0.2, 0.3]])), Poses.exp(np.array([[4.0, 2, 3, 0, 0, 0.3]]))
+    posterior = PosteriorSamples(KernelDensity(elsewhere, 0.1, 0.1))
     proposal = propose(
         belief(place[[0] * 10]), np.zeros(10, np.int64), Odometry(Poses.identity(), np.diag([0.05**2] * 6)), posterior,
         sample_size=fixed(4000),
-        injection_fraction=0.5, kernels=replace(STILL, max_kernels=10), rng=np.random.default_rng(3),
+        injection_fraction=0.3, kernels=replace(STILL, max_kernels=10), rng=np.random.default_rng(3),
     )  # fmt: skip
-    log_likelihood, log_prior = posterior.log_likelihood(proposal.poses), posterior.log_prior(proposal.poses)
-    weights = np.exp(mixture_log_weights(proposal, log_likelihood, log_prior, kidnap_probability=0.2))
-    predicted, image = np.exp(proposal.log_predicted), np.exp(proposal.log_image)
-    expected = np.exp(log_likelihood) * (0.8 * predicted + 0.2 * np.exp(log_prior)) / (0.5 * predicted + 0.5 * image)
-    np.testing.assert_allclose(weights / weights.sum(), expected / expected.sum(), rtol=1e-3)
+    log_likelihood = posterior.log_likelihood(proposal.poses)
+    for kidnap_probability in (0.0, 1e-4, 0.2, 1.0):
+        weights = np.exp(mixture_log_weights(proposal, log_likelihood, kidnap_probability=kidnap_probability))
+        there = proposal.poses.translation[:, 0] > 2.5
+        assert weights[there].sum() / weights.sum() == pytest.approx(kidnap_probability, rel=0.02, abs=1e-12)
+    impossible = np.where(there, 0.0, -np.inf)
+    weights = np.exp(mixture_log_weights(proposal, impossible, kidnap_probability=1e-4))
+    assert weights[there].sum() == pytest.approx(weights.sum())
+    assert not np.exp(mixture_log_weights(proposal, impossible, kidnap_probability=0.0)).any()

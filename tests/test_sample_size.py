@@ -55,7 +55,7 @@ def test_a_wide_belief_gets_more_particles_than_a_narrow_one():
         return lambda size: away @ Poses.exp(width * rng.standard_normal((size, 6)))
 
     narrow, wide, wider = (
-        len(draw_enough(draw(width), SampleSizeConfig(max_particles=3000))) for width in (0.02, 0.3, 1.0)
+        len(draw_enough(draw(width), SampleSizeConfig(max_particles=3000))[0]) for width in (0.02, 0.3, 1.0)
     )
     assert narrow == 1000
     assert narrow < wide <= wider == 3000
@@ -63,7 +63,8 @@ def test_a_wide_belief_gets_more_particles_than_a_narrow_one():
 
 def test_a_given_number_is_kept_whatever_the_belief():
     size = LocalizerConfig(num_particles=123).size
-    assert len(draw_enough(lambda n: Poses.exp(np.random.default_rng(n).standard_normal((n, 6))), size)) == 123
+    poses, count = draw_enough(lambda n: Poses.exp(np.random.default_rng(n).standard_normal((n, 6))), size)
+    assert len(poses) == count == 123
 
 
 def test_bounds_that_cross_are_refused():

@@ -9,9 +9,9 @@ from types import MappingProxyType
 import numpy as np
 
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.particles import log_mean
 from filtering.posterior import LikelihoodModel
 from filtering.proposal import Proposal
-from filtering.recovery import log_mean
 from filtering.se3 import Poses
 
 
@@ -44,7 +44,7 @@ def _no_recovery(config: LocalizerConfig) -> LocalizerConfig:
 class EqualInjectedWeights(ParticleLocalizer):
     """Injected particles weigh 1/n each whatever the belief says of where they are, as in public filters."""
 
-    def _weigh(self, proposal: Proposal, log_likelihood: np.ndarray, log_prior: np.ndarray) -> np.ndarray:
+    def _weigh(self, proposal: Proposal, log_likelihood: np.ndarray) -> np.ndarray:
         moved = slice(proposal.num_from_motion)
         log_weights = log_likelihood + proposal.log_predicted - proposal.log_moved
         log_weights[proposal.num_from_motion :] = log_mean(log_weights[moved])
