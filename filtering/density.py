@@ -18,6 +18,7 @@ _BLOCK = 128  # kernel rows at a time: 128 × 1000 float32 fit a core's second-l
 _PRECISION = 1e-5  # of a density: what is left out weighs less than that share of it
 _GAUSSIAN_FROM = 1e6  # 1/h_r² from which on the rotation kernel's integral is a Gaussian's, to 4e-7
 _LEAST_TOTAL = 1e-9  # of kernel peaks: where less is within reach, all kernels are summed
+_LOG_NEGLIGIBLE = -20.0  # relative to the narrowest kernel's peak: what is within reach is summed, and that is all
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,15 @@ class KernelDensity:
         log_rotation = np.log(8 * np.pi**2 * (ive(0, wide) - ive(1, wide))) - 1.5 * np.log(k / wide)
         log_translation = 1.5 * np.log(2 * np.pi * np.square(self.bandwidth_translation_m))
         return np.broadcast_to(log_translation + log_rotation, len(self.centres))
+
+    @cached_property
+    def log_negligible(self) -> float:
+        """Log of a density that hardly counts beside that at any centre, as a `log_floor`.
+
+        A centre's neighbourhood is then summed as ever, however small its weight; what is left out is the second look
+        at poses that no centre is near, which come out −∞.
+        """
+        return float(-self.log_normaliser.min()) + _LOG_NEGLIGIBLE
 
     def log_density(self, poses: Poses, *, log_floor: float = -np.inf) -> Float64[np.ndarray, " n"]:
         """Log density of poses (n,), per m³ rad³.
@@ -126,8 +136,10 @@ class KernelDensity:
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         width_m, width_rad = (width[kernels] for width in self._widths)
         angle, share = np.empty(n), rng.random(n)
-        for width in np.unique(width_rad):
-            angle[width_rad == width] = np.interp(share[width_rad == width], *_angle_quantiles(width))
+        widths, which = np.unique(width_rad, return_inverse=True)
+        for k, quantiles in enumerate(_angle_quantiles(widths)):
+            own = which == k
+            angle[own] = np.interp(share[own], *quantiles)
         rotation = rotation_from_rotvec(angle[:, None] * axis)
         shift = width_m[:, None] * rng.standard_normal((n, 3))
         centres = self.centres[kernels]
@@ -213,9 +225,11 @@ def _log_sum_exp(exponent: Float32[np.ndarray, "n k"]) -> Float64[np.ndarray, " 
     return top[:, 0] + np.log(np.exp(exponent, out=exponent).sum(axis=1), dtype=np.float64)
 
 
-def _angle_quantiles(width_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Cumulative distribution of the rotation kernel's angle, p(θ) ∝ exp((cos θ − 1)/h²)(1 − cos θ)."""
-    angle = np.linspace(0.0, min(np.pi, 9.0 * width_rad), 513)
-    density = np.exp((np.cos(angle) - 1) / width_rad**2) * (1 - np.cos(angle))
-    cumulative = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
-    return cumulative / cumulative[-1], angle
+def _angle_quantiles(widths_rad: Float64[np.ndarray, " k"]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Per width the cumulative distribution of the rotation kernel's angle, p(θ) ∝ exp((cos θ − 1)/h²)(1 − cos θ)."""
+    angle = np.minimum(np.pi, 9.0 * widths_rad)[:, None] * np.linspace(0.0, 1.0, 513)
+    versine = 1.0 - np.cos(angle)
+    density = np.exp(-versine / np.square(widths_rad)[:, None]) * versine
+    cumulative = np.zeros_like(angle)
+    np.cumsum(density[:, 1:] + density[:, :-1], axis=1, out=cumulative[:, 1:])
+    return zip(cumulative / cumulative[:, -1:], angle, strict=True)

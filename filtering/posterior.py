@@ -223,7 +223,10 @@ class PosteriorSamples:
     def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Log p̂, the same smoothed, log π; the filter asks for all at the same poses, the kernels are summed once."""
         if not self._evaluated or self._evaluated[0][0] is not poses:
-            log_density = self.density.log_density(poses)
-            log_place_density = log_density if self.places is None else self.places.log_density(poses)
+            if self.places is None:
+                log_density = log_place_density = self.density.log_density(poses)
+            else:  # it tells where in a place only, and what was drawn from the image
+                log_density = self.density.log_density(poses, log_floor=self.density.log_negligible)
+                log_place_density = self.places.log_density(poses)
             self._evaluated[:] = [(poses, log_density, log_place_density, self.likelihood.log_prior(poses))]
         return self._evaluated[0][1:]

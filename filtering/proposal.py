@@ -46,7 +46,7 @@ class Proposal:
     def log_evidence(self, log_likelihood: Float64[np.ndarray, " n"]) -> float:
         """Log of the mean of L over the predicted belief, ∫ L p⁻, from log L at the poses (n,)."""
         moved = slice(self.num_from_motion)
-        return log_mean(log_likelihood[moved], (self.log_predicted - self.log_moved)[moved])
+        return log_mean(log_likelihood[moved], self.log_predicted[moved] - self.log_moved[moved])
 
 
 def propose(
@@ -101,7 +101,10 @@ def propose(
         injected = posterior.sample(num_injected, rng=rng)
         poses = Poses.concatenate([poses, injected[neighbour_order(injected)]])
     log_predicted, log_moved = density.log_densities(
-        poses, carried.log_weights, np.full(num_kernels, -np.log(num_kernels))
+        poses,
+        carried.log_weights,
+        np.full(num_kernels, -np.log(num_kernels)),
+        log_floor=density.log_negligible,  # far from the belief: a weight of nothing, beside κ or alone
     )
     return Proposal(poses, num_from_motion, log_predicted, log_moved, posterior.log_density(poses))
 

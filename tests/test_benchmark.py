@@ -5,6 +5,7 @@ from collections import Counter
 
 import pytest
 
+from filtering.localizer import ParticleLocalizer
 from vapor import recordings, trials
 from vapor.summary import failed, summarise
 from vapor.track import main
@@ -107,6 +108,20 @@ def test_variants_are_compared_in_a_table_of_their_own(folder, tiny_model, calls
     assert len([line for line in out.splitlines() if line.split()[:1] in (["full"], ["no-recovery"])]) == 2
     summary = json.loads((folder / "summary.json").read_text())["summary"]["ceiling"]["no-cue"]
     assert summary.keys() == {"full", "no-recovery"}
+
+
+def test_only_a_filter_that_is_told_of_a_kidnap_starts_anew_there(folder, tiny_model, monkeypatch):
+    anew, update = [], ParticleLocalizer.update
+
+    def watched(localizer, posterior, odometry):
+        anew.append(odometry is None)
+        return update(localizer, posterior, odometry)
+
+    monkeypatch.setattr(ParticleLocalizer, "update", watched)
+    monkeypatch.setattr(trials, "_code", lambda: "watched")
+    assert run(folder, tiny_model, "--kinds", "kidnap", "--variants", "full", "told-of-kidnap") == 0
+    assert len(anew) == 100  # two runs of 50 images, of which the last third is elsewhere
+    assert [i for i, told in enumerate(anew) if told] == [50 + 33]
 
 
 def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, monkeypatch):

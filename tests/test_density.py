@@ -124,6 +124,21 @@ def test_above_its_floor_a_density_is_exact_and_below_it_stays_below():
     assert (floored[~above] < -7.0 + 1e-3).all()
 
 
+def test_what_is_negligible_is_neither_near_a_centre_nor_near_an_unlikely_one():
+    unlikely = shifted(cloud(18, 50), 10.0)
+    centres = Poses.concatenate([cloud(16, 150), unlikely])
+    density = KernelDensity(centres, 0.1, 0.1, np.repeat(np.log([1 / 150, 1e-20 / 50]), [150, 50]))
+    queries = Poses.concatenate([cloud(17, 300), unlikely, shifted(cloud(19, 10), 30.0)])
+    exact, fast = density.log_density(queries), density.log_density(queries, log_floor=density.log_negligible)
+    near = exact > density.log_negligible
+    near[300:350] = True
+    assert 50 < near.sum() < 350
+    np.testing.assert_allclose(fast[near], exact[near], atol=1e-3)
+    assert (fast[~near] < density.log_negligible + 1e-3).all()
+    assert np.isfinite(exact).all()
+    assert (fast[350:] == -np.inf).all()
+
+
 def test_a_floor_far_below_the_peak_is_kept_too():
     density = KernelDensity(Poses.identity(2), 0.01, 0.01)
     there = Poses(np.eye(3)[None], np.array([[0.082, 0.0, 0.0]]))

@@ -53,10 +53,11 @@ def test_each_variant_changes_what_it_says_and_nothing_else():
             variant.kind is not ParticleLocalizer,
             variant.localizer(config) != config,
             variant.likelihood(likelihood, PRIOR) is not likelihood,
+            variant.told_of_kidnap,
         )
         for name, variant in VARIANTS.items()
     }
-    assert changed["full"] == (False, False, False)
+    assert changed["full"] == (False, False, False, False)
     assert all(sum(change) == 1 for name, change in changed.items() if name != "full")
     assert VARIANTS["no-tempering"].likelihood(likelihood, PRIOR).temper == 1.0
     unsaturated = VARIANTS["no-saturation"].likelihood(likelihood, PRIOR)

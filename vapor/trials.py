@@ -165,7 +165,8 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
         poses = replay.posterior_poses(i)
         begin = time.perf_counter()
         posterior = model.calibration.posterior(poses, likelihood)
-        estimate = localizer.update(posterior, motion)
+        told = variant.told_of_kidnap and i == trial.seam
+        estimate = localizer.update(posterior, None if told else motion)
         step_ms.append(1e3 * (time.perf_counter() - begin))
         estimates.append((estimate.modes, estimate.status, len(estimate.particles)))
         image_modes.append(posterior_modes(poses, setup.localizer.modes, rng=mode_rng))

@@ -24,12 +24,14 @@ class Variant:
         kind: The filter.
         localizer: Settings of the filter -> those of the variant.
         likelihood: The likelihood and the poses that its prior is made of -> that of the variant.
+        told_of_kidnap: Whether it is told that the camera was carried off, and starts anew there.
     """
 
     meaning: str
     kind: type[ParticleLocalizer] = ParticleLocalizer
     localizer: Callable[[LocalizerConfig], LocalizerConfig] = lambda config: config
     likelihood: Callable[[LikelihoodModel, Poses], LikelihoodModel] = lambda model, poses: model
+    told_of_kidnap: bool = False
 
 
 def _flat_prior(model: LikelihoodModel, poses: Poses) -> LikelihoodModel:
@@ -61,6 +63,7 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
         "no-injection": Variant("φ = 0", localizer=lambda config: replace(config, injection_fraction=0.0)),
         "equal-injected-weights": Variant("injected particles weigh 1/n", EqualInjectedWeights),
         "no-recovery": Variant("κ = 0", localizer=_no_recovery),
+        "told-of-kidnap": Variant("starts anew where the camera was carried to", told_of_kidnap=True),
         "fixed-size": Variant("1000 particles", localizer=lambda config: replace(config, num_particles=1000)),
     }
 )
