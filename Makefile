@@ -5,10 +5,13 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 DATA := build/model-data
 
-STAIRCASE := $(foreach seed,$(shell seq 0 19),$(DATA)/staircase-$(seed).mcap)
+STAIRCASE_FEW := $(foreach seed,$(shell seq 0 19),$(DATA)/staircase-$(seed).mcap)
+STAIRCASE := $(foreach seed,$(shell seq 0 99),$(DATA)/staircase-$(seed).mcap)
+STAIRCASE_HELD_OUT := $(foreach seed,$(shell seq 100 103),$(DATA)/staircase-$(seed).mcap)
 CEILING_FEW := $(foreach seed,$(shell seq 0 23),$(DATA)/ceiling-$(seed).mcap)
 CEILING_MORE := $(foreach seed,$(shell seq 0 71),$(DATA)/ceiling-$(seed).mcap)
 CEILING := $(foreach seed,$(shell seq 0 99),$(DATA)/ceiling-$(seed).mcap)
+CEILING_HELD_OUT := $(foreach seed,$(shell seq 100 103),$(DATA)/ceiling-$(seed).mcap)
 
 .PHONY: demo test check models clean
 
@@ -35,18 +38,22 @@ $(INSTALLED): pyproject.toml
 models: vapor/models/staircase.safetensors vapor/models/ceiling.safetensors
 
 $(DATA)/staircase-%.mcap: | $(INSTALLED) $(DATA)
-	$(BIN)/vapor-track synthesize staircase $@ --seed $* --frames 500 --split train
+	$(BIN)/vapor-track synthesize staircase $@ --seed $* --frames 500 --split train --width 240 --height 180
 
 $(DATA)/ceiling-%.mcap: | $(INSTALLED) $(DATA)
 	$(BIN)/vapor-track synthesize ceiling $@ --seed $* --frames 500 --split train --width 240 --height 180
 
-$(DATA)/features.safetensors: $(STAIRCASE) $(DATA)/staircase-100.mcap
-	$(BIN)/vapor-track train $(STAIRCASE) --validation $(DATA)/staircase-100.mcap --output $@ \
+$(DATA)/features.safetensors: $(STAIRCASE_FEW) $(DATA)/staircase-100.mcap
+	$(BIN)/vapor-track train $(STAIRCASE_FEW) --validation $(DATA)/staircase-100.mcap --output $@ \
 	    --loss.alpha 0.1 --epochs 16 --no-calibrate
 
-vapor/models/staircase.safetensors: $(DATA)/features.safetensors
+$(DATA)/staircase-first.safetensors: $(DATA)/features.safetensors
+	$(BIN)/vapor-track train $(STAIRCASE_FEW) --validation $(DATA)/staircase-100.mcap --output $@ \
+	    --pretrained-weights $< --loss.alpha 0.1 --epochs 28 --no-calibrate
+
+$(DATA)/staircase.safetensors: $(DATA)/staircase-first.safetensors $(STAIRCASE)
 	$(BIN)/vapor-track train $(STAIRCASE) --validation $(DATA)/staircase-100.mcap --output $@ \
-	    --pretrained-weights $< --loss.alpha 0.1 --epochs 28
+	    --initial-model $< --loss.alpha 0.1 --loss.beta 0.005 --learning-rate 1.5e-3 --epochs 12 --no-calibrate
 
 # Few images and many winners tell the like places apart, if at the cost of some; more images and fewer winners bring
 # those back; more images still tell them apart better.
@@ -60,10 +67,17 @@ $(DATA)/ceiling-second.safetensors: $(DATA)/ceiling-first.safetensors $(CEILING_
 	    --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
 	    --learning-rate 2e-3 --epochs 16 --no-calibrate
 
-vapor/models/ceiling.safetensors: $(DATA)/ceiling-second.safetensors $(CEILING)
+$(DATA)/ceiling.safetensors: $(DATA)/ceiling-second.safetensors $(CEILING)
 	$(BIN)/vapor-track train $(CEILING) --validation $(DATA)/ceiling-100.mcap --output $@ \
 	    --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
-	    --learning-rate 2e-3 --epochs 20
+	    --learning-rate 2e-3 --epochs 20 --no-calibrate
+
+# Of one sequence there are five stretches of trajectory; four sequences tell the settings apart that those leave open.
+vapor/models/staircase.safetensors: $(DATA)/staircase.safetensors $(STAIRCASE_HELD_OUT)
+	$(BIN)/vapor-track calibrate $< $(STAIRCASE_HELD_OUT) --images 2000 --output $@
+
+vapor/models/ceiling.safetensors: $(DATA)/ceiling.safetensors $(CEILING_HELD_OUT)
+	$(BIN)/vapor-track calibrate $< $(CEILING_HELD_OUT) --images 2000 --output $@
 
 $(DATA):
 	mkdir -p $@

@@ -18,7 +18,6 @@ _BLOCK = 128  # kernel rows at a time: 128 × 1000 float32 fit a core's second-l
 _PRECISION = 1e-5  # of a density: what is left out weighs less than that share of it
 _GAUSSIAN_FROM = 1e6  # 1/h_r² from which on the rotation kernel's integral is a Gaussian's, to 4e-7
 _LEAST_TOTAL = 1e-9  # of kernel peaks: where less is within reach, all kernels are summed
-_LOG_NEGLIGIBLE = -20.0  # relative to the narrowest kernel's peak: what is within reach is summed, and that is all
 
 
 @dataclass(frozen=True)
@@ -69,28 +68,26 @@ class KernelDensity:
         log_translation = 1.5 * np.log(2 * np.pi * np.square(self.bandwidth_translation_m))
         return np.broadcast_to(log_translation + log_rotation, len(self.centres))
 
-    @cached_property
-    def log_negligible(self) -> float:
-        """Log of a density that hardly counts beside that at any centre, as a `log_floor`.
-
-        A centre's neighbourhood is then summed as ever, however small its weight; what is left out is the second look
-        at poses that no centre is near, which come out −∞.
-        """
-        return float(-self.log_normaliser.min()) + _LOG_NEGLIGIBLE
-
-    def log_density(self, poses: Poses, *, log_floor: float = -np.inf) -> Float64[np.ndarray, " n"]:
+    def log_density(
+        self, poses: Poses, *, log_floor: float = -np.inf, near_only: bool = False
+    ) -> Float64[np.ndarray, " n"]:
         """Log density of poses (n,), per m³ rad³.
 
         Args:
             poses: Where to evaluate, (n,).
             log_floor: Log of a density below which it does not matter: there it may come out anything lower, −∞ too.
+            near_only: Whether a pose that is more than about eight widths from every centre may come out −∞.
         """
         equal = np.full(len(self.centres), -np.log(len(self.centres)))
         log_weights = equal if self.log_weights is None else self.log_weights
-        return self.log_densities(poses, log_weights, log_floor=log_floor)[0]
+        return self.log_densities(poses, log_weights, log_floor=log_floor, near_only=near_only)[0]
 
     def log_densities(
-        self, poses: Poses, *log_weights: Float64[np.ndarray, " m"], log_floor: float = -np.inf
+        self,
+        poses: Poses,
+        *log_weights: Float64[np.ndarray, " m"],
+        log_floor: float = -np.inf,
+        near_only: bool = False,
     ) -> tuple[Float64[np.ndarray, " n"], ...]:
         """Log densities (n,) of poses (n,), per m³ rad³, one for each way to weigh the centres; the kernels cost once.
 
@@ -103,6 +100,7 @@ class KernelDensity:
             poses: Where to evaluate, (n,).
             log_weights: Log weights of the centres, normalised, (m,) each. The density's own do not count here.
             log_floor: As of `log_density`.
+            near_only: As of `log_density`.
         """
         if len(poses) == 0:
             return tuple(np.empty(0) for _ in log_weights)
@@ -119,7 +117,7 @@ class KernelDensity:
         with np.errstate(divide="ignore"):
             log_total = np.log(total.T, dtype=np.float64)
         for column, found, log_scale in zip(log_total, total.T, log_scales.T.astype(np.float32), strict=True):
-            far = np.flatnonzero(found < (least if floor < least else 0.0))
+            far = np.flatnonzero(found < (least if floor < least and not near_only else 0.0))
             for block in (far[start : start + _BLOCK] for start in range(0, len(far), _BLOCK)):
                 column[block] = _log_sum_exp(_product(left[block], right) + log_scale)
         return tuple(log_total + log_peak)

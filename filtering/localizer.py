@@ -32,6 +32,8 @@ class LocalizerConfig:
     """Status is "converged" from this share of the belief in the best mode on."""
     converged_std_m: float = 0.5
     """And with at most this standard deviation of its position, in metres, along its widest axis."""
+    converged_doubt: float = 0.25
+    """And while the images cast no more doubt on the belief than this (0: none, 1: they contradict it)."""
     lost_log_evidence: float = 0.07
     """Status is "lost" while the running mean of the log evidence is below this (0: every image an outlier)."""
     evidence_decay: float = 0.9
@@ -53,6 +55,7 @@ class LocalizerConfig:
             injection_fraction=(0.0, 0.99),
             converged_weight=(0.0, 1.0),
             converged_std_m=(0.0, 1e6),
+            converged_doubt=(0.0, 1.0),
             lost_log_evidence=(-1e6, 1e6),
             evidence_decay=(0.0, 0.9999),
             switch_ratio=(1.0, 1e9),
@@ -145,6 +148,8 @@ class ParticleLocalizer(Generic[Posterior]):
         particles = self._settle(particles, posterior, first=odom is None or self._belief is None)
         self._belief = particles
         modes = self._order(describe_modes(particles, self._label, self.config.modes))
+        if self._best is not None and not self._same_place(modes[0].world_from_camera, self._best):
+            self._recovery = self._recovery.reset()  # the doubt has led to another place, which starts without it
         self._best = modes[0].world_from_camera
         return Estimate(
             modes,
@@ -184,8 +189,6 @@ class ParticleLocalizer(Generic[Posterior]):
             self._recovery = self._recovery.update(log_evidence, log_mean(log_likelihood[num_moved:]), c.recovery)
         log_weights = self._weigh(proposal, log_likelihood)
         particles, _ = Particles.from_unnormalised(proposal.poses, log_weights)
-        if particles.weights[num_moved:].sum() > 0.5:
-            self._recovery = self._recovery.reset()
         return particles, log_evidence
 
     def _weigh(self, proposal: Proposal, log_likelihood: np.ndarray) -> np.ndarray:
@@ -207,10 +210,8 @@ class ParticleLocalizer(Generic[Posterior]):
         """Keep the previous best mode first unless another clearly outweighs it."""
         if self._best is None or len(modes) == 1:
             return modes
-        radius = self.config.modes
         for k, mode in enumerate(modes):
-            translation_m, rotation_rad = mode.world_from_camera.distance(self._best)
-            if translation_m <= radius.radius_m and rotation_rad <= radius.radius_rad:
+            if self._same_place(mode.world_from_camera, self._best):
                 if modes[0].weight < self.config.switch_ratio * mode.weight:
                     return (mode, *modes[:k], *modes[k + 1 :])
                 break
@@ -224,7 +225,10 @@ class ParticleLocalizer(Generic[Posterior]):
         self._mean_log_evidence = decay * previous + (1 - decay) * log_evidence
         if self._mean_log_evidence < self.config.lost_log_evidence:
             return "lost"
-        best = modes[0]
-        if best.weight >= self.config.converged_weight and best.widest_std_m <= self.config.converged_std_m:
-            return "converged"
-        return "ambiguous"
+        best, c = modes[0], self.config
+        sure = best.weight >= c.converged_weight and best.widest_std_m <= c.converged_std_m
+        return "converged" if sure and self._recovery.doubt <= c.converged_doubt else "ambiguous"
+
+    def _same_place(self, one: Poses, other: Poses) -> bool:
+        translation_m, rotation_rad = one.distance(other)
+        return bool(translation_m <= self.config.modes.radius_m and rotation_rad <= self.config.modes.radius_rad)

@@ -32,5 +32,5 @@ def group_moments(
     mean_matrix = (shares @ poses.rotation.reshape(-1, 9)).reshape(-1, 3, 3)
     means = Poses(nearest_rotation(mean_matrix), shares @ poses.translation)
     tangent = (means.inverse()[label] @ poses).log()
-    covariances = np.stack([(share[:, None] * tangent).T @ tangent for share in shares])
-    return means, covariances, tangent
+    squares = (tangent[:, :, None] * tangent[:, None, :]).reshape(-1, 36)
+    return means, (shares @ squares).reshape(-1, 6, 6), tangent

@@ -29,7 +29,8 @@ class PosePosterior(Protocol):
         """Log p(image | pose) of poses (n,), at least 0, and 0 where only the chance of an outlier is left.
 
         That constant matters: by how far the likelihood rises above 0 the filter tells a fitting image from one that
-        fits nowhere (status "lost", recovery).
+        fits nowhere (status "lost", recovery). One that stays below 0 says that nothing fits, and the belief is neither
+        doubted nor called more than lost.
         """
         ...
 
@@ -208,7 +209,7 @@ class PosteriorSamples:
         return self.density.sample(num_samples, rng=rng)
 
     def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log p̂(pose | image) of poses (n,), per m³ rad³."""
+        """Log p̂(pose | image) of poses (n,), per m³ rad³; with `places`, −∞ where no kernel reaches."""
         return self._evaluate(poses)[0]
 
     def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
@@ -225,8 +226,8 @@ class PosteriorSamples:
         if not self._evaluated or self._evaluated[0][0] is not poses:
             if self.places is None:
                 log_density = log_place_density = self.density.log_density(poses)
-            else:  # it tells where in a place only, and what was drawn from the image
-                log_density = self.density.log_density(poses, log_floor=self.density.log_negligible)
+            else:  # p̂ only tells where in a place, and what the image draws: far from all samples it may be nothing
+                log_density = self.density.log_density(poses, near_only=True)
                 log_place_density = self.places.log_density(poses)
             self._evaluated[:] = [(poses, log_density, log_place_density, self.likelihood.log_prior(poses))]
         return self._evaluated[0][1:]

@@ -66,7 +66,7 @@ def propose(
     kernels those of their hypothesis with the odometry's noise and the jitter added, made isotropic on the safe side.
     The particles are drawn from the same kernels in equal numbers, q, of centres drawn by powers of their weights below
     1 (`spread_draw`): a place that the images made unlikely keeps enough particles to come back, at its true weight.
-    Both densities are evaluated exactly, so the mixture weights owe nothing to a bandwidth.
+    Both densities are evaluated exactly where any kernel reaches, so the mixture weights owe nothing to a bandwidth.
     (Evaluating a smoother density than the one drawn from makes large modes grow at the cost of small ones.)
 
     Args:
@@ -104,7 +104,7 @@ def propose(
         poses,
         carried.log_weights,
         np.full(num_kernels, -np.log(num_kernels)),
-        log_floor=density.log_negligible,  # far from the belief: a weight of nothing, beside κ or alone
+        near_only=True,  # far from the belief: a weight of nothing, beside κ or alone
     )
     return Proposal(poses, num_from_motion, log_predicted, log_moved, posterior.log_density(poses))
 
@@ -121,13 +121,16 @@ def mixture_log_weights(
 
     The mixture is (1 − φ) q + φ p̂. The target is (1 − κ) L p⁻ / ∫ L p⁻ + κ p̂: either odometry carried the belief here
     and the image weighs it, or the camera is elsewhere and this image is the first one there, whose posterior is the
-    belief as it is at a start.
+    belief as it is at a start. Where no particle is drawn from the image there is only the former.
 
     Args:
         proposal: Where the particles came from.
         log_likelihood: Log L at the particles.
-        kidnap_probability: κ, the chance that the camera is not where the belief was carried.
+        kidnap_probability: κ, the chance that the camera is not where the belief was carried, however well this image
+            fits there.
     """
+    if proposal.num_from_motion == len(proposal.poses):
+        kidnap_probability = 0.0
     drawn = _log_mix(proposal.log_moved, proposal.log_image, proposal.injected_fraction)
     carried = log_likelihood + proposal.log_predicted
     log_evidence = proposal.log_evidence(log_likelihood)

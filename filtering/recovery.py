@@ -18,9 +18,9 @@ class RecoveryConfig:
     """When the belief is doubted."""
 
     min_kidnap_probability: float = 1e-5
-    """κ while the images fit the belief: chance per image that the camera was carried elsewhere unnoticed; 0: never."""
+    """κ while the images fit the belief: the chance that the camera is elsewhere all the same; 0 for both: never."""
     max_kidnap_probability: float = 0.1
-    """κ at most, however badly the images fit."""
+    """κ per image where no image fits."""
     slow_rate: float = 0.02
     """Share of the long-term average that one image replaces."""
     fast_rate: float = 0.25
@@ -36,7 +36,7 @@ class RecoveryConfig:
         )
 
 
-_NOTHING = 1e-9  # log likelihoods begin at 0, where only an outlier is left
+_LEAST_EVIDENCE = 1e-9  # log likelihoods begin at 0, where only an outlier is left; a share of 0 is none
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,8 @@ class Recovery:
 
     The agreement of an image is the log of its mean likelihood over the belief as a share of the log of that over its
     own posterior. Of the likelihoods themselves no ratio would do: tempered ones hardly differ between a place that
-    fits and one that does not, and normalised weights always average 1/n.
+    fits and one that does not, and normalised weights always average 1/n. Where the belief is in one place, tempering
+    the likelihood leaves the share as it is.
 
     Attributes:
         slow: Long-term average, in [0, 1]; None before the first image.
@@ -56,14 +57,14 @@ class Recovery:
     fast: float = 0.0
 
     def update(self, log_evidence: float, log_best_evidence: float, config: RecoveryConfig) -> Recovery:
-        """The averages after an image; one that says nothing leaves them as they are.
+        """The averages after an image; one whose likelihood is 1 or less wherever it looks leaves them as they are.
 
         Args:
             log_evidence: Log of the mean likelihood over the belief, before normalisation.
             log_best_evidence: Log of the mean likelihood over the image's own posterior.
             config: How fast the averages follow.
         """
-        if log_best_evidence < _NOTHING:
+        if log_best_evidence < _LEAST_EVIDENCE:
             return self
         agreement = float(np.clip(log_evidence / log_best_evidence, 0.0, 1.0))
         if self.slow is None:
@@ -73,12 +74,16 @@ class Recovery:
             self.fast + config.fast_rate * (agreement - self.fast),
         )
 
-    def kidnap_probability(self, config: RecoveryConfig) -> float:
-        """κ from its least to its greatest value, in equal ratios, as the doubt 1 − fast/slow goes from 0 to 1."""
+    @property
+    def doubt(self) -> float:
+        """1 − fast/slow, in [0, 1]: 0 while images agree with the belief as they long have, 1 where none does."""
         if self.slow is None or self.slow <= 0.0:
-            return config.min_kidnap_probability
-        doubt = float(np.clip(1.0 - self.fast / self.slow, 0.0, 1.0))
-        return config.min_kidnap_probability ** (1.0 - doubt) * config.max_kidnap_probability**doubt
+            return 0.0
+        return float(np.clip(1.0 - self.fast / self.slow, 0.0, 1.0))
+
+    def kidnap_probability(self, config: RecoveryConfig) -> float:
+        """κ from its least to its greatest value, in equal ratios, as the doubt goes from 0 to 1."""
+        return config.min_kidnap_probability ** (1.0 - self.doubt) * config.max_kidnap_probability**self.doubt
 
     def reset(self) -> Recovery:
         """The averages once the belief has moved: the past doubt does not count against the new place."""

@@ -108,11 +108,12 @@ def test_a_later_image_that_is_impossible_everywhere_leaves_its_own_samples_or_w
     assert (estimate.status, estimate.log_evidence) == ("lost", -np.inf)
     assert estimate.modes[0].world_from_camera.distance(Poses.identity())[0] < 0.2
     assert np.isfinite(localizer.step(image_of(4), odometry[4]).log_evidence)
-    localizer, truth, odometry = walking(5)
-    localizer.config = replace(SMALL, recovery=RecoveryConfig(0.0, 0.0))
-    with pytest.raises(VaporTrackError, match="all 300 particle weights are zero"):
-        localizer.update(impossible, odometry[3])
-    assert localizer.step(image_of(3), odometry[3]).modes[0].world_from_camera.distance(truth[3])[0] < 0.3
+    for nowhere_else in (replace(SMALL, recovery=RecoveryConfig(0.0, 0.0)), replace(SMALL, injection_fraction=0.0)):
+        localizer, truth, odometry = walking(5)
+        localizer.config = nowhere_else
+        with pytest.raises(VaporTrackError, match="all 300 particle weights are zero"):
+            localizer.update(impossible, odometry[3])
+        assert localizer.step(image_of(3), odometry[3]).modes[0].world_from_camera.distance(truth[3])[0] < 0.3
 
 
 def increment(rotation=None, translation=(0.0, 0.0, 0.0), covariance=GOOD):

@@ -17,7 +17,17 @@ from vapor.checkpoint import Calibration, load_checkpoint, read_safetensors
 from vapor.image_fit import fit_images
 from vapor.loss import LossConfig
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
-from vapor.stretches import GRIDS, SAFE_PREFERENCE, Stretch, belief_scores, choose, find_stretches, simulated_odometry
+from vapor.stretches import (
+    GRIDS,
+    SAFE_PREFERENCE,
+    Stretch,
+    Scores,
+    belief_scores,
+    choose,
+    choose_detail,
+    find_stretches,
+    simulated_odometry,
+)
 from vapor.track import main
 from vapor.train import train_on
 from vapor.train_config import TrainConfig
@@ -98,7 +108,7 @@ def prior_of(stretches):
 
 def scores(stretches, calibration):
     likelihood = calibration.likelihood(prior_of(stretches))
-    return belief_scores(stretches, calibration, likelihood, config=FEW, seed=0).mean()
+    return belief_scores(stretches, calibration, likelihood, config=FEW, seed=0).log_density.mean()
 
 
 @pytest.mark.parametrize("shared", [False, True])
@@ -131,7 +141,7 @@ def test_between_places_independent_images_count_fully_and_images_of_the_same_er
 def given(best, noise, *, on="temper"):
     """Scores of four stretches with a peak at `best`, and noise on the differences."""
     signs = np.array([1.0, -1.0, 1.0, -1.0])
-    return lambda c: -10 * abs(getattr(c, on) - best) + noise * getattr(c, on) * signs
+    return lambda c: Scores(-10 * abs(getattr(c, on) - best) + noise * getattr(c, on) * signs, 0, 0)
 
 
 def test_of_values_that_differ_by_less_than_their_noise_the_most_cautious_is_taken():
@@ -144,9 +154,39 @@ def test_of_values_that_differ_by_less_than_their_noise_the_most_cautious_is_tak
     assert (unsure, choice.preferred) == (Calibration(), 0.4)
     lower, choice = choose("temper", Calibration(), given(0.1, 100.0))
     assert (lower.temper, choice.preferred) == (0.1, 0.1)
-    detail, choice = choose("detail_temper", Calibration(), given(0.2, 100.0, on="detail_temper"))
-    assert (detail.detail_temper, choice.preferred) == (0.1, 0.2)
-    assert choice.gain == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize(("covering", "chosen"), [(0.3, 0.2), (10.0, 1.0), (0.05, 0.1)])
+def test_the_detail_that_counts_is_as_much_as_leaves_the_regions_true(covering, chosen):
+    def score(candidate):
+        value = candidate.detail_temper
+        return Scores(np.array([value, value]), 1000, 960 if value < covering else 940)
+
+    detail, choice, coverage = choose_detail(Calibration(detail_temper=0.35), score)
+    assert detail == Calibration(detail_temper=chosen)
+    assert (choice.value, choice.preferred) == (chosen, 1.0)
+    assert choice.gain == pytest.approx(chosen - 0.35)
+    assert coverage == (0.96 if chosen < covering else 0.94)
+
+
+def test_without_images_in_the_right_place_the_detail_stays_as_it_was():
+    detail, _, coverage = choose_detail(Calibration(detail_temper=0.3), given(0.2, 0.0, on="detail_temper"))
+    assert (detail.detail_temper, coverage) == (0.3, None)
+
+
+@pytest.mark.parametrize(("shared", "honest"), [(False, True), (True, False)])
+def test_regions_hold_the_true_poses_unless_images_err_alike(shared, honest):
+    error = [Poses.exp(e * STD) for e in np.random.default_rng(5).standard_normal((5, 6))]
+
+    def samples_of(pose, k, rng):
+        own = error[k] if shared else Poses.exp(rng.standard_normal(6) * STD)
+        return pose @ own @ Poses.exp(rng.standard_normal((200, 6)) * STD)
+
+    stretches = walks(samples_of)
+    calibration = replace(WIDTHS, detail_temper=0.5)
+    scores = belief_scores(stretches, calibration, calibration.likelihood(prior_of(stretches)), config=FEW, seed=0)
+    assert scores.right == 150
+    assert (scores.covered > 0.85 * 150) == honest
 
 
 def test_a_preference_that_would_converge_wrongly_is_told_but_not_taken():

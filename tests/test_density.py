@@ -124,19 +124,16 @@ def test_above_its_floor_a_density_is_exact_and_below_it_stays_below():
     assert (floored[~above] < -7.0 + 1e-3).all()
 
 
-def test_what_is_negligible_is_neither_near_a_centre_nor_near_an_unlikely_one():
-    unlikely = shifted(cloud(18, 50), 10.0)
-    centres = Poses.concatenate([cloud(16, 150), unlikely])
-    density = KernelDensity(centres, 0.1, 0.1, np.repeat(np.log([1 / 150, 1e-20 / 50]), [150, 50]))
-    queries = Poses.concatenate([cloud(17, 300), unlikely, shifted(cloud(19, 10), 30.0)])
-    exact, fast = density.log_density(queries), density.log_density(queries, log_floor=density.log_negligible)
-    near = exact > density.log_negligible
-    near[300:350] = True
-    assert 50 < near.sum() < 350
-    np.testing.assert_allclose(fast[near], exact[near], atol=1e-3)
-    assert (fast[~near] < density.log_negligible + 1e-3).all()
+def test_near_its_centres_a_density_is_the_same_without_a_second_look_however_wide_or_unlikely_they_are():
+    places = [cloud(16, 150), shifted(cloud(18, 50), 20.0)]
+    weight, width = np.repeat([1 / 150, 1e-20 / 50], [150, 50]), np.repeat([0.02, 0.4], [150, 50])
+    density = KernelDensity(Poses.concatenate(places), width, width, np.log(weight))
+    queries = Poses.concatenate([places[0][:100], shifted(cloud(17, 100), 20.0), shifted(cloud(19, 10), 100.0)])
+    exact, near_only = density.log_density(queries), density.log_density(queries, near_only=True)
+    np.testing.assert_allclose(near_only[:200], exact[:200], atol=1e-3)
+    assert exact[100:200].max() < exact[:100].min() - 40
     assert np.isfinite(exact).all()
-    assert (fast[350:] == -np.inf).all()
+    assert (near_only[200:] == -np.inf).all()
 
 
 def test_a_floor_far_below_the_peak_is_kept_too():

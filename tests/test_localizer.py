@@ -170,13 +170,15 @@ def test_equally_likely_images_leave_the_doubt_at_its_floor_and_worse_ones_raise
 
 
 def test_the_doubt_does_not_depend_on_how_much_likelihoods_are_tempered():
+    fits, own = np.full(50, 1.5), np.full(20, 3.0)
     for temper in (1.0, 0.1):
-        assert Recovery().update(1.5 * temper, 3.0 * temper, RecoveryConfig()).slow == pytest.approx(0.5)
+        agreement = Recovery().update(log_mean(temper * fits), log_mean(temper * own), RecoveryConfig()).slow
+        assert agreement == pytest.approx(0.5)
     assert Recovery().update(3.0, 1.0, RecoveryConfig()).slow == 1.0
     assert Recovery().update(-np.inf, 1.0, RecoveryConfig()).slow == 0.0
 
 
-def test_an_image_that_says_nothing_raises_and_allays_no_doubt():
+def test_an_image_without_any_likelihood_raises_and_allays_no_doubt():
     shaken = Recovery(slow=0.8, fast=0.1)
     assert shaken.update(0.0, 0.0, RecoveryConfig()) == shaken
 

@@ -131,7 +131,8 @@ def shares_left(fraction, *, exact):
         if exact:
             log_weights = mixture_log_weights(proposal, log_likelihood, kidnap_probability=0.0)
         else:
-            log_weights = log_likelihood + proposal.log_predicted - proposal.log_moved
+            with np.errstate(invalid="ignore"):  # both are nothing where no belief is
+                log_weights = log_likelihood + proposal.log_predicted - proposal.log_moved
             log_weights[proposal.num_from_motion :] = log_likelihood[proposal.num_from_motion :]
         weights = np.exp(log_weights)
         function = np.tanh(4 * proposal.poses.translation[:, 0])  # −1 on the left, 1 on the right

@@ -51,8 +51,10 @@ def test_a_wide_belief_gets_more_particles_than_a_narrow_one():
     rng = np.random.default_rng(3)
 
     def draw(width):
-        away = Poses.exp(np.array([0.2, 0.2, 0.2, 0.3, 0.2, 0.1]))  # from where cells meet
-        return lambda size: away @ Poses.exp(width * rng.standard_normal((size, 6)))
+        return lambda size: Poses.exp(width * rng.standard_normal((size, 6)))
+
+    # The level camera at the origin is in the middle of a cell, not where 2⁶ of them meet.
+    assert occupied_cells(draw(0.02)(1000), CONFIG) == 1
 
     narrow, wide, wider = (
         len(draw_enough(draw(width), SampleSizeConfig(max_particles=3000))[0]) for width in (0.02, 0.3, 1.0)

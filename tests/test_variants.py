@@ -69,7 +69,9 @@ def test_each_variant_changes_what_it_says_and_nothing_else():
 
 def test_equal_injected_weights_are_the_mean_of_the_others():
     poses = poses_around(0.0, 4, 0)
-    proposal = Proposal(poses, 3, np.log([0.1, 0.2, 0.3, 0.9]), np.zeros(4), np.zeros(4))
+    proposal = Proposal(
+        poses, 3, np.array([*np.log([0.1, 0.2, 0.3]), -np.inf]), np.array([0, 0, 0, -np.inf]), np.zeros(4)
+    )
     localizer = VARIANTS["equal-injected-weights"].kind(None, rng=np.random.default_rng(0))
     weights = np.exp(localizer._weigh(proposal, np.zeros(4)))
     np.testing.assert_allclose(weights, [0.1, 0.2, 0.3, 0.2])

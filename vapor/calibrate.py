@@ -18,7 +18,18 @@ from vapor.checkpoint import Calibration, find_model, load_checkpoint, read_safe
 from vapor.image_fit import Change, fit_images
 from vapor.network import VariationalPoseRegressor
 from vapor.observation import Device, resolve_device
-from vapor.stretches import GRIDS, LEAST_STRETCHES, Stretch, belief_scores, choose, find_stretches, simulated_odometry
+from vapor.stretches import (
+    GRIDS,
+    LEAST_STRETCHES,
+    Choice,
+    Scores,
+    Stretch,
+    belief_scores,
+    choose,
+    choose_detail,
+    find_stretches,
+    simulated_odometry,
+)
 from vapor.threads import limited_threads
 from vapor.training_set import TrainingSet, load_training_set, open_sequences
 from vapor.validation import predict
@@ -159,12 +170,12 @@ def fit_stretches(
     seed: int = 0,
     advance: Advance = lambda done, total: None,
 ) -> tuple[Calibration, tuple[Change, ...]]:
-    """β, γ and β_d one after the other, by the log density of the filter's belief at the true poses."""
+    """β and γ by the log density of the filter's belief at the true poses, then β_d by what its regions hold of them."""
     likelihoods = calibration.likelihood(prior_poses)
-    known: dict[Calibration, Float64[np.ndarray, " s"]] = {}
+    known: dict[Calibration, Scores] = {}
     total = sum(len(grid) for grid in GRIDS.values()) - len(GRIDS) + 1
 
-    def score(candidate: Calibration) -> Float64[np.ndarray, " s"]:
+    def score(candidate: Calibration) -> Scores:
         if candidate not in known:
             likelihood = replace(
                 likelihoods,
@@ -180,10 +191,8 @@ def fit_stretches(
         return known[candidate]
 
     changes: list[Change] = []
-    for name, what in (("temper", "tempering β"), ("preference", "preference γ"), ("detail_temper", "detail β_d")):
-        before = calibration
-        calibration, choice = choose(name, calibration, score)
-        names = [n for n in GRIDS if getattr(before, n) != getattr(calibration, n)] or [name]
+
+    def record(what: str, names: Sequence[str], before: Calibration, choice: Choice) -> None:
         changes.append(
             Change(
                 what,
@@ -194,4 +203,13 @@ def fit_stretches(
                 choice.preferred if choice.preferred != choice.value else None,
             )
         )
+
+    for name, what in (("temper", "tempering β"), ("preference", "preference γ")):
+        before = calibration
+        calibration, choice = choose(name, calibration, score)
+        record(what, [n for n in GRIDS if getattr(before, n) != getattr(calibration, n)] or [name], before, choice)
+    before = calibration
+    calibration, choice, coverage = choose_detail(calibration, score)
+    what = "detail β_d" if coverage is None else f"detail β_d ({100 * coverage:.0f} % in the 95 % region)"
+    record(what, ["detail_temper"], before, choice)
     return calibration, tuple(changes)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from scipy.stats import chi2
 
-from filtering.estimate import Estimate
+from filtering.estimate import Estimate, Mode
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import MotionNoise, Odometry, covariance_factor
 from filtering.posterior import LikelihoodModel, PosteriorSamples
@@ -23,13 +24,16 @@ LEAST_IMAGES = 40  # of a stretch: the filter needs some to choose between place
 SAFE_PREFERENCE = 0.02
 """γβ, at most. Beyond it the preference of one place over another that looks alike, which neighbouring images share,
 adds up to a belief that calls itself converged where nothing unique was seen (measured on synthetic sequences)."""
+COVERAGE = 0.95
+_GATE = float(chi2.ppf(COVERAGE, df=6))
+_LEAST_RIGHT = 50  # images in the right place, from which on a coverage is told
 _BREAK_S = 1.0  # of images without odometry: so far apart they are different stretches
 _FLOOR = 1e-3  # share of π in a belief, so that single images do not decide
 
 GRIDS: dict[str, tuple[float, ...]] = {
     "temper": (0.1, 0.2, 0.3, 0.4),
     "preference": (0.03, 0.06, 0.1),
-    "detail_temper": (0.1, 0.2, 0.35, 0.5, 1.0),
+    "detail_temper": (0.1, 0.15, 0.2, 0.35, 0.5, 1.0),
 }
 """Values tried of each; the smallest are the most cautious."""
 
@@ -50,13 +54,28 @@ class Stretch:
 
 
 @dataclass(frozen=True)
+class Scores:
+    """How well the filter's belief does on s stretches.
+
+    Attributes:
+        log_density: Mean log density of the belief at the true pose, each stretch's mean, per m³ rad³, (s,).
+        right: Number of images whose true pose lies in the place of the best mode.
+        covered: Of these, number of those with it in the best mode's 95 % region.
+    """
+
+    log_density: Float64[np.ndarray, " s"]
+    right: int
+    covered: int
+
+
+@dataclass(frozen=True)
 class Choice:
     """The value taken of one setting.
 
     Attributes:
         value: Taken.
-        preferred: The one of highest score, whether safe and clear of the noise or not.
-        gain: Score of the value taken less that of the one before, nats per image.
+        preferred: The one of highest mean log density, whether taken or not.
+        gain: Mean log density with the value taken less that with the one before, nats per image.
         error: Standard error of the gain over the stretches.
     """
 
@@ -107,12 +126,12 @@ def belief_scores(
     *,
     config: LocalizerConfig,
     seed: int,
-) -> Float64[np.ndarray, " s"]:
-    """Mean log density of the filter's belief at the true pose, each stretch's mean, (s,), per m³ rad³.
+) -> Scores:
+    """How well the filter's belief does on stretches.
 
     The filter starts anew on every stretch. The same seed gives every calibration the same random numbers.
     """
-    scores = np.empty(len(stretches))
+    log_density, right, covered = np.empty(len(stretches)), 0, 0
     for k, stretch in enumerate(stretches):
         localizer = ParticleLocalizer[PosteriorSamples](None, config, rng=np.random.default_rng([seed, k]))
         log_prior = likelihood.log_prior(stretch.truth)
@@ -121,8 +140,13 @@ def belief_scores(
             estimate = localizer.update(calibration.posterior(samples, likelihood), stretch.odometry[i] if i else None)
             log_belief = log_belief_density(estimate, stretch.truth[i])
             total += np.logaddexp(np.log1p(-_FLOOR) + log_belief, np.log(_FLOOR) + log_prior[i])
-        scores[k] = total / len(stretch.samples)
-    return scores
+            best = estimate.modes[0]
+            translation_m, rotation_rad = best.world_from_camera.distance(stretch.truth[i])
+            if translation_m <= config.modes.radius_m and rotation_rad <= config.modes.radius_rad:
+                right += 1
+                covered += bool(_squared_error(best, stretch.truth[i]) <= _GATE)
+        log_density[k] = total / len(stretch.samples)
+    return Scores(log_density, right, covered)
 
 
 def log_belief_density(estimate: Estimate, pose: Poses) -> float:
@@ -133,37 +157,72 @@ def log_belief_density(estimate: Estimate, pose: Poses) -> float:
     """
     terms = []
     for mode in estimate.modes:
-        error = (mode.world_from_camera.inverse() @ pose).log()
-        covariance = mode.covariance + 1e-9 * np.eye(6)
-        log_volume = np.linalg.slogdet(2 * np.pi * covariance)[1]
-        squared = error @ np.linalg.solve(covariance, error)
-        terms.append(np.log(max(mode.weight, 1e-300)) - 0.5 * (squared + log_volume))
+        log_volume = np.linalg.slogdet(2 * np.pi * _regular(mode.covariance))[1]
+        terms.append(np.log(max(mode.weight, 1e-300)) - 0.5 * (_squared_error(mode, pose) + log_volume))
     return float(np.logaddexp.reduce(terms))
 
 
-def choose(
-    name: str, calibration: Calibration, score: Callable[[Calibration], Float64[np.ndarray, " s"]]
-) -> tuple[Calibration, Choice]:
-    """The value of highest score, or a more cautious one whose score is within its standard error of that.
+def _squared_error(mode: Mode, pose: Poses) -> float:
+    """Squared Mahalanobis distance of one pose from a mode."""
+    error = (mode.world_from_camera.inverse() @ pose).log()
+    return float(error @ np.linalg.solve(_regular(mode.covariance), error))
 
-    Of β and γ nothing is taken that is less than both the value before and the best one, as caution there costs time to
-    converge. Caution with β_d costs a somewhat wide covariance only, and images that err alike in all stretches do not
-    show in the standard error.
+
+def _regular(covariance: Float64[np.ndarray, "6 6"]) -> Float64[np.ndarray, "6 6"]:
+    return covariance + 1e-9 * np.eye(6)
+
+
+def choose(name: str, calibration: Calibration, score: Callable[[Calibration], Scores]) -> tuple[Calibration, Choice]:
+    """The value of β or γ with the highest mean log density, or a more cautious one within its standard error of that.
+
+    Nothing is taken that is less than both the value before and the best one: caution costs time to converge.
 
     Args:
-        name: A key of `GRIDS`.
+        name: "temper" or "preference".
         calibration: All other settings; γ is lowered where γβ would exceed what is safe.
-        score: Scores of the stretches, (s,).
+        score: How well a calibration does.
     """
     before = getattr(calibration, name)
     candidates = {value: _with(calibration, name, value) for value in sorted({*GRIDS[name], before})}
-    scores = {value: score(candidate) for value, candidate in candidates.items()}
-    preferred = max(scores, key=lambda value: scores[value].mean())
+    scores = {value: score(candidate).log_density for value, candidate in candidates.items()}
     safe = {v: s for v, s in scores.items() if name != "preference" or v * calibration.temper <= SAFE_PREFERENCE + 1e-9}
     best = max(safe, key=lambda value: safe[value].mean())
-    least = 0.0 if name == "detail_temper" else min(before, best) if before in safe else best
+    least = min(before, best) if before in safe else best
     value = min(v for v in safe if v >= least and (lost := _mean_and_error(safe[best] - safe[v]))[0] <= lost[1])
-    return candidates[value], Choice(value, preferred, *_mean_and_error(scores[value] - scores[before]))
+    return candidates[value], _choice(scores, before, value)
+
+
+def choose_detail(
+    calibration: Calibration, score: Callable[[Calibration], Scores]
+) -> tuple[Calibration, Choice, float | None]:
+    """The largest β_d whose 95 % regions hold 95 % of the true poses, or the smallest of all: as sharp as is true.
+
+    By likelihood it would be larger. Images that err alike in all stretches do not show in a standard error, and what
+    a user trusts is the covariance.
+
+    Args:
+        calibration: All other settings.
+        score: How well a calibration does.
+
+    Returns:
+        The calibration, what was chosen, and the share of the true poses that the regions hold; as it was, and None,
+        where too few images are in the right place to tell.
+    """
+    before = calibration.detail_temper
+    candidates = {v: replace(calibration, detail_temper=v) for v in sorted({*GRIDS["detail_temper"], before})}
+    scores = {value: score(candidate) for value, candidate in candidates.items()}
+    told = all(s.right >= _LEAST_RIGHT for s in scores.values())
+    value = before
+    if told:
+        true = [v for v, s in scores.items() if s.covered >= COVERAGE * s.right]
+        value = max(true, default=min(scores))
+    choice = _choice({v: s.log_density for v, s in scores.items()}, before, value)
+    return candidates[value], choice, scores[value].covered / scores[value].right if told else None
+
+
+def _choice(log_densities: Mapping[float, Float64[np.ndarray, " s"]], before: float, value: float) -> Choice:
+    preferred = max(log_densities, key=lambda v: log_densities[v].mean())
+    return Choice(value, preferred, *_mean_and_error(log_densities[value] - log_densities[before]))
 
 
 def _with(calibration: Calibration, name: str, value: float) -> Calibration:

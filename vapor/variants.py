@@ -48,9 +48,9 @@ class EqualInjectedWeights(ParticleLocalizer):
 
     def _weigh(self, proposal: Proposal, log_likelihood: np.ndarray) -> np.ndarray:
         moved = slice(proposal.num_from_motion)
-        log_weights = log_likelihood + proposal.log_predicted - proposal.log_moved
-        log_weights[proposal.num_from_motion :] = log_mean(log_weights[moved])
-        return log_weights
+        log_weights = log_likelihood[moved] + proposal.log_predicted[moved] - proposal.log_moved[moved]
+        injected = np.full(len(log_likelihood) - proposal.num_from_motion, log_mean(log_weights))
+        return np.concatenate([log_weights, injected])
 
 
 # To add one: a name, what is different, and a function of the settings.
