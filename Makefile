@@ -34,7 +34,7 @@ $(INSTALLED): pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable . --group dev
 	touch $@
 
-# How the models that ship were trained: about an hour and three quarters on two cores (`make -j2 models`); see docs/models.md.
+# How the models that ship were trained: about an three and a half hours on two cores (`make -j2 models`); see docs/models.md.
 models: vapor/models/staircase.safetensors vapor/models/ceiling.safetensors
 
 $(DATA)/staircase-%.mcap: | $(INSTALLED) $(DATA)

@@ -76,9 +76,20 @@ def test_a_kidnapped_camera_is_found_again_and_the_belief_knows_how_well():
         shift[30:, 0] = 20.0
         carried = Poses(truth.rotation, truth.translation + shift)
         localizer = ParticleLocalizer(Oracle(carried, (0,), range(0)), rng=rng)
-        modes = [localizer.step(image_of(i), odometry[i]).modes[0] for i in range(60)]
+        estimates, doubt = [], []
+        for i in range(60):
+            estimates.append(localizer.step(image_of(i), odometry[i]))
+            doubt.append(localizer._recovery.doubt)
+        modes = [estimate.modes[0] for estimate in estimates]
         best = Poses.stack([mode.world_from_camera for mode in modes])
         error_m, error_rad = best.distance(carried)
+        converged = np.array([estimate.status == "converged" for estimate in estimates])
+        assert (converged & (error_m > 1.0)).sum() <= 2  # the images before there is doubt enough
+        assert converged[5:30].all()
+        assert converged[45:].all()
+        found = 30 + int(np.argmax(error_m[30:] < 1.0))
+        assert doubt[found - 1] > 0.25
+        assert doubt[found] == 0.0  # it does not go on against the new place
         assert error_m[29] < 0.1
         assert error_m[30] > 10.0
         assert (error_m[40:] < 0.25).all()
@@ -87,6 +98,19 @@ def test_a_kidnapped_camera_is_found_again_and_the_belief_knows_how_well():
         squared += [e @ np.linalg.solve(m.covariance, e) for e, m in zip(error[40:], modes[40:], strict=True)]
     assert (np.mean(errors, axis=0) < 0.1).all()
     assert np.mean(np.array(squared) < 12.6) > 0.9  # the 95 % region of six degrees of freedom
+
+
+def test_a_belief_that_images_contradict_is_not_called_converged():
+    """Even one that has nowhere else to go."""
+    rng = np.random.default_rng(8)
+    truth, odometry = climb(40, rng=rng)
+    carried = Poses(truth.rotation, truth.translation + np.where(np.arange(40) < 20, 0.0, 20.0)[:, None])
+    never = LocalizerConfig(recovery=RecoveryConfig(0.0, 0.0))
+    localizer = ParticleLocalizer(Oracle(carried, (0,), range(0)), never, rng=rng)
+    estimates = [localizer.step(image_of(i), odometry[i]) for i in range(40)]
+    assert [estimate.status for estimate in estimates[10:20]] == ["converged"] * 10
+    assert all(estimate.modes[0].weight > 0.9 for estimate in estimates[20:25])
+    assert [estimate.status for estimate in estimates[22:25]] == ["ambiguous"] * 3
 
 
 def test_images_that_fit_nowhere_end_in_status_lost():
