@@ -20,8 +20,8 @@ from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 from vapor.stretches import (
     GRIDS,
     SAFE_PREFERENCE,
-    Stretch,
     Scores,
+    Stretch,
     belief_scores,
     choose,
     choose_detail,

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
 from filtering.localizer import LocalizerConfig
@@ -170,7 +169,7 @@ def fit_stretches(
     seed: int = 0,
     advance: Advance = lambda done, total: None,
 ) -> tuple[Calibration, tuple[Change, ...]]:
-    """β and γ by the log density of the filter's belief at the true poses, then β_d by what its regions hold of them."""
+    """β and γ by the log density of the filter's belief at the true poses, then β_d by what its regions hold."""
     likelihoods = calibration.likelihood(prior_poses)
     known: dict[Calibration, Scores] = {}
     total = sum(len(grid) for grid in GRIDS.values()) - len(GRIDS) + 1
