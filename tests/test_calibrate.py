@@ -144,7 +144,7 @@ def given(best, noise, *, on="temper"):
     return lambda c: Scores(-10 * abs(getattr(c, on) - best) + noise * getattr(c, on) * signs, 0, 0)
 
 
-def test_of_values_that_differ_by_less_than_their_noise_the_most_cautious_is_taken():
+def test_a_setting_changes_only_where_it_gains_more_than_noise():
     sure, choice = choose("temper", Calibration(), given(0.4, 0.0))
     assert (sure.temper, choice.value, choice.preferred) == (0.4, 0.4, 0.4)
     assert choice.gain == pytest.approx(2.0)
@@ -152,8 +152,10 @@ def test_of_values_that_differ_by_less_than_their_noise_the_most_cautious_is_tak
     assert sure.preference == pytest.approx(SAFE_PREFERENCE / 0.4)  # lowered with it
     unsure, choice = choose("temper", Calibration(), given(0.4, 100.0))
     assert (unsure, choice.preferred) == (Calibration(), 0.4)
-    lower, choice = choose("temper", Calibration(), given(0.1, 100.0))
+    lower, choice = choose("temper", Calibration(), given(0.1, 0.0))
     assert (lower.temper, choice.preferred) == (0.1, 0.1)
+    unsure, choice = choose("temper", Calibration(), given(0.1, 100.0))
+    assert (unsure, choice.preferred) == (Calibration(), 0.1)
 
 
 @pytest.mark.parametrize(("covering", "chosen"), [(0.3, 0.2), (10.0, 1.0), (0.05, 0.1)])

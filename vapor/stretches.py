@@ -35,7 +35,7 @@ GRIDS: dict[str, tuple[float, ...]] = {
     "preference": (0.03, 0.06, 0.1),
     "detail_temper": (0.1, 0.15, 0.2, 0.35, 0.5, 1.0),
 }
-"""Values tried of each; the smallest are the most cautious."""
+"""Values tried of each, the more cautious first."""
 
 
 @dataclass(frozen=True)
@@ -173,9 +173,10 @@ def _regular(covariance: Float64[np.ndarray, "6 6"]) -> Float64[np.ndarray, "6 6
 
 
 def choose(name: str, calibration: Calibration, score: Callable[[Calibration], Scores]) -> tuple[Calibration, Choice]:
-    """The value of β or γ with the highest mean log density, or a more cautious one within its standard error of that.
+    """The value of β or γ that is nearest to the one before among those within a standard error of the best.
 
-    Nothing is taken that is less than both the value before and the best one: caution costs time to converge.
+    So a setting changes only as far as the stretches can tell, and of two as near the smaller, more cautious one is
+    taken. The best has the highest mean log density; the standard error is that of its gain over the other value.
 
     Args:
         name: "temper" or "preference".
@@ -187,8 +188,8 @@ def choose(name: str, calibration: Calibration, score: Callable[[Calibration], S
     scores = {value: score(candidate).log_density for value, candidate in candidates.items()}
     safe = {v: s for v, s in scores.items() if name != "preference" or v * calibration.temper <= SAFE_PREFERENCE + 1e-9}
     best = max(safe, key=lambda value: safe[value].mean())
-    least = min(before, best) if before in safe else best
-    value = min(v for v in safe if v >= least and (lost := _mean_and_error(safe[best] - safe[v]))[0] <= lost[1])
+    as_good = [v for v in safe if (lost := _mean_and_error(safe[best] - safe[v]))[0] <= lost[1]]
+    value = min(as_good, key=lambda v: abs(v - before))
     return candidates[value], _choice(scores, before, value)
 
 
