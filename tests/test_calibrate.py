@@ -195,6 +195,8 @@ def test_a_preference_that_would_converge_wrongly_is_told_but_not_taken():
     calibration, choice = choose("preference", Calibration(temper=0.3), given(0.1, 0.0, on="preference"))
     assert choice.preferred == 0.1
     assert calibration.preference == choice.value == 0.06
+    calibration, choice = choose("preference", Calibration(temper=0.2), given(0.1, 100.0, on="preference"))
+    assert calibration.preference == choice.preferred == 0.1
 
 
 # --- data ------------------------------------------------------------------------------------------
