@@ -173,7 +173,7 @@ def _regular(covariance: Float64[np.ndarray, "6 6"]) -> Float64[np.ndarray, "6 6
 
 
 def choose(name: str, calibration: Calibration, score: Callable[[Calibration], Scores]) -> tuple[Calibration, Choice]:
-    """The best value of γ among the safe ones, or that of β nearest to the one before within a standard error of the best.
+    """The best safe value of γ, or the value of β nearest to the one before within a standard error of the best.
 
     The best has the highest mean log density; the standard error is that of its gain over the other value. So β, which
     nothing else bounds, changes only as far as the stretches can tell.
@@ -188,12 +188,10 @@ def choose(name: str, calibration: Calibration, score: Callable[[Calibration], S
     scores = {value: score(candidate).log_density for value, candidate in candidates.items()}
     safe = {v: s for v, s in scores.items() if name != "preference" or v * calibration.temper <= SAFE_PREFERENCE + 1e-9}
     best = max(safe, key=lambda value: safe[value].mean())
-    as_good = (
-        [best]
-        if name == "preference"
-        else [v for v in safe if (lost := _mean_and_error(safe[best] - safe[v]))[0] <= lost[1]]
-    )
-    value = min(as_good, key=lambda v: abs(v - before))
+    value = best
+    if name == "temper":
+        as_good = [v for v in safe if (lost := _mean_and_error(safe[best] - safe[v]))[0] <= lost[1]]
+        value = min(as_good, key=lambda v: abs(v - before))
     return candidates[value], _choice(scores, before, value)
 
 
