@@ -34,7 +34,7 @@ $(INSTALLED): pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable . --group dev
 	touch $@
 
-# How the models that ship were trained: about an three and a half hours on two cores (`make -j2 models`); see docs/models.md.
+# How the models that ship were trained: about four hours on two cores (`make -j2 models`); see docs/models.md.
 models: vapor/models/staircase.safetensors vapor/models/ceiling.safetensors
 
 $(DATA)/staircase-%.mcap: | $(INSTALLED) $(DATA)
@@ -72,7 +72,7 @@ $(DATA)/ceiling.safetensors: $(DATA)/ceiling-second.safetensors $(CEILING)
 	    --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
 	    --learning-rate 2e-3 --epochs 20 --no-calibrate
 
-# Of one sequence there are five stretches of trajectory; four sequences tell the settings apart that those leave open.
+# One sequence has five stretches of trajectory, too few to tell the settings of the filter apart.
 vapor/models/staircase.safetensors: $(DATA)/staircase.safetensors $(STAIRCASE_HELD_OUT)
 	$(BIN)/vapor-track calibrate $< $(STAIRCASE_HELD_OUT) --images 2000 --output $@
 

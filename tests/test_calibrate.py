@@ -144,7 +144,7 @@ def given(best, noise, *, on="temper"):
     return lambda c: Scores(-10 * abs(getattr(c, on) - best) + noise * getattr(c, on) * signs, 0, 0)
 
 
-def test_a_setting_changes_only_where_it_gains_more_than_noise():
+def test_tempering_changes_no_further_than_it_gains_more_than_noise():
     sure, choice = choose("temper", Calibration(), given(0.4, 0.0))
     assert (sure.temper, choice.value, choice.preferred) == (0.4, 0.4, 0.4)
     assert choice.gain == pytest.approx(2.0)
@@ -157,12 +157,18 @@ def test_a_setting_changes_only_where_it_gains_more_than_noise():
     unsure, choice = choose("temper", Calibration(), given(0.1, 100.0))
     assert (unsure, choice.preferred) == (Calibration(), 0.1)
 
+    def clearly_more(c):
+        return Scores(np.array([1.0, -1.0]) * (c.temper == 0.3) - 9.0 * (c.temper < 0.25) + 0.1 * c.temper, 0, 0)
+
+    nearest, choice = choose("temper", Calibration(), clearly_more)
+    assert (nearest.temper, choice.preferred) == (0.3, 0.4)
+
 
 @pytest.mark.parametrize(("covering", "chosen"), [(0.3, 0.2), (10.0, 1.0), (0.05, 0.1)])
 def test_the_detail_that_counts_is_as_much_as_leaves_the_regions_true(covering, chosen):
     def score(candidate):
         value = candidate.detail_temper
-        return Scores(np.array([value, value]), 1000, 960 if value < covering else 940)
+        return Scores(np.array([value, value]), 1000, 960 if value < covering and value != 0.15 else 940)
 
     detail, choice, coverage = choose_detail(Calibration(detail_temper=0.35), score)
     assert detail == Calibration(detail_temper=chosen)

@@ -44,7 +44,7 @@ class BenchmarkConfig:
     """Posterior samples per image."""
     variants: tuple[str, ...] = ("full",)
     """Filters to run: full, or without a part: no-prior, no-tempering, no-saturation, no-injection,
-    equal-injected-weights, no-recovery, fixed-size."""
+    equal-injected-weights, no-recovery, fixed-size; or told-of-kidnap, which starts anew where it was carried to."""
     workers: int = 2
     """Processes at a time, each with one thread."""
     localizer: LocalizerConfig = field(default_factory=LocalizerConfig)

@@ -1,4 +1,4 @@
-"""Calibration of a trained network on held-out images and stretches of trajectory, by likelihood."""
+"""Calibration of a trained network on held-out images and stretches of trajectory, by likelihood and coverage."""
 
 from __future__ import annotations
 

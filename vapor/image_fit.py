@@ -31,7 +31,7 @@ class Change:
         after: Likewise.
         gain: Log likelihood gained, nats per held-out image.
         error: Standard error of the gain over stretches; None where it is over single images.
-        preferred: The value of highest score where a more cautious one was taken, else None.
+        preferred: The value of highest mean log density where another was taken, else None.
     """
 
     what: str

@@ -191,7 +191,7 @@ def choose(name: str, calibration: Calibration, score: Callable[[Calibration], S
     value = best
     if name == "temper":
         as_good = [v for v in safe if (lost := _mean_and_error(safe[best] - safe[v]))[0] <= lost[1]]
-        value = min(as_good, key=lambda v: abs(v - before))
+        value = min(as_good, key=lambda v: (round(abs(v - before), 9), v))
     return candidates[value], _choice(scores, before, value)
 
 

@@ -53,7 +53,7 @@ def show_calibration(result: CalibrationResult) -> None:
     if result.changes:
         images = f"{result.images} held-out images, {result.stretches} stretches (odometry: {result.odometry})"
         table = Table(title=f"calibration on {images}", title_justify="left")
-        for name in ("fit", "before", "after", "gain, nats an image", "of highest score"):
+        for name in ("fit", "before", "after", "gain, nats an image", "likeliest"):
             table.add_column(name)
         for change in result.changes:
             gain = f"{change.gain:+.3f}" + ("" if change.error is None else f" ± {change.error:.3f}")
