@@ -76,7 +76,8 @@ class KernelDensity:
         Args:
             poses: Where to evaluate, (n,).
             log_floor: Log of a density below which it does not matter: there it may come out anything lower, −∞ too.
-            near_only: Whether a pose that is more than about eight widths from every centre may come out −∞.
+            near_only: Whether a pose may come out −∞ that is more than about eight widths from every centre, or near
+                such ones only as weigh less than 1e-38 of the largest.
         """
         equal = np.full(len(self.centres), -np.log(len(self.centres)))
         log_weights = equal if self.log_weights is None else self.log_weights

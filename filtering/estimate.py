@@ -79,8 +79,8 @@ class Estimate:
 
     Attributes:
         modes: Hypotheses; the first is the best one reported, the others follow by falling weight.
-        status: "converged" when one mode holds most of the belief, "ambiguous" when several share it,
-            "lost" when the images no longer fit the belief.
+        status: "converged" when one narrow mode holds most of the belief and the images do not contradict it, "lost"
+            when they have long been outliers to all of it, "ambiguous" otherwise.
         particles: All particles, world_from_camera, batch (n,).
         log_weights: Their normalised log weights, (n,).
         effective_sample_size: 1 / Σ w², before resampling, in particles.

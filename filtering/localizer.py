@@ -33,7 +33,8 @@ class LocalizerConfig:
     converged_std_m: float = 0.5
     """And with at most this standard deviation of its position, in metres, along its widest axis."""
     converged_doubt: float = 0.25
-    """And while the images cast no more doubt on the belief than this (0: none, 1: they contradict it)."""
+    """And while the images cast no more doubt on the belief than this (0: none, 1: they contradict it). Without
+    particles drawn from the images (φ = 0) nothing is doubted."""
     lost_log_evidence: float = 0.07
     """Status is "lost" while the running mean of the log evidence is below this (0: every image an outlier)."""
     evidence_decay: float = 0.9

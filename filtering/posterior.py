@@ -29,8 +29,8 @@ class PosePosterior(Protocol):
         """Log p(image | pose) of poses (n,), at least 0, and 0 where only the chance of an outlier is left.
 
         That constant matters: by how far the likelihood rises above 0 the filter tells a fitting image from one that
-        fits nowhere (status "lost", recovery). One that stays below 0 says that nothing fits, and the belief is neither
-        doubted nor called more than lost.
+        fits nowhere (status "lost", recovery). One that stays below 0 says that nothing fits: the belief is not doubted
+        for another place, and the status becomes lost.
         """
         ...
 

@@ -131,5 +131,5 @@ def recovery_images(right: Bool[np.ndarray, " n"], *, seam: int) -> int | None:
 
 
 def mode_status(mode: Mode, converged_std_m: float) -> Status:
-    """The verdict of a method with one hypothesis, by the filter's own rule: sure while its position is."""
+    """The verdict of a method with one hypothesis, by what of the filter's rule it has: sure while its position is."""
     return "converged" if mode.widest_std_m <= converged_std_m else "ambiguous"
