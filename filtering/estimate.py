@@ -72,6 +72,11 @@ class ModeConfig:
             num_representatives=(1, 10**5),
         )
 
+    def same_place(self, one: Poses, other: Poses) -> bool:
+        """Whether one pose lies within the reach of a mode at another."""
+        translation_m, rotation_rad = one.distance(other)
+        return bool(translation_m <= self.radius_m and rotation_rad <= self.radius_rad)
+
 
 @dataclass(frozen=True)
 class Estimate:

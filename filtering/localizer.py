@@ -149,7 +149,7 @@ class ParticleLocalizer(Generic[Posterior]):
         particles = self._settle(particles, posterior, first=odom is None or self._belief is None)
         self._belief = particles
         modes = self._order(describe_modes(particles, self._label, self.config.modes))
-        if self._best is not None and not self._same_place(modes[0].world_from_camera, self._best):
+        if self._best is not None and not self.config.modes.same_place(modes[0].world_from_camera, self._best):
             self._recovery = self._recovery.reset()  # the doubt has led to another place, which starts without it
         self._best = modes[0].world_from_camera
         return Estimate(
@@ -212,7 +212,7 @@ class ParticleLocalizer(Generic[Posterior]):
         if self._best is None or len(modes) == 1:
             return modes
         for k, mode in enumerate(modes):
-            if self._same_place(mode.world_from_camera, self._best):
+            if self.config.modes.same_place(mode.world_from_camera, self._best):
                 if modes[0].weight < self.config.switch_ratio * mode.weight:
                     return (mode, *modes[:k], *modes[k + 1 :])
                 break
@@ -229,7 +229,3 @@ class ParticleLocalizer(Generic[Posterior]):
         best, c = modes[0], self.config
         sure = best.weight >= c.converged_weight and best.widest_std_m <= c.converged_std_m
         return "converged" if sure and self._recovery.doubt <= c.converged_doubt else "ambiguous"
-
-    def _same_place(self, one: Poses, other: Poses) -> bool:
-        translation_m, rotation_rad = one.distance(other)
-        return bool(translation_m <= self.config.modes.radius_m and rotation_rad <= self.config.modes.radius_rad)

@@ -16,6 +16,7 @@ from filtering.motion import MotionNoise, Odometry, covariance_factor
 from filtering.posterior import LikelihoodModel, PosteriorSamples
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration
+from vapor.evaluate import REGIONS
 from vapor.training_set import TrainingSet
 
 STRETCH_IMAGES = 100
@@ -24,8 +25,8 @@ LEAST_IMAGES = 40  # of a stretch: the filter needs some to choose between place
 SAFE_PREFERENCE = 0.02
 """γβ, at most. Beyond it the preference of one place over another that looks alike, which neighbouring images share,
 adds up to a belief that calls itself converged where nothing unique was seen (measured on synthetic sequences)."""
-COVERAGE = 0.95
-_GATE = float(chi2.ppf(COVERAGE, df=6))
+COVERAGE = REGIONS["95%"]
+_GATE = chi2.ppf(COVERAGE, df=6)  # of the squared error in six dimensions
 _LEAST_RIGHT = 50  # images in the right place, from which on a coverage is told
 _BREAK_S = 1.0  # of images without odometry: so far apart they are different stretches
 _FLOOR = 1e-3  # share of π in a belief, so that single images do not decide
@@ -141,8 +142,7 @@ def belief_scores(
             log_belief = log_belief_density(estimate, stretch.truth[i])
             total += np.logaddexp(np.log1p(-_FLOOR) + log_belief, np.log(_FLOOR) + log_prior[i])
             best = estimate.modes[0]
-            translation_m, rotation_rad = best.world_from_camera.distance(stretch.truth[i])
-            if translation_m <= config.modes.radius_m and rotation_rad <= config.modes.radius_rad:
+            if config.modes.same_place(best.world_from_camera, stretch.truth[i]):
                 right += 1
                 covered += bool(_squared_error(best, stretch.truth[i]) <= _GATE)
         log_density[k] = total / len(stretch.samples)
