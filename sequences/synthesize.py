@@ -17,12 +17,12 @@ from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.render import render, sees_cue
 from sequences.route import Cues, choose_path
-from sequences.scenes import ceiling, staircase
-from sequences.scenes.paths import STEP_S, roll_through_hall, walk_stairs
+from sequences.scenes import ceiling, staircase, tables
+from sequences.scenes.paths import STEP_S, circle_table, roll_through_hall, walk_stairs
 from sequences.scenes.surface import Scene, build_scene
 from sequences.writer import SequenceWriter
 
-SCENES: tuple[str, ...] = ("staircase", "ceiling")
+SCENES: tuple[str, ...] = ("staircase", "ceiling", "round-table", "dinner-table")
 """Names that `synthesize` takes."""
 
 SYNTHESIS = 1
@@ -37,7 +37,7 @@ _SAMPLES = 4  # per pixel and exposure
 _ONE_RAY = 1e-9  # share of the image: a single coarse ray that meets something unique counts
 _STREAMS = {"train": 1, "test": 2}
 _CUES: dict[str, Cues] = {"train": "any", "test": "early"}
-_FIELD_OF_VIEW = {"staircase": 77.0, "ceiling": 64.0}  # horizontal, degrees
+_FIELD_OF_VIEW = {"staircase": 77.0, "ceiling": 64.0, "round-table": 60.0, "dinner-table": 60.0}  # horizontal, degrees
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ def synthesize(
         seed: Of path, odometry and sensor noise; the scene itself is always the same.
         num_frames: Number of images, 10 a second.
         split: "test" paths keep further from the edges of the hall than "train" paths, and show something unique
-            "early" where `cues` does not say otherwise; "train" paths show "any". The same seed gives different paths
-            in the two.
+            "early" where there is anything and `cues` does not say otherwise; "train" paths show "any". The same seed
+            gives different paths in the two.
         cues: What is unique in the scene is passed "early", at will ("any"), or never ("none"); see `choose_path`.
         width, height: Image size in pixels; the horizontal field of view stays the same.
         noise: Of the odometry.
@@ -137,7 +137,7 @@ def synthesize(
         return sees_cue(built, camera, at_images(base, num_images), **at_least)
 
     base = choose_path(
-        cues or _CUES[split],
+        cues or (_CUES[split] if built.geometry.cue.any() else "any"),
         num_frames,
         poses_per_image=IMAGE_PERIOD_NS // ODOMETRY_PERIOD_NS,
         draw=draw,
@@ -205,7 +205,13 @@ def _write_odometry(writer: SequenceWriter, sequence: SyntheticSequence, indices
 @cache
 def load_scene(scene: str) -> Scene:
     """Build one of the `SCENES`, once per process."""
-    return build_scene({"staircase": staircase, "ceiling": ceiling}[scene].placements(), seed=0)
+    placements = {
+        "staircase": staircase.placements,
+        "ceiling": ceiling.placements,
+        "round-table": tables.round_table,
+        "dinner-table": tables.dinner_table,
+    }
+    return build_scene(placements[scene](), seed=0)
 
 
 def develop(
@@ -253,6 +259,8 @@ def _at(times_ns: np.ndarray, poses: Poses, query_ns: np.ndarray) -> Poses:
 def _path(scene: str, duration_s: float, split: str, rng: np.random.Generator) -> Poses:
     if scene == "staircase":
         return walk_stairs(duration_s, rng=rng)
+    if scene.endswith("-table"):
+        return circle_table(duration_s, rng=rng)
     return roll_through_hall(duration_s, margin_m=1.0 if split == "train" else 1.8, rng=rng)
 
 
@@ -263,7 +271,7 @@ def _camera(scene: str, width: int, height: int) -> Camera:
 
 def _extrinsics(scene: str) -> Poses:
     """base_from_camera: on a helmet, looking forward and 10° down; on a cart, looking straight up."""
-    if scene == "staircase":
+    if scene != "ceiling":
         tilt = np.radians(10)
         forward = np.array([np.cos(tilt), 0, -np.sin(tilt)])
         right = np.array([0, -1.0, 0])

@@ -12,7 +12,7 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.render import depth_and_quads, render, sees_cue
 from sequences.scenes import ceiling, staircase
-from sequences.scenes.paths import roll_through_hall, walk_stairs
+from sequences.scenes.paths import circle_table, roll_through_hall, walk_stairs
 from sequences.scenes.surface import Scene
 from sequences.synthesize import SCENES, load_scene, synthesize
 
@@ -21,6 +21,12 @@ CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 
 @pytest.fixture(scope="module", params=SCENES)
 def name(request) -> str:
+    return request.param
+
+
+@pytest.fixture(scope="module", params=["staircase", "ceiling"])
+def name_with_cues(request) -> str:
+    """Of a scene that has something unique."""
     return request.param
 
 
@@ -104,6 +110,47 @@ def test_each_unique_thing_of_the_ceiling_is_seen_from_below_it():
     poses = Poses.stack([upward(float(x), float(y), 1.0) for x, y in spots])
     assert sees_cue(load_scene("ceiling"), CAMERA, poses).all()
     assert not sees_cue(load_scene("ceiling"), CAMERA, Poses.stack([upward(9.8, 8.2, 0.0)])).any()
+
+
+def turned(pose: Poses, angle: float) -> Poses:
+    """The pose carried about the z axis of the world."""
+    return Poses.exp(np.array([0, 0, 0, 0, 0, angle])) @ pose
+
+
+@pytest.mark.parametrize(("scene_name", "modes"), [("round-table", 4), ("dinner-table", 2)])
+@pytest.mark.parametrize("index", [0, 40, 110])
+def test_a_table_looks_the_same_from_as_many_sides_as_it_has_modes_and_from_no_more(scene_name, modes, index):
+    scene = matt(scene_name)
+    pose = synthesize(scene_name, seed=0, num_frames=120, width=64, height=48).world_from_camera[index]
+    first = picture(scene, pose)
+    for turn in range(1, modes):
+        assert share_that_differs(first, picture(scene, turned(pose, 2 * np.pi * turn / modes))) < 0.01
+    assert share_that_differs(first, picture(scene, turned(pose, np.pi / modes))) > 0.1  # half of the way to the next
+    assert share_that_differs(first, picture(scene, turned(pose, 0.05))) > 0.2  # nor from anywhere nearby
+
+
+@pytest.mark.parametrize("scene_name", ["round-table", "dinner-table"])
+def test_images_of_a_table_from_two_like_poses_differ_by_noise_alone(scene_name):
+    sequence = synthesize(scene_name, seed=3, num_frames=1, width=96, height=72)
+    half_turn = Poses.exp(np.array([0, 0, 0, 0, 0, np.pi]))
+    opposite = replace(sequence, world_from_base=half_turn @ sequence.world_from_base)
+    again = replace(sequence, seed=np.random.SeedSequence(7))
+    original, other, noisy = (next(s.images()).astype(float) for s in (sequence, opposite, again))
+    noise = np.abs(noisy - original).mean()
+    assert noise > 0.5  # of 255: there is some
+    assert np.abs(other - original).mean() < 1.1 * noise
+
+
+def test_walks_about_a_table_see_it_from_all_sides():
+    walks = [circle_table(200.0, rng=np.random.default_rng(seed)) for seed in range(3)]
+    xy = np.concatenate([walk.translation[:, :2] for walk in walks])
+    sides, _ = np.histogram(np.arctan2(xy[:, 1], xy[:, 0]), bins=8, range=(-np.pi, np.pi))
+    assert sides.min() > 0.05 * sides.sum()
+    distance = np.linalg.norm(xy, axis=1)
+    assert distance.min() > 1.2
+    assert distance.max() < 2.6
+    steps = np.concatenate([np.linalg.norm(np.diff(walk.translation, axis=0), axis=1) for walk in walks])
+    assert steps.max() < 0.02 * 1.5  # metres in 20 ms
 
 
 # --- poses and images agree ------------------------------------------------------------------------
@@ -201,17 +248,17 @@ def test_odometry_at_50_hz_covers_images_at_10_hz_with_a_margin(name):
     assert len(sequence.odom_from_base) == len(sequence.twist_covariances) == len(sequence.odometry_times_ns)
 
 
-def test_test_paths_pass_something_unique_in_their_first_half_but_seldom(name):
+def test_test_paths_pass_something_unique_in_their_first_half_but_seldom(name_with_cues):
     for seed in range(8):
-        sequence = synthesize(name, seed=seed, num_frames=300, width=64, height=48)
+        sequence = synthesize(name_with_cues, seed=seed, num_frames=300, width=64, height=48)
         seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
         assert seen[:150].sum() >= 5
         assert seen.mean() < 0.25
 
 
-def test_paths_without_anything_unique_show_none_of_it_even_at_full_resolution(name):
+def test_paths_without_anything_unique_show_none_of_it_even_at_full_resolution(name_with_cues):
     for seed in range(3):
-        sequence = synthesize(name, seed=seed, num_frames=120, cues="none", width=160, height=120)
+        sequence = synthesize(name_with_cues, seed=seed, num_frames=120, cues="none", width=160, height=120)
         assert len(sequence.world_from_camera) == 120
         assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
         scene = sequence.scene
@@ -219,19 +266,23 @@ def test_paths_without_anything_unique_show_none_of_it_even_at_full_resolution(n
         assert max((scene.geometry.cue[seen] & (seen >= 0)).mean() for seen in quads) < 0.002
 
 
-def test_cues_follow_from_the_split_where_they_are_not_asked_for(name):
+def test_cues_follow_from_the_split_where_they_are_not_asked_for(name_with_cues):
     def path(**options) -> np.ndarray:
-        return synthesize(name, seed=5, num_frames=150, width=64, height=48, **options).world_from_camera.as_matrix()
+        return synthesize(
+            name_with_cues, seed=5, num_frames=150, width=64, height=48, **options
+        ).world_from_camera.as_matrix()
 
     np.testing.assert_array_equal(path(), path(cues="early"))
     np.testing.assert_array_equal(path(split="train"), path(split="train", cues="any"))
     assert not np.array_equal(path(cues="none"), path())
 
 
-def test_where_something_unique_always_shows_no_path_is_without(name, monkeypatch):
+def test_where_something_unique_always_shows_no_path_is_without(name_with_cues, monkeypatch):
     monkeypatch.setattr(synthesize_module, "sees_cue", lambda scene, camera, poses, **_: np.ones(len(poses), bool))
-    with pytest.raises(SequenceError, match=f"{name}, seed 3: no random path has 10 images in a row .* another seed"):
-        synthesize(name, seed=3, num_frames=10, cues="none")
+    with pytest.raises(
+        SequenceError, match=f"{name_with_cues}, seed 3: no random path has 10 images in a row .* another seed"
+    ):
+        synthesize(name_with_cues, seed=3, num_frames=10, cues="none")
 
 
 def test_images_are_exposed_neither_black_nor_white(name):
@@ -268,7 +319,9 @@ def test_carts_visit_the_whole_hall_under_all_headings():
 
 
 def test_an_unknown_scene_is_refused_and_the_known_ones_are_named():
-    with pytest.raises(SequenceError, match="unknown scene 'cellar', expected one of staircase, ceiling"):
+    with pytest.raises(
+        SequenceError, match="unknown scene 'cellar', expected one of staircase, ceiling, round-table, dinner-table"
+    ):
         synthesize("cellar", seed=0, num_frames=10)
 
 

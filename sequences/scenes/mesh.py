@@ -70,11 +70,13 @@ class Placement:
     Attributes:
         part: What is placed.
         offsets: Translation of every copy, metres.
+        headings: Angle by which every copy is turned about z before that, radians; None for none.
         lit_at: Index of the copy whose light all copies wear.
     """
 
     part: Part
     offsets: Float64[np.ndarray, "k 3"]
+    headings: Float64[np.ndarray, " k"] | None = None
     lit_at: int = 0
 
 
@@ -114,17 +116,20 @@ class Geometry:
 
 
 def assemble(placements: Sequence[Placement]) -> Geometry:
-    """Place every part at all its offsets."""
+    """Place every part at all its offsets and headings."""
     origin, edge_u, edge_v, chart, cue, chart_quad, chart_point, materials = [], [], [], [], [], [], [], []
     num_quads = 0
     for placement in placements:
         part = placement.part
         local = np.stack([quad[0] for quad in part.quads])
         us, vs = np.stack([quad[1] for quad in part.quads]), np.stack([quad[2] for quad in part.quads])
-        for offset in placement.offsets:
-            origin.append(local + offset)
-            edge_u.append(us)
-            edge_v.append(vs)
+        headings = np.zeros(len(placement.offsets)) if placement.headings is None else placement.headings
+        for offset, heading in zip(placement.offsets, headings, strict=True):
+            cos, sin = np.cos(heading), np.sin(heading)
+            turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])  # of row vectors
+            origin.append(local @ turn + offset)
+            edge_u.append(us @ turn)
+            edge_v.append(vs @ turn)
             chart.append(len(materials) + np.arange(len(local)))
             cue.append(np.full(len(local), part.cue))
         chart_quad.append(num_quads + placement.lit_at * len(local) + np.arange(len(local)))

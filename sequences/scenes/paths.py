@@ -1,4 +1,4 @@
-"""How bodies move: a person on the stairs, a cart in the hall."""
+"""How bodies move: a person on the stairs, a cart in the hall, a person about a table."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from filtering.se3 import Poses
-from sequences.scenes import ceiling, staircase
+from sequences.scenes import ceiling, staircase, tables
 
 STEP_S = 0.02  # spacing of the poses
 
@@ -87,6 +87,24 @@ def roll_through_hall(duration_s: float, *, margin_m: float, rng: np.random.Gene
     tilt = 0.006 * np.stack([_wander(steps, 0.6, rng), _wander(steps, 0.6, rng)])
     height = 0.002 * _wander(steps, 0.4, rng)
     return Poses(_rotations(yaw, tilt[0], tilt[1]), np.column_stack([xy, height]))
+
+
+def circle_table(duration_s: float, *, rng: np.random.Generator) -> Poses:
+    """A person walking round the table with eyes on it: world_from_base every 20 ms, x forward, z up, at eye height.
+
+    Starts anywhere, either way round; comes nearer and goes further off, now and then turns round.
+    """
+    steps = int(np.ceil(duration_s / STEP_S)) + 1
+    turns = rng.random(steps) < STEP_S / 30
+    way = rng.choice([-1.0, 1.0]) * np.where(np.cumsum(turns) % 2, -1.0, 1.0)
+    rate = _eased(way * (0.3 + 0.06 * _wander(steps, 4.0, rng)), 0.4)
+    angle = rng.uniform(-np.pi, np.pi) + np.cumsum(rate) * STEP_S
+    distance = 1.9 + 0.4 * np.tanh(0.8 * _wander(steps, 6.0, rng))
+    position = np.stack([distance * np.cos(angle), distance * np.sin(angle), 1.5 + 0.08 * _wander(steps, 5.0, rng)], 1)
+    down = np.arctan2(position[:, 2] - tables.TABLE_HEIGHT, distance) - np.radians(12)
+    yaw = angle + np.pi + 0.12 * _wander(steps, 2.0, rng)
+    roll = 0.02 * _wander(steps, 1.0, rng)
+    return Poses(_rotations(yaw, down + 0.05 * _wander(steps, 2.0, rng), roll), position)
 
 
 def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:

@@ -19,7 +19,7 @@ from vapor.commands.console import bar, parse, show, usage_error
 class Options:
     """Render a sequence through a synthetic scene, with odometry and true poses."""
 
-    scene: tyro.conf.Positional[Literal["staircase", "ceiling"]]
+    scene: tyro.conf.Positional[Literal["staircase", "ceiling", "round-table", "dinner-table"]]
     """What the camera moves through."""
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT.mcap")]
     """MCAP file to write."""
