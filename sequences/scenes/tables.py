@@ -112,7 +112,7 @@ def _round_quarter() -> Part:
     angle = 2 * np.pi * np.arange(ROUND_CORNERS) / ROUND_CORNERS
     edges = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     edges *= ROUND_RADIUS * np.sin(np.pi / ROUND_CORNERS)  # half a side of the regular polygon
-    # A rose of rhombi: those of the first ring have their tips in the middle, each next ring fills the gaps of the last.
+    # A rose of rhombi: the first ring has its tips in the middle, each next one fills the gaps that the last one left.
     for first in range(ROUND_CORNERS // 4):
         base = np.array([0.0, 0.0, TABLE_HEIGHT])
         for ring in range(1, ROUND_CORNERS // 2):
