@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.datasets import SEVEN_SCENES_HZ, PosedImages, list_images, read_image_bytes
+from sequences.datasets import list_images
 from sequences.errors import SequenceError
+from sequences.frame import Camera
+from sequences.layouts.image_files import read_image_bytes
+from sequences.layouts.posed_images import PosedImages
 from sequences.messages import decode_image_bytes
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.pairing import interpolate
@@ -56,13 +59,13 @@ def convert(
     frames: slice = slice(None),
     seed: int = 0,
 ) -> ConversionSummary:
-    """Write a TUM RGB-D or 7-Scenes folder as an MCAP sequence; images are copied, not encoded again.
+    """Write a data set as an MCAP sequence; images are copied, not encoded again.
 
-    Base and camera are one body, in the axes of a robot and of a camera. Time stamps of 7-Scenes, which has none, are
+    Base and camera are one body, in the axes of a robot and of a camera. Where a data set has no time stamps they are
     made up at 30 Hz.
 
     Args:
-        dataset: Folder of the data set.
+        dataset: What `sequences.datasets.list_images` takes.
         output: File to write.
         odometry: Recorded odometry, a TUM trajectory of the camera in any frame: only its relative motion counts.
         odometry_noise: How to simulate odometry from the true poses, instead; None for no odometry at all where there
@@ -71,7 +74,8 @@ def convert(
         seed: Of the simulated odometry.
 
     Raises:
-        SequenceError: a file is missing, damaged or of an unknown layout, or no image is left.
+        SequenceError: a file is missing, damaged or of an unknown layout, intrinsics are unknown or differ between
+            images, or no image is left.
     """
     if seed < 0:
         raise SequenceError(f"seed {seed}, expected at least 0")
@@ -84,10 +88,11 @@ def convert(
     images = _covered(images, track, skipped)
     description = track.description if track else "none"
     metadata = {"odometry": description, "dataset": f"{images.layout} {Path(dataset).resolve().name}"}
-    if images.layout == "7-Scenes":
-        metadata["time_stamps"] = f"assumed, {SEVEN_SCENES_HZ} Hz"
+    if images.assumed_hz is not None:
+        metadata["time_stamps"] = f"assumed, {images.assumed_hz} Hz"
+    camera = _one_camera(images, dataset)
     num_images = 0
-    with SequenceWriter(output, camera=images.camera, base_from_camera=BASE_FROM_CAMERA, metadata=metadata) as writer:
+    with SequenceWriter(output, camera=camera, base_from_camera=BASE_FROM_CAMERA, metadata=metadata) as writer:
         next_odometry = 0
         for i, file in enumerate(images.files):
             time_ns = int(images.times_ns[i])
@@ -144,15 +149,20 @@ def _covered(images: PosedImages, track: _OdometryTrack | None, skipped: Counter
         )
     if not covered.all():
         skipped["odometry does not cover"] += int((~covered).sum())
-    kept = np.flatnonzero(covered)
-    return PosedImages(
-        images.layout,
-        [images.files[i] for i in kept],
-        images.times_ns[kept],
-        images.world_from_camera[kept],
-        images.camera,
-        images.skipped,
-    )
+    return images.select(np.flatnonzero(covered))
+
+
+def _one_camera(images: PosedImages, dataset: Path) -> Camera:
+    cameras = set(images.cameras)
+    if len(cameras) > 1:
+        raise SequenceError(f"{dataset}: images of {len(cameras)} cameras, expected one: a sequence has one")
+    camera = cameras.pop()
+    if camera is None:
+        raise SequenceError(
+            f"{dataset}: {images.layout} does not state intrinsics, expected intrinsics.json beside the images with"
+            " width, height, fx, fy, cx and cy in pixels"
+        )
+    return camera
 
 
 def _write_odometry(writer: SequenceWriter, track: _OdometryTrack, begin: int, until_ns: int) -> int:

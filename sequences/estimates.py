@@ -13,9 +13,9 @@ from jaxtyping import Float64, Int64
 from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
 from sequences.convert import BASE_FROM_CAMERA
-from sequences.datasets import SEVEN_SCENES_HZ
 from sequences.errors import SequenceError
 from sequences.frame import Frame
+from sequences.layouts.posed_images import ASSUMED_HZ
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.pairing import interpolate, odometry_between
 from sequences.pose_files import Direction, FrameName, PoseFile, natural_order, read_poses
@@ -41,7 +41,7 @@ class EstimateOptions:
 
     direction: Direction | None = None
     """Which way the poses of named frames map, in all files. TUM trajectories are camera-to-world."""
-    rate_hz: float = float(SEVEN_SCENES_HZ)
+    rate_hz: float = float(ASSUMED_HZ)
     """Named frames have no stamps: how many there are in a second."""
     noise: OdometryNoise = field(default_factory=OdometryNoise)
     """Of simulated odometry."""

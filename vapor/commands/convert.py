@@ -17,10 +17,10 @@ from vapor.commands.console import parse, show, show_skipped, usage_error
 
 @dataclass(frozen=True)
 class Options:
-    """Write a TUM RGB-D or 7-Scenes folder as an MCAP sequence."""
+    """Write a data set of images with true poses as an MCAP sequence."""
 
     dataset: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
-    """Folder of the data set."""
+    """Folder of the data set, of any layout that `train` takes, or the file that lists a split of it."""
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT.mcap")]
     """MCAP file to write."""
     odometry: Path | None = None

@@ -1,0 +1,44 @@
+"""The Ambiguous Relocalization data set: five scenes that look alike from several places.
+
+Bui, Birdal, Deng, Albarqouni, Guibas, Ilic and Navab, "6D Camera Relocalization in Ambiguous Scenes via Continuous
+Multimodal Inference", ECCV 2020. A scene holds `train/` and `test/`, these hold `seq00`, `seq01` and so on, and a
+sequence holds `poses_seq00.txt` and `rgb_matched/frame-color-0000.png`. A row is
+`seq, frame, qw, qx, qy, qz, tx, ty, tz`, where `frame` is the number in the image's name.
+
+The data set says neither which way its poses map nor when an image was taken. Published code that renders its scenes
+takes the poses as camera-to-world in OpenCV's axes, and so they are read here; metres and the rate are assumed.
+Intrinsics come from an `intrinsics.json` in the sequence or up to three folders above it, and are unknown without one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sequences.errors import SequenceError
+from sequences.layouts.numbered import NumberedLayout
+from sequences.layouts.posed_images import PosedImages, by_name
+
+LOOKED_FOR = "an Ambiguous Relocalization sequence (poses_seq*.txt) or a folder of such, train or test"
+_LAYOUT = NumberedLayout(
+    "Ambiguous Relocalization", "seq frame qw qx qy qz tx ty tz", ",", ("rgb_matched", "rgb", "images"), levels=3
+)
+
+
+def list_images(path: Path) -> PosedImages | None:
+    """Images of a sequence, or of all sequences of `train` or `test`; None where it is neither.
+
+    Raises:
+        SequenceError: a file is missing or damaged, or a frame is there twice.
+    """
+    if not path.is_dir():
+        return None
+    folders = [path, *sorted((p for p in path.iterdir() if p.is_dir()), key=lambda p: by_name(p.name))]
+    found = [files for folder in folders if (files := sorted(folder.glob("poses_seq*.txt")))]
+    if not found:
+        return None
+    sequences = found[:1] if found[0][0].parent == path else found
+    for files in sequences:
+        if len(files) > 1:
+            names = " and ".join(file.name for file in files)
+            raise SequenceError(f"{files[0].parent}: {names}, expected one file of poses a sequence")
+    return _LAYOUT.list_images([files[0] for files in sequences])

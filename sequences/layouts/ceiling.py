@@ -1,0 +1,32 @@
+"""The recording of a ceiling with a camera rig: alike everywhere, but for a few spots.
+
+Zangeneh, Bruns, Dekel, Pieropan and Jensfelt, "A Probabilistic Framework for Visual Localization in Ambiguous Scenes",
+ICRA 2023. A scene holds `train/` and `test/`, these hold a folder a sequence, named by its number, and that holds
+`poses.txt` and `images/000000.jpg`. A row is `seq image tx ty tz qw qx qy qz`, where `image` is the number in the
+image's name, and the pose is camera-to-world.
+
+OpenCV's axes, metres and the rate are assumed. Intrinsics come from an `intrinsics.json` in the sequence or up to two
+folders above it, and are unknown without one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sequences.layouts.numbered import NumberedLayout
+from sequences.layouts.posed_images import PosedImages, by_name
+
+LOOKED_FOR = "a Ceiling sequence (poses.txt with images) or a folder of such, train or test"
+_LAYOUT = NumberedLayout("Ceiling", "seq image tx ty tz qw qx qy qz", None, ("images", "rgb"), levels=2)
+
+
+def list_images(path: Path) -> PosedImages | None:
+    """Images of a sequence, or of all sequences of `train` or `test`; None where it is neither.
+
+    Raises:
+        SequenceError: a file is missing or damaged, or a frame is there twice.
+    """
+    if (path / "poses.txt").is_file():
+        return _LAYOUT.list_images([path / "poses.txt"])
+    pose_files = sorted(path.glob("*/poses.txt"), key=lambda file: by_name(file.parent.name))
+    return _LAYOUT.list_images(pose_files) if pose_files else None

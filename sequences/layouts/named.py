@@ -1,0 +1,54 @@
+"""Layouts whose poses are of images by name, relative to one folder."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from itertools import groupby
+from pathlib import Path, PurePosixPath
+
+from filtering.se3 import Poses
+from sequences.layouts.image_files import num_beside
+from sequences.layouts.pose_rows import stack_poses
+from sequences.layouts.posed_images import ASSUMED_HZ, PosedImages, assumed_times_ns, by_name
+
+
+def list_named(layout: str, root: Path, world_from_camera: Mapping[str, Poses | str]) -> PosedImages:
+    """Images in the order of their names, those of one folder as one sequence, without intrinsics yet.
+
+    Args:
+        layout: Name of the layout.
+        root: What the names are relative to.
+        world_from_camera: One pose by the name of each image, or why it has none.
+    """
+    skipped: Counter[str] = Counter()
+    files: list[Path] = []
+    poses: list[Poses] = []
+    numbers: list[list[int]] = []
+    ordered = sorted(world_from_camera, key=lambda name: (by_name(_folder(name)), by_name(name)))
+    for _, names in groupby(ordered, key=_folder):
+        numbers.append([])
+        for number, name in enumerate(names):
+            pose = world_from_camera[name]
+            if not (root / name).is_file():
+                skipped["no image"] += 1
+            elif isinstance(pose, str):
+                skipped[pose] += 1
+            else:
+                files.append(root / name)
+                poses.append(pose)
+                numbers[-1].append(number)
+    skipped["image not in the list"] += num_beside(root / name for name in ordered)
+    return PosedImages(
+        layout,
+        files,
+        assumed_times_ns(numbers),
+        stack_poses(poses),
+        [None] * len(files),
+        ASSUMED_HZ,
+        +skipped,
+    )
+
+
+def _folder(name: str) -> str:
+    return str(PurePosixPath(name).parent)

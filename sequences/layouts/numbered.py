@@ -1,0 +1,105 @@
+"""Sequences whose poses are rows of a sequence's number, a frame's number and a pose."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.layouts.image_files import images_by_number
+from sequences.layouts.intrinsics import find_camera
+from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row, stack_poses
+from sequences.layouts.posed_images import ASSUMED_HZ, PosedImages, assumed_times_ns
+from sequences.tum import read_lines
+
+_MAX_NUMBER = 10**9  # beyond, it counts nanoseconds rather than frames
+
+
+@dataclass(frozen=True)
+class NumberedLayout:
+    """How one layout of this kind differs from another.
+
+    Attributes:
+        name: What it is called.
+        columns: Names of the columns of a row, `seq frame` first.
+        separator: What stands between columns; None for blanks.
+        image_folders: Where in a sequence's folder its images are looked for, before the folder itself.
+        levels: How many folders above a sequence `intrinsics.json` is looked for.
+    """
+
+    name: str
+    columns: str
+    separator: str | None
+    image_folders: tuple[str, ...]
+    levels: int
+
+    def list_images(self, pose_files: Sequence[Path]) -> PosedImages:
+        """Images of sequences, each in the folder of its pose file, camera-to-world poses as they stand.
+
+        Args:
+            pose_files: One a sequence, at least one.
+
+        Raises:
+            SequenceError: a file is missing or damaged, or a frame is there twice.
+        """
+        skipped: Counter[str] = Counter()
+        files: list[Path] = []
+        poses: list[Poses] = []
+        numbers: list[list[int]] = []
+        for pose_file in pose_files:
+            images = images_by_number(pose_file.parent, self.image_folders)
+            posed = self._read(pose_file)
+            skipped["no true pose"] += len(images.keys() - posed.keys())
+            skipped["no image"] += len(posed.keys() - images.keys())
+            numbers.append([])
+            for number in sorted(images.keys() & posed.keys()):
+                pose = posed[number]
+                if pose is None:
+                    skipped[NOT_FINITE] += 1
+                    continue
+                files.append(images[number])
+                poses.append(pose)
+                numbers[-1].append(number)
+        sequence = pose_files[0].parent.absolute()
+        camera = find_camera([sequence, *sequence.parents[: self.levels]], files)
+        return PosedImages(
+            self.name,
+            files,
+            assumed_times_ns(numbers),
+            stack_poses(poses),
+            [camera] * len(files),
+            ASSUMED_HZ,
+            +skipped,
+        )
+
+    def _read(self, pose_file: Path) -> dict[int, Poses | None]:
+        """Poses by the number of their frame."""
+        poses: dict[int, Poses | None] = {}
+        lines: dict[int, int] = {}
+        sequence: int | None = None
+        for line_number, line in enumerate(read_lines(pose_file), start=1):
+            if not line.strip() or line.lstrip().startswith("#"):
+                continue
+            where = f"{pose_file}:{line_number}"
+            fields = [text.strip() for text in line.split(self.separator)]
+            pose = read_pose_row(fields, self.columns, where)
+            found, number = (_whole(text, where) for text in fields[:2])
+            if sequence not in (None, found):
+                raise SequenceError(f"{where}: sequence {found} after sequence {sequence}, expected one a file")
+            sequence = found
+            if number in lines:
+                raise SequenceError(f"{where}: frame {number} is on line {lines[number]} too, expected it once")
+            lines[number] = line_number
+            poses[number] = pose
+        return poses
+
+
+def _whole(text: str, where: str) -> int:
+    match = re.fullmatch(r"(\d+)(\.0*)?", text, flags=re.ASCII)
+    if match is None or int(match[1]) > _MAX_NUMBER:
+        raise SequenceError(f"{where}: {text!r}, expected the number of a sequence or frame, 0 to {_MAX_NUMBER:,}")
+    return int(match[1])

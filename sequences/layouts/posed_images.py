@@ -1,0 +1,78 @@
+"""What every layout is read as: image files with stamps, true poses and intrinsics."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int64
+
+from filtering.se3 import Poses
+from sequences.frame import Camera
+
+ASSUMED_HZ = 30
+"""The rate assumed where a layout has no time stamps: that of the sensor of 7-Scenes."""
+
+
+@dataclass(frozen=True)
+class PosedImages:
+    """Images on disk with their true poses, in order of time.
+
+    Attributes:
+        layout: Name of the layout, such as "TUM RGB-D" or "7-Scenes".
+        files: Image files.
+        times_ns: Their stamps, strictly increasing.
+        world_from_camera: True poses, batch (n,).
+        cameras: Intrinsics of each, in pixels of the image; None where unknown.
+        assumed_hz: The rate that stamps were made up with; None where they were recorded.
+        skipped: Images and poses left out, by reason.
+    """
+
+    layout: str
+    files: list[Path]
+    times_ns: Int64[np.ndarray, " n"]
+    world_from_camera: Poses
+    cameras: list[Camera | None]
+    assumed_hz: int | None = None
+    skipped: Counter[str] = field(default_factory=Counter)
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __getitem__(self, index: slice) -> PosedImages:
+        return self.select(np.arange(len(self))[index])
+
+    def select(self, indices: Int64[np.ndarray, " k"]) -> PosedImages:
+        """Some of the images, (k,), in increasing order."""
+        return PosedImages(
+            self.layout,
+            [self.files[i] for i in indices],
+            self.times_ns[indices],
+            self.world_from_camera[indices],
+            [self.cameras[i] for i in indices],
+            self.assumed_hz,
+            self.skipped,
+        )
+
+
+def assumed_times_ns(sequences: Iterable[Sequence[int]]) -> Int64[np.ndarray, " n"]:
+    """Stamps for the frame numbers of sequences: at the assumed rate, and a second from sequence to sequence.
+
+    Args:
+        sequences: Increasing frame numbers of each sequence, n in all.
+    """
+    times_ns: list[int] = []
+    begin_ns = 0
+    for numbers in sequences:
+        times_ns += [begin_ns + number * 1_000_000_000 // ASSUMED_HZ for number in numbers]
+        begin_ns = (times_ns[-1] if numbers else begin_ns) + 1_000_000_000
+    return np.array(times_ns, np.int64)
+
+
+def by_name(name: str) -> list[tuple[int, str]]:
+    """Sort key by which `seq2/frame10` comes after `seq2/frame9` and before `seq10/frame1`."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
