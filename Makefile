@@ -7,11 +7,13 @@ DATA := build/model-data
 
 STAIRCASE_FEW := $(foreach seed,$(shell seq 0 19),$(DATA)/staircase-$(seed).mcap)
 STAIRCASE := $(foreach seed,$(shell seq 0 99),$(DATA)/staircase-$(seed).mcap)
+STAIRCASE_MORE := $(foreach seed,$(shell seq 104 137),$(DATA)/staircase-$(seed).mcap)
 STAIRCASE_HELD_OUT := $(foreach seed,$(shell seq 100 103),$(DATA)/staircase-$(seed).mcap)
 CEILING_FEW := $(foreach seed,$(shell seq 0 23),$(DATA)/ceiling-$(seed).mcap)
 CEILING_MORE := $(foreach seed,$(shell seq 0 71),$(DATA)/ceiling-$(seed).mcap)
 CEILING := $(foreach seed,$(shell seq 0 99),$(DATA)/ceiling-$(seed).mcap)
 CEILING_HELD_OUT := $(foreach seed,$(shell seq 100 103),$(DATA)/ceiling-$(seed).mcap)
+SQUARE := --network.image-width 128 --network.image-height 128 --network.shortest-edge 146
 
 .PHONY: demo test check models clean
 
@@ -34,7 +36,7 @@ $(INSTALLED): pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable . --group dev
 	touch $@
 
-# How the models that ship were trained: about four hours on two cores (`make -j2 models`); see docs/models.md.
+# How the models that ship were trained: about six hours on two cores (`make -j2 models`); see docs/models.md.
 models: vapor/models/staircase.safetensors vapor/models/ceiling.safetensors
 
 $(DATA)/staircase-%.mcap: | $(INSTALLED) $(DATA)
@@ -45,32 +47,43 @@ $(DATA)/ceiling-%.mcap: | $(INSTALLED) $(DATA)
 
 $(DATA)/features.safetensors: $(STAIRCASE_FEW) $(DATA)/staircase-100.mcap
 	$(BIN)/vapor-track train $(STAIRCASE_FEW) --validation $(DATA)/staircase-100.mcap --output $@ \
-	    --loss.alpha 0.1 --epochs 16 --no-calibrate
+	    $(SQUARE) --loss.alpha 0.1 --epochs 16 --no-calibrate
 
 $(DATA)/staircase-first.safetensors: $(DATA)/features.safetensors
 	$(BIN)/vapor-track train $(STAIRCASE_FEW) --validation $(DATA)/staircase-100.mcap --output $@ \
-	    --pretrained-weights $< --loss.alpha 0.1 --epochs 28 --no-calibrate
+	    $(SQUARE) --pretrained-weights $< --loss.alpha 0.1 --epochs 28 --no-calibrate
 
-$(DATA)/staircase.safetensors: $(DATA)/staircase-first.safetensors $(STAIRCASE)
+$(DATA)/staircase-second.safetensors: $(DATA)/staircase-first.safetensors $(STAIRCASE)
 	$(BIN)/vapor-track train $(STAIRCASE) --validation $(DATA)/staircase-100.mcap --output $@ \
-	    --initial-model $< --loss.alpha 0.1 --loss.beta 0.005 --learning-rate 1.5e-3 --epochs 12 --no-calibrate
+	    $(SQUARE) --initial-model $< --loss.alpha 0.1 --loss.beta 0.005 --learning-rate 1.5e-3 --epochs 12 --no-calibrate
+
+# The square from the middle leaves out what is at the sides; the weights fit the whole image as well.
+$(DATA)/staircase.safetensors: $(DATA)/staircase-second.safetensors $(STAIRCASE) $(STAIRCASE_MORE)
+	$(BIN)/vapor-track train $(STAIRCASE) $(STAIRCASE_MORE) --validation $(DATA)/staircase-100.mcap --output $@ \
+	    --initial-model $< --loss.alpha 0.1 --loss.beta 0.005 --learning-rate 1.5e-3 --epochs 7 \
+	    --select-by log_density --no-calibrate
 
 # Few images and many winners tell the like places apart, if at the cost of some; more images and fewer winners bring
 # those back; more images still tell them apart better.
 $(DATA)/ceiling-first.safetensors: $(DATA)/features.safetensors $(CEILING_FEW) $(DATA)/ceiling-100.mcap
 	$(BIN)/vapor-track train $(CEILING_FEW) --validation $(DATA)/ceiling-100.mcap --output $@ \
-	    --pretrained-weights $< --loss.alpha 0.06 --loss.num-samples 333 --loss.beta 0.003 \
+	    $(SQUARE) --pretrained-weights $< --loss.alpha 0.06 --loss.num-samples 333 --loss.beta 0.003 \
 	    --learning-rate 3e-3 --evolve 0.4 --epochs 44 --no-calibrate
 
 $(DATA)/ceiling-second.safetensors: $(DATA)/ceiling-first.safetensors $(CEILING_MORE)
 	$(BIN)/vapor-track train $(CEILING_MORE) --validation $(DATA)/ceiling-100.mcap --output $@ \
-	    --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
+	    $(SQUARE) --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
 	    --learning-rate 2e-3 --epochs 16 --no-calibrate
 
-$(DATA)/ceiling.safetensors: $(DATA)/ceiling-second.safetensors $(CEILING)
+$(DATA)/ceiling-third.safetensors: $(DATA)/ceiling-second.safetensors $(CEILING)
+	$(BIN)/vapor-track train $(CEILING) --validation $(DATA)/ceiling-100.mcap --output $@ \
+	    $(SQUARE) --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
+	    --learning-rate 2e-3 --epochs 20 --no-calibrate
+
+$(DATA)/ceiling.safetensors: $(DATA)/ceiling-third.safetensors $(CEILING)
 	$(BIN)/vapor-track train $(CEILING) --validation $(DATA)/ceiling-100.mcap --output $@ \
 	    --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
-	    --learning-rate 2e-3 --epochs 20 --no-calibrate
+	    --learning-rate 2e-3 --epochs 12 --select-by log_density --no-calibrate
 
 # One sequence has five stretches of trajectory, too few to tell the settings of the filter apart.
 vapor/models/staircase.safetensors: $(DATA)/staircase.safetensors $(STAIRCASE_HELD_OUT)

@@ -207,7 +207,7 @@ def test_a_preference_that_would_converge_wrongly_is_told_but_not_taken():
 
 # --- data ------------------------------------------------------------------------------------------
 
-NETWORK = NetworkConfig(image_size=32, shortest_edge=36, feature_dim=16, latent_dim=4)
+NETWORK = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
 
 
 def frames_of(count, *, odometry=True, seed=0):
@@ -228,7 +228,7 @@ def test_stretches_break_where_odometry_does_and_where_time_does():
     late = [
         replace(f, time_ns=f.time_ns + (10**9 if i >= 90 else 0)) for i, f in enumerate(frames_of(150, odometry=False))
     ]
-    images = load_training_set({"a": frames, "b": late, "short": frames_of(30)}, 36)
+    images = load_training_set({"a": frames, "b": late, "short": frames_of(30)}, (36, 36))
     spans = [(int(s[0]), int(s[-1]) + 1) for s in find_stretches(images, 500)]
     assert spans == [(0, 60), (60, 150), (150, 240), (240, 300)]
     assert len(find_stretches(images, 200)) == 3  # fewer could not tell a gain from noise
@@ -238,7 +238,7 @@ def test_stretches_break_where_odometry_does_and_where_time_does():
 
 
 def test_odometry_that_is_missing_is_simulated_with_the_noise_that_it_states():
-    images = load_training_set({"a": frames_of(200, odometry=False)}, 36)
+    images = load_training_set({"a": frames_of(200, odometry=False)}, (36, 36))
     odometry = simulated_odometry(images, np.arange(200), rng=np.random.default_rng(0))
     assert odometry[0] is None
     squared = []
@@ -251,7 +251,7 @@ def test_odometry_that_is_missing_is_simulated_with_the_noise_that_it_states():
 
 
 def test_too_few_images_keep_the_calibration_and_say_so():
-    images = load_training_set({"a": frames_of(30)}, 36)
+    images = load_training_set({"a": frames_of(30)}, (36, 36))
     before = Calibration(temper=0.37)
     result = calibrate(network_for(images), images, images.poses, before, max_images=500, seed=0)
     assert result.calibration == before
@@ -260,7 +260,7 @@ def test_too_few_images_keep_the_calibration_and_say_so():
 
 
 def test_without_stretches_only_the_fits_image_by_image_are_made():
-    images = load_training_set({str(k): frames_of(30, seed=k) for k in range(3)}, 36)
+    images = load_training_set({str(k): frames_of(30, seed=k) for k in range(3)}, (36, 36))
     result = calibrate(network_for(images), images, images.poses, Calibration(), max_images=500, seed=0)
     assert (result.images, result.stretches) == (90, 0)
     assert "0 held-out stretches, at least 3" in result.notes[0]

@@ -21,7 +21,7 @@ from vapor.checkpoint import (
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.1))
-SMALL = NetworkConfig(image_size=32, shortest_edge=36, feature_dim=16, latent_dim=4)
+SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
 
 
 def make_checkpoint(config: NetworkConfig = SMALL, num_poses: int = 30) -> Checkpoint:
@@ -89,7 +89,7 @@ HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, None), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '3'"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '4'"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "not JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),

@@ -237,7 +237,7 @@ HEAD = "network.latent_mean.weight"
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda t, m: m.update(version="1"), "format version is '1', expected '3'"),
+        (lambda t, m: m.update(version="1"), "format version is '1', expected '4'"),
         (lambda t, m: m.update(format="other"), "format is 'other'"),
         (lambda t, m: t.pop(HEAD), f"lacks tensor {HEAD} (1 such), expected exactly the"),
         (lambda t, m: t.update({"network.more": torch.zeros(1)}), "has surplus tensor network.more"),
@@ -517,7 +517,7 @@ def test_a_conversion_of_nothing_is_refused(tmp_path, capsys):
 
 
 TRAINING = [
-    *("--network.image-size", "32", "--network.shortest-edge", "36"),
+    *("--network.image-width", "32", "--network.image-height", "32", "--network.shortest-edge", "36"),
     *("--network.feature-dim", "32", "--network.latent-dim", "4", "--loss.num-samples", "32"),
     *("--epochs", "2", "--batch-size", "8", "--validation-share", "0.2", "--precision", "float32", "--device", "cpu"),
 ]

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from torch import distributions
 
 from filtering.se3 import Poses
-from vapor.loss import LossConfig, kl_divergence, pose_distance, regression_loss
+from vapor.loss import LossConfig, kl_divergence, pose_distance, variational_loss
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 
 CONFIG = LossConfig(lambda_translation=5.0, lambda_rotation=2.0, alpha=0.2, beta=0.01, num_samples=25)
@@ -50,7 +50,7 @@ def test_winners_are_the_floor_of_alpha_m_and_at_least_one(alpha, num_samples, w
 def _batch():
     torch.manual_seed(0)
     box = SceneBox((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
-    config = NetworkConfig(image_size=32, shortest_edge=32, feature_dim=64, latent_dim=4)
+    config = NetworkConfig(image_width=32, image_height=32, shortest_edge=32, feature_dim=64, latent_dim=4)
     network = VariationalPoseRegressor(config, box).double().train()
     poses = Poses.exp(np.random.default_rng(0).standard_normal((6, 6)))
     truth = torch.from_numpy(poses.translation), torch.from_numpy(poses.rotation)
@@ -74,7 +74,7 @@ def test_mapping_only_the_winners_gives_the_loss_and_gradient_of_mapping_all():
     gradients = {name: p.grad.clone() for name, p in network.named_parameters() if p.grad is not None}
     assert max(g.abs().max() for g in gradients.values()) > 1e-3
     network.zero_grad()
-    loss = regression_loss(network, images, *truth, noise, CONFIG)
+    loss = variational_loss(network, images, *truth, noise, CONFIG)
     loss.total.backward()
     torch.testing.assert_close(loss.total, expected, rtol=1e-10, atol=0)
     for name, parameter in network.named_parameters():
@@ -83,7 +83,7 @@ def test_mapping_only_the_winners_gives_the_loss_and_gradient_of_mapping_all():
 
 def test_loss_is_beta_kl_plus_the_winners_distance():
     network, images, truth, noise = _batch()
-    loss = regression_loss(network, images, *truth, noise, CONFIG)
+    loss = variational_loss(network, images, *truth, noise, CONFIG)
     assert loss.total.item() == pytest.approx(0.01 * loss.kl.item() + loss.distance.item())
     everyone = LossConfig(alpha=1.0, num_samples=25)
-    assert regression_loss(network, images, *truth, noise, everyone).distance > loss.distance
+    assert variational_loss(network, images, *truth, noise, everyone).distance > loss.distance

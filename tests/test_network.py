@@ -24,7 +24,7 @@ from vapor.network import (
 from vapor.resnet import ResNet18
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.0))
-SMALL = NetworkConfig(image_size=32, shortest_edge=36, feature_dim=32, latent_dim=4)
+SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=32, latent_dim=4)
 DESK = Path(__file__).parents[2] / "shared/data/tum_fr1/rgbd_dataset_freiburg1_xyz/rgb"
 
 
@@ -76,7 +76,7 @@ def test_the_first_two_columns_of_a_rotation_give_it_back():
 
 def test_predicted_positions_lie_in_the_box_however_large_the_latent():
     torch.manual_seed(0)
-    translation, rotation = PoseMap(SMALL, BOX)(1e4 * torch.randn(500, 4))
+    translation, rotation = PoseMap(torch.nn.Identity(), 4, BOX)(1e4 * torch.randn(500, 4))
     assert ((translation >= torch.tensor(BOX.lower)) & (translation <= torch.tensor(BOX.upper))).all()
     assert translation.std(dim=0).min() > 0.05  # and they use it
     assert torch.isfinite(rotation).all()
@@ -111,7 +111,7 @@ def test_latent_samples_have_the_predicted_mean_and_variance():
     [("resnet18-half", (1.0 - np.array([0.485, 0.456, 0.406])) / [0.229, 0.224, 0.225]), ("efficientnet-lite0", 1.0)],
 )
 def test_white_is_normalised_as_the_published_weights_expect(backbone, expected):
-    config = NetworkConfig(backbone, image_size=32, shortest_edge=32, feature_dim=8)
+    config = NetworkConfig(backbone, image_width=32, image_height=32, shortest_edge=32, feature_dim=8)
     white = VariationalPoseRegressor(config, BOX).normalise(torch.full((1, 2, 2, 3), 255, dtype=torch.uint8))
     np.testing.assert_allclose(white[0, :, 0, 0], np.broadcast_to(expected, 3), rtol=1e-5)
 
@@ -190,8 +190,9 @@ def test_a_missing_weights_package_is_named(monkeypatch):
 @pytest.mark.parametrize(
     "change",
     [
-        {"image_size": 200},
-        {"image_size": 16},
+        {"image_height": 200, "image_width": 201},
+        {"image_width": 16},
+        {"image_width": 961},
         {"shortest_edge": 10**6},
         {"feature_dim": -3},
         {"latent_dim": 0},

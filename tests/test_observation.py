@@ -10,11 +10,12 @@ from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration, Checkpoint, CheckpointError, save_checkpoint
+from vapor.images import prepare
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 from vapor.observation import VaporObservationModel
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.0))
-CONFIG = NetworkConfig(image_size=32, shortest_edge=40, feature_dim=16, latent_dim=4)
+CONFIG = NetworkConfig(image_width=32, image_height=32, shortest_edge=40, feature_dim=16, latent_dim=4)
 IMAGE = np.random.default_rng(7).integers(0, 256, (60, 80, 3), dtype=np.uint8)
 
 
@@ -63,6 +64,14 @@ def test_samples_are_those_of_the_network_for_the_same_noise():
         pixels = network.normalise(torch.full((1, 32, 32, 3), 90, dtype=torch.uint8))
         translation, _ = network(pixels, torch.from_numpy(noise)[None])
     np.testing.assert_allclose(observe(small).poses.translation, translation[0].numpy(), atol=1e-5)
+
+
+def test_a_network_of_the_camera_s_aspect_sees_all_but_the_margin():
+    config = replace(CONFIG, image_width=64, image_height=48, shortest_edge=50)
+    assert config.frame_size == (67, 50)
+    image = np.random.default_rng(0).integers(0, 256, (50, 67, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(prepare(image, config), image[1:49, 1:65])
+    assert prepare(image[:20], config).shape == prepare(image[:, :20], config).shape == (48, 64, 3)
 
 
 def test_only_the_centre_of_the_image_matters():

@@ -23,7 +23,13 @@ from vapor.training_state import state_path
 STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0)
 TINY = TrainConfig(
     network=NetworkConfig(
-        image_size=32, shortest_edge=36, feature_dim=64, latent_dim=4, hidden_width=64, hidden_layers=2
+        image_width=32,
+        image_height=32,
+        shortest_edge=36,
+        feature_dim=64,
+        latent_dim=4,
+        hidden_width=64,
+        hidden_layers=2,
     ),
     loss=LossConfig(num_samples=64),
     calibration=Calibration(1.0, 1.0),  # wide, so that a few steps move the held-out density
@@ -119,7 +125,8 @@ def test_an_interrupted_training_ends_with_the_same_weights_as_an_uninterrupted_
 def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_holds_both(tmp_path):
     first = tmp_path / "first.safetensors"
     there = train_on({"a": make_frames(24)}, first, TINY).checkpoint
-    still = replace(TINY, initial_model=first, learning_rate=1e-12, weight_decay=0.0, epochs=1)
+    larger = replace(TINY.network, image_width=40, shortest_edge=34)  # weights fit images of any size
+    still = replace(TINY, initial_model=first, network=larger, learning_rate=1e-12, weight_decay=0.0, epochs=1)
     up = Poses(np.eye(3), np.array([0.0, 0.0, 9.0]))
     frames = [replace(f, world_from_camera=up @ pose(f)) for f in make_frames(24)]
     on = train_on({"b": frames}, tmp_path / "on.safetensors", still).checkpoint
@@ -269,40 +276,43 @@ def test_paper_presets_have_the_papers_numbers(name, lambda_r, batch, epochs, n,
     assert (c.schedule, c.learning_rate, c.decay_factor, c.decay_epochs, c.decay_times) == ("steps", 1e-4, 0.8, n, 10)
     assert (c.network.backbone, c.network.latent_dim, c.network.hidden_layers) == ("resnet18", 16, layers)
     assert (c.network.feature_dim, c.network.hidden_width) == (2048, 128)
-    assert (c.network.shortest_edge, c.network.image_size, c.augment.crop) == (256, 224, "anywhere")
+    assert (c.network.image_width, c.network.image_height, c.network.frame_size) == (224, 224, (256, 256))
+    assert c.augment.crop == "anywhere"
     assert (c.weight_decay, c.average, c.precision) == (0.0, 0.0, "float32")
 
 
 # --- data ------------------------------------------------------------------------------------------
 
 
-def test_training_images_are_scaled_to_the_shortest_edge_and_keep_their_order():
+def test_training_images_are_scaled_to_cover_the_frame_and_keep_their_order():
     frames = make_frames(5)
-    whole = load_training_set({"a": frames[:2], "b": frames[2:]}, 18, square=False)
+    whole = load_training_set({"a": frames[:2], "b": frames[2:]}, (18, 18), central=False)
     assert whole.images.shape == (5, 18, 24, 3)
     np.testing.assert_array_equal(whole.sequence, [0, 0, 1, 1, 1])
     np.testing.assert_array_equal(whole.poses[3].as_matrix(), pose(frames[3]).as_matrix())
     means = frames[3].image.reshape(18, 2, 24, 2, 3).mean(axis=(1, 3))  # halved: each pixel the mean of four
     np.testing.assert_allclose(whole.images[3], means, atol=0.5)
-    square = load_training_set({"a": frames}, 18)
+    square = load_training_set({"a": frames}, (18, 18))
     np.testing.assert_array_equal(square.images, whole.images[:, :, 3:21])
+    flat = load_training_set({"a": frames}, (24, 12))
+    np.testing.assert_array_equal(flat.images, whole.images[:, 3:15])
 
 
 def test_images_of_different_size_are_cropped_alike_or_refused():
     frames = make_frames(2)
     frames[1] = replace(frames[1], image=np.zeros((100, 90, 3), np.uint8))
-    assert load_training_set({"a": frames}, 36).images.shape == (2, 36, 36, 3)
+    assert load_training_set({"a": frames}, (36, 36)).images.shape == (2, 36, 36, 3)
     with pytest.raises(TrainingError, match="a: image at 1 ns is 36 x 40 after scaling, expected 48 x 36"):
-        load_training_set({"a": frames}, 36, square=False)
+        load_training_set({"a": frames}, (36, 36), central=False)
 
 
 def test_sequences_without_usable_poses_are_refused_by_name():
     frames = [replace(f, world_from_camera=None) for f in make_frames(3)]
     with pytest.raises(TrainingError, match="b: no image with a true pose"):
-        load_training_set({"a": make_frames(3), "b": frames}, 36)
+        load_training_set({"a": make_frames(3), "b": frames}, (36, 36))
     frames[1] = replace(frames[1], world_from_camera=Poses(np.eye(3), np.array([0.0, np.nan, 0.0])))
     with pytest.raises(TrainingError, match="b: true pose at 1 ns is not finite"):
-        load_training_set({"b": frames}, 36)
+        load_training_set({"b": frames}, (36, 36))
 
 
 def test_held_out_images_are_the_last_of_each_sequence():
@@ -324,7 +334,7 @@ def _jittered(images, config, seed=0):
 
 def test_without_augmentation_images_are_only_cropped_and_normalised():
     images = np.random.default_rng(0).integers(0, 256, (3, 16, 16, 3), dtype=np.uint8)
-    crops = random_crops(images, np.arange(3), 16, STILL, rng=np.random.default_rng(0))
+    crops = random_crops(images, np.arange(3), 16, 16, STILL, rng=np.random.default_rng(0))
     np.testing.assert_array_equal(crops, images)
     np.testing.assert_allclose(_jittered(crops, STILL).permute(0, 2, 3, 1), images, atol=1e-3)
 
@@ -333,16 +343,16 @@ def test_every_crop_is_a_part_of_its_image_and_all_offsets_occur():
     rows, columns = np.mgrid[:8, :10].astype(np.uint8)
     images = np.stack([np.stack([rows, columns, np.full_like(rows, i)], axis=-1) for i in range(4)])
     indices = np.arange(400) % 4
-    crops = random_crops(images, indices, 6, STILL, rng=np.random.default_rng(0))
+    crops = random_crops(images, indices, 7, 6, STILL, rng=np.random.default_rng(0))
     np.testing.assert_array_equal(crops[:, 0, 0, 2], indices)
-    np.testing.assert_array_equal(crops[:, :, :, :2] - crops[:, :1, :1, :2], images[:1, :6, :6, :2].repeat(400, axis=0))
-    assert {tuple(c) for c in crops[:, 0, 0, :2].tolist()} == set(itertools.product(range(3), range(5)))
+    np.testing.assert_array_equal(crops[:, :, :, :2] - crops[:, :1, :1, :2], images[:1, :6, :7, :2].repeat(400, axis=0))
+    assert {tuple(c) for c in crops[:, 0, 0, :2].tolist()} == set(itertools.product(range(3), range(4)))
 
 
 def test_blur_touches_its_share_of_the_images_and_keeps_their_mean():
     images = np.random.default_rng(0).integers(0, 256, (1, 32, 32, 3), dtype=np.uint8)
     config = replace(STILL, blur_probability=0.3, blur_sigma_px=2.0)
-    crops = random_crops(images, np.zeros(500, np.int64), 32, config, rng=np.random.default_rng(0))
+    crops = random_crops(images, np.zeros(500, np.int64), 32, 32, config, rng=np.random.default_rng(0))
     blurred = (crops != images[0]).any(axis=(1, 2, 3))
     assert blurred.mean() == pytest.approx(0.3, abs=0.06)  # three standard deviations of 500 draws
     assert crops[blurred].mean() == pytest.approx(images.mean(), abs=1.0)

@@ -12,7 +12,7 @@ from tests.sequence_files import Walk
 from vapor.checkpoint import Calibration, Checkpoint, save_checkpoint
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 
-NETWORK = NetworkConfig(image_size=32, shortest_edge=36, feature_dim=16, latent_dim=4)
+NETWORK = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
 SMALL = ["--num-samples", "60", "--localizer.num-particles", "150"]
 """Options of `vapor-track run` that make a step cheap."""
 

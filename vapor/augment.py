@@ -21,7 +21,8 @@ class AugmentConfig:
     """How much training images vary; an amount a means a factor drawn from [1 − a, 1 + a]."""
 
     crop: Literal["central", "anywhere"] = "central"
-    """Crops from the central square, or from the whole image: one far off centre shows what a turned camera would."""
+    """Crops from the middle, of the network's aspect, or from the whole image: one far off centre shows what a turned
+    camera would."""
     brightness: float = 0.3
     """Amount of brightness."""
     contrast: float = 0.3
@@ -50,20 +51,20 @@ class AugmentConfig:
 def random_crops(
     images: UInt8[np.ndarray, "n h w 3"],
     indices: Int64[np.ndarray, " b"],
-    size: int,
+    width: int,
+    height: int,
     config: AugmentConfig,
     *,
     rng: np.random.Generator,
-) -> UInt8[np.ndarray, "b size size 3"]:
-    """A random square of each chosen image, some of them blurred; only what is cropped is read."""
-    height, width = images.shape[1:3]
-    y = rng.integers(0, height - size, len(indices), endpoint=True)
-    x = rng.integers(0, width - size, len(indices), endpoint=True)
+) -> UInt8[np.ndarray, "b height width 3"]:
+    """A random part of each chosen image, some of them blurred; only what is cropped is read."""
+    y = rng.integers(0, images.shape[1] - height, len(indices), endpoint=True)
+    x = rng.integers(0, images.shape[2] - width, len(indices), endpoint=True)
     sigma = config.blur_sigma_px * rng.uniform(0.5, 1.0, len(indices))
     sigma[rng.random(len(indices)) >= config.blur_probability] = 0.0
-    crops = np.empty((len(indices), size, size, 3), np.uint8)
+    crops = np.empty((len(indices), height, width, 3), np.uint8)
     for crop, i, top, left, s in zip(crops, indices, y, x, sigma, strict=True):
-        part = images[i, top : top + size, left : left + size]
+        part = images[i, top : top + height, left : left + width]
         crop[:] = cv2.GaussianBlur(part, (0, 0), s) if s > 0 else part
     return crops
 

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
-
-from joblib import Parallel, delayed, parallel_config
+from typing import Any
 
 from filtering.errors import VaporTrackError, require_within
 from filtering.localizer import LocalizerConfig
 from vapor.checkpoint import find_model, load_checkpoint
+from vapor.parallel import in_parallel
 from vapor.recordings import CameraPath, RecordingSettings, camera_path, make_recording
 from vapor.trials import Setup, run_trial
 from vapor.variants import VARIANTS
 from vapor.windows import Kind, Trial, choose_trials
 
 _MAX_SEED = 2**62
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ class Benchmark:
         directory = self.directory / "recordings"
         jobs = [(settings, setup, directory) for settings, setup in wanted.items()]
         jobs = [job for job in jobs if not (directory / job[0].name).is_dir()]
-        for done, _ in enumerate(_parallel(_make, jobs, self.config.workers), len(wanted) - len(jobs) + 1):
+        for done, _ in enumerate(in_parallel(_make, jobs, self.config.workers), len(wanted) - len(jobs) + 1):
             yield done, len(wanted)
 
     def localize(self, trials: Sequence[Trial]) -> Iterator[dict[str, Any]]:
@@ -117,7 +115,7 @@ class Benchmark:
             for variant in self.config.variants
             for trial in trials
         ]
-        yield from _parallel(run_trial, jobs, self.config.workers)
+        yield from in_parallel(run_trial, jobs, self.config.workers)
 
     def _setup(self, model: Path, calibration: Mapping[str, float]) -> Setup:
         c = self.config
@@ -133,9 +131,3 @@ def _paths(setup: Setup, scene: str, kind: Kind, directory: Path) -> Callable[[i
 
 def _make(settings: RecordingSettings, setup: Setup, directory: Path) -> None:
     make_recording(settings, setup.checkpoint(), directory)
-
-
-def _parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers: int) -> Iterator[Result]:
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        results = Parallel(n_jobs=workers, return_as="generator_unordered")(delayed(function)(*job) for job in jobs)
-    yield from results  # pyright: ignore[reportReturnType]

@@ -15,7 +15,7 @@ from filtering.localizer import LocalizerConfig
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration, find_model, load_checkpoint, read_safetensors, save_checkpoint, spaced
 from vapor.image_fit import Change, fit_images
-from vapor.network import VariationalPoseRegressor
+from vapor.network import PoseRegressor
 from vapor.observation import Device, resolve_device
 from vapor.stretches import (
     GRIDS,
@@ -94,7 +94,7 @@ def calibrate_model(
         raise VaporTrackError(f"{output}: cannot be written, expected the name of a model file in an existing folder")
     checkpoint = load_checkpoint(file)
     config = checkpoint.network
-    held_out = load_training_set(open_sequences(data), config.shortest_edge)
+    held_out = load_training_set(open_sequences(data), config.frame_size)
     if len(held_out) < LEAST_IMAGES:
         names = ", ".join(Path(str(entry)).name for entry in data)
         raise VaporTrackError(f"{names}: {len(held_out)} images with true poses, expected at least {LEAST_IMAGES}")
@@ -115,7 +115,7 @@ def calibrate_model(
 
 
 def calibrate(
-    network: VariationalPoseRegressor,
+    network: PoseRegressor,
     held_out: TrainingSet,
     prior_poses: Poses,
     calibration: Calibration,

@@ -21,10 +21,11 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.posterior import LikelihoodModel, PosteriorSamples
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
-from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.baselines import make_regressor
+from vapor.network import NetworkConfig, PoseRegressor, SceneBox
 
 FORMAT = "vapor-track model"
-VERSION = 3
+VERSION = 4
 MAX_PRIOR_POSES = 2000
 # Enough for kernels as wide as a place: log densities change by 0.1.
 _PLACE_SAMPLES, _PRIOR_KERNELS = 250, 500
@@ -123,7 +124,7 @@ class Checkpoint:
         calibration: Of densities and likelihoods.
         prior_poses: A posterior sample of each of n ≤ 2000 training images, batch (n,). Their density is π, the mean of
             the posteriors: where the network puts more than its share whatever it sees, that is divided out.
-        state_dict: Parameters and BatchNorm statistics of `VariationalPoseRegressor`, float32 on the CPU.
+        state_dict: Parameters and BatchNorm statistics of the `PoseRegressor`, float32 on the CPU.
         training: Where it came from (data names, seed, images seen, validation figures); any JSON.
     """
 
@@ -134,9 +135,9 @@ class Checkpoint:
     state_dict: Mapping[str, Tensor]
     training: dict[str, Any] = field(default_factory=dict)
 
-    def build_network(self) -> VariationalPoseRegressor:
+    def build_network(self) -> PoseRegressor:
         """The network with its weights, on the CPU, in evaluation mode."""
-        network = VariationalPoseRegressor(self.network, self.box)
+        network = make_regressor(self.network, self.box)
         network.load_state_dict(dict(self.state_dict))
         return network.eval()
 
@@ -207,7 +208,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise CheckpointError(f"{path}: training is {type(training).__name__} in its configuration, expected an object")
 
     with torch.device("meta"):  # names and shapes only, no memory
-        expected = VariationalPoseRegressor(network, box).state_dict()
+        expected = make_regressor(network, box).state_dict()
     check_tensors(path, tensors, {_NETWORK + name: value for name, value in expected.items()})
     state = {name: tensors[_NETWORK + name] for name in expected}
     state = {name: value.float() if value.is_floating_point() else value for name, value in state.items()}

@@ -1,4 +1,4 @@
-"""Camera images -> the square uint8 images that the network sees, alike in training and in use."""
+"""Camera images -> the uint8 images that the network sees, alike in training and in use."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ import numpy as np
 from jaxtyping import UInt8
 
 from filtering.errors import VaporTrackError
+from vapor.network import NetworkConfig
 
 
-def resize_shortest_edge(image: UInt8[np.ndarray, "h w 3"], edge: int) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """The image scaled so that its shorter side has `edge` pixels, each the mean of the area it covers."""
-    height, width = image.shape[:2]
-    scale = edge / min(height, width)
+def scale_to_cover(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -> UInt8[np.ndarray, "h2 w2 3"]:
+    """The image scaled so that it just covers a frame of so many pixels, each the mean of the area it covers."""
+    rows, columns = image.shape[:2]
+    scale = max(width / columns, height / rows)
     if scale == 1.0:
         return image
-    size = max(edge, round(width * scale)), max(edge, round(height * scale))
+    size = max(width, round(columns * scale)), max(height, round(rows * scale))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR))
 
 
-def centre_crop(image: UInt8[np.ndarray, "h w 3"], size: int) -> UInt8[np.ndarray, "size size 3"]:
-    """The square of that many pixels in the middle of the image."""
-    height, width = image.shape[:2]
-    y, x = (height - size) // 2, (width - size) // 2
-    return image[y : y + size, x : x + size]
+def centre_crop(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -> UInt8[np.ndarray, "height width 3"]:
+    """So many pixels from the middle of the image."""
+    y, x = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
+    return image[y : y + height, x : x + width]
 
 
-def prepare(image: np.ndarray, shortest_edge: int, size: int) -> UInt8[np.ndarray, "size size 3"]:
-    """What the network sees of an RGB image in use: shortest edge scaled, centre cropped.
+def prepare(image: np.ndarray, config: NetworkConfig) -> UInt8[np.ndarray, "image_height image_width 3"]:
+    """What the network sees of an RGB image in use: scaled to cover the frame that training crops from, its middle.
 
     Raises:
         VaporTrackError: the image is not (H, W, 3) uint8.
     """
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
         raise VaporTrackError(f"image has shape {image.shape} and type {image.dtype}, expected (H, W, 3) uint8 RGB")
-    return centre_crop(resize_shortest_edge(image, shortest_edge), size)
+    return centre_crop(scale_to_cover(image, *config.frame_size), config.image_width, config.image_height)

@@ -1,7 +1,8 @@
-"""The training loss: KL divergence of the latent, and winners take all over the posterior samples."""
+"""The training losses: that of the variational regressor (KL divergence, winners take all), and the baselines'."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -9,7 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from filtering.errors import require_within
-from vapor.network import VariationalPoseRegressor, sample_latent
+from vapor.baselines import MixtureRegressor, PointRegressor, log_rotation_normaliser
+from vapor.network import PoseRegressor, VariationalPoseRegressor, sample_latent
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,12 @@ class LossConfig:
     """Weight of the KL divergence."""
     num_samples: int = 256
     """M, posterior samples per image; the paper draws 1000."""
+    relative: float = 0.0
+    """Weight of relative poses between pairs of images beside that of poses, for point regressors: MapNet."""
+    pair_gap: int = 10
+    """relative: images from one of a pair to the other, at most."""
+    relaxation: float = 0.05
+    """mixture: share of the loss that the components beside the best one have."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -35,6 +43,9 @@ class LossConfig:
             alpha=(1e-6, 1.0),
             beta=(0.0, 1e9),
             num_samples=(1, 10**6),
+            relative=(0.0, 1e9),
+            pair_gap=(1, 10**6),
+            relaxation=(0.0, 1.0),
         )
 
     @property
@@ -45,12 +56,12 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class Loss:
-    """The loss of one batch and its two parts, scalars.
+    """The loss of one batch and its parts, scalars.
 
     Attributes:
-        total: β KL + winners' mean distance; carries the gradient.
-        kl: Mean KL divergence over the batch, nats.
-        distance: Mean d_pose of the winners.
+        total: What is minimised; carries the gradient.
+        kl: Mean KL divergence over the batch, nats; 0 where there is no latent Gaussian.
+        distance: Mean d_pose of those that learn: the winners, the one pose, or the best component.
     """
 
     total: Tensor
@@ -76,7 +87,39 @@ def pose_distance(
     return config.lambda_translation * metres + config.lambda_rotation * chord
 
 
-def regression_loss(
+def training_loss(
+    network: PoseRegressor,
+    images: Float[Tensor, "b 3 h w"],
+    true_translation: Float[Tensor, "b 3"],
+    true_rotation: Float[Tensor, "b 3 3"],
+    noise: Float[Tensor, "b m d"],
+    config: LossConfig,
+) -> Loss:
+    """The loss that a network's head is trained with.
+
+    Args:
+        network: In training mode.
+        images: Normalised images; with `relative`, the two halves of the batch are pairs.
+        true_translation: Metres, of world_from_camera.
+        true_rotation: Rotation matrices of world_from_camera.
+        noise: Standard normal, d = `network.noise_dim`; m = `num_samples` for the variational head, else 1.
+        config: Weights of the loss.
+    """
+    truth = true_translation, true_rotation
+    if isinstance(network, MixtureRegressor):
+        return mixture_loss(network, images, *truth, config)
+    if isinstance(network, PointRegressor):
+        return point_loss(network, images, *truth, noise, config)
+    if not isinstance(network, VariationalPoseRegressor):
+        raise TypeError(f"{type(network).__name__} has no loss")
+    if network.noise_dim:
+        return variational_loss(network, images, *truth, noise, config)
+    mean, _ = network.encode(images)
+    distance = pose_distance(*network.decode(mean), *truth, config).mean()
+    return Loss(distance, torch.zeros_like(distance), distance.detach())
+
+
+def variational_loss(
     network: VariationalPoseRegressor,
     images: Float[Tensor, "b 3 h w"],
     true_translation: Float[Tensor, "b 3"],
@@ -107,3 +150,72 @@ def regression_loss(
     nearest = pose_distance(*network.decode(latent), *truth, config).mean()
     kl = kl_divergence(mean, log_variance).mean()
     return Loss(config.beta * kl + nearest, kl.detach(), nearest.detach())
+
+
+def point_loss(
+    network: PointRegressor,
+    images: Float[Tensor, "b 3 h w"],
+    true_translation: Float[Tensor, "b 3"],
+    true_rotation: Float[Tensor, "b 3 3"],
+    noise: Float[Tensor, "b 1 d"],
+    config: LossConfig,
+) -> Loss:
+    """Errors of position and rotation, weighted by scales that are learned: |e| exp(−s) + s (Kendall and Cipolla).
+
+    With `relative`, the same of the pose of each image of the second half of the batch as seen from its partner in the
+    first half, weighted by the same scales (Brahmbhatt et al., whose scales and norms may be others).
+    """
+    translation, rotation = network(images, noise)
+    poses = translation[:, 0], rotation[:, 0]
+    truth = true_translation, true_rotation
+    scale = network.log_scale
+    total = (_errors(poses, truth) * torch.exp(-scale) + scale).sum(dim=-1).mean()
+    if config.relative > 0.0:
+        half = len(images) // 2
+        with torch.autocast(images.device.type, enabled=False):  # bfloat16 would round metres to centimetres
+            errors = _errors(_relative(*poses, half), _relative(*truth, half))
+        total = total + config.relative * (errors * torch.exp(-scale) + scale).sum(dim=-1).mean()
+    distance = pose_distance(*poses, *truth, config).mean()
+    return Loss(total, torch.zeros_like(distance), distance.detach())
+
+
+def mixture_loss(
+    network: MixtureRegressor,
+    images: Float[Tensor, "b 3 h w"],
+    true_translation: Float[Tensor, "b 3"],
+    true_rotation: Float[Tensor, "b 3 3"],
+    config: LossConfig,
+) -> Loss:
+    """Negative log likelihood of the component that fits best, a little of the others', and which one it is.
+
+    Relaxed winner takes all: a mixture trained by its likelihood alone collapses to few components (Deng et al.).
+    """
+    log_weights, translation, rotation, widths = network.components(images)
+    truth = true_translation[:, None], true_rotation[:, None]
+    with torch.autocast(images.device.type, enabled=False):
+        metres = torch.linalg.vector_norm(translation - truth[0], dim=-1)
+        versine = 0.25 * torch.linalg.vector_norm(rotation - truth[1], dim=(-2, -1)).square()  # 1 − cos θ
+        std_m, width_rad = widths.unbind(-1)
+        log_position = -0.5 * (metres / std_m).square() - 3.0 * std_m.log() - 1.5 * math.log(2 * math.pi)
+        log_likelihood = log_position - versine / width_rad.square() - log_rotation_normaliser(width_rad)
+    distance = pose_distance(translation, rotation, *truth, config)
+    best = distance.argmin(dim=1, keepdim=True)
+    winner = torch.zeros_like(log_weights).scatter_(1, best, 1.0)
+    others = config.relaxation / log_weights.shape[1]
+    share = (1.0 - config.relaxation) * winner + others
+    total = -(share * log_likelihood).sum(dim=1).mean() - log_weights.gather(1, best).mean()
+    nearest = distance.gather(1, best).mean()
+    return Loss(total, torch.zeros_like(nearest), nearest.detach())
+
+
+def _errors(poses: tuple[Tensor, Tensor], truth: tuple[Tensor, Tensor]) -> Float[Tensor, "b 2"]:
+    """Metres, and ‖R̂ − R‖_F."""
+    metres = torch.linalg.vector_norm(poses[0] - truth[0], dim=-1)
+    return torch.stack([metres, torch.linalg.vector_norm(poses[1] - truth[1], dim=(-2, -1))], dim=-1)
+
+
+def _relative(translation: Tensor, rotation: Tensor, half: int) -> tuple[Tensor, Tensor]:
+    """Poses of the second half in the frames of the first."""
+    back = rotation[:half].mT
+    shift = (back @ (translation[half : 2 * half] - translation[:half])[..., None])[..., 0]
+    return shift, back @ rotation[half : 2 * half]

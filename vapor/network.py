@@ -1,4 +1,4 @@
-"""The variational pose regressor: image -> latent Gaussian -> camera poses (Zangeneh et al., ICRA 2023)."""
+"""Pose regressors, and the variational one: image -> latent Gaussian -> camera poses (Zangeneh et al., ICRA 2023)."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from vapor.efficientnet import EfficientNetLite0, pretrained_lite0_state
 from vapor.resnet import ResNet18
 
 Backbone = Literal["resnet18", "resnet18-half", "efficientnet-lite0"]
+Head = Literal["variational", "deterministic", "point", "dropout", "mixture"]
 
 # Mean and standard deviation of RGB pixels in 0..255 that the published weights expect.
 _IMAGENET = ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375))
@@ -36,10 +37,17 @@ class NetworkConfig:
 
     backbone: Backbone = "resnet18-half"
     """Convolutional network; resnet18-half has half of its channels, for demos."""
-    image_size: int = 128
-    """Side of the square image that enters the network, pixels."""
-    shortest_edge: int = 146
-    """Images are scaled to this shortest edge before the crop, pixels."""
+    head: Head = "variational"
+    """From feature to poses: "variational" through a random latent vector; "deterministic" through its mean; "point"
+    straight to one pose; "dropout" the same with random units of the feature left out, in use as well; "mixture" to
+    a density of Gaussians in position and isotropic matrix-Fisher distributions in rotation."""
+    image_width: int = 160
+    """Width of the image that enters the network, pixels. With the aspect of the camera's images it sees all but the
+    margin for crops; the paper's networks see a square."""
+    image_height: int = 120
+    """Its height, pixels."""
+    shortest_edge: int = 126
+    """Shorter side of what crops are taken from, pixels: the image's middle, of the network's aspect."""
     feature_dim: int = 2048
     """Size of the image feature before the latent heads."""
     latent_dim: int = 16
@@ -48,14 +56,21 @@ class NetworkConfig:
     """Width of the pose map's hidden layers."""
     hidden_layers: int = 3
     """Hidden layers of the pose map after its first, n_layers in the paper."""
+    dropout: float = 0.5
+    """dropout: share of the feature's units that is left out."""
+    components: int = 10
+    """mixture: its components."""
 
     def __post_init__(self) -> None:
         if self.backbone not in get_args(Backbone):
             raise VaporTrackError(f"network: backbone is {self.backbone!r}, expected one of {get_args(Backbone)}")
-        if not 32 <= self.image_size <= self.shortest_edge:
+        if self.head not in get_args(Head):
+            raise VaporTrackError(f"network: head is {self.head!r}, expected one of {get_args(Head)}")
+        shorter, longer = sorted((self.image_width, self.image_height))
+        if not (32 <= shorter <= self.shortest_edge and longer <= 8 * shorter):
             raise VaporTrackError(
-                f"network: image_size {self.image_size} with shortest_edge {self.shortest_edge},"
-                " expected 32 <= image_size <= shortest_edge"
+                f"network: image_width {self.image_width} and image_height {self.image_height} with shortest_edge"
+                f" {self.shortest_edge}, expected 32 <= the shorter <= shortest_edge, the longer at most 8 times it"
             )
         require_within(
             self,
@@ -64,7 +79,15 @@ class NetworkConfig:
             latent_dim=(1, 4096),
             hidden_width=(1, 8192),
             hidden_layers=(0, 100),
+            dropout=(0.0, 0.99),
+            components=(1, 10_000),
         )
+
+    @property
+    def frame_size(self) -> tuple[int, int]:
+        """Width and height of what crops are taken from, pixels: shortest edge and aspect as configured."""
+        scale = self.shortest_edge / min(self.image_width, self.image_height)
+        return round(self.image_width * scale), round(self.image_height * scale)
 
 
 @dataclass(frozen=True)
@@ -100,37 +123,46 @@ class SceneBox:
 
 
 class PoseMap(nn.Module):
-    """Latent vectors to camera poses inside the scene's box."""
+    """Vectors to camera poses inside the scene's box.
+
+    Args:
+        hidden: Layers before the last.
+        width: Size of what they give.
+        box: Box that positions lie in.
+    """
 
     lower: Tensor
     upper: Tensor
 
-    def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
+    def __init__(self, hidden: nn.Module, width: int, box: SceneBox) -> None:
         super().__init__()
-        layers: list[nn.Module] = [nn.Linear(config.latent_dim, config.hidden_width), nn.ReLU()]
-        for _ in range(config.hidden_layers):
-            layers += [nn.Linear(config.hidden_width, config.hidden_width), nn.ReLU()]
-        self.hidden = nn.Sequential(*layers)
-        self.translation = nn.Linear(config.hidden_width, 3)
-        self.rotation_6d = nn.Linear(config.hidden_width, 6)
+        self.hidden = hidden
+        self.translation = nn.Linear(width, 3)
+        self.rotation_6d = nn.Linear(width, 6)
         self.register_buffer("lower", torch.tensor(box.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(box.upper), persistent=False)
 
-    def forward(self, latent: LatentSamples) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]:
+    def forward(
+        self, vectors: Float[Tensor, "*batch d"]
+    ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]:
         """Translations in metres and rotation matrices, world_from_camera."""
-        hidden = self.hidden(latent)
+        hidden = self.hidden(vectors)
         share = torch.sigmoid(self.translation(hidden))
         return torch.lerp(self.lower, self.upper, share), rotation_from_6d(self.rotation_6d(hidden))
 
 
-class VariationalPoseRegressor(nn.Module):
-    """The whole network: `encode` an image once, `decode` any number of latent samples.
+class PoseRegressor(nn.Module):
+    """Image -> samples of the posterior over camera poses: what all heads share.
 
     Args:
         config: Shape of the network.
         box: Box that predicted positions lie in.
+
+    Attributes:
+        noise_dim: Standard normal numbers that one sample is made from, beside the image.
     """
 
+    noise_dim: int
     pixel_mean: Tensor
     pixel_std: Tensor
 
@@ -139,10 +171,6 @@ class VariationalPoseRegressor(nn.Module):
         self.config, self.box = config, box
         self.backbone = make_backbone(config.backbone)
         self.feature = nn.Linear(self.backbone.num_features, config.feature_dim)
-        # Two heads: one head for both would tie the spread of a latent to its place.
-        self.latent_mean = nn.Linear(config.feature_dim, config.latent_dim)
-        self.latent_log_variance = nn.Linear(config.feature_dim, config.latent_dim)
-        self.pose_map = PoseMap(config, box)
         mean, std = _LITE0 if config.backbone == "efficientnet-lite0" else _IMAGENET
         self.register_buffer("pixel_mean", torch.tensor(mean), persistent=False)
         self.register_buffer("pixel_std", torch.tensor(std), persistent=False)
@@ -151,24 +179,61 @@ class VariationalPoseRegressor(nn.Module):
         """Pixels 0..255 to what the backbone expects; channels-last in memory."""
         return ((images.float() - self.pixel_mean) / self.pixel_std).permute(0, 3, 1, 2)
 
+    def describe(self, images: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
+        """The feature of normalised images, in the precision of the weights: eight bits are too few for what follows.
+
+        A bfloat16 position has steps of 3 cm in 10 m.
+        """
+        return torch.relu(self.feature(self.backbone(images))).to(self.feature.weight.dtype)
+
+    def forward(
+        self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]
+    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+        """Posterior samples of normalised images for given noise, d = `noise_dim`: metres and rotation matrices."""
+        raise NotImplementedError
+
+
+class VariationalPoseRegressor(PoseRegressor):
+    """The paper's network: `encode` an image once, `decode` any number of latent samples."""
+
+    def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
+        super().__init__(config, box)
+        # Two heads: one head for both would tie the spread of a latent to its place.
+        self.latent_mean = nn.Linear(config.feature_dim, config.latent_dim)
+        self.latent_log_variance = nn.Linear(config.feature_dim, config.latent_dim)
+        layers: list[nn.Module] = [nn.Linear(config.latent_dim, config.hidden_width), nn.ReLU()]
+        for _ in range(config.hidden_layers):
+            layers += [nn.Linear(config.hidden_width, config.hidden_width), nn.ReLU()]
+        self.pose_map = PoseMap(nn.Sequential(*layers), config.hidden_width, box)
+        self.noise_dim = config.latent_dim if config.head == "variational" else 0
+
     def encode(self, images: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]:
         """Mean μ and log variance log σ² of the latent Gaussian of normalised images."""
-        feature = torch.relu(self.feature(self.backbone(images)))
-        with torch.autocast(feature.device.type, enabled=False):  # eight bits are too few for a variance
-            feature = feature.to(self.latent_mean.weight.dtype)
+        feature = self.describe(images)
+        with torch.autocast(feature.device.type, enabled=False):
             return self.latent_mean(feature), self.latent_log_variance(feature).clamp(-20.0, 20.0)
 
     def decode(self, latent: LatentSamples) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]:
         """Translations in metres and rotation matrices, world_from_camera, of latent samples."""
-        with torch.autocast(latent.device.type, enabled=False):  # a bfloat16 position has steps of 3 cm in 10 m
+        with torch.autocast(latent.device.type, enabled=False):
             return self.pose_map(latent)
 
     def forward(
         self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]
     ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
-        """Posterior samples of normalised images: the pose map of z = μ + σ ⊙ ε, for given ε."""
+        """Posterior samples: the pose map of z = μ + σ ⊙ ε, for given ε; of z = μ alone with a deterministic head."""
         mean, log_variance = self.encode(images)
-        return self.decode(sample_latent(mean, log_variance, noise))
+        if self.noise_dim:
+            return self.decode(sample_latent(mean, log_variance, noise))
+        return repeated(self.decode(mean), noise.shape[1])
+
+
+def repeated(
+    poses: tuple[Float[Tensor, "b 3"], Float[Tensor, "b 3 3"]], count: int
+) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    """One pose of each image, so many times."""
+    translation, rotation = poses
+    return translation[:, None].expand(-1, count, -1), rotation[:, None].expand(-1, count, -1, -1)
 
 
 def sample_latent(
@@ -193,7 +258,7 @@ def make_backbone(name: Backbone) -> ResNet18 | EfficientNetLite0:
     return ResNet18(width=32 if name == "resnet18-half" else 64)
 
 
-def load_pretrained(network: VariationalPoseRegressor, weights: Path | None) -> None:
+def load_pretrained(network: PoseRegressor, weights: Path | None) -> None:
     """Load weights into the backbone, in place; a classifier's are dropped, all others must match.
 
     Args:

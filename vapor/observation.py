@@ -63,15 +63,15 @@ class VaporObservationModel:
             VaporTrackError: the image is not (H, W, 3) uint8.
         """
         config = self.checkpoint.network
-        square = prepare(image, config.shortest_edge, config.image_size)
-        noise = rng.standard_normal((self.num_samples, config.latent_dim), dtype=np.float32)
-        poses = self._infer(square[None], noise[None])
+        prepared = prepare(image, config)
+        noise = rng.standard_normal((self.num_samples, self._network.noise_dim), dtype=np.float32)
+        poses = self._infer(prepared[None], noise[None])
         return self.checkpoint.calibration.posterior(poses, self._likelihood)
 
-    def _infer(self, squares: np.ndarray, noise: Float32[np.ndarray, "1 m d"]) -> Poses:
+    def _infer(self, images: np.ndarray, noise: Float32[np.ndarray, "1 m d"]) -> Poses:
         """Posterior samples (m,) of one prepared image (1, h, w, 3)."""
         with torch.inference_mode():
-            pixels = torch.from_numpy(np.ascontiguousarray(squares)).to(self.device)
+            pixels = torch.from_numpy(np.ascontiguousarray(images)).to(self.device)
             translation, rotation = self._network(
                 self._network.normalise(pixels), torch.from_numpy(noise).to(self.device)
             )

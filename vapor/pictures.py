@@ -70,7 +70,7 @@ def write_pictures(record: RunRecord, directory: Path, *, title: str) -> list[Pa
     figures = {"trajectory.png": _trajectory_figure(record, title), "particles.png": _particles_figure(record, title)}
     if record.truth is not None:
         figures["errors.png"] = _errors_figure(record, record.truth, title)
-    return [_save(figure, directory / name) for name, figure in figures.items()]
+    return [save_figure(figure, directory / name) for name, figure in figures.items()]
 
 
 # --- the paths ---------------------------------------------------------------------------------------
@@ -82,7 +82,7 @@ def _trajectory_figure(record: RunRecord, title: str) -> Figure:
     sizes = np.array([high[list(plane)] - low[list(plane)] for plane in planes])
     height = 5.6
     widths = np.clip(height * sizes[:, 0] / sizes[:, 1], 2.2, 8.5)
-    figure = _figure(float(widths.sum()) + 1.0 * len(planes) + 1.9, height + 1.0)
+    figure = new_figure(float(widths.sum()) + 1.0 * len(planes) + 1.9, height + 1.0)
     axes = figure.subplots(1, len(planes), squeeze=False, gridspec_kw={"width_ratios": widths})[0]
     for ax, plane in zip(axes, planes, strict=True):
         _prepare_plane(ax, plane, low, high)
@@ -116,7 +116,7 @@ def _draw_path(ax: Axes, poses: Poses, plane: tuple[int, int], **style: object) 
 
 
 def _errors_figure(record: RunRecord, truth: Trajectory, title: str) -> Figure:
-    figure = _figure(9.5, 5.6)
+    figure = new_figure(9.5, 5.6)
     band, *panels = figure.subplots(3, 1, sharex=True, height_ratios=[0.06, 1, 1])
     start_ns = int(record.times_ns[0])
     limits = THRESHOLDS[RIGHT]
@@ -201,7 +201,7 @@ def _particles_figure(record: RunRecord, title: str) -> Figure:
     image_height = panel_width * min(pixels_high / pixels_wide, 1.0) if pixels_high else 0.05
     width = max(panel_width * len(moments) + 0.8, 6.0)
     one_line = width > 9.0
-    figure = _figure(width, image_height + panel_height + (1.4 if one_line else 1.7))
+    figure = new_figure(width, image_height + panel_height + (1.4 if one_line else 1.7))
     axes = figure.subplots(2, len(moments), squeeze=False, gridspec_kw={"height_ratios": [image_height, panel_height]})
     for column, moment in enumerate(moments):
         if moment.thumbnail.size:
@@ -281,7 +281,8 @@ def _planes(low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> li
     return [(0, 1), side]
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of so many inches, drawn without a window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -306,7 +307,8 @@ def _quiet(ax: Axes) -> None:
     ax.yaxis.label.set_color(_INK)
 
 
-def _save(figure: Figure, path: Path) -> Path:
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Write a PNG, the same bytes for the same figure; it appears under its name only when complete."""
     with atomic_output(path) as partial:
         figure.savefig(partial, format="png", metadata={"Software": None})
     return path

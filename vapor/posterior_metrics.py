@@ -13,6 +13,7 @@ from filtering.moments import group_moments
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration
 from vapor.evaluate import THRESHOLDS
+from vapor.validation import LOG_FLOOR
 
 
 def posterior_metrics(
@@ -38,8 +39,9 @@ def posterior_metrics(
         `images`; `recall`, `mode_recall` and `oracle_recall`, for each of `THRESHOLDS` the share of the images of which
         at least γ of the samples (Zangeneh et al., ICRA 2023), the best mode, or any one sample is within both limits;
         `mean` and `mode`, the median errors of the samples' mean (arithmetic in position, chordal L2 in rotation) and
-        of the best mode, `translation_m` and `rotation_deg`; `negative_log_density`, the mean of −log p̂ at the true
-        pose, nats with poses in m³ rad³; `modes`, the mean number of modes.
+        of the best mode, `translation_m` and `rotation_deg`; `negative_log_density`, the mean of
+        −log(p̂ + 10⁻⁴ per m³ rad³) at the true pose, nats, so that no single image decides; `modes`, the mean number of
+        modes.
 
     Raises:
         VaporTrackError: γ outside (0, 1], no image, or not as many posteriors as true poses.
@@ -63,7 +65,7 @@ def posterior_metrics(
         share = near[:, :-2].mean(axis=1)
         inside.append([share >= gamma - 1e-12, near[:, -1], share > 0])
         errors.append([translation_m[-2:], rotation_deg[-2:]])
-        densities.append(calibration.density(samples).log_density(true_pose)[0])
+        densities.append(np.logaddexp(calibration.density(samples).log_density(true_pose)[0], LOG_FLOOR))
         counts.append(len(found))
     if len(inside) != len(truth) or not inside:
         raise VaporTrackError(f"{len(inside)} posteriors for {len(truth)} true poses, expected one for each, and one")

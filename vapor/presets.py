@@ -1,16 +1,17 @@
-"""Named training configurations: the paper's, and faster ones."""
+"""Named training configurations: the paper's and faster ones; and the methods that they can train."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 
 from vapor.augment import AugmentConfig
 from vapor.loss import LossConfig
-from vapor.network import NetworkConfig
+from vapor.network import Head, NetworkConfig
 from vapor.train_config import TrainConfig
 
-_RESNET18 = NetworkConfig("resnet18", image_size=224, shortest_edge=256)
+_RESNET18 = NetworkConfig("resnet18", image_width=224, image_height=224, shortest_edge=256)
 
 
 def _paper(
@@ -18,7 +19,7 @@ def _paper(
 ) -> TrainConfig:
     """The schedule of Zangeneh et al. (ICRA 2023); all images are trained on, the last weights are kept."""
     return TrainConfig(
-        network=NetworkConfig("resnet18", image_size=224, shortest_edge=256, hidden_layers=hidden_layers),
+        network=replace(_RESNET18, hidden_layers=hidden_layers),
         loss=LossConfig(lambda_translation=5.0, lambda_rotation=lambda_rotation, alpha=alpha, num_samples=1000),
         augment=AugmentConfig(crop="anywhere"),
         epochs=epochs,
@@ -39,9 +40,7 @@ PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
     {
         "demo": TrainConfig(),
         "resnet18": TrainConfig(network=_RESNET18, batch_size=32),
-        "efficientnet-lite0": TrainConfig(
-            network=NetworkConfig("efficientnet-lite0", image_size=224, shortest_edge=256), batch_size=32
-        ),
+        "efficientnet-lite0": TrainConfig(network=replace(_RESNET18, backbone="efficientnet-lite0"), batch_size=32),
         "paper-7scenes": _paper(10.0, 64, 100, 10),
         "paper-cambridge": _paper(100.0, 64, 500, 50),
         "paper-ambiguous": _paper(2.0, 4, 500, 50),
@@ -49,3 +48,31 @@ PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
         "paper-synthetic": _paper(2.0, 4, 500, 50),
     }
 )
+
+
+def _head(head: Head, *, relative: float = 0.0, **loss: float) -> Callable[[TrainConfig], TrainConfig]:
+    return lambda c: replace(c, network=replace(c.network, head=head), loss=replace(c.loss, relative=relative, **loss))
+
+
+def _mixture(components: int) -> Callable[[TrainConfig], TrainConfig]:
+    def configured(c: TrainConfig) -> TrainConfig:
+        network = replace(c.network, head="mixture", components=components)
+        return replace(c, network=network, loss=replace(c.loss, relative=0.0))
+
+    return configured
+
+
+METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
+    {
+        "variational": _head("variational"),
+        "no-sampling": _head("deterministic"),
+        "no-kl": _head("variational", beta=0.0),
+        "posenet": _head("point"),
+        "bayesian-posenet": _head("dropout"),
+        "mapnet": _head("point", relative=1.0),
+        "mixture-10": _mixture(10),
+        "mixture-50": _mixture(50),
+    }
+)
+"""The paper's regressor, the same without its parts, and those it is measured against (see `vapor.baselines`): what
+each makes of a configuration."""

@@ -84,7 +84,7 @@ class Recording:
 
     def posterior_poses(self, image: int) -> Poses:
         """Posterior samples (m,) of an image, the same bits that the network gave."""
-        return _from_rows(np.asarray(self.samples[image], np.float64))
+        return from_rows(np.asarray(self.samples[image], np.float64))
 
     def motion(self, image: int) -> Odometry:
         """Camera motion from the image before to this one."""
@@ -128,8 +128,8 @@ def load_recording(settings: RecordingSettings, directory: Path) -> Recording:
     stored = _checked(settings, folder)
     return Recording(
         stored["times_ns"],
-        CameraPath(_from_rows(stored["truth"]), stored["sees_cue"]),
-        _from_rows(stored["odometry"]),
+        CameraPath(from_rows(stored["truth"]), stored["sees_cue"]),
+        from_rows(stored["odometry"]),
         stored["odometry_covariance"],
         np.load(folder / _SAMPLES, mmap_mode="r"),
     )
@@ -144,7 +144,7 @@ def camera_path(settings: RecordingSettings, directory: Path) -> CameraPath:
     folder = directory / settings.name
     if folder.is_dir():
         stored = _checked(settings, folder)
-        return CameraPath(_from_rows(stored["truth"]), stored["sees_cue"])
+        return CameraPath(from_rows(stored["truth"]), stored["sees_cue"])
     sequence = _sequence(settings)
     seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
     return CameraPath(sequence.world_from_camera, seen)
@@ -183,7 +183,7 @@ def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -
             raise VaporTrackError(
                 f"{file}: image {i} at {frame.time_ns} ns has no odometry or no true pose, or is one too many"
             )
-        samples[i] = _to_rows(model.observe(frame.image, rng=rng).poses)
+        samples[i] = to_rows(model.observe(frame.image, rng=rng).poses)
         times_ns[i] = frame.time_ns
         truth.append(frame.world_from_camera)
         if i > 0 and frame.odometry is not None:
@@ -196,9 +196,9 @@ def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -
     np.savez(
         folder / _PATH,
         times_ns=times_ns,
-        truth=_to_rows(Poses.stack(truth)),
+        truth=to_rows(Poses.stack(truth)),
         sees_cue=seen,
-        odometry=_to_rows(Poses.stack(odometry)),
+        odometry=to_rows(Poses.stack(odometry)),
         odometry_covariance=covariance,
     )
     file.unlink()
@@ -224,9 +224,11 @@ def _checked(settings: RecordingSettings, folder: Path) -> Mapping[str, np.ndarr
     return content
 
 
-def _to_rows(poses: Poses) -> Float64[np.ndarray, "n 12"]:
+def to_rows(poses: Poses) -> Float64[np.ndarray, "n 12"]:
+    """Poses (n,) as rows of a stored array: the rotation row by row, then the translation."""
     return np.concatenate([poses.rotation.reshape(-1, 9), poses.translation], axis=1)
 
 
-def _from_rows(rows: Float64[np.ndarray, "n 12"]) -> Poses:
+def from_rows(rows: Float64[np.ndarray, "n 12"]) -> Poses:
+    """The poses (n,) of `to_rows`."""
     return Poses(rows[:, :9].reshape(-1, 3, 3).copy(), rows[:, 9:].copy())

@@ -16,8 +16,10 @@ COMMANDS = {
     "train": "train a pose regressor on sequences or data sets with true poses",
     "calibrate": "calibrate a trained model on held-out sequences with true poses",
     "synthesize": "render a sequence through a synthetic scene",
-    "convert": "write a TUM RGB-D or 7-Scenes folder as an MCAP sequence",
+    "convert": "write a data set of images with true poses as an MCAP sequence",
+    "posterior": "draw the posterior of one image",
     "evaluate": "measure the trajectories of a run against true poses",
+    "experiment": "train many networks: recall over α, or methods side by side",
     "benchmark": "time the parts of a step, or localize many synthetic sequences",
 }
 """Name -> what it does; each is a module of `vapor.commands`, imported only when it is called."""

@@ -5,21 +5,23 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
 import numpy as np
 import torch
+from jaxtyping import Int64
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from vapor.augment import jitter_and_normalise, random_crops
+from vapor.baselines import make_regressor
 from vapor.calibrate import CalibrationResult, calibrate
 from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, load_checkpoint, save_checkpoint, spaced
-from vapor.loss import regression_loss
-from vapor.network import SceneBox, VariationalPoseRegressor, load_pretrained
+from vapor.loss import training_loss
+from vapor.network import PoseRegressor, SceneBox, load_pretrained
 from vapor.observation import resolve_device
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, TrainingSet, held_out_tails, load_training_set, open_sequences
@@ -119,10 +121,10 @@ def train_on(
         raise TrainingError(f"{output}: is a folder, expected the name of a model file to write")
     initial = _initial_model(config)
     report = progress or (lambda _: None)
-    edge, central = config.network.shortest_edge, config.augment.crop == "central"
-    loaded = load_training_set(sequences, edge, square=central, progress=lambda n: report(Progress("reading", n)))
+    frame, central = config.network.frame_size, config.augment.crop == "central"
+    loaded = load_training_set(sequences, frame, central=central, progress=lambda n: report(Progress("reading", n)))
     if validation:
-        training, held_out = loaded, load_training_set(validation, edge, square=central)
+        training, held_out = loaded, load_training_set(validation, frame, central=central)
     else:
         tails = held_out_tails(loaded.sequence, config.validation_share)
         training, held_out = loaded.select(np.flatnonzero(~tails)), loaded.select(np.flatnonzero(tails))
@@ -223,18 +225,22 @@ def _train_epoch(
     network.train()
     total = 0.0
     for number, indices in enumerate(order):
+        if config.loss.relative > 0.0:
+            indices = _paired(indices, training.sequence, config.loss.pair_gap, rng=rng)
         step = state.epoch * steps + number
         rate = learning_rate(config, step, steps)
         for group in state.optimizer.param_groups:
             group["lr"] = rate
-        crops = random_crops(training.images, indices, config.network.image_size, config.augment, rng=rng)
+        size = config.network.image_width, config.network.image_height
+        crops = random_crops(training.images, indices, *size, config.augment, rng=rng)
         pixels = torch.from_numpy(crops).to(device)
         images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
-        shape = batch, samples_per_image(config, step, steps), config.network.latent_dim
+        samples = samples_per_image(config, step, steps) if config.network.head == "variational" else 1
+        shape = len(indices), samples, network.noise_dim
         noise = torch.randn(shape, generator=generator, device=device)
         truth = true_translation[indices], true_rotation[indices]
         with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-            loss = regression_loss(network, images, *truth, noise, config.loss)
+            loss = training_loss(network, images, *truth, noise, config.loss)
         state.optimizer.zero_grad(set_to_none=True)
         loss.total.backward()
         state.optimizer.step()
@@ -255,6 +261,21 @@ def _train_epoch(
     return total / steps
 
 
+def _paired(
+    indices: Int64[np.ndarray, " b"], sequence: Int64[np.ndarray, " n"], gap: int, *, rng: np.random.Generator
+) -> Int64[np.ndarray, " b"]:
+    """The first half of a batch, then for each of it another image of its sequence, at most `gap` images away."""
+    first = indices[: len(indices) // 2]
+    there = first + rng.choice([-1, 1], len(first)) * rng.integers(1, gap, len(first), endpoint=True)
+    outside = (there < 0) | (there >= len(sequence))
+    outside |= sequence[np.clip(there, 0, len(sequence) - 1)] != sequence[first]
+    there = np.where(outside, 2 * first - there, there)  # on the other side, where there is none on this
+    missing = (
+        (there < 0) | (there >= len(sequence)) | (sequence[np.clip(there, 0, len(sequence) - 1)] != sequence[first])
+    )
+    return np.concatenate([first, np.where(missing, first, there)])
+
+
 def has_bfloat16(device: torch.device) -> bool:
     """Whether bfloat16 is faster than float32 on the device: without instructions for it, it is many times slower."""
     if device.type == "cuda":
@@ -268,8 +289,8 @@ def _start(config: TrainConfig, box: SceneBox, initial: Checkpoint | None) -> Tr
     device = resolve_device(config.device)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        network = VariationalPoseRegressor(config.network, box)
-        average = VariationalPoseRegressor(config.network, box)
+        network = make_regressor(config.network, box)
+        average = make_regressor(config.network, box)
     if config.pretrained_weights is not None or config.network.backbone == "efficientnet-lite0":
         load_pretrained(network, config.pretrained_weights)
     if initial is not None:
@@ -290,9 +311,11 @@ def _initial_model(config: TrainConfig) -> Checkpoint | None:
     if config.initial_model is None:
         return None
     initial = load_checkpoint(config.initial_model)
-    if initial.network != config.network:
+    wanted = config.network
+    sizes = {name: getattr(wanted, name) for name in ("image_width", "image_height", "shortest_edge")}
+    if replace(initial.network, **sizes) != wanted:  # weights of a convolutional network fit images of any size
         raise TrainingError(
-            f"{config.initial_model}: its network is {initial.network}, expected {config.network} as configured"
+            f"{config.initial_model}: its network is {initial.network}, expected {wanted} as configured"
         )
     return initial
 
@@ -314,16 +337,14 @@ def _best(history: Sequence[Validation], config: TrainConfig) -> Validation | No
     return max(history, key=lambda figures: getattr(figures, config.select_by), default=None)
 
 
-def _prior_poses(
-    network: VariationalPoseRegressor, weights: dict[str, torch.Tensor], training: TrainingSet, seed: int
-) -> Poses:
+def _prior_poses(network: PoseRegressor, weights: dict[str, torch.Tensor], training: TrainingSet, seed: int) -> Poses:
     """world_from_camera, (n,): a posterior sample of each of n evenly spaced training images, with these weights."""
     network.load_state_dict(weights)
     images = training.select(spaced(len(training), MAX_PRIOR_POSES))
     return Poses.concatenate(list(predict(network, images, 1, seed)))
 
 
-def _weights(network: VariationalPoseRegressor) -> dict[str, torch.Tensor]:
+def _weights(network: PoseRegressor) -> dict[str, torch.Tensor]:
     return {name: value.detach().cpu().clone() for name, value in network.state_dict().items()}
 
 

@@ -88,6 +88,11 @@ class TrainConfig:
                 f"training: initial_model {self.initial_model} and pretrained_weights {self.pretrained_weights} are"
                 " both given, expected one of them: a model brings its backbone along"
             )
+        if self.loss.relative > 0.0 and (self.network.head not in ("point", "dropout") or self.batch_size < 2):
+            raise TrainingError(
+                f"training: loss.relative is {self.loss.relative} with head {self.network.head} and batches of"
+                f" {self.batch_size}, expected head point or dropout and at least 2: relative poses are of pairs"
+            )
         if self.seed < 0:
             raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
         for name in ("evolve", "average", "validation_share", "warmup"):

@@ -16,7 +16,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.datasets import posed_frames
 from sequences.frame import Frame
-from vapor.images import centre_crop, resize_shortest_edge
+from vapor.images import centre_crop, scale_to_cover
 
 
 class TrainingError(VaporTrackError):
@@ -28,7 +28,7 @@ class TrainingSet:
     """Scaled images with their poses.
 
     Attributes:
-        images: RGB of one size, the shortest edge scaled; memory-mapped, so the system decides what stays in memory.
+        images: RGB of one size, scaled; memory-mapped, so the system decides what stays in memory.
         poses: world_from_camera, batch (n,).
         sequence: Index of the sequence each image is from; images of one sequence lie together, in its order.
         times_ns: Stamps of the images, integer nanoseconds, (n,).
@@ -72,25 +72,26 @@ def open_sequences(data: Sequence[Path | str]) -> dict[str, Iterable[Frame]]:
         frames = (
             slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None) if match else slice(None)
         )
-        name = Path(str(entry)).name
+        parts = Path(str(entry)).parts[-2 if path.suffix == ".txt" else -1 :]  # lists of splits are all named alike
+        name = "/".join(parts)
         opened[name if name not in opened else f"{name} ({number + 1})"] = posed_frames(path, frames=frames)
     return opened
 
 
 def load_training_set(
     sequences: Mapping[str, Iterable[Frame]],
-    shortest_edge: int,
+    frame_size: tuple[int, int],
     *,
-    square: bool = True,
+    central: bool = True,
     progress: Callable[[int], None] = lambda _: None,
 ) -> TrainingSet:
-    """Read frames once, scale each image to the shortest edge, and keep it in a temporary file.
+    """Read frames once, scale each image to cover a frame, and keep it in a temporary file.
 
     Args:
         sequences: Frames by the name of their file or folder; frames without a pose are left out.
-        shortest_edge: Pixels.
-        square: Keep the central square only, so that images may differ in size; else the whole image, and all must
-            have the aspect of the first.
+        frame_size: Width and height of that frame, pixels.
+        central: Keep that much of the middle only, so that images may differ in size; else the whole image, and all
+            must have the aspect of the first.
         progress: Called with the number of images read so far.
 
     Raises:
@@ -108,8 +109,8 @@ def load_training_set(
                 if frame.world_from_camera is None:
                     follows = False
                     continue
-                image = resize_shortest_edge(frame.image, shortest_edge)
-                image = centre_crop(image, shortest_edge) if square else image
+                image = scale_to_cover(frame.image, *frame_size)
+                image = centre_crop(image, *frame_size) if central else image
                 shape = shape or image.shape
                 if image.shape != shape:
                     raise TrainingError(

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from sequences.atomic import atomic_output
 from vapor.checkpoint import CheckpointError, parse_config, read_json, read_safetensors
-from vapor.network import VariationalPoseRegressor
+from vapor.network import PoseRegressor
 from vapor.validation import Validation
 
 FORMAT = "vapor-track training state"
@@ -34,8 +34,8 @@ class TrainingState:
         best: Weights of the best epoch so far, on the CPU.
     """
 
-    network: VariationalPoseRegressor
-    average: VariationalPoseRegressor
+    network: PoseRegressor
+    average: PoseRegressor
     optimizer: torch.optim.Optimizer
     epoch: int = 0
     history: list[Validation] = field(default_factory=list)

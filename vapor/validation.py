@@ -11,12 +11,14 @@ import torch
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration
 from vapor.images import centre_crop
-from vapor.network import VariationalPoseRegressor
+from vapor.network import PoseRegressor
 from vapor.training_set import TrainingSet
 
 RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
 _BATCH = 64
-_LOG_FLOOR = float(np.log(1e-4))  # keeps single images from deciding
+_MAX_NOISE = 2**25  # numbers at a time: dropout takes 2048 for every sample
+LOG_FLOOR = float(np.log(1e-4))
+"""Log density per m³ rad³ that is added to that at a true pose: it keeps single images from deciding."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Validation:
 
 
 def validate(
-    network: VariationalPoseRegressor,
+    network: PoseRegressor,
     held_out: TrainingSet,
     calibration: Calibration,
     *,
@@ -67,21 +69,23 @@ def validate(
         log_density = density.log_density(Poses.concatenate([samples, truth]))
         translation_m, rotation_rad = samples.distance(truth)
         near = (translation_m < RECALL_TRANSLATION_M) & (rotation_rad < RECALL_ROTATION_RAD)
-        figures.append((near.mean(), near[log_density[:-1].argmax()], np.logaddexp(log_density[-1], _LOG_FLOOR)))
+        figures.append((near.mean(), near[log_density[:-1].argmax()], np.logaddexp(log_density[-1], LOG_FLOOR)))
     sample_recall, mode_recall, log_density = np.array(figures, np.float64).mean(axis=0)
     return Validation(epoch, train_loss, float(sample_recall), float(mode_recall), float(log_density))
 
 
-def predict(network: VariationalPoseRegressor, images: TrainingSet, num_samples: int, seed: int) -> Iterator[Poses]:
+def predict(network: PoseRegressor, images: TrainingSet, num_samples: int, seed: int) -> Iterator[Poses]:
     """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic."""
     config, device = network.config, network.pixel_mean.device
     generator = torch.Generator(device).manual_seed(seed)
     training = network.training
     network.eval()
-    for start in range(0, len(images), _BATCH):
-        crops = np.stack([centre_crop(image, config.image_size) for image in images.images[start : start + _BATCH]])
+    batch = max(1, min(_BATCH, _MAX_NOISE // (num_samples * max(1, network.noise_dim))))
+    for start in range(0, len(images), batch):
+        whole = images.images[start : start + batch]
+        crops = np.stack([centre_crop(image, config.image_width, config.image_height) for image in whole])
         with torch.inference_mode():
-            noise = torch.randn(len(crops), num_samples, config.latent_dim, generator=generator, device=device)
+            noise = torch.randn(len(crops), num_samples, network.noise_dim, generator=generator, device=device)
             pixels = network.normalise(torch.from_numpy(crops).to(device))
             translation, rotation = (p.cpu().double().numpy() for p in network(pixels, noise))
         for i in range(len(crops)):

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float32, Float64, UInt8
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Status
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 _CLOUD_SIZE = 300
+_FRUSTA = 40  # samples of an image's posterior that are shown as cameras
 _IMAGE_SIDE = 480  # pixels
 _JPEG_QUALITY = 75
 _EPOCH_NS = 10**17  # stamps below are seconds since some start, not since 1970
@@ -185,6 +186,8 @@ class RerunViewer:
             count = len(posterior_poses)
             samples = thin(posterior_poses, np.zeros(count), _CLOUD_SIZE).translation.astype(np.float32)
             self._stream.log("world/posterior", rr.Points3D(samples))
+            some = thin(posterior_poses, np.zeros(count), _FRUSTA)
+            self._stream.log("world/posterior/cameras", rr.LineStrips3D(frusta(some)))
 
     def _log_plots(self, frame: Frame, estimate: Estimate) -> None:
         import rerun as rr
@@ -217,6 +220,8 @@ def _log_styles(stream: rr.RecordingStream) -> None:
     stream.log(
         "world/posterior", rr.Points3D.from_fields(radii=[0.015], colors=[(*_rgb("single_image"), 90)]), static=True
     )
+    thin_lines = rr.LineStrips3D.from_fields(radii=[0.004], colors=[(*_rgb("single_image"), 90)])
+    stream.log("world/posterior/cameras", thin_lines, static=True)
     stream.log("world/truth", rr.Arrows3D.from_fields(radii=[0.03], colors=[(255, 255, 255)]), static=True)
     for name, color, radius in (("filter", _rgb("filter"), 0.02), ("truth", (220, 220, 220), 0.008)):
         stream.log(f"world/path/{name}", rr.LineStrips3D.from_fields(radii=[radius], colors=[color]), static=True)
@@ -258,6 +263,15 @@ def _blueprint() -> rrb.Blueprint:
         rrb.BlueprintPanel(state="collapsed"),
         auto_views=False,
     )
+
+
+def frusta(poses: Poses, size_m: float = 0.2) -> Float32[np.ndarray, "n 10 3"]:
+    """Cameras (n,) as one line each, which goes along every edge of the pyramid from the centre to the image."""
+    x, y = 0.5 * size_m, 0.375 * size_m
+    corners = np.array([[-x, -y, size_m], [x, -y, size_m], [x, y, size_m], [-x, y, size_m]])
+    line = np.concatenate([corners, np.zeros((1, 3))])[[1, 0, 3, 4, 0, 3, 2, 4, 1, 2]]
+    points = line @ np.swapaxes(poses.rotation, 1, 2) + poses.translation[:, None]
+    return points.astype(np.float32)
 
 
 def _jpeg(image: UInt8[np.ndarray, "height width 3"]) -> tuple[bytes, int, int]:

@@ -13,11 +13,12 @@ import tyro
 
 from vapor.commands.calibrate import show_calibration
 from vapor.commands.console import parse, progress_display, show, usage_error
-from vapor.presets import PRESETS
+from vapor.presets import METHODS, PRESETS
 from vapor.train import Progress, TrainConfig, TrainResult, train
 from vapor.validation import Validation
 
 _Preset = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")]
+_Method = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
 
 
 @dataclass(frozen=True)
@@ -25,22 +26,25 @@ class Options:
     """Train a pose regressor on sequences or data sets with true poses."""
 
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
-    """MCAP files or data set folders; PATH@START:STOP takes only those images of it."""
+    """MCAP files, data set folders or files that list a split; PATH@START:STOP takes only those images of it."""
     output: Path
     """Model file to write (.safetensors)."""
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Held-out data; without it the last part of each training sequence is held out."""
     preset: _Preset = "demo"
     """Named settings, of which the options below change single ones."""
+    method: _Method = "variational"
+    """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["demo"]
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    name = _preset_name(arguments)
-    if name not in PRESETS:
-        usage_error("train", f"unknown preset {name!r}, expected one of {', '.join(PRESETS)}")
-    options = parse("train", _options(name), arguments)
+    preset, method = (_named(arguments, option) for option in ("preset", "method"))
+    for what, name, known in (("preset", preset, PRESETS), ("method", method, METHODS)):
+        if name not in known:
+            usage_error("train", f"unknown {what} {name!r}, expected one of {', '.join(known)}")
+    options = parse("train", _options(preset, method), arguments)
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
     with _display() if sys.stderr.isatty() else _log() as report:
@@ -50,21 +54,22 @@ def main(arguments: Sequence[str]) -> None:
     show(_summary(result, options.output))
 
 
-def _options(preset: str) -> type[Options]:
-    """The options with the defaults of a preset."""
+def _options(preset: str, method: str) -> type[Options]:
+    """The options with the defaults of a preset and a method."""
     flat = Annotated[TrainConfig, tyro.conf.arg(name="")]
-    defaults = [("preset", _Preset, preset), ("config", flat, PRESETS[preset])]
+    config = METHODS[method](PRESETS[preset])
+    defaults = [("preset", _Preset, preset), ("method", _Method, method), ("config", flat, config)]
     return make_dataclass("Options", defaults, bases=(Options,), frozen=True, namespace={"__doc__": Options.__doc__})
 
 
-def _preset_name(arguments: Sequence[str]) -> str:
-    """The preset must be known before the options are read, since it is their default."""
+def _named(arguments: Sequence[str], option: str) -> str:
+    """Preset and method must be known before the options are read, since they are their defaults."""
     for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
-        if word == "--preset":
+        if word == f"--{option}":
             return following
-        if word.startswith("--preset="):
-            return word.removeprefix("--preset=")
-    return Options.preset
+        if word.startswith(f"--{option}="):
+            return word.removeprefix(f"--{option}=")
+    return getattr(Options, option)
 
 
 @contextmanager

@@ -1,0 +1,259 @@
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from filtering.errors import VaporTrackError
+from vapor.checkpoint import Calibration
+from vapor.experiments import trainings as trainings_module
+from vapor.experiments.alpha import AlphaConfig, AlphaExperiment, recalls_by_alpha
+from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
+from vapor.experiments.trainings import Scene, Training
+from vapor.network import NetworkConfig
+from vapor.posterior_metrics import posterior_metrics
+from vapor.track import main
+from vapor.train_config import TrainConfig
+
+TINY_TRAIN = TrainConfig(
+    network=NetworkConfig(image_width=32, image_height=32, shortest_edge=34, feature_dim=16, latent_dim=4),
+    calibration=Calibration(2.0, 2.0),  # so wide that the density at the truth is more than its floor
+    epochs=1,
+    batch_size=16,
+    calibrate=False,
+    validation_share=0.0,
+)
+TINY = AlphaConfig((0.1, 1.0), 2, sequences=1, frames=32, test_frames=6, num_samples=50, workers=1, train=TINY_TRAIN)
+WORDS = [
+    "experiment",
+    "alpha",
+    "dinner-table",
+    "--alphas",
+    "0.2",
+    "1.0",
+    "--runs",
+    "1",
+    "--sequences",
+    "1",
+    "--frames",
+    "32",
+    "--test-frames",
+    "6",
+    "--num-samples",
+    "50",
+    "--workers",
+    "1",
+    "--train.epochs",
+    "1",
+    "--train.batch-size",
+    "16",
+    "--train.network.image-width",
+    "32",
+    "--train.network.image-height",
+    "32",
+    "--train.network.shortest-edge",
+    "34",
+    "--train.network.feature-dim",
+    "16",
+]
+
+
+def test_every_alpha_and_run_is_trained_once_and_kept(tmp_path, monkeypatch):
+    first = AlphaExperiment(["round-table"], tmp_path, TINY)
+    assert list(first.render())[-1] == (2, 2)
+    results = list(first.train())
+    assert sorted((r["alpha"], r["seed"]) for r in results) == [(0.1, 0), (0.1, 1), (1.0, 0), (1.0, 1)]
+    assert all(r["images"] == 6 for r in results)
+    assert len({r["negative_log_density"] for r in results}) == 4  # no two trainings are one
+
+    monkeypatch.setattr(trainings_module, "train", lambda *_, **__: pytest.fail("trained again"))
+    again = AlphaExperiment(["round-table"], tmp_path, TINY)
+    assert list(again.render()) == [(2, 2)]
+    assert list(again.train()) == results
+
+
+def test_kept_samples_are_those_of_the_figures(tmp_path):
+    experiment = AlphaExperiment(["dinner-table"], tmp_path, AlphaConfig(**{**vars(TINY), "runs": 1, "alphas": (0.5,)}))
+    list(experiment.render())
+    (result,) = experiment.train()
+    truth, samples = experiment.samples("dinner-table", 0.5)
+    assert len(samples) == len(truth) == 6
+    assert len(samples[0]) == 50
+    again = posterior_metrics(samples, truth, TINY_TRAIN.calibration, rng=np.random.default_rng(0))
+    assert again["recall"] == result["recall"]
+    assert again["negative_log_density"] == pytest.approx(result["negative_log_density"], rel=1e-3)
+
+
+def test_recalls_are_gathered_by_scene_and_alpha():
+    results = [
+        {"scene": "a", "alpha": 1.0, "seed": 0, "recall": {"near": 0.1}},
+        {"scene": "a", "alpha": 0.2, "seed": 1, "recall": {"near": 0.3}},
+        {"scene": "a", "alpha": 0.2, "seed": 0, "recall": {"near": 0.2}},
+    ]
+    assert recalls_by_alpha(results, "near") == {"a": {0.2: [0.2, 0.3], 1.0: [0.1]}}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"alphas": ()}, "alphas are"),
+        ({"alphas": (0.1, 0.1)}, "alphas are"),
+        ({"alphas": (1.5,)}, "alpha"),
+        ({"alphas": (0.001,)}, "alpha 0.001 of 256 samples leaves none to learn, expected at least 0.00391"),
+        ({"runs": 0}, "runs"),
+        ({"gamma": 0.0}, "gamma"),
+    ],
+)
+def test_an_experiment_that_cannot_be_is_refused(change, message):
+    with pytest.raises(VaporTrackError, match=message):
+        AlphaConfig(**change)
+
+
+def test_the_command_writes_results_and_pictures_and_prints_medians(tmp_path, capfd):
+    assert main([*WORDS, "--output", str(tmp_path / "out")]) == 0
+    printed = capfd.readouterr().out
+    assert "dinner-table, 2 modes" in printed
+    report = json.loads((tmp_path / "out" / "alpha.json").read_text())
+    assert set(report["median_recall"]["0.1m/10deg"]["dinner-table"]) == {"0.2", "1"}
+    assert len(report["runs"]) == 2
+    for name in ("recall.png", "positions-dinner-table.png"):
+        picture = cv2.imread(str(tmp_path / "out" / name))
+        assert picture is not None
+        assert picture.std() > 10
+
+
+def test_another_kind_of_experiment_is_refused(capfd):
+    with pytest.raises(SystemExit, match="2"):
+        main(["experiment", "beta"])
+    assert "expected one of alpha, table first" in capfd.readouterr().err
+
+
+# --- methods side by side --------------------------------------------------------------------------
+
+TINY_TABLE = TableConfig(
+    ("variational", "posenet"),
+    1,
+    sequences=1,
+    frames=40,
+    test_sequences=1,
+    test_frames=12,
+    num_samples=50,
+    localize=True,
+    workers=1,
+    train=TINY_TRAIN,
+)
+
+
+def test_every_method_is_trained_and_drives_the_filter(tmp_path):
+    experiment = TableExperiment([parse_scene("staircase")], tmp_path, TINY_TABLE)
+    assert list(experiment.render())[-1] == (2, 2)
+    results = list(experiment.train())
+    assert {r["label"] for r in results} == {"variational", "posenet"}
+    for result in results:
+        assert result["filter"][0]["frames"] == 12
+        assert result["images_seen"] == 40
+    text = markdown(results, 0.1)
+    assert "| variational |" in text
+    assert "0 of 1" in text
+    rows = [line.count("|") for line in text.splitlines() if line.startswith("|")]
+    assert len(rows) == 4
+    assert len(set(rows)) == 1
+
+
+def test_the_table_gives_medians_and_the_range_of_the_seeds():
+    result = {
+        "scene": "hall",
+        "label": "posenet",
+        "images": 10,
+        "mode_recall": dict.fromkeys(("0.1m/10deg", "0.2m/15deg", "0.3m/20deg"), 0.5),
+        "oracle_recall": dict.fromkeys(("0.1m/10deg", "0.2m/15deg", "0.3m/20deg"), 1.0),
+        "mean": {"translation_m": 0.25, "rotation_deg": 3.0},
+        "mode": {"translation_m": 0.15, "rotation_deg": 2.0},
+        "negative_log_density": 1.5,
+        "modes": 2.0,
+        "seconds": 90.0,
+    }
+    recalls = (0.1, 0.4, 0.2)
+    results = [
+        result | {"seed": k, "recall": {"0.1m/10deg": r, "0.2m/15deg": r, "0.3m/20deg": r}}
+        for k, r in enumerate(recalls)
+    ]
+    results.append({"scene": "hall", "label": "mapnet", "seed": 0, "error": "loss is nan"})
+    *_, row, empty, failed = markdown(results, 0.1).splitlines()
+    assert (empty, failed) == ("", "hall, mapnet, seed 0: loss is nan")
+    assert row.startswith(
+        "| posenet | 20 % (10-40) | 20 % (10-40) | 20 % (10-40) | 50 % | 100 % | 0.25 m, 3.0° | 0.15 m, 2.0° | 1.50 |"
+    )
+    assert row.endswith("| 2.0 | 1.5 min |")
+
+
+def test_scenes_are_synthetic_ones_or_named_data():
+    scene = parse_scene("desk=a.mcap,b@0:10=c.mcap")
+    assert (scene.name, scene.train, scene.test) == ("desk", ("a.mcap", "b@0:10"), ("c.mcap",))
+    for wrong in ("cellar", "a=b", "a=b=c=d", "=b=c", "a=b,=c", "my/desk=b=c"):
+        with pytest.raises(VaporTrackError, match="expected one of staircase"):
+            parse_scene(wrong)
+    with pytest.raises(VaporTrackError, match="is both trained on and tested on"):
+        parse_scene("desk=a.mcap,b.mcap=b.mcap")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"methods": ()}, "methods are none"),
+        ({"methods": ("posenet", "lidar")}, "unknown method 'lidar'"),
+        ({"seeds": 0}, "seeds"),
+    ],
+)
+def test_a_table_that_cannot_be_is_refused(change, message):
+    with pytest.raises(VaporTrackError, match=message):
+        TableConfig(**change)
+
+
+def test_the_same_scene_twice_is_refused(tmp_path):
+    with pytest.raises(VaporTrackError, match="expected each at most once"):
+        TableExperiment([parse_scene("ceiling")] * 2, tmp_path, TINY_TABLE)
+
+
+def test_data_that_the_filter_cannot_read_is_refused_before_anything_is_trained(tmp_path):
+    with pytest.raises(VaporTrackError, match="absent"):
+        TableExperiment([parse_scene("desk=a=absent.mcap")], tmp_path, TINY_TABLE)
+
+
+def test_results_of_other_data_of_the_same_name_are_not_taken_for_these(tmp_path):
+    files = []
+    for number, folder in enumerate(("chess", "fire")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "TrainSplit.txt").write_text(f"sequence{number}")
+        files.append(
+            Training(Scene("desk", (f"{tmp_path}/{folder}/TrainSplit.txt",), ("t",)), "x", TINY_TRAIN, 0.1, 10)
+        )
+    assert files[0].file(tmp_path, ".json") != files[1].file(tmp_path, ".json")
+    assert files[0].model_file(tmp_path) != files[1].model_file(tmp_path)
+    before = files[0].file(tmp_path, ".json")
+    (tmp_path / "chess" / "TrainSplit.txt").write_text("another one")
+    assert files[0].file(tmp_path, ".json") != before
+
+
+def test_another_way_to_test_needs_no_other_training(tmp_path, monkeypatch):
+    first = TableExperiment([parse_scene("round-table")], tmp_path, replace(TINY_TABLE, localize=False))
+    list(first.render())
+    before = list(first.train())
+    monkeypatch.setattr(trainings_module, "train", lambda *_, **__: pytest.fail("trained again"))
+    again = TableExperiment([parse_scene("round-table")], tmp_path, replace(TINY_TABLE, localize=False, gamma=1.0))
+    list(again.render())
+    after = list(again.train())
+    assert {r["label"]: r["negative_log_density"] for r in after} == pytest.approx(
+        {r["label"]: r["negative_log_density"] for r in before}
+    )
+
+
+def test_a_training_that_fails_is_told_and_the_others_go_on(tmp_path):
+    broken = replace(TINY_TRAIN, learning_rate=1e30, epochs=3, schedule="steps")
+    config = replace(TINY_TABLE, methods=("posenet",), localize=False, train=broken)
+    experiment = TableExperiment([parse_scene("round-table")], tmp_path, config)
+    list(experiment.render())
+    (result,) = experiment.train()
+    assert "loss is" in result["error"]
+    assert "round-table, posenet, seed 0: loss is" in markdown([result], 0.1)

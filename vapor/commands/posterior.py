@@ -1,0 +1,71 @@
+"""`vapor-track posterior`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.datasets import posed_frames
+from vapor.commands.console import parse, show
+from vapor.evaluate import THRESHOLDS
+from vapor.observation import Device, VaporObservationModel
+from vapor.posterior_metrics import posterior_metrics
+from vapor.posterior_pictures import draw_posterior
+
+
+@dataclass(frozen=True)
+class Options:
+    """Draw the posterior of one image: positions from above, marginals, orientations on a sphere."""
+
+    data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")]
+    """MCAP file or data set folder with true poses."""
+    output: Path
+    """Picture to write (.png)."""
+    model: str = "staircase"
+    """Model file, or name of a model that ships with the package."""
+    image: int = 0
+    """Which of the images with a true pose, from 0."""
+    num_samples: int = 1000
+    """Posterior samples."""
+    gamma: float = 0.1
+    """Share of the samples that must be near the true pose for the posterior to count as right."""
+    seed: int = 0
+    """Of the samples."""
+    device: Device = "auto"
+    """Where the network runs."""
+
+    def __post_init__(self) -> None:
+        if self.image < 0 or self.seed < 0:
+            raise VaporTrackError(f"image {self.image} and seed {self.seed}, expected numbers from 0")
+        if not 0.0 < self.gamma <= 1.0:
+            raise VaporTrackError(f"gamma is {self.gamma}, expected it in (0, 1]")
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command."""
+    o = parse("posterior", Options, arguments)
+    model = VaporObservationModel.from_checkpoint(o.model, num_samples=o.num_samples, device=o.device)
+    frame = next(posed_frames(o.data, frames=slice(o.image, o.image + 1)))
+    truth = frame.world_from_camera
+    assert truth is not None  # `posed_frames` yields no other
+    samples = model.observe(frame.image, rng=np.random.default_rng(o.seed)).poses
+    title = f"{o.data.name}, image {o.image} at {frame.time_ns / 1e9:.3f} s"
+    surroundings = model.checkpoint.prior_poses.translation
+    draw_posterior(o.output, samples, image=frame.image, surroundings=surroundings, truth=truth, title=title)
+    calibration, rng = model.checkpoint.calibration, np.random.default_rng(o.seed)
+    figures = posterior_metrics([samples], Poses.stack([truth]), calibration, gamma=o.gamma, rng=rng)
+    near = [t for t in THRESHOLDS if figures["recall"][t]]
+    best = figures["mode"]
+    share = f"{o.gamma:.0%} of the samples within"
+    within = f"at least {share} {near[0]}" if near else f"fewer than {share} {list(THRESHOLDS)[-1]}"
+    show(
+        f"{o.output}: {figures['modes']:.0f} modes, the best one {best['translation_m']:.2f} m and"
+        f" {best['rotation_deg']:.1f}° off; {within}"
+    )

@@ -1,0 +1,1 @@
+"""Experiments with many small trainings, each resumable run by run."""

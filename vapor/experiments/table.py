@@ -1,0 +1,182 @@
+"""Every method on every scene with the same encoder, data and budget: the paper's two tables."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from filtering.errors import VaporTrackError, require_within
+from sequences.reader import SequenceReader
+from sequences.synthesize import SCENES
+from vapor.evaluate import RIGHT, THRESHOLDS
+from vapor.experiments.trainings import Scene, Training, height_to_cover, render_scenes, run_trainings
+from vapor.presets import METHODS
+from vapor.train_config import TrainConfig
+from vapor.training_set import TrainingError
+
+_HEIGHT = 180  # pixels of synthetic images as they are rendered, at least
+
+
+@dataclass(frozen=True)
+class TableConfig:
+    """Settings of the table."""
+
+    methods: tuple[str, ...] = tuple(METHODS)
+    """What is trained, as `vapor-track train --method`."""
+    seeds: int = 3
+    """Trainings of each method on each scene."""
+    first_seed: int = 0
+    """Seed of the first of them."""
+    gamma: float = 0.1
+    """Share of an image's samples that must be near its true pose for it to count as right."""
+    sequences: int = 10
+    """Synthetic scenes: sequences that are trained on."""
+    frames: int = 500
+    """Images of each."""
+    test_sequences: int = 2
+    """Synthetic scenes: sequences that are tested on."""
+    test_frames: int = 300
+    """Images of each."""
+    num_samples: int = 1000
+    """Posterior samples per test image."""
+    localize: bool = False
+    """Run the particle filter over the test sequences with every trained model, too; they need odometry."""
+    workers: int = 2
+    """Trainings at a time, each with one thread."""
+    train: TrainConfig = field(default_factory=TrainConfig)
+    """How each network is trained; method and seed are the table's."""
+
+    def __post_init__(self) -> None:
+        counts = ("seeds", "sequences", "frames", "test_sequences", "test_frames", "num_samples", "workers")
+        require_within(self, gamma=(1e-6, 1.0), first_seed=(0, 10**9), **dict.fromkeys(counts, (1, 10**6)))
+        if not self.methods or len(set(self.methods)) < len(self.methods):
+            raise VaporTrackError(
+                f"methods are {', '.join(self.methods) or 'none'}, expected each at most once, and one"
+            )
+        for method in self.methods:
+            if method not in METHODS:
+                raise VaporTrackError(f"unknown method {method!r}, expected one of {', '.join(METHODS)}")
+
+
+def parse_scene(text: str) -> Scene:
+    """A scene from the command line: the name of a synthetic one, or `NAME=TRAIN,...=TEST,...`.
+
+    Raises:
+        TrainingError: neither, or the same data in both.
+    """
+    if text in SCENES:
+        return Scene(text, (), ())
+    name, *data = text.split("=")
+    train, test = (tuple(part.split(",")) for part in data) if len(data) == 2 else ((), ())
+    if not re.fullmatch(r"[\w.-]+", name) or not train or not all([*train, *test]):
+        expected = "or NAME=TRAIN,...=TEST,... with your own data"
+        raise TrainingError(f"{text}: expected one of {', '.join(SCENES)}, {expected}")
+    if both := sorted({str(Path(entry).resolve()) for entry in train} & {str(Path(entry).resolve()) for entry in test}):
+        raise TrainingError(f"{text}: {both[0]} is both trained on and tested on, expected other images for the test")
+    return Scene(name, train, test)
+
+
+class TableExperiment:
+    """One training for each scene, method and seed; what is done is not done again.
+
+    Args:
+        scenes: From `parse_scene`.
+        directory: For images and results.
+        config: Settings.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], directory: Path, config: TableConfig) -> None:
+        self.directory, self.config = directory, config
+        self._scenes = {scene.name: scene for scene in scenes}
+        if not scenes or len(self._scenes) < len(scenes):
+            names = ", ".join(scene.name for scene in scenes)
+            raise VaporTrackError(f"scenes are {names or 'none'}, expected each at most once, and one")
+        if config.localize:  # what the filter cannot read is told now, not after a training
+            for entry in (entry for scene in scenes for entry in scene.test):
+                SequenceReader(Path(entry))
+
+    def render(self) -> Iterator[tuple[int, int]]:
+        """Render the synthetic images that are missing; yields the number of sequences done and of all."""
+        c = self.config
+        synthetic = [name for name, scene in self._scenes.items() if not scene.train]
+        for done, total, scenes in render_scenes(
+            synthetic,
+            self.directory,
+            train_walks=c.sequences,
+            train_frames=c.frames,
+            test_walks=c.test_sequences,
+            test_frames=c.test_frames,
+            height=height_to_cover(c.train.network.frame_size, _HEIGHT),
+            workers=c.workers,
+        ):
+            self._scenes |= {scene.name: scene for scene in scenes}
+            yield done, total
+
+    def train(self) -> Iterator[dict[str, Any]]:
+        """The result of every training, in no order: as `run_trainings`; the label is the method."""
+        c = self.config
+        yield from run_trainings(
+            [
+                Training(scene, method, self._train_config(method, seed), c.gamma, c.num_samples, c.localize, True)
+                for seed in range(c.first_seed, c.first_seed + c.seeds)
+                for scene in self._scenes.values()
+                for method in c.methods
+            ],
+            self.directory,
+            c.workers,
+        )
+
+    def _train_config(self, method: str, seed: int) -> TrainConfig:
+        return replace(METHODS[method](self.config.train), seed=seed)
+
+
+def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
+    """The table as Markdown: medians over the seeds, and for recall its least and most."""
+    lines: list[str] = []
+    done = [result for result in results if "error" not in result]
+    for scene in dict.fromkeys(result["scene"] for result in done):
+        rows = [result for result in done if result["scene"] == scene]
+        seeds = len({row["seed"] for row in rows})
+        lines += [f"**{scene}**, {rows[0]['images']} test images, {seeds} seeds, γ = {gamma:g}", ""]
+        filtered = any("filter" in row for row in rows)
+        names = ["method", *(f"recall {t}" for t in THRESHOLDS), f"best mode {RIGHT}", f"any sample {RIGHT}"]
+        names += ["median error of the mean", "of the best mode", "−log p̂", "modes"]
+        names += ["filter: success", "median error"] if filtered else []
+        lines += ["| " + " | ".join([*names, "training"]) + " |", "|---" * (len(names) + 1) + "|"]
+        for method in dict.fromkeys(row["label"] for row in rows):
+            own = [row for row in rows if row["label"] == method]
+            cells = [method, *(_spread([row["recall"][t] for row in own]) for t in THRESHOLDS)]
+            cells += [_percent([row[kind][RIGHT] for row in own]) for kind in ("mode_recall", "oracle_recall")]
+            cells += [_error([row[kind] for row in own]) for kind in ("mean", "mode")]
+            cells.append(f"{np.median([row['negative_log_density'] for row in own]):.2f}")
+            cells.append(f"{np.median([row['modes'] for row in own]):.1f}")
+            if filtered:
+                reports = [report["filter"] for row in own for report in row["filter"]]
+                cells.append(f"{sum(bool(r['success']) for r in reports)} of {len(reports)}")
+                cells.append(
+                    _error([{k: r[f"median_{k}"] for k in ("translation_m", "rotation_deg")} for r in reports])
+                )
+            cells.append(f"{np.median([row['seconds'] for row in own]) / 60:.1f} min")
+            lines.append("| " + " | ".join(cells) + " |")
+        lines.append("")
+    failed = [result for result in results if "error" in result]
+    lines += [f"{r['scene']}, {r['label']}, seed {r['seed']}: {r['error']}" for r in failed]
+    return "\n".join(lines)
+
+
+def _percent(values: Sequence[float]) -> str:
+    return f"{100 * float(np.median(values)):.0f} %"
+
+
+def _spread(values: Sequence[float]) -> str:
+    return f"{_percent(values)} ({100 * min(values):.0f}-{100 * max(values):.0f})"
+
+
+def _error(errors: Sequence[Mapping[str, float]]) -> str:
+    metres, degrees = (np.median([error[name] for error in errors]) for name in ("translation_m", "rotation_deg"))
+    return f"{metres:.2f} m, {degrees:.1f}°"

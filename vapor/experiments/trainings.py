@@ -1,0 +1,227 @@
+"""One training of an experiment: from sequences to figures on other ones, done once and kept."""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from filtering.se3 import Poses
+from sequences.atomic import atomic_output
+from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
+from vapor.checkpoint import load_checkpoint, spaced
+from vapor.observation import resolve_device
+from vapor.parallel import in_parallel
+from vapor.posterior_metrics import posterior_metrics
+from vapor.recordings import digest, from_rows, to_rows
+from vapor.run import RunConfig, run
+from vapor.threads import limited_threads
+from vapor.train import train
+from vapor.train_config import TrainConfig
+from vapor.training_set import TrainingError, load_training_set, open_sequences
+from vapor.validation import predict
+
+_RESULTS = 1  # counts up when the same training gives other results than before
+_SHOWN = 25  # test images whose samples are kept for pictures, evenly spaced
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What networks are trained on and tested on.
+
+    Attributes:
+        name: Where a person reads.
+        train: Files and folders, as `vapor-track train` takes them.
+        test: Likewise; no image of them is trained on.
+    """
+
+    name: str
+    train: tuple[str, ...]
+    test: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Training:
+    """One training and how it is tested.
+
+    Attributes:
+        scene: Its data.
+        label: What sets it apart from the other trainings of the experiment; part of a file name.
+        config: How; its seed is that of the training.
+        gamma: Share of an image's samples that must be near its true pose.
+        num_samples: Posterior samples per test image.
+        localize: Whether the particle filter runs over the test sequences, too.
+        keep_model: Whether the model stays, so that another way to test it needs no other training.
+    """
+
+    scene: Scene
+    label: str
+    config: TrainConfig
+    gamma: float
+    num_samples: int
+    localize: bool = False
+    keep_model: bool = False
+
+    def model_file(self, directory: Path) -> Path:
+        """Where the model lies, named after all that the training depends on."""
+        return directory / "runs" / f"{self._name}-{digest(self._trained_from)}.safetensors"
+
+    def file(self, directory: Path, suffix: str) -> Path:
+        """Where its result lies, named after all that it depends on."""
+        test = [_identity(entry) for entry in self.scene.test]
+        tested = {"test": test, "gamma": self.gamma, "num_samples": self.num_samples, "localize": self.localize}
+        return directory / "runs" / f"{self._name}-{digest(self._trained_from | tested)}{suffix}"
+
+    @property
+    def _name(self) -> str:
+        return f"{self.scene.name}-{self.label}-{self.config.seed}"
+
+    @property
+    def _trained_from(self) -> dict[str, Any]:
+        settings = {k: v for k, v in asdict(self.config).items() if k not in ("device", "resume")}
+        settings = {k: _identity(str(v)) if isinstance(v, Path) else v for k, v in settings.items()}
+        return {**settings, "data": [_identity(entry) for entry in self.scene.train], "results": _RESULTS}
+
+
+def _identity(entry: str) -> list[str | int]:
+    """What tells one file or folder from another of its name and from itself after a change."""
+    path = Path(entry if Path(entry).exists() else entry.rpartition("@")[0])
+    about = path.stat() if path.exists() else None
+    return [str(Path(entry).resolve()), *([] if about is None else [about.st_size, about.st_mtime_ns])]
+
+
+def render_scenes(
+    names: Sequence[str],
+    directory: Path,
+    *,
+    train_walks: int,
+    train_frames: int,
+    test_walks: int,
+    test_frames: int,
+    height: int,
+    workers: int,
+) -> Iterator[tuple[int, int, list[Scene]]]:
+    """Render what is missing of synthetic scenes; yields the number of walks done, of all, and the scenes they make.
+
+    Args:
+        names: Of synthetic scenes.
+        directory: Sequences lie in its `images`.
+        train_walks: Sequences to train on, of `train_frames` images each, seeds from 0.
+        train_frames: See there.
+        test_walks: Sequences to test on, of `test_frames` images each.
+        test_frames: See there.
+        height: Of the images, pixels; they are 4:3.
+        workers: Processes at a time.
+    """
+    size = round(height * 4 / 3), height
+    folder = directory / "images"
+    folder.mkdir(parents=True, exist_ok=True)
+    walks = {
+        name: {
+            split: [
+                (
+                    folder / f"{name}-{split}-{seed}-{frames}-{size[0]}x{size[1]}-{SYNTHESIS}.mcap",
+                    name,
+                    split,
+                    seed,
+                    frames,
+                )
+                for seed in range(number)
+            ]
+            for split, number, frames in (("train", train_walks, train_frames), ("test", test_walks, test_frames))
+        }
+        for name in names
+    }
+    scenes = [Scene(n, *(tuple(str(w[0]) for w in w[split]) for split in ("train", "test"))) for n, w in walks.items()]
+    every = [walk for splits in walks.values() for some in splits.values() for walk in some]
+    missing = [(*walk, size) for walk in every if not walk[0].is_file()]
+    yield len(every) - len(missing), len(every), scenes
+    for done, _ in enumerate(in_parallel(_render, missing, workers), len(every) - len(missing) + 1):
+        yield done, len(every), scenes
+
+
+def height_to_cover(frame_size: tuple[int, int], least: int) -> int:
+    """Height of 4:3 images that are not enlarged to cover a frame (width, height), at least so many pixels."""
+    return max(least, frame_size[1], math.ceil(frame_size[0] * 3 / 4))
+
+
+def run_trainings(trainings: Sequence[Training], directory: Path, workers: int) -> Iterator[dict[str, Any]]:
+    """The result of every training, in no order; what is done is not done again.
+
+    JSON: `scene`, `label`, `seed`; `seconds` of training and `images_seen`, all of `posterior_metrics`, and with
+    `localize` `filter`, the report of every test sequence; or `error`, why it could not be trained.
+    """
+    (directory / "runs").mkdir(parents=True, exist_ok=True)
+    yield from in_parallel(_run, [(training, directory) for training in trainings], workers)
+
+
+def kept_samples(training: Training, directory: Path) -> tuple[Poses, list[Poses]]:
+    """True poses of some test images, and the posterior samples of each, of a training that is done."""
+    with np.load(training.file(directory, ".npz")) as stored:
+        rows = {name: stored[name].astype(np.float64) for name in ("truth", "samples")}
+    return from_rows(rows["truth"]), [from_rows(image) for image in rows["samples"]]
+
+
+def _render(
+    file: Path, scene: str, split: Literal["train", "test"], seed: int, frames: int, size: tuple[int, int]
+) -> None:
+    write_synthetic(synthesize(scene, seed=seed, num_frames=frames, split=split, width=size[0], height=size[1]), file)
+
+
+def _run(training: Training, directory: Path) -> dict[str, Any]:
+    file = training.file(directory, ".json")
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        pass
+    seed, scene = training.config.seed, training.scene
+    result: dict[str, Any] = {"scene": scene.name, "label": training.label, "seed": seed}
+    with limited_threads(1), tempfile.TemporaryDirectory(dir=directory / "runs") as folder:
+        model = training.model_file(directory) if training.keep_model else Path(folder) / "model.safetensors"
+        try:
+            result |= _train(training, model)
+        except TrainingError as error:
+            result["error"] = str(error)
+        else:
+            result |= _test(training, directory, model, Path(folder))
+    with atomic_output(file) as partial:
+        partial.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    return result
+
+
+def _train(training: Training, model: Path) -> dict[str, float]:
+    """Train, unless that is done; `seconds` and `images_seen`."""
+    about = model.with_suffix(".json")
+    if model.is_file() and about.is_file():
+        return json.loads(about.read_text(encoding="utf-8"))
+    trained = train(training.scene.train, model, training.config)
+    cost = {"seconds": trained.seconds, "images_seen": trained.images_seen}
+    with atomic_output(about) as partial:
+        partial.write_text(json.dumps(cost) + "\n", encoding="utf-8")
+    return cost
+
+
+def _test(training: Training, directory: Path, model: Path, folder: Path) -> dict[str, Any]:
+    seed, scene = training.config.seed, training.scene
+    checkpoint = load_checkpoint(model)
+    network = checkpoint.build_network().to(resolve_device(training.config.device))
+    test = load_training_set(open_sequences(scene.test), training.config.network.frame_size)
+    posteriors = list(predict(network, test, training.num_samples, seed))
+    rng = np.random.default_rng(seed)
+    result = posterior_metrics(posteriors, test.poses, checkpoint.calibration, gamma=training.gamma, rng=rng)
+    if training.localize:
+        config = RunConfig(seed, recording=False, num_samples=training.num_samples, device=training.config.device)
+        result["filter"] = [
+            run(Path(entry), str(model), folder / f"run-{k}", config).report for k, entry in enumerate(scene.test)
+        ]
+    shown = spaced(len(test), _SHOWN)
+    with atomic_output(training.file(directory, ".npz")) as partial, partial.open("wb") as out:
+        rows = np.stack([to_rows(posteriors[i]) for i in shown])
+        np.savez(out, truth=to_rows(test.poses[shown]), samples=rows.astype(np.float32))
+    return result
