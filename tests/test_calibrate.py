@@ -168,13 +168,21 @@ def test_tempering_changes_no_further_than_it_gains_more_than_noise():
 def test_the_detail_that_counts_is_as_much_as_leaves_the_regions_true(covering, chosen):
     def score(candidate):
         value = candidate.detail_temper
-        return Scores(np.array([value, value]), 1000, 960 if value < covering and value != 0.15 else 940)
+        return Scores(np.array([value, value]), 1000, 920 if value < covering and value != 0.15 else 880)
 
     detail, choice, coverage = choose_detail(Calibration(detail_temper=0.35), score)
     assert detail == Calibration(detail_temper=chosen)
     assert (choice.value, choice.preferred) == (chosen, 1.0)
     assert choice.gain == pytest.approx(chosen - 0.35)
-    assert coverage == (0.96 if chosen < covering else 0.94)
+    assert coverage == (0.92 if chosen < covering else 0.88)
+
+
+def test_of_details_whose_regions_hold_enough_the_likeliest_is_taken():
+    def score(candidate):
+        return Scores(np.full(2, -abs(candidate.detail_temper - 0.2)), 1000, 950)
+
+    detail, choice, coverage = choose_detail(Calibration(detail_temper=0.5), score)
+    assert (detail.detail_temper, choice.preferred, coverage) == (0.2, 0.2, 0.95)
 
 
 def test_without_images_in_the_right_place_the_detail_stays_as_it_was():

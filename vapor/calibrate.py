@@ -169,7 +169,7 @@ def fit_stretches(
     seed: int = 0,
     advance: Advance = lambda done, total: None,
 ) -> tuple[Calibration, tuple[Change, ...]]:
-    """β and γ by the log density of the filter's belief at the true poses, then β_d by what its regions hold."""
+    """β and γ by the log density of the filter's belief at the true poses, then β_d, if its regions hold enough."""
     likelihoods = calibration.likelihood(prior_poses)
     known: dict[Calibration, Scores] = {}
     total = sum(len(grid) for grid in GRIDS.values()) - len(GRIDS) + 1
