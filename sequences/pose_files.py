@@ -12,7 +12,7 @@ import numpy as np
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.tum import read_lines, read_tum
+from sequences.tum import is_number, read_lines, read_tum
 
 Direction = Literal["world-to-camera", "camera-to-world"]
 """Which way the poses of a file map points."""
@@ -72,7 +72,7 @@ def read_poses(path: Path, direction: Direction | None = None) -> PoseFile:
     lines = [(number, fields) for number, fields in lines if fields and not fields[0].startswith("#")]
     if not lines:
         raise SequenceError(f"{path}: no poses, expected lines of `{_COLUMNS}` or of a TUM trajectory")
-    if _is_number(lines[0][1][0]):
+    if is_number(lines[0][1][0]):
         return _timed(path, direction)
     if direction is None:
         raise SequenceError(
@@ -132,11 +132,3 @@ def _frame_name(name: str, where: str) -> FrameName:
 def _poses(rows: np.ndarray) -> Poses:
     """From rows (*batch, 7) of `qw qx qy qz tx ty tz`, as they are."""
     return Poses.from_quat_xyzw(rows[..., 4:], rows[..., [1, 2, 3, 0]])
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -82,3 +82,12 @@ def read_lines(path: Path) -> list[str]:
         raise SequenceError(f"{path}: cannot read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise SequenceError(f"{path}: byte {error.start} is no UTF-8 text, expected a text file") from error
+
+
+def is_number(text: str) -> bool:
+    """Whether a field of a row is a number, NaN and infinity included."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

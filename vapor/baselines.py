@@ -53,6 +53,8 @@ class PointRegressor(PoseRegressor):
 class MixtureRegressor(PoseRegressor):
     """A mixture density: Gaussians in position times isotropic matrix-Fisher distributions in rotation."""
 
+    lower: Tensor
+    upper: Tensor
     noise_dim = 8  # one for the component, three for the position, three for the axis and one for the angle
 
     def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
@@ -64,9 +66,6 @@ class MixtureRegressor(PoseRegressor):
         self.log_widths = nn.Linear(config.feature_dim, 2 * k)
         self.register_buffer("lower", torch.tensor(box.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(box.upper), persistent=False)
-
-    lower: Tensor
-    upper: Tensor
 
     def components(
         self, images: Float[Tensor, "b 3 h w"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
@@ -151,12 +152,12 @@ class PoseMap(nn.Module):
         return torch.lerp(self.lower, self.upper, share), rotation_from_6d(self.rotation_6d(hidden))
 
 
-class PoseRegressor(nn.Module):
+class PoseRegressor(nn.Module, ABC):
     """Image -> samples of the posterior over camera poses: what all heads share.
 
     Args:
         config: Shape of the network.
-        box: Box that predicted positions lie in.
+        box: Box that predicted positions lie in; of a mixture, the means of its components.
 
     Attributes:
         noise_dim: Standard normal numbers that one sample is made from, beside the image.
@@ -186,11 +187,11 @@ class PoseRegressor(nn.Module):
         """
         return torch.relu(self.feature(self.backbone(images))).to(self.feature.weight.dtype)
 
+    @abstractmethod
     def forward(
         self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]
     ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
         """Posterior samples of normalised images for given noise, d = `noise_dim`: metres and rotation matrices."""
-        raise NotImplementedError
 
 
 class VariationalPoseRegressor(PoseRegressor):

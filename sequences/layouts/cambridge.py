@@ -25,7 +25,7 @@ from sequences.layouts.intrinsics import find_camera
 from sequences.layouts.named import list_named
 from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row
 from sequences.layouts.posed_images import PosedImages
-from sequences.tum import read_lines
+from sequences.tum import is_number, read_lines
 
 LOOKED_FOR = "the dataset_train.txt or dataset_test.txt of a Cambridge Landmarks scene"
 _COLUMNS = "file tx ty tz qw qx qy qz"  # X Y Z W P Q R
@@ -46,7 +46,7 @@ def list_images(path: Path) -> PosedImages | None:
     for number, line in enumerate(read_lines(path), start=1):
         where, fields = f"{path}:{number}", line.split()
         if number <= _NUM_HEADER_LINES:
-            if len(fields) == len(_COLUMNS.split()) and _is_number(fields[-1]):
+            if len(fields) == len(_COLUMNS.split()) and is_number(fields[-1]):
                 raise SequenceError(f"{where}: {line!r} among the first three lines, expected them to be a header")
             continue
         if not fields:
@@ -65,11 +65,3 @@ def list_images(path: Path) -> PosedImages | None:
     images = list_named("Cambridge Landmarks", path.parent, poses)
     camera = find_camera((scene, scene.parent), images.files)
     return replace(images, cameras=[camera] * len(images))
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
