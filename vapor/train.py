@@ -291,7 +291,8 @@ def _start(config: TrainConfig, box: SceneBox, initial: Checkpoint | None) -> Tr
         torch.manual_seed(config.seed)
         network = make_regressor(config.network, box)
         average = make_regressor(config.network, box)
-    if config.pretrained_weights is not None or config.network.backbone == "efficientnet-lite0":
+    packaged = config.pretrained and config.network.backbone == "efficientnet-lite0"
+    if config.pretrained_weights is not None or packaged:
         load_pretrained(network, config.pretrained_weights)
     if initial is not None:
         network.load_state_dict(dict(initial.state_dict))

@@ -31,8 +31,9 @@ class TrainConfig:
     """At the end fit kernel widths, the prior's widths, outlier floor, β, γ and β_d on the held-out images."""
     pretrained_weights: Path | None = None
     """Weights of the backbone to start from: ImageNet's, as safetensors or a torch state dict with torchvision's names,
-    or those of a model trained here. Without it a ResNet starts from random weights, EfficientNet-Lite0 from those of
-    its package."""
+    or those of a model trained here. Without it a ResNet starts from random weights."""
+    pretrained: bool = True
+    """efficientnet-lite0: start from the ImageNet weights of its package where no file is given."""
     initial_model: Path | None = None
     """A model trained here, of the same network shape, all of whose weights are the start: to go on with more data, or
     with another loss. Its scene box is widened where the new data need it."""

@@ -1,0 +1,192 @@
+"""What the default schedule saves against the paper's: images and time until held-out images are judged as good."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from filtering.errors import require_within
+from sequences.atomic import atomic_output
+from vapor.experiments.trainings import Scene, height_to_cover, render_scenes, trained_from
+from vapor.presets import PRESETS
+from vapor.recordings import digest
+from vapor.train import Progress, train
+from vapor.train_config import TrainConfig
+
+DEFAULT, PAPER = "default", "paper"
+_HEIGHT = 180  # pixels of the images as they are rendered, at least
+
+
+@dataclass(frozen=True)
+class ScheduleConfig:
+    """Settings of the experiment."""
+
+    sequences: int = 10
+    """Sequences that are trained on."""
+    frames: int = 500
+    """Images of each."""
+    validation_frames: int = 500
+    """Images of the sequence that is held out."""
+    most: float = 6.0
+    """The paper's schedule is given up after so many times the time of the default one."""
+    seed: int = 0
+    """Of both trainings."""
+    train: TrainConfig = field(default_factory=lambda: TrainConfig(calibrate=False))
+    """The default schedule, and the network and α of both."""
+
+    def __post_init__(self) -> None:
+        counts = dict.fromkeys(("sequences", "frames", "validation_frames"), (1, 10**6))
+        require_within(self, most=(0.0, 1e6), seed=(0, 10**9), **counts)
+
+    def of(self, schedule: str) -> TrainConfig:
+        """How one of the two trains: the paper's settings for synthetic scenes, but for network and α."""
+        if schedule == DEFAULT:
+            return replace(self.train, seed=self.seed)
+        paper = PRESETS["paper-synthetic"]
+        loss = replace(paper.loss, alpha=self.train.loss.alpha)
+        return replace(
+            paper, network=self.train.network, loss=loss, calibrate=False, seed=self.seed, device=self.train.device
+        )
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a training stood after an epoch.
+
+    Attributes:
+        images: Seen so far.
+        seconds: Of training so far, wall clock, without reading and judging.
+        recall: Share of the posterior samples of held-out images within 0.3 m and 20° of the true pose.
+    """
+
+    images: int
+    seconds: float
+    recall: float
+
+
+class _EnoughError(Exception):
+    """Ends a training from within: what was asked for is known."""
+
+
+class ScheduleExperiment:
+    """Two trainings of one scene, one after the other; what is done is not done again.
+
+    Args:
+        scene: Name of a synthetic scene.
+        directory: For images and results.
+        config: Settings.
+    """
+
+    def __init__(self, scene: str, directory: Path, config: ScheduleConfig) -> None:
+        self.directory, self.config = directory, config
+        self._name = scene
+        self._scene: Scene | None = None
+
+    def render(self) -> Iterator[tuple[int, int]]:
+        """Render the images that are missing; yields the number of sequences done and of all."""
+        c = self.config
+        for done, total, scenes in render_scenes(
+            (self._name,),
+            self.directory,
+            train_walks=c.sequences,
+            train_frames=c.frames,
+            test_walks=1,
+            test_frames=c.validation_frames,
+            height=height_to_cover(c.train.network.frame_size, _HEIGHT),
+            workers=2,
+        ):
+            (self._scene,) = scenes
+            yield done, total
+
+    def train(self) -> Iterator[tuple[str, list[Point]]]:
+        """The course of every epoch judged, of the default schedule and then of the paper's.
+
+        The latter ends where it is as good as the former's best epoch, or `most` times as long.
+        """
+        course = self._course(DEFAULT, None, None)
+        yield DEFAULT, course
+        best = max(course, key=lambda point: point.recall)
+        yield PAPER, self._course(PAPER, best.recall, self.config.most * best.seconds)
+
+    def _course(self, schedule: str, enough: float | None, most_s: float | None) -> list[Point]:
+        if self._scene is None:
+            raise RuntimeError("train before render")
+        config = self.config.of(schedule)
+        folder = self.directory / "runs"
+        folder.mkdir(parents=True, exist_ok=True)
+        until = {"enough": enough, "most_s": most_s}
+        file = folder / f"{self._name}-{schedule}-{digest(trained_from(self._scene, config) | until)}.json"
+        try:
+            return [Point(**point) for point in json.loads(file.read_text(encoding="utf-8"))]
+        except FileNotFoundError:
+            pass
+        clock = _Clock(config.batch_size, enough, most_s)
+        with tempfile.TemporaryDirectory(dir=folder) as temporary, contextlib.suppress(_EnoughError):
+            model = Path(temporary) / "model.safetensors"
+            result = train(self._scene.train, model, config, validation=self._scene.test, progress=clock.follow)
+            clock.judged(result.history[-1].sample_recall)
+        with atomic_output(file) as partial:
+            partial.write_text(json.dumps([asdict(point) for point in clock.course]), encoding="utf-8")
+        return clock.course
+
+
+class _Clock:
+    """Follows a training by its progress, and ends it.
+
+    Args:
+        batch_size: Images per step.
+        enough: Recall with which it ends.
+        most_s: Seconds after which it ends.
+    """
+
+    def __init__(self, batch_size: int, enough: float | None, most_s: float | None) -> None:
+        self.course: list[Point] = []
+        self._batch_size, self._enough, self._most_s = batch_size, enough, most_s
+        self._spent_s, self._last_s, self._epoch, self._steps = 0.0, 0.0, 0, 0
+
+    def follow(self, progress: Progress) -> None:
+        """After a step: only time from step to step of an epoch counts, none in which images are read or judged."""
+        if progress.stage != "training":
+            return
+        now = perf_counter()
+        if progress.epoch == self._epoch:
+            self._spent_s += now - self._last_s
+        elif progress.validation is not None:
+            self.judged(progress.validation.sample_recall)
+        self._epoch, self._steps, self._last_s = progress.epoch, progress.done, now
+
+    def judged(self, recall: float) -> None:
+        """After an epoch: note where the training stands, and end it where that is enough."""
+        # No time is known of an epoch's first step.
+        seconds = self._spent_s * self._steps / max(1, self._steps - self._epoch)
+        self.course.append(Point(self._steps * self._batch_size, seconds, recall))
+        enough = self._enough is not None and recall >= self._enough
+        if enough or (self._most_s is not None and seconds > self._most_s):
+            raise _EnoughError
+
+
+def summary(courses: dict[str, list[Point]]) -> dict[str, Any]:
+    """Images and seconds of both until they are as good as the default schedule's best epoch.
+
+    Keys: `recall`, that epoch's; by schedule `images` and `seconds` until it is reached, `reached` (else they are of the
+    end), `best_recall`; `times_faster`, the paper's seconds over the default's, at least that where it is not reached.
+    """
+    recall = max(point.recall for point in courses[DEFAULT])
+    result: dict[str, Any] = {"recall": recall}
+    for schedule, course in courses.items():
+        reached = next((point for point in course if point.recall >= recall), None)
+        at = reached or course[-1]
+        best = max(point.recall for point in course)
+        result[schedule] = {
+            "images": at.images,
+            "seconds": at.seconds,
+            "reached": reached is not None,
+            "best_recall": best,
+        }
+    return result | {"times_faster": result[PAPER]["seconds"] / result[DEFAULT]["seconds"]}
