@@ -8,7 +8,9 @@ import pytest
 from filtering.errors import VaporTrackError
 from vapor.checkpoint import Calibration
 from vapor.experiments import trainings as trainings_module
-from vapor.experiments.alpha import AlphaConfig, AlphaExperiment, recalls_by_alpha
+from vapor.experiments.alpha import AlphaConfig
+from vapor.experiments.decay import DecayConfig
+from vapor.experiments.sweep import Sweep, by_value
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
 from vapor.experiments.trainings import Scene, Training
 from vapor.network import NetworkConfig
@@ -24,14 +26,11 @@ TINY_TRAIN = TrainConfig(
     calibrate=False,
     validation_share=0.0,
 )
-TINY = AlphaConfig((0.1, 1.0), 2, sequences=1, frames=32, test_frames=6, num_samples=50, workers=1, train=TINY_TRAIN)
+TINY = AlphaConfig(
+    alphas=(0.1, 1.0), runs=2, sequences=1, frames=32, test_frames=6, num_samples=50, workers=1, train=TINY_TRAIN
+)
 WORDS = [
-    "experiment",
-    "alpha",
     "dinner-table",
-    "--alphas",
-    "0.2",
-    "1.0",
     "--runs",
     "1",
     "--sequences",
@@ -60,7 +59,7 @@ WORDS = [
 
 
 def test_every_alpha_and_run_is_trained_once_and_kept(tmp_path, monkeypatch):
-    first = AlphaExperiment(["round-table"], tmp_path, TINY)
+    first = Sweep(["round-table"], tmp_path, TINY)
     assert list(first.render())[-1] == (2, 2)
     results = list(first.train())
     assert sorted((r["alpha"], r["seed"]) for r in results) == [(0.1, 0), (0.1, 1), (1.0, 0), (1.0, 1)]
@@ -68,13 +67,13 @@ def test_every_alpha_and_run_is_trained_once_and_kept(tmp_path, monkeypatch):
     assert len({r["negative_log_density"] for r in results}) == 4  # no two trainings are one
 
     monkeypatch.setattr(trainings_module, "train", lambda *_, **__: pytest.fail("trained again"))
-    again = AlphaExperiment(["round-table"], tmp_path, TINY)
+    again = Sweep(["round-table"], tmp_path, TINY)
     assert list(again.render()) == [(2, 2)]
     assert list(again.train()) == results
 
 
 def test_kept_samples_are_those_of_the_figures(tmp_path):
-    experiment = AlphaExperiment(["dinner-table"], tmp_path, AlphaConfig(**{**vars(TINY), "runs": 1, "alphas": (0.5,)}))
+    experiment = Sweep(["dinner-table"], tmp_path, AlphaConfig(**{**vars(TINY), "runs": 1, "alphas": (0.5,)}))
     list(experiment.render())
     (result,) = experiment.train()
     truth, samples = experiment.samples("dinner-table", 0.5)
@@ -85,13 +84,13 @@ def test_kept_samples_are_those_of_the_figures(tmp_path):
     assert again["negative_log_density"] == pytest.approx(result["negative_log_density"], rel=1e-3)
 
 
-def test_recalls_are_gathered_by_scene_and_alpha():
+def test_figures_are_gathered_by_scene_and_value():
     results = [
         {"scene": "a", "alpha": 1.0, "seed": 0, "recall": {"near": 0.1}},
         {"scene": "a", "alpha": 0.2, "seed": 1, "recall": {"near": 0.3}},
         {"scene": "a", "alpha": 0.2, "seed": 0, "recall": {"near": 0.2}},
     ]
-    assert recalls_by_alpha(results, "near") == {"a": {0.2: [0.2, 0.3], 1.0: [0.1]}}
+    assert by_value(results, "alpha", lambda r: r["recall"]["near"]) == {"a": {0.2: [0.2, 0.3], 1.0: [0.1]}}
 
 
 @pytest.mark.parametrize(
@@ -111,7 +110,8 @@ def test_an_experiment_that_cannot_be_is_refused(change, message):
 
 
 def test_the_command_writes_results_and_pictures_and_prints_medians(tmp_path, capfd):
-    assert main([*WORDS, "--output", str(tmp_path / "out")]) == 0
+    words = ["experiment", "alpha", *WORDS, "--alphas", "0.2", "1.0"]
+    assert main([*words, "--output", str(tmp_path / "out")]) == 0
     printed = capfd.readouterr().out
     assert "dinner-table, 2 modes" in printed
     report = json.loads((tmp_path / "out" / "alpha.json").read_text())
@@ -123,10 +123,59 @@ def test_the_command_writes_results_and_pictures_and_prints_medians(tmp_path, ca
         assert picture.std() > 10
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"decays": (0.0, 0.0)}, r"decays are \(0.0, 0.0\), expected each at most once"),
+        ({"decays": (0.0, -1.0)}, "encoder_weight_decay is -1.0, expected a number of at least 0"),
+        ({"decays": (float("nan"),)}, "encoder_weight_decay is nan"),
+        ({"training_images": 0}, "training_images is 0"),
+    ],
+)
+def test_a_decay_that_cannot_be_is_refused(change, message):
+    with pytest.raises(VaporTrackError, match=message):
+        DecayConfig(**change)
+
+
+def test_the_decay_experiment_judges_test_and_training_images_and_goes_on(tmp_path, monkeypatch, capfd):
+    words = ["experiment", "decay", *WORDS, "--decays", "0", "1e3", "--training-images", "8", "--output", str(tmp_path)]
+    assert main(words) == 0
+    printed = capfd.readouterr().out
+    assert "dinner-table, 2 modes" in printed
+    report = json.loads((tmp_path / "decay.json").read_text())
+    free, constrained = report["runs"]
+    assert (free["decay"], constrained["decay"]) == (0.0, 1000.0)
+    assert free["mean"] != constrained["mean"]
+    assert (free["images"], free["training"]["images"]) == (6, 8)
+    assert report["medians"]["training"]["modes"]["dinner-table"]["0"] == free["training"]["modes"]
+    pictures = [tmp_path / name for name in ("decay.png", "positions-dinner-table.png")]
+    for path in pictures:
+        picture = cv2.imread(str(path))
+        assert picture is not None
+        assert picture.std() > 10
+        path.unlink()
+
+    monkeypatch.setattr(trainings_module, "train", lambda *_, **__: pytest.fail("trained again"))
+    assert main(words) == 0
+    assert capfd.readouterr().out == printed
+    assert json.loads((tmp_path / "decay.json").read_text()) == report
+    assert all(path.exists() for path in pictures)
+
+
+def test_an_option_that_is_not_used_leaves_earlier_results_valid(tmp_path):
+    scene = Scene("desk", ("a",), ("t",))
+    before = Training(scene, "x", TINY_TRAIN, 0.1, 10)
+    assert "encoder_weight_decay" not in TINY_TRAIN.settings()
+    decayed = Training(scene, "x", replace(TINY_TRAIN, encoder_weight_decay=0.0), 0.1, 10)
+    judged = replace(before, training_images=5)
+    assert decayed.model_file(tmp_path) != before.model_file(tmp_path) == judged.model_file(tmp_path)
+    assert judged.file(tmp_path, ".json") != before.file(tmp_path, ".json")
+
+
 def test_another_kind_of_experiment_is_refused(capfd):
     with pytest.raises(SystemExit, match="2"):
         main(["experiment", "beta"])
-    assert "expected one of alpha, table first" in capfd.readouterr().err
+    assert "expected one of alpha, decay, table first" in capfd.readouterr().err
 
 
 # --- methods side by side --------------------------------------------------------------------------

@@ -11,12 +11,13 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from vapor.augment import AugmentConfig, jitter_and_normalise, random_crops
+from vapor.baselines import make_regressor
 from vapor.checkpoint import Calibration, CheckpointError, load_checkpoint
 from vapor.loss import LossConfig
-from vapor.network import NetworkConfig
+from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import PRESETS
-from vapor.train import train, train_on
+from vapor.train import _parameter_groups, train, train_on
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, held_out_tails, load_training_set
 from vapor.training_state import state_path
@@ -406,3 +407,49 @@ def test_settings_out_of_range_are_refused(kind, change):
     ((name, value),) = change.items()
     with pytest.raises(VaporTrackError, match=rf"^{name} is {value}, expected between "):
         kind(**change)
+
+
+# --- weight decay ----------------------------------------------------------------------------------
+
+
+def _norms(config: TrainConfig, output: Path) -> dict[str, float]:
+    """Norm of all matrices of each part of a network trained for some steps."""
+    trained = train_on({"a": make_frames(24)}, output, replace(config, learning_rate=1e-3, validation_share=0.0))
+    squares: dict[str, float] = {}
+    for name, value in trained.checkpoint.state_dict.items():
+        if value.ndim > 1:
+            part = name.split(".")[0]
+            squares[part] = squares.get(part, 0.0) + float(value.square().sum())
+    return squares
+
+
+def test_a_decay_of_the_encoder_shrinks_the_encoder_alone(tmp_path):
+    still = replace(TINY, weight_decay=0.0, average=0.0, resume=False)
+    free = _norms(still, tmp_path / "free.safetensors")
+    constrained = _norms(replace(still, encoder_weight_decay=300.0), tmp_path / "constrained.safetensors")
+    assert set(free) == {"backbone", "feature", "latent_mean", "latent_log_variance", "pose_map"}
+    for part in free.keys() - {"pose_map"}:
+        assert constrained[part] < 0.5 * free[part]
+    assert constrained["pose_map"] == pytest.approx(free["pose_map"], rel=0.05)
+
+
+@pytest.mark.parametrize("head", ["variational", "point", "mixture"])
+def test_every_matrix_decays_as_its_part_and_nothing_else_does(head):
+    config = replace(
+        TINY, network=replace(TINY.network, head=head), weight_decay=0.1, encoder_weight_decay=0.3, validation_share=0.0
+    )
+    network = make_regressor(config.network, SceneBox((0.0,) * 3, (1.0,) * 3))
+    decays = {id(p): g["weight_decay"] for g in _parameter_groups(network, config) for p in g["params"]}
+    for name, parameter in network.named_parameters():
+        encoder = name.startswith(("backbone", "feature", "latent"))
+        assert decays.pop(id(parameter)) == (0.0 if parameter.ndim <= 1 else 0.3 if encoder else 0.1), name
+    assert not decays
+    same = _parameter_groups(network, replace(config, encoder_weight_decay=None))
+    assert {g["weight_decay"] for g in same} == {0.1, 0.0}
+
+
+@pytest.mark.parametrize("name", ["weight_decay", "encoder_weight_decay"])
+@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
+def test_a_weight_decay_that_is_none_is_refused(name, value):
+    with pytest.raises(TrainingError, match=f"training: {name} is .*, expected a number of at least 0"):
+        replace(TINY, **{name: value})

@@ -176,6 +176,11 @@ class PoseRegressor(nn.Module, ABC):
         self.register_buffer("pixel_mean", torch.tensor(mean), persistent=False)
         self.register_buffer("pixel_std", torch.tensor(std), persistent=False)
 
+    @property
+    def encoder(self) -> tuple[nn.Module, ...]:
+        """What learns from images; the rest makes poses of what it says."""
+        return self.backbone, self.feature
+
     def normalise(self, images: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
         """Pixels 0..255 to what the backbone expects; channels-last in memory."""
         return ((images.float() - self.pixel_mean) / self.pixel_std).permute(0, 3, 1, 2)
@@ -207,6 +212,11 @@ class VariationalPoseRegressor(PoseRegressor):
             layers += [nn.Linear(config.hidden_width, config.hidden_width), nn.ReLU()]
         self.pose_map = PoseMap(nn.Sequential(*layers), config.hidden_width, box)
         self.noise_dim = config.latent_dim if config.head == "variational" else 0
+
+    @property
+    def encoder(self) -> tuple[nn.Module, ...]:
+        """From the image to μ and log σ²."""
+        return *super().encoder, self.latent_mean, self.latent_log_variance
 
     def encode(self, images: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]:
         """Mean μ and log variance log σ² of the latent Gaussian of normalised images."""

@@ -301,11 +301,20 @@ def _start(config: TrainConfig, box: SceneBox, initial: Checkpoint | None) -> Tr
         n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         for n in (network, average)
     )
-    groups = [
-        {"params": [p for p in network.parameters() if p.ndim > 1], "weight_decay": config.weight_decay},
+    optimizer = torch.optim.AdamW(_parameter_groups(network, config), lr=config.learning_rate, fused=True)
+    return TrainingState(network, average, optimizer)
+
+
+def _parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[str, Any]]:
+    """Matrices of the encoder, those of the rest, and what does not decay: biases and BatchNorm."""
+    encoder = {id(p) for part in network.encoder for p in part.parameters()}
+    matrices = [p for p in network.parameters() if p.ndim > 1]
+    decay = config.weight_decay if config.encoder_weight_decay is None else config.encoder_weight_decay
+    return [
+        {"params": [p for p in matrices if id(p) in encoder], "weight_decay": decay},
+        {"params": [p for p in matrices if id(p) not in encoder], "weight_decay": config.weight_decay},
         {"params": [p for p in network.parameters() if p.ndim <= 1], "weight_decay": 0.0},
     ]
-    return TrainingState(network, average, torch.optim.AdamW(groups, lr=config.learning_rate, fused=True))
 
 
 def _initial_model(config: TrainConfig) -> Checkpoint | None:
@@ -350,8 +359,5 @@ def _weights(network: PoseRegressor) -> dict[str, torch.Tensor]:
 
 
 def _settings(config: TrainConfig) -> dict[str, Any]:
-    """What makes a training this one, as JSON: all but where it runs; file names without folders."""
-    settings = asdict(config)
-    for name in ("initial_model", "pretrained_weights"):
-        settings[name] = settings[name].name if settings[name] else None
-    return {key: value for key, value in settings.items() if key not in ("device", "resume")}
+    """What makes a training this one, as JSON; file names without folders."""
+    return {key: value.name if isinstance(value, Path) else value for key, value in config.settings().items()}

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from types import MappingProxyType
+from typing import Any, Literal
 
 from vapor.augment import AugmentConfig
 from vapor.checkpoint import Calibration
@@ -13,6 +15,9 @@ from vapor.loss import LossConfig
 from vapor.network import NetworkConfig
 from vapor.observation import Device
 from vapor.training_set import TrainingError
+
+# Options younger than trainings that people have, and the value that means as before: those stay the same trainings.
+_YOUNGER: Mapping[str, Any] = MappingProxyType({"encoder_weight_decay": None})
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,9 @@ class TrainConfig:
     """Largest learning rate of Adam."""
     weight_decay: float = 1e-2
     """Decoupled weight decay of matrices (AdamW); 0 is Adam."""
+    encoder_weight_decay: float | None = None
+    """The same of the encoder, all from the image to μ and log σ² (with other heads, to the feature); None for as much
+    as the rest. Enough of it keeps the network from learning each image by heart, and posteriors ambiguous."""
     schedule: Literal["one-cycle", "steps"] = "one-cycle"
     """One cosine up and down, or a decay by a factor every so many epochs, as in the paper."""
     warmup: float = 0.1
@@ -94,11 +102,19 @@ class TrainConfig:
                 f"training: loss.relative is {self.loss.relative} with head {self.network.head} and batches of"
                 f" {self.batch_size}, expected head point or dropout and at least 2: relative poses are of pairs"
             )
+        for name in ("weight_decay", "encoder_weight_decay"):
+            if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
+                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a number of at least 0")
         if self.seed < 0:
             raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
         for name in ("evolve", "average", "validation_share", "warmup"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
+
+    def settings(self) -> dict[str, Any]:
+        """What makes a training this one: all but where it runs, and but for younger options that are not used."""
+        where = ("device", "resume")
+        return {k: v for k, v in asdict(self).items() if k not in where and not (k in _YOUNGER and v == _YOUNGER[k])}
 
 
 def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float:

@@ -6,7 +6,7 @@ import json
 import math
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +24,7 @@ from vapor.run import RunConfig, run
 from vapor.threads import limited_threads
 from vapor.train import train
 from vapor.train_config import TrainConfig
-from vapor.training_set import TrainingError, load_training_set, open_sequences
+from vapor.training_set import TrainingError, TrainingSet, load_training_set, open_sequences
 from vapor.validation import predict
 
 _RESULTS = 1  # counts up when the same training gives other results than before
@@ -58,6 +58,7 @@ class Training:
         num_samples: Posterior samples per test image.
         localize: Whether the particle filter runs over the test sequences, too.
         keep_model: Whether the model stays, so that another way to test it needs no other training.
+        training_images: Images of those trained on that are judged as well, evenly spaced.
     """
 
     scene: Scene
@@ -67,6 +68,7 @@ class Training:
     num_samples: int
     localize: bool = False
     keep_model: bool = False
+    training_images: int = 0
 
     def model_file(self, directory: Path) -> Path:
         """Where the model lies, named after all that the training depends on."""
@@ -75,7 +77,14 @@ class Training:
     def file(self, directory: Path, suffix: str) -> Path:
         """Where its result lies, named after all that it depends on."""
         test = [_identity(entry) for entry in self.scene.test]
-        tested = {"test": test, "gamma": self.gamma, "num_samples": self.num_samples, "localize": self.localize}
+        tested: dict[str, Any] = {
+            "test": test,
+            "gamma": self.gamma,
+            "num_samples": self.num_samples,
+            "localize": self.localize,
+        }
+        if self.training_images:  # results without them are older than the option
+            tested["training_images"] = self.training_images
         return directory / "runs" / f"{self._name}-{digest(self._trained_from | tested)}{suffix}"
 
     @property
@@ -84,8 +93,7 @@ class Training:
 
     @property
     def _trained_from(self) -> dict[str, Any]:
-        settings = {k: v for k, v in asdict(self.config).items() if k not in ("device", "resume")}
-        settings = {k: _identity(str(v)) if isinstance(v, Path) else v for k, v in settings.items()}
+        settings = {k: _identity(str(v)) if isinstance(v, Path) else v for k, v in self.config.settings().items()}
         return {**settings, "data": [_identity(entry) for entry in self.scene.train], "results": _RESULTS}
 
 
@@ -154,8 +162,9 @@ def height_to_cover(frame_size: tuple[int, int], least: int) -> int:
 def run_trainings(trainings: Sequence[Training], directory: Path, workers: int) -> Iterator[dict[str, Any]]:
     """The result of every training, in no order; what is done is not done again.
 
-    JSON: `scene`, `label`, `seed`; `seconds` of training and `images_seen`, all of `posterior_metrics`, and with
-    `localize` `filter`, the report of every test sequence; or `error`, why it could not be trained.
+    JSON: `scene`, `label`, `seed`; `seconds` of training and `images_seen`, all of `posterior_metrics`, with
+    `training_images` the same of these as `training`, and with `localize` `filter`, the report of every test sequence;
+    or `error`, why it could not be trained.
     """
     (directory / "runs").mkdir(parents=True, exist_ok=True)
     yield from in_parallel(_run, [(training, directory) for training in trainings], workers)
@@ -211,10 +220,18 @@ def _test(training: Training, directory: Path, model: Path, folder: Path) -> dic
     seed, scene = training.config.seed, training.scene
     checkpoint = load_checkpoint(model)
     network = checkpoint.build_network().to(resolve_device(training.config.device))
-    test = load_training_set(open_sequences(scene.test), training.config.network.frame_size)
-    posteriors = list(predict(network, test, training.num_samples, seed))
-    rng = np.random.default_rng(seed)
-    result = posterior_metrics(posteriors, test.poses, checkpoint.calibration, gamma=training.gamma, rng=rng)
+
+    def judge(images: TrainingSet) -> tuple[dict[str, Any], list[Poses]]:
+        posteriors = list(predict(network, images, training.num_samples, seed))
+        rng, calibration = np.random.default_rng(seed), checkpoint.calibration
+        return posterior_metrics(posteriors, images.poses, calibration, gamma=training.gamma, rng=rng), posteriors
+
+    size = training.config.network.frame_size
+    test = load_training_set(open_sequences(scene.test), size)
+    result, posteriors = judge(test)
+    if training.training_images:
+        seen = load_training_set(open_sequences(scene.train), size)
+        result["training"], _ = judge(seen.select(spaced(len(seen), training.training_images)))
     if training.localize:
         config = RunConfig(seed, recording=False, num_samples=training.num_samples, device=training.config.device)
         result["filter"] = [

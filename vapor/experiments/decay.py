@@ -1,0 +1,46 @@
+"""How a constrained encoder turns confident posteriors into multimodal ones (Zangeneh et al., ICRA 2023).
+
+One walk, seen often enough to be learned by heart: an encoder that is free tells its images apart by noise and by where
+exactly they were taken, and is sure of a place in each. Weight decay takes from it what it needs for that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+from filtering.errors import require_within
+from vapor.experiments.sweep import SweepConfig, small_training
+from vapor.train_config import TrainConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecayConfig(SweepConfig):
+    """Settings of the experiment."""
+
+    parameter: ClassVar[str] = "decay"
+    decays: tuple[float, ...] = (0.0, 3.0, 10.0, 20.0, 30.0, 100.0)
+    """Weight decays of the encoder."""
+    runs: int = 3
+    """Trainings for each decay; they differ in initial weights, order, augmentation and latent noise."""
+    sequences: int = 1
+    """Walks about the table that are trained on."""
+    frames: int = 300
+    """Images of each."""
+    training_images: int = 300
+    """Images of those trained on that are judged as well, evenly spaced."""
+    train: TrainConfig = field(default_factory=lambda: small_training(epochs=100, alpha=0.1))
+    """How each network is trained; the encoder's weight decay and the seed are the experiment's."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_within(self, training_images=(1, 10**6))
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Weight decays."""
+        return self.decays
+
+    def varied(self, value: float) -> TrainConfig:
+        """The training with this weight decay of the encoder."""
+        return replace(self.train, encoder_weight_decay=value)

@@ -1,0 +1,155 @@
+"""A number of the training that varies: a training for each scene, value and run."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+from filtering.errors import VaporTrackError, require_within
+from filtering.se3 import Poses
+from vapor.experiments.trainings import Scene, Training, height_to_cover, kept_samples, render_scenes, run_trainings
+from vapor.loss import LossConfig
+from vapor.network import NetworkConfig
+from vapor.train_config import TrainConfig
+
+MODES: Mapping[str, int] = MappingProxyType({"round-table": 4, "dinner-table": 2})
+"""Scenes of the sweeps, and how many poses look alike in each, by construction."""
+
+_HEIGHT = 96  # pixels of the images as they are rendered, at least
+
+
+def small_training(*, epochs: int, alpha: float = 0.2) -> TrainConfig:
+    """Of images of 64 × 48, all of them, uncalibrated."""
+    return TrainConfig(
+        network=NetworkConfig(image_width=64, image_height=48, shortest_edge=52),
+        loss=LossConfig(alpha=alpha),
+        epochs=epochs,
+        calibrate=False,
+        validation_share=0.0,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepConfig(ABC):
+    """Settings of a sweep; which number varies is what subclasses say."""
+
+    parameter: ClassVar[str]
+    """Name of the number."""
+    runs: int = 10
+    """Trainings for each value; they differ in initial weights, order, augmentation and latent noise."""
+    first_seed: int = 0
+    """Seed of the first of them."""
+    gamma: float = 0.1
+    """Share of an image's samples that must be near its true pose for it to count as right."""
+    sequences: int = 4
+    """Walks about the table that are trained on."""
+    frames: int = 500
+    """Images of each."""
+    test_frames: int = 300
+    """Images of the walk that is tested on."""
+    training_images: int = 0
+    """Images of those trained on that are judged as well, evenly spaced."""
+    num_samples: int = 1000
+    """Posterior samples per image that is judged."""
+    workers: int = 2
+    """Trainings at a time, each with one thread."""
+    train: TrainConfig = field(default_factory=lambda: small_training(epochs=30))
+    """How each network is trained; the number that varies and the seed are the experiment's."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            gamma=(1e-6, 1.0),
+            first_seed=(0, 10**9),
+            training_images=(0, 10**6),
+            **dict.fromkeys(("runs", "sequences", "frames", "test_frames", "num_samples", "workers"), (1, 10**6)),
+        )
+        if not self.values or len({f"{value:g}" for value in self.values}) < len(self.values):
+            raise VaporTrackError(f"{self.parameter}s are {self.values}, expected each at most once, and one")
+        for value in self.values:
+            self.varied(value)  # refuses what cannot be
+
+    @property
+    @abstractmethod
+    def values(self) -> tuple[float, ...]:
+        """Of the number."""
+
+    @abstractmethod
+    def varied(self, value: float) -> TrainConfig:
+        """The training with this value.
+
+        Raises:
+            VaporTrackError: it cannot have that.
+        """
+
+
+class Sweep:
+    """Trainings on the table scenes, one for each scene, value and run; what is done is not done again.
+
+    Args:
+        scenes: Names among `MODES`.
+        directory: For images and results.
+        config: Settings.
+    """
+
+    def __init__(self, scenes: Sequence[str], directory: Path, config: SweepConfig) -> None:
+        self.directory, self.config = directory, config
+        self._names = tuple(scenes)
+        self._scenes: list[Scene] = []
+
+    def render(self) -> Iterator[tuple[int, int]]:
+        """Render the images that are missing; yields the number of walks done and of all."""
+        c = self.config
+        for done, total, scenes in render_scenes(
+            self._names,
+            self.directory,
+            train_walks=c.sequences,
+            train_frames=c.frames,
+            test_walks=1,
+            test_frames=c.test_frames,
+            height=height_to_cover(c.train.network.frame_size, _HEIGHT),
+            workers=c.workers,
+        ):
+            self._scenes = scenes
+            yield done, total
+
+    def train(self) -> Iterator[dict[str, Any]]:
+        """The result of every training, in no order: as `run_trainings`, and the value by the number's name."""
+        c = self.config
+        trainings = [
+            self._training(scene, value, seed)
+            for seed in range(c.first_seed, c.first_seed + c.runs)  # interrupted, it has fewer runs of all
+            for scene in self._scenes
+            for value in c.values
+        ]
+        for result in run_trainings(trainings, self.directory, c.workers):
+            yield result | {c.parameter: float(result["label"])}
+
+    def samples(self, scene: str, value: float) -> tuple[Poses, list[Poses]]:
+        """True poses of some test images and the posterior samples of each, of the first run with this value."""
+        (found,) = (s for s in self._scenes if s.name == scene)
+        return kept_samples(self._training(found, value, self.config.first_seed), self.directory)
+
+    def _training(self, scene: Scene, value: float, seed: int) -> Training:
+        c = self.config
+        config = replace(c.varied(value), seed=seed, resume=False)
+        return Training(scene, f"{value:g}", config, c.gamma, c.num_samples, training_images=c.training_images)
+
+
+def in_order(results: Sequence[Mapping[str, Any]], parameter: str) -> list[Mapping[str, Any]]:
+    """Results by scene, value and seed."""
+    return sorted(results, key=lambda r: (r["scene"], r[parameter], r["seed"]))
+
+
+def by_value(
+    results: Sequence[Mapping[str, Any]], parameter: str, figure: Callable[[Mapping[str, Any]], float]
+) -> dict[str, dict[float, list[float]]]:
+    """A figure of results by scene and value, one for each run that could be trained."""
+    table: dict[str, dict[float, list[float]]] = {}
+    for result in in_order([result for result in results if "error" not in result], parameter):
+        table.setdefault(result["scene"], {}).setdefault(result[parameter], []).append(figure(result))
+    return table
