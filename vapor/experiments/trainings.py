@@ -25,7 +25,7 @@ from vapor.threads import limited_threads
 from vapor.train import train
 from vapor.train_config import TrainConfig
 from vapor.training_set import TrainingError, load_training_set, open_sequences
-from vapor.validation import predict
+from vapor.validation import exact_log_density, predict
 
 _RESULTS = 1  # counts up when the same training gives other results than before
 _SHOWN = 25  # test images whose samples are kept for pictures, evenly spaced
@@ -214,7 +214,14 @@ def _test(training: Training, directory: Path, model: Path, folder: Path) -> dic
     test = load_training_set(open_sequences(scene.test), training.config.network.frame_size)
     posteriors = list(predict(network, test, training.num_samples, seed))
     rng = np.random.default_rng(seed)
-    result = posterior_metrics(posteriors, test.poses, checkpoint.calibration, gamma=training.gamma, rng=rng)
+    result = posterior_metrics(
+        posteriors,
+        test.poses,
+        checkpoint.calibration,
+        gamma=training.gamma,
+        exact_log_density=exact_log_density(network, test),
+        rng=rng,
+    )
     if training.localize:
         config = RunConfig(seed, recording=False, num_samples=training.num_samples, device=training.config.device)
         result["filter"] = [
