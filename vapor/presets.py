@@ -75,5 +75,5 @@ METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
         "flow": _density("flow", 32),
     }
 )
-"""The paper's regressor, the same without its parts, and those it is measured against (see `vapor.baselines`): what
-each makes of a configuration."""
+"""The paper's regressor, the same without its parts, those it is measured against (see `vapor.baselines`), and one that
+is a density (`vapor.flow`): what each makes of a configuration."""
