@@ -47,6 +47,24 @@ class DetailedPosterior(PosePosterior, Protocol):
         ...
 
 
+@runtime_checkable
+class PoseDensity(Protocol):
+    """A density over poses that can be drawn from and evaluated, both exactly: kernels, or a network's own."""
+
+    @property
+    def centres(self) -> Poses:
+        """Poses that stand for it, world_from_camera, batch (m,)."""
+        ...
+
+    def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
+        """Draw poses (num_samples,)."""
+        ...
+
+    def log_density(self, poses: Poses, *, near_only: bool = False) -> Float64[np.ndarray, " n"]:
+        """Log density of poses (n,), per m³ rad³; `near_only`: −∞ will do where it is next to nothing."""
+        ...
+
+
 Posterior = TypeVar("Posterior", bound=PosePosterior, covariant=True)
 
 
@@ -139,16 +157,16 @@ class LikelihoodModel:
 
 @dataclass(frozen=True)
 class PosteriorSamples:
-    """A posterior given by samples: their kernel density, and the likelihood it implies.
+    """A posterior given by samples and their density, and the likelihood it implies.
 
     Attributes:
-        density: Kernel density over the samples, p̂.
+        density: p̂: the kernel density over the samples, or the exact one that they were drawn from.
         likelihood: How p̂ becomes a likelihood.
         places: The same smoothed to the size of a place, over some of the samples: it tells places apart, and p̂ tells
             where in a place. None where p̂ does both.
     """
 
-    density: KernelDensity
+    density: PoseDensity
     likelihood: LikelihoodModel = field(default_factory=LikelihoodModel)
     places: KernelDensity | None = None
     _evaluated: list[tuple[Poses, np.ndarray, np.ndarray, np.ndarray]] = field(
@@ -205,11 +223,11 @@ class PosteriorSamples:
         return self.density.centres
 
     def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
-        """Draw poses (num_samples,) from the kernel density."""
+        """Draw poses (num_samples,) from p̂."""
         return self.density.sample(num_samples, rng=rng)
 
     def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log p̂(pose | image) of poses (n,), per m³ rad³; with `places`, −∞ where no kernel reaches."""
+        """Log p̂(pose | image) of poses (n,), per m³ rad³; −∞ where it is 0 or, with `places`, next to that."""
         return self._evaluate(poses)[0]
 
     def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:

@@ -21,7 +21,7 @@ from vapor.train import _paired, train_on
 
 BOX = SceneBox((-2.0, -1.0, 0.0), (2.0, 3.0, 1.0))
 SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=32, feature_dim=32, latent_dim=4, components=5)
-HEADS = ("variational", "deterministic", "point", "dropout", "mixture")
+HEADS = ("variational", "deterministic", "point", "dropout", "mixture", "flow")
 IMAGES = torch.randn(3, 3, 32, 32, generator=torch.Generator().manual_seed(0))
 
 
@@ -60,7 +60,7 @@ def test_every_head_gives_rigid_poses_the_same_for_the_same_noise(head):
 def test_only_heads_with_noise_spread(head):
     translation, _ = draw(network_with(head), 50)
     spread = translation.std(dim=1).max()
-    assert spread > 1e-3 if head in ("variational", "dropout", "mixture") else spread < 1e-6
+    assert spread > 1e-3 if head in ("variational", "dropout", "mixture", "flow") else spread < 1e-6
 
 
 def test_dropout_leaves_out_its_share_of_the_units():
@@ -84,11 +84,12 @@ def test_draws_of_a_mixture_follow_its_weights_and_kernels():
             layer.bias.copy_(torch.tensor(bias))
         network.translation.weight.zero_()
         network.translation.bias.copy_(torch.tensor([-9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0]))
-        log_weights, _, _, widths = (part[0].double().numpy() for part in network.components(IMAGES))
+        feature = network.describe(IMAGES)
+        log_weights, _, _, widths = (part[0].double().numpy() for part in network.components(feature))
     assert widths[0, 0] < widths[1, 0] < 0.3
     translation, rotation = (part[0].double().numpy() for part in draw(network, 40_000))
     with torch.no_grad():
-        centres = Poses(*(part[0].double().numpy() for part in network.components(IMAGES)[2:0:-1]))
+        centres = Poses(*(part[0].double().numpy() for part in network.components(feature)[2:0:-1]))
     log_weights -= np.logaddexp.reduce(log_weights)  # float32 leaves a rest
     density = KernelDensity(centres, widths[:, 0], widths[:, 1], log_weights)
     ours = density.sample(40_000, rng=np.random.default_rng(0))
@@ -114,7 +115,8 @@ def test_the_likelihood_of_a_single_component_is_its_kernel_density():
     network = network_with("mixture", components=1)
     truth = truth_of(3)
     loss = training_loss(network, IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig())
-    _, translation, rotation, widths = (part.detach().double().numpy() for part in network.components(IMAGES))
+    components = network.components(network.describe(IMAGES))
+    _, translation, rotation, widths = (part.detach().double().numpy() for part in components)
     for_each = [
         KernelDensity(Poses(rotation[i], translation[i]), *widths[i, 0]).log_density(
             Poses(truth[1].double().numpy()[[i]], truth[0].double().numpy()[[i]])

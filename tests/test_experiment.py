@@ -162,16 +162,6 @@ def test_the_decay_experiment_judges_test_and_training_images_and_goes_on(tmp_pa
     assert all(path.exists() for path in pictures)
 
 
-def test_an_option_that_is_not_used_leaves_earlier_results_valid(tmp_path):
-    scene = Scene("desk", ("a",), ("t",))
-    before = Training(scene, "x", TINY_TRAIN, 0.1, 10)
-    assert "encoder_weight_decay" not in TINY_TRAIN.settings()
-    decayed = Training(scene, "x", replace(TINY_TRAIN, encoder_weight_decay=0.0), 0.1, 10)
-    judged = replace(before, training_images=5)
-    assert decayed.model_file(tmp_path) != before.model_file(tmp_path) == judged.model_file(tmp_path)
-    assert judged.file(tmp_path, ".json") != before.file(tmp_path, ".json")
-
-
 def test_another_kind_of_experiment_is_refused(capfd):
     with pytest.raises(SystemExit, match="2"):
         main(["experiment", "beta"])

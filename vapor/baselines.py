@@ -8,11 +8,15 @@ Bingham networks: dealing with uncertainty and ambiguity in pose estimation", IJ
 
 from __future__ import annotations
 
+import math
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from vapor.flow import FlowRegressor
 from vapor.network import (
+    DensityRegressor,
     NetworkConfig,
     PoseMap,
     PoseRegressor,
@@ -50,7 +54,7 @@ class PointRegressor(PoseRegressor):
             return self.pose_map((feature / (1.0 - share))[:, None] * kept)
 
 
-class MixtureRegressor(PoseRegressor):
+class MixtureRegressor(DensityRegressor):
     """A mixture density: Gaussians in position times isotropic matrix-Fisher distributions in rotation."""
 
     lower: Tensor
@@ -68,10 +72,9 @@ class MixtureRegressor(PoseRegressor):
         self.register_buffer("upper", torch.tensor(box.upper), persistent=False)
 
     def components(
-        self, images: Float[Tensor, "b 3 h w"]
+        self, feature: Float[Tensor, "b f"]
     ) -> tuple[Float[Tensor, "b k"], Float[Tensor, "b k 3"], Float[Tensor, "b k 3 3"], Float[Tensor, "b k 2"]]:
         """Log weights, mean positions, mean rotations, and widths (metres, radians) of the components."""
-        feature = self.describe(images)
         with torch.autocast(feature.device.type, enabled=False):
             log_weights = torch.log_softmax(self.logits(feature), dim=-1)
             share = torch.sigmoid(self.translation(feature).unflatten(-1, (-1, 3)))
@@ -81,11 +84,11 @@ class MixtureRegressor(PoseRegressor):
             widths = torch.exp(least + (most - least) * middle)
             return log_weights, torch.lerp(self.lower, self.upper, share), rotation, widths
 
-    def forward(
-        self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]
+    def sample(
+        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
     ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
         """Draws from the mixture."""
-        log_weights, translation, rotation, widths = self.components(images)
+        log_weights, translation, rotation, widths = self.components(feature)
         share = torch.special.ndtr(noise[..., 0])
         which = torch.searchsorted(log_weights.exp().cumsum(dim=-1).contiguous(), share.contiguous())
         which = which.clamp_max(log_weights.shape[-1] - 1)
@@ -95,14 +98,43 @@ class MixtureRegressor(PoseRegressor):
         quantile = torch.special.ndtr(noise[..., 7])
         angle = _angle(widths[..., 1], which, quantile)
         axis = torch.nn.functional.normalize(noise[..., 4:7], dim=-1)
-        return position, rotation[row, which] @ _rodrigues(axis, angle)
+        return position, rotation[row, which] @ rodrigues(axis, angle)
+
+    def log_density(
+        self,
+        feature: Float[Tensor, "b f"],
+        translation: Float[Tensor, "b n 3"],
+        rotation: Float[Tensor, "b n 3 3"],
+    ) -> Float[Tensor, "b n"]:
+        """Log density of the mixture, per m³ rad³."""
+        log_weights, mean, mean_rotation, widths = self.components(feature)
+        with torch.autocast(feature.device.type, enabled=False):
+            kernels = component_log_density(mean, mean_rotation, widths, translation, rotation)
+            return torch.logsumexp(log_weights[:, None] + kernels, dim=-1)
+
+
+def component_log_density(
+    mean: Float[Tensor, "b k 3"],
+    mean_rotation: Float[Tensor, "b k 3 3"],
+    widths: Float[Tensor, "b k 2"],
+    translation: Float[Tensor, "b n 3"],
+    rotation: Float[Tensor, "b n 3 3"],
+) -> Float[Tensor, "b n k"]:
+    """Log density of each component of a mixture at each pose, per m³ rad³."""
+    metres = torch.linalg.vector_norm(mean[:, None] - translation[:, :, None], dim=-1)
+    apart = mean_rotation[:, None] - rotation[:, :, None]
+    versine = 0.25 * torch.linalg.vector_norm(apart, dim=(-2, -1)).square()  # 1 − cos θ
+    std_m, width_rad = widths[:, None].unbind(-1)
+    log_position = -0.5 * (metres / std_m).square() - 3.0 * std_m.log() - 1.5 * math.log(2 * math.pi)
+    return log_position - versine / width_rad.square() - log_rotation_normaliser(width_rad)
 
 
 def make_regressor(config: NetworkConfig, box: SceneBox) -> PoseRegressor:
     """The regressor with the configured head, with random weights."""
     if config.head in ("variational", "deterministic"):
         return VariationalPoseRegressor(config, box)
-    return (MixtureRegressor if config.head == "mixture" else PointRegressor)(config, box)
+    kinds = {"mixture": MixtureRegressor, "flow": FlowRegressor}
+    return kinds.get(config.head, PointRegressor)(config, box)
 
 
 def log_rotation_normaliser(width_rad: Tensor) -> Tensor:
@@ -126,7 +158,8 @@ def _angle(width_rad: Float[Tensor, "b k"], which: Tensor, quantile: Float[Tenso
     return torch.lerp(angles.gather(-1, above - 1), angles.gather(-1, above), share.clamp(0.0, 1.0))[..., 0]
 
 
-def _rodrigues(axis: Float[Tensor, "*batch 3"], angle: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3 3"]:
+def rodrigues(axis: Float[Tensor, "*batch 3"], angle: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3 3"]:
+    """Rotations about unit vectors by angles in radians."""
     x, y, z = axis.unbind(-1)
     zero = torch.zeros_like(x)
     skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError, require_within
-from filtering.posterior import LikelihoodModel, PosteriorSamples
+from filtering.posterior import LikelihoodModel, PoseDensity, PosteriorSamples
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from vapor.baselines import make_regressor
@@ -108,10 +108,16 @@ class Calibration:
             self.detail_temper,
         )
 
-    def posterior(self, samples: Poses, likelihood: LikelihoodModel) -> PosteriorSamples:
-        """The posterior of an image from its samples (m,), with `likelihood` of the same model."""
+    def posterior(
+        self, samples: Poses, likelihood: LikelihoodModel, density: PoseDensity | None = None
+    ) -> PosteriorSamples:
+        """The posterior of an image from its samples (m,), with `likelihood` of the same model.
+
+        `density` is the one that the samples were drawn from, where it is known; without it they become kernels.
+        """
         wide = self.place_bandwidth_translation_m, self.place_bandwidth_rotation_rad
-        return PosteriorSamples(self.density(samples), likelihood, KernelDensity(samples[:_PLACE_SAMPLES], *wide))
+        places = KernelDensity(samples[:_PLACE_SAMPLES], *wide)
+        return PosteriorSamples(density or self.density(samples), likelihood, places)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
 from filtering.posterior import LikelihoodModel, PosteriorSamples
@@ -94,11 +95,14 @@ class EstimateModel:
 
 def estimate_modes(posterior: PosteriorSamples, _: np.random.Generator | None = None) -> tuple[Mode, ...]:
     """The estimates behind a posterior, each with its stated covariance, that of the highest density first."""
+    density = posterior.density
+    if not isinstance(density, KernelDensity):
+        raise TypeError(f"{type(density).__name__} is no density of estimates")
     count = len(posterior.poses) // 2  # the other half are the wide kernels
     estimates = posterior.poses[:count]
-    std_m = np.broadcast_to(posterior.density.bandwidth_translation_m, 2 * count)[:count]
-    std_rad = np.broadcast_to(posterior.density.bandwidth_rotation_rad, 2 * count)[:count]
-    order = np.argsort(-posterior.density.log_density(estimates), kind="stable")
+    std_m = np.broadcast_to(density.bandwidth_translation_m, 2 * count)[:count]
+    std_rad = np.broadcast_to(density.bandwidth_rotation_rad, 2 * count)[:count]
+    order = np.argsort(-density.log_density(estimates), kind="stable")
     return tuple(
         Mode(estimates[i], np.diag(np.repeat([std_m[i] ** 2, std_rad[i] ** 2], 3)), 1.0 / count) for i in order
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -10,7 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from filtering.errors import require_within
-from vapor.baselines import MixtureRegressor, PointRegressor, log_rotation_normaliser
+from vapor.baselines import MixtureRegressor, PointRegressor, component_log_density, rodrigues
+from vapor.flow import FlowRegressor
 from vapor.network import PoseRegressor, VariationalPoseRegressor, sample_latent
 
 
@@ -34,6 +34,11 @@ class LossConfig:
     """relative: images from one of a pair to the other, at most."""
     relaxation: float = 0.05
     """mixture: share of the loss that the components beside the best one have."""
+    target_noise_m: float = 0.02
+    """flow: standard deviation of noise on true positions along each axis, metres: a density of points is without
+    bounds, and what lies beside the points is never learned."""
+    target_noise_rad: float = 0.02
+    """flow: standard deviation of noise on true rotations about each axis, radians."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -46,6 +51,8 @@ class LossConfig:
             relative=(0.0, 1e9),
             pair_gap=(1, 10**6),
             relaxation=(0.0, 1.0),
+            target_noise_m=(0.0, 0.1),
+            target_noise_rad=(0.0, 1.0),
         )
 
     @property
@@ -61,7 +68,8 @@ class Loss:
     Attributes:
         total: What is minimised; carries the gradient.
         kl: Mean KL divergence over the batch, nats; 0 where there is no latent Gaussian.
-        distance: Mean d_pose of those that learn: the winners, the one pose, or the best component.
+        distance: Mean d_pose of those that learn: the winners, the one pose, or the best component; of a flow, of a
+            sample.
     """
 
     total: Tensor
@@ -108,6 +116,8 @@ def training_loss(
     truth = true_translation, true_rotation
     if isinstance(network, MixtureRegressor):
         return mixture_loss(network, images, *truth, config)
+    if isinstance(network, FlowRegressor):
+        return flow_loss(network, images, *truth, noise, config)
     if isinstance(network, PointRegressor):
         return point_loss(network, images, *truth, noise, config)
     if not isinstance(network, VariationalPoseRegressor):
@@ -190,14 +200,10 @@ def mixture_loss(
 
     Relaxed winner takes all: a mixture trained by its likelihood alone collapses to few components (Deng et al.).
     """
-    log_weights, translation, rotation, widths = network.components(images)
+    log_weights, translation, rotation, widths = network.components(network.describe(images))
     truth = true_translation[:, None], true_rotation[:, None]
     with torch.autocast(images.device.type, enabled=False):
-        metres = torch.linalg.vector_norm(translation - truth[0], dim=-1)
-        versine = 0.25 * torch.linalg.vector_norm(rotation - truth[1], dim=(-2, -1)).square()  # 1 − cos θ
-        std_m, width_rad = widths.unbind(-1)
-        log_position = -0.5 * (metres / std_m).square() - 3.0 * std_m.log() - 1.5 * math.log(2 * math.pi)
-        log_likelihood = log_position - versine / width_rad.square() - log_rotation_normaliser(width_rad)
+        log_likelihood = component_log_density(translation, rotation, widths, *truth)[:, 0]
     distance = pose_distance(translation, rotation, *truth, config)
     best = distance.argmin(dim=1, keepdim=True)
     winner = torch.zeros_like(log_weights).scatter_(1, best, 1.0)
@@ -206,6 +212,37 @@ def mixture_loss(
     total = -(share * log_likelihood).sum(dim=1).mean() - log_weights.gather(1, best).mean()
     nearest = distance.gather(1, best).mean()
     return Loss(total, torch.zeros_like(nearest), nearest.detach())
+
+
+def flow_loss(
+    network: FlowRegressor,
+    images: Float[Tensor, "b 3 h w"],
+    true_translation: Float[Tensor, "b 3"],
+    true_rotation: Float[Tensor, "b 3 3"],
+    noise: Float[Tensor, "b 1 6"],
+    config: LossConfig,
+) -> Loss:
+    """Negative log density of the true poses, nats, after noise of the stated size; the distance is of one sample each.
+
+    Args:
+        network: In training mode.
+        images: Normalised images.
+        true_translation: Metres, of world_from_camera.
+        true_rotation: Rotation matrices of world_from_camera.
+        noise: Standard normal; moves the true poses and gives the sample.
+        config: Size of the noise.
+    """
+    feature = network.describe(images)
+    truth = true_translation[:, None], true_rotation[:, None]
+    with torch.no_grad():
+        distance = pose_distance(*network.sample(feature, noise), *truth, config).mean()
+    with torch.autocast(images.device.type, enabled=False):
+        turn = config.target_noise_rad * noise[..., 3:]
+        angle = torch.linalg.vector_norm(turn, dim=-1).clamp_min(1e-9)
+        translation = truth[0] + config.target_noise_m * noise[..., :3]
+        rotation = truth[1] @ rodrigues(turn / angle[..., None], angle)
+    total = -network.log_density(feature, translation, rotation).mean()
+    return Loss(total, torch.zeros_like(distance), distance)
 
 
 def _errors(poses: tuple[Tensor, Tensor], truth: tuple[Tensor, Tensor]) -> Float[Tensor, "b 2"]:

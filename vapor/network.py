@@ -22,7 +22,7 @@ from vapor.efficientnet import EfficientNetLite0, pretrained_lite0_state
 from vapor.resnet import ResNet18
 
 Backbone = Literal["resnet18", "resnet18-half", "efficientnet-lite0"]
-Head = Literal["variational", "deterministic", "point", "dropout", "mixture"]
+Head = Literal["variational", "deterministic", "point", "dropout", "mixture", "flow"]
 
 # Mean and standard deviation of RGB pixels in 0..255 that the published weights expect.
 _IMAGENET = ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375))
@@ -41,7 +41,8 @@ class NetworkConfig:
     head: Head = "variational"
     """From feature to poses: "variational" through a random latent vector; "deterministic" through its mean; "point"
     straight to one pose; "dropout" the same with random units of the feature left out, in use as well; "mixture" to
-    a density of Gaussians in position and isotropic matrix-Fisher distributions in rotation."""
+    a density of Gaussians in position and isotropic matrix-Fisher distributions in rotation; "flow" to a density made
+    of splines."""
     image_width: int = 160
     """Width of the image that enters the network, pixels. With the aspect of the camera's images it sees all but the
     margin for crops; the paper's networks see a square."""
@@ -54,13 +55,13 @@ class NetworkConfig:
     latent_dim: int = 16
     """Dimension d of the latent space."""
     hidden_width: int = 128
-    """Width of the pose map's hidden layers."""
+    """Width of the hidden layers of the pose map, and of a flow's."""
     hidden_layers: int = 3
-    """Hidden layers of the pose map after its first, n_layers in the paper."""
+    """Hidden layers of the pose map after its first, n_layers in the paper; and of a flow."""
     dropout: float = 0.5
     """dropout: share of the feature's units that is left out."""
     components: int = 10
-    """mixture: its components."""
+    """mixture: its components; flow: bins of each of its splines."""
 
     def __post_init__(self) -> None:
         if self.backbone not in get_args(Backbone):
@@ -197,6 +198,31 @@ class PoseRegressor(nn.Module, ABC):
         self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]
     ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
         """Posterior samples of normalised images for given noise, d = `noise_dim`: metres and rotation matrices."""
+
+
+class DensityRegressor(PoseRegressor):
+    """A regressor whose posterior is a density that can be evaluated: no kernels over its samples are needed."""
+
+    @abstractmethod
+    def sample(
+        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
+    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+        """Posterior samples of images with these features (`describe`), for given noise."""
+
+    @abstractmethod
+    def log_density(
+        self,
+        feature: Float[Tensor, "b f"],
+        translation: Float[Tensor, "b n 3"],
+        rotation: Float[Tensor, "b n 3 3"],
+    ) -> Float[Tensor, "b n"]:
+        """Log density of the samples' distribution at poses, per m³ rad³ (rotation volume 8π²); −∞ where it is 0."""
+
+    def forward(
+        self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]
+    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+        """Posterior samples."""
+        return self.sample(self.describe(images), noise)
 
 
 class VariationalPoseRegressor(PoseRegressor):

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import ModeConfig, posterior_modes
@@ -23,6 +24,7 @@ def posterior_metrics(
     *,
     gamma: float = 0.1,
     modes: ModeConfig | None = None,
+    exact_log_density: Float64[np.ndarray, " n"] | None = None,
     rng: np.random.Generator,
 ) -> dict[str, Any]:
     """Figures over the images of a test set.
@@ -33,6 +35,7 @@ def posterior_metrics(
         calibration: Kernel widths of the density.
         gamma: Share of an image's samples that must be near its true pose for the posterior to count as right.
         modes: What counts as one mode.
+        exact_log_density: Log density of each image's own posterior at its true pose, per m³ rad³, where it is known.
         rng: Source of the draws by which modes are found.
 
     Returns:
@@ -40,8 +43,9 @@ def posterior_metrics(
         at least γ of the samples (Zangeneh et al., ICRA 2023), the best mode, or any one sample is within both limits;
         `mean` and `mode`, the median errors of the samples' mean (arithmetic in position, chordal L2 in rotation) and
         of the best mode, `translation_m` and `rotation_deg`; `negative_log_density`, the mean of
-        −log(p̂ + 10⁻⁴ per m³ rad³) at the true pose, nats, so that no single image decides; `modes`, the mean number of
-        modes.
+        −log(p̂ + 10⁻⁴ per m³ rad³) at the true pose, nats, so that no single image decides, p̂ being the kernel density
+        of the samples; `exact_negative_log_density`, the same of the exact density, None where there is none; `modes`,
+        the mean number of modes.
 
     Raises:
         VaporTrackError: γ outside (0, 1], no image, or not as many posteriors as true poses.
@@ -71,6 +75,9 @@ def posterior_metrics(
         raise VaporTrackError(f"{len(inside)} posteriors for {len(truth)} true poses, expected one for each, and one")
     recall = np.mean(inside, axis=0)
     median = np.median(errors, axis=0)
+    exact = None
+    if exact_log_density is not None:
+        exact = float(-np.mean(np.logaddexp(exact_log_density, LOG_FLOOR)))
     by_threshold = (dict(zip(THRESHOLDS, map(float, row), strict=True)) for row in recall)
     return {
         "images": len(inside),
@@ -80,5 +87,6 @@ def posterior_metrics(
             for k, name in enumerate(("mean", "mode"))
         },
         "negative_log_density": float(-np.mean(densities)),
+        "exact_negative_log_density": exact,
         "modes": float(np.mean(counts)),
     }

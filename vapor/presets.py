@@ -54,9 +54,9 @@ def _head(head: Head, *, relative: float = 0.0, **loss: float) -> Callable[[Trai
     return lambda c: replace(c, network=replace(c.network, head=head), loss=replace(c.loss, relative=relative, **loss))
 
 
-def _mixture(components: int) -> Callable[[TrainConfig], TrainConfig]:
+def _density(head: Head, components: int) -> Callable[[TrainConfig], TrainConfig]:
     def configured(c: TrainConfig) -> TrainConfig:
-        network = replace(c.network, head="mixture", components=components)
+        network = replace(c.network, head=head, components=components)
         return replace(c, network=network, loss=replace(c.loss, relative=0.0))
 
     return configured
@@ -70,9 +70,10 @@ METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
         "posenet": _head("point"),
         "bayesian-posenet": _head("dropout"),
         "mapnet": _head("point", relative=1.0),
-        "mixture-10": _mixture(10),
-        "mixture-50": _mixture(50),
+        "mixture-10": _density("mixture", 10),
+        "mixture-50": _density("mixture", 50),
+        "flow": _density("flow", 32),
     }
 )
-"""The paper's regressor, the same without its parts, and those it is measured against (see `vapor.baselines`): what
-each makes of a configuration."""
+"""The paper's regressor, the same without its parts, those it is measured against (see `vapor.baselines`), and one that
+is a density (`vapor.flow`): what each makes of a configuration."""

@@ -20,6 +20,7 @@ from vapor.augment import jitter_and_normalise, random_crops
 from vapor.baselines import make_regressor
 from vapor.calibrate import CalibrationResult, calibrate
 from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, load_checkpoint, save_checkpoint, spaced
+from vapor.flow import FlowRegressor
 from vapor.loss import training_loss
 from vapor.network import PoseRegressor, SceneBox, load_pretrained
 from vapor.observation import resolve_device
@@ -132,7 +133,7 @@ def train_on(
         raise TrainingError(f"{', '.join(sequences)}: {len(training)} training images, expected at least 2")
     names = {"data": list(sequences), "validation_data": list(validation or ())}
     box = SceneBox.around(training.poses)
-    state = _start(config, box.union(initial.box) if initial else box, initial)
+    state = _start(config, box.union(initial.box) if initial else box, training.poses, initial)
     return _fit(state, training, held_out, names, output, config, report)
 
 
@@ -284,7 +285,7 @@ def has_bfloat16(device: torch.device) -> bool:
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
 
 
-def _start(config: TrainConfig, box: SceneBox, initial: Checkpoint | None) -> TrainingState:
+def _start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint | None) -> TrainingState:
     """Initial weights, which depend on the seed and the files to start from alone, and a fresh optimizer."""
     device = resolve_device(config.device)
     with torch.random.fork_rng(devices=[]):
@@ -294,6 +295,8 @@ def _start(config: TrainConfig, box: SceneBox, initial: Checkpoint | None) -> Tr
     packaged = config.pretrained and config.network.backbone == "efficientnet-lite0"
     if config.pretrained_weights is not None or packaged:
         load_pretrained(network, config.pretrained_weights)
+    if isinstance(network, FlowRegressor):
+        network.choose_axes(poses)
     if initial is not None:
         network.load_state_dict(dict(initial.state_dict))
     average.load_state_dict(network.state_dict())

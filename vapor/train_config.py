@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 from vapor.augment import AugmentConfig
@@ -15,9 +13,6 @@ from vapor.loss import LossConfig
 from vapor.network import NetworkConfig
 from vapor.observation import Device
 from vapor.training_set import TrainingError
-
-# Options younger than trainings that people have, and the value that means as before: those stay the same trainings.
-_YOUNGER: Mapping[str, Any] = MappingProxyType({"encoder_weight_decay": None})
 
 
 @dataclass(frozen=True)
@@ -112,9 +107,8 @@ class TrainConfig:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
 
     def settings(self) -> dict[str, Any]:
-        """What makes a training this one: all but where it runs, and but for younger options that are not used."""
-        where = ("device", "resume")
-        return {k: v for k, v in asdict(self).items() if k not in where and not (k in _YOUNGER and v == _YOUNGER[k])}
+        """What makes a training this one: all but where it runs."""
+        return {name: value for name, value in asdict(self).items() if name not in ("device", "resume")}
 
 
 def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float64
+from torch import Tensor
 
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration
 from vapor.images import centre_crop
-from vapor.network import PoseRegressor
+from vapor.network import DensityRegressor, PoseRegressor
 from vapor.training_set import TrainingSet
 
 RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
@@ -76,18 +78,37 @@ def validate(
 
 def predict(network: PoseRegressor, images: TrainingSet, num_samples: int, seed: int) -> Iterator[Poses]:
     """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic."""
-    config, device = network.config, network.pixel_mean.device
+    device = network.pixel_mean.device
     generator = torch.Generator(device).manual_seed(seed)
-    training = network.training
-    network.eval()
     batch = max(1, min(_BATCH, _MAX_NOISE // (num_samples * max(1, network.noise_dim))))
-    for start in range(0, len(images), batch):
-        whole = images.images[start : start + batch]
-        crops = np.stack([centre_crop(image, config.image_width, config.image_height) for image in whole])
+    for _, crops in _batches(network, images, batch):
         with torch.inference_mode():
             noise = torch.randn(len(crops), num_samples, network.noise_dim, generator=generator, device=device)
-            pixels = network.normalise(torch.from_numpy(crops).to(device))
-            translation, rotation = (p.cpu().double().numpy() for p in network(pixels, noise))
+            translation, rotation = (p.cpu().double().numpy() for p in network(crops, noise))
         for i in range(len(crops)):
             yield Poses(rotation[i], translation[i])
+
+
+def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np.ndarray, " n"] | None:
+    """Log density per m³ rad³ of each image's posterior at its true pose, (n,); None where only samples tell of it."""
+    if not isinstance(network, DensityRegressor):
+        return None
+    found = np.empty(len(images))
+    for rows, crops in _batches(network, images, _BATCH):
+        truth = (getattr(images.poses[rows], part) for part in ("translation", "rotation"))
+        with torch.inference_mode():
+            poses = (torch.from_numpy(part)[:, None].to(crops) for part in truth)
+            found[rows] = network.log_density(network.describe(crops), *poses)[:, 0].cpu().double().numpy()
+    return found
+
+
+def _batches(network: PoseRegressor, images: TrainingSet, size: int) -> Iterator[tuple[slice, Tensor]]:
+    """Which images, and their centre crops, normalised; the network is in evaluation mode until all are done."""
+    config, training = network.config, network.training
+    network.eval()
+    for start in range(0, len(images), size):
+        whole = images.images[start : start + size]
+        crops = np.stack([centre_crop(image, config.image_width, config.image_height) for image in whole])
+        pixels = torch.from_numpy(crops).to(network.pixel_mean.device)
+        yield slice(start, start + len(crops)), network.normalise(pixels)
     network.train(training)

@@ -174,8 +174,9 @@ class _Clock:
 def summary(courses: dict[str, list[Point]]) -> dict[str, Any]:
     """Images and seconds of both until they are as good as the default schedule's best epoch.
 
-    Keys: `recall`, that epoch's; by schedule `images` and `seconds` until it is reached, `reached` (else they are of the
-    end), `best_recall`; `times_faster`, the paper's seconds over the default's, at least that where it is not reached.
+    Keys: `recall`, that epoch's; by schedule `images` and `seconds` until it is reached, `reached` (else they are of
+    the end), `best_recall`; `times_faster`, the paper's seconds over the default's, at least that where it is not
+    reached.
     """
     recall = max(point.recall for point in courses[DEFAULT])
     result: dict[str, Any] = {"recall": recall}

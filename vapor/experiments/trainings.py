@@ -25,7 +25,7 @@ from vapor.threads import limited_threads
 from vapor.train import train
 from vapor.train_config import TrainConfig
 from vapor.training_set import TrainingError, TrainingSet, load_training_set, open_sequences
-from vapor.validation import predict
+from vapor.validation import exact_log_density, predict
 
 _RESULTS = 1  # counts up when the same training gives other results than before
 _SHOWN = 25  # test images whose samples are kept for pictures, evenly spaced
@@ -72,29 +72,28 @@ class Training:
 
     def model_file(self, directory: Path) -> Path:
         """Where the model lies, named after all that the training depends on."""
-        return directory / "runs" / f"{self._name}-{digest(self._trained_from)}.safetensors"
+        return directory / "runs" / f"{self._name}-{digest(trained_from(self.scene, self.config))}.safetensors"
 
     def file(self, directory: Path, suffix: str) -> Path:
         """Where its result lies, named after all that it depends on."""
-        test = [_identity(entry) for entry in self.scene.test]
-        tested: dict[str, Any] = {
-            "test": test,
+        tested = {
+            "test": [_identity(entry) for entry in self.scene.test],
             "gamma": self.gamma,
             "num_samples": self.num_samples,
             "localize": self.localize,
+            "training_images": self.training_images,
         }
-        if self.training_images:  # results without them are older than the option
-            tested["training_images"] = self.training_images
-        return directory / "runs" / f"{self._name}-{digest(self._trained_from | tested)}{suffix}"
+        return directory / "runs" / f"{self._name}-{digest(trained_from(self.scene, self.config) | tested)}{suffix}"
 
     @property
     def _name(self) -> str:
         return f"{self.scene.name}-{self.label}-{self.config.seed}"
 
-    @property
-    def _trained_from(self) -> dict[str, Any]:
-        settings = {k: _identity(str(v)) if isinstance(v, Path) else v for k, v in self.config.settings().items()}
-        return {**settings, "data": [_identity(entry) for entry in self.scene.train], "results": _RESULTS}
+
+def trained_from(scene: Scene, config: TrainConfig) -> dict[str, Any]:
+    """All that a training depends on, as JSON."""
+    settings = {k: _identity(str(v)) if isinstance(v, Path) else v for k, v in config.settings().items()}
+    return {**settings, "data": [_identity(entry) for entry in scene.train], "results": _RESULTS}
 
 
 def _identity(entry: str) -> list[str | int]:
@@ -223,8 +222,15 @@ def _test(training: Training, directory: Path, model: Path, folder: Path) -> dic
 
     def judge(images: TrainingSet) -> tuple[dict[str, Any], list[Poses]]:
         posteriors = list(predict(network, images, training.num_samples, seed))
-        rng, calibration = np.random.default_rng(seed), checkpoint.calibration
-        return posterior_metrics(posteriors, images.poses, calibration, gamma=training.gamma, rng=rng), posteriors
+        figures = posterior_metrics(
+            posteriors,
+            images.poses,
+            checkpoint.calibration,
+            gamma=training.gamma,
+            exact_log_density=exact_log_density(network, images),
+            rng=np.random.default_rng(seed),
+        )
+        return figures, posteriors
 
     size = training.config.network.frame_size
     test = load_training_set(open_sequences(scene.test), size)
