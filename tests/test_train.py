@@ -1,5 +1,6 @@
 import itertools
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from vapor.train import _parameter_groups, train, train_on
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, held_out_tails, load_training_set
 from vapor.training_state import state_path
+from vapor.validation import validate
 
 STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0)
 TINY = TrainConfig(
@@ -152,6 +154,19 @@ def test_a_model_of_another_shape_or_two_starts_are_refused_before_anything_is_r
         train_on(unread, tmp_path / "m.safetensors", replace(TINY, initial_model=tmp_path / "absent.safetensors"))
     with pytest.raises(TrainingError, match="are both given"):
         replace(TINY, initial_model=first, pretrained_weights=first)
+
+
+def test_told_seconds_are_those_of_training_without_judging(tmp_path, monkeypatch):
+    def slowly(*args, **kwargs):
+        time.sleep(0.5)
+        return validate(*args, **kwargs)
+
+    monkeypatch.setattr("vapor.train.validate", slowly)
+    told = []
+    result = train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", TINY, progress=told.append)
+    seconds = [progress.seconds for progress in told if progress.stage == "training"]
+    assert seconds == sorted(seconds)
+    assert 0.0 < seconds[-1] < result.seconds - 0.5 * TINY.epochs
 
 
 def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypatch):

@@ -42,6 +42,7 @@ class Progress:
         epochs: Of so many.
         loss: Mean training loss of this epoch so far.
         learning_rate: Of the last step.
+        seconds: Of training in this call, reading and judging left out.
         validation: Figures of the last epoch judged.
         best: Figures of the best epoch.
     """
@@ -53,6 +54,7 @@ class Progress:
     epochs: int = 0
     loss: float | None = None
     learning_rate: float | None = None
+    seconds: float = 0.0
     validation: Validation | None = None
     best: Validation | None = None
 
@@ -150,10 +152,12 @@ def _fit(
     identity = {**names, "images": len(training), "held_out": len(judged), **_settings(config)}
     if config.resume and state_path(output).exists():
         load_state(state_path(output), state, identity)
-    begin, first_epoch = perf_counter(), state.epoch
+    begin, first_epoch, spent_s = perf_counter(), state.epoch, 0.0
     best = _best(state.history, config)
     while state.epoch < config.epochs:
-        loss = _train_epoch(state, training, config, report, best)
+        begin_epoch = perf_counter()
+        loss = _train_epoch(state, training, config, report, best, begin_epoch - spent_s)
+        spent_s += perf_counter() - begin_epoch
         state.epoch += 1
         if len(judged):
             kept = state.average if config.average else state.network
@@ -211,9 +215,17 @@ def _fit(
 
 
 def _train_epoch(
-    state: TrainingState, training: TrainingSet, config: TrainConfig, report: ProgressCallback, best: Validation | None
+    state: TrainingState,
+    training: TrainingSet,
+    config: TrainConfig,
+    report: ProgressCallback,
+    best: Validation | None,
+    begin_s: float,
 ) -> float:
-    """One pass over the images in random order, an incomplete last batch left out; returns the mean loss."""
+    """One pass over the images in random order, an incomplete last batch left out; returns the mean loss.
+
+    Told progress counts seconds from `begin_s` of `perf_counter`.
+    """
     network, device = state.network, state.network.pixel_mean.device
     rng = np.random.default_rng([config.seed, state.epoch])
     generator = torch.Generator(device).manual_seed(int(rng.integers(2**62)))
@@ -253,10 +265,18 @@ def _train_epoch(
                 f" a smaller learning rate than {config.learning_rate} may help"
             )
         last = state.history[-1] if state.history else None
-        mean = total / (number + 1)
         report(
             Progress(
-                "training", step + 1, steps * config.epochs, state.epoch + 1, config.epochs, mean, rate, last, best
+                "training",
+                step + 1,
+                steps * config.epochs,
+                epoch=state.epoch + 1,
+                epochs=config.epochs,
+                loss=total / (number + 1),
+                learning_rate=rate,
+                seconds=perf_counter() - begin_s,
+                validation=last,
+                best=best,
             )
         )
     return total / steps

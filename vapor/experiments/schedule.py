@@ -5,10 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 from filtering.errors import require_within
@@ -19,7 +18,7 @@ from vapor.recordings import digest
 from vapor.train import Progress, train
 from vapor.train_config import TrainConfig
 
-DEFAULT, PAPER = "default", "paper"
+DEFAULT, PAPER = SCHEDULES = "default", "paper"
 _HEIGHT = 180  # pixels of the images as they are rendered, at least
 
 
@@ -104,17 +103,24 @@ class ScheduleExperiment:
             (self._scene,) = scenes
             yield done, total
 
-    def train(self) -> Iterator[tuple[str, list[Point]]]:
-        """The course of every epoch judged, of the default schedule and then of the paper's.
+    def train(self, schedule: str, advance: Callable[[int, int], None]) -> list[Point]:
+        """The course of a training, epoch by epoch.
 
-        The latter ends where it is as good as the former's best epoch, or `most` times as long.
+        The paper's, which needs that of the default one, ends where it is as good as the latter's best epoch, or takes
+        `most` times as long.
+
+        Args:
+            schedule: Which of `SCHEDULES`.
+            advance: Called after every step with the number of steps done and of all.
         """
-        course = self._course(DEFAULT, None, None)
-        yield DEFAULT, course
-        best = max(course, key=lambda point: point.recall)
-        yield PAPER, self._course(PAPER, best.recall, self.config.most * best.seconds)
+        if schedule == DEFAULT:
+            return self._course(DEFAULT, None, None, advance)
+        best = max(self.train(DEFAULT, advance), key=lambda point: point.recall)
+        return self._course(PAPER, best.recall, self.config.most * best.seconds, advance)
 
-    def _course(self, schedule: str, enough: float | None, most_s: float | None) -> list[Point]:
+    def _course(
+        self, schedule: str, enough: float | None, most_s: float | None, advance: Callable[[int, int], None]
+    ) -> list[Point]:
         if self._scene is None:
             raise RuntimeError("train before render")
         config = self.config.of(schedule)
@@ -126,7 +132,8 @@ class ScheduleExperiment:
             return [Point(**point) for point in json.loads(file.read_text(encoding="utf-8"))]
         except FileNotFoundError:
             pass
-        clock = _Clock(config.batch_size, enough, most_s)
+        batch_size = min(config.batch_size, self.config.sequences * self.config.frames)
+        clock = _Clock(batch_size, enough, most_s, advance)
         with tempfile.TemporaryDirectory(dir=folder) as temporary, contextlib.suppress(_EnoughError):
             model = Path(temporary) / "model.safetensors"
             result = train(self._scene.train, model, config, validation=self._scene.test, progress=clock.follow)
@@ -143,29 +150,31 @@ class _Clock:
         batch_size: Images per step.
         enough: Recall with which it ends.
         most_s: Seconds after which it ends.
+        advance: Called after every step with the number of steps done and of all.
     """
 
-    def __init__(self, batch_size: int, enough: float | None, most_s: float | None) -> None:
+    def __init__(
+        self, batch_size: int, enough: float | None, most_s: float | None, advance: Callable[[int, int], None]
+    ) -> None:
         self.course: list[Point] = []
-        self._batch_size, self._enough, self._most_s = batch_size, enough, most_s
-        self._spent_s, self._last_s, self._epoch, self._steps = 0.0, 0.0, 0, 0
+        self._batch_size, self._enough, self._most_s, self._advance = batch_size, enough, most_s, advance
+        self._last: Progress | None = None
 
     def follow(self, progress: Progress) -> None:
-        """After a step: only time from step to step of an epoch counts, none in which images are read or judged."""
+        """After a step; the first one of an epoch tells how good the one before was."""
         if progress.stage != "training":
             return
-        now = perf_counter()
-        if progress.epoch == self._epoch:
-            self._spent_s += now - self._last_s
-        elif progress.validation is not None:
+        if self._last is not None and progress.validation is not None and progress.epoch > self._last.epoch:
             self.judged(progress.validation.sample_recall)
-        self._epoch, self._steps, self._last_s = progress.epoch, progress.done, now
+        self._last = progress
+        self._advance(progress.done, progress.total or progress.done)
 
     def judged(self, recall: float) -> None:
         """After an epoch: note where the training stands, and end it where that is enough."""
-        # No time is known of an epoch's first step.
-        seconds = self._spent_s * self._steps / max(1, self._steps - self._epoch)
-        self.course.append(Point(self._steps * self._batch_size, seconds, recall))
+        if self._last is None:
+            return
+        seconds = self._last.seconds
+        self.course.append(Point(self._last.done * self._batch_size, seconds, recall))
         enough = self._enough is not None and recall >= self._enough
         if enough or (self._most_s is not None and seconds > self._most_s):
             raise _EnoughError

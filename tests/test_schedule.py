@@ -1,0 +1,91 @@
+"""The schedule experiment: what it counts, when it ends, and what it keeps."""
+
+import contextlib
+import json
+
+import cv2
+import pytest
+
+from filtering.errors import VaporTrackError
+from vapor.checkpoint import Calibration
+from vapor.experiments import schedule as schedule_module
+from vapor.experiments.schedule import DEFAULT, PAPER, Point, ScheduleConfig, _Clock, summary
+from vapor.network import NetworkConfig
+from vapor.presets import PRESETS
+from vapor.track import main
+from vapor.train import Progress
+from vapor.train_config import TrainConfig
+from vapor.validation import Validation
+
+TINY = ScheduleConfig(
+    sequences=1,
+    frames=32,
+    validation_frames=6,
+    train=TrainConfig(
+        network=NetworkConfig(image_width=32, image_height=32, shortest_edge=34, feature_dim=16, latent_dim=4),
+        calibration=Calibration(2.0, 2.0),
+        epochs=2,
+        batch_size=16,
+        calibrate=False,
+    ),
+)
+
+
+def test_the_paper_trains_the_same_network_by_its_own_schedule():
+    default, paper = TINY.of(DEFAULT), TINY.of(PAPER)
+    assert paper.network == default.network
+    assert paper.loss.alpha == default.loss.alpha
+    preset = PRESETS["paper-synthetic"]
+    names = ("learning_rate", "schedule", "decay_factor", "decay_epochs", "batch_size", "epochs", "average")
+    assert all(getattr(paper, name) == getattr(preset, name) for name in names)
+    assert (paper.learning_rate, paper.schedule, paper.batch_size) == (1e-4, "steps", 4)
+
+
+@pytest.mark.parametrize(
+    ("enough", "most_s", "epochs"), [(0.3, None, 3), (None, 2.5, 3), (0.9, 1e9, 5), (None, None, 5)]
+)
+def test_a_training_ends_where_it_is_good_enough_or_took_too_long(enough, most_s, epochs):
+    clock = _Clock(10, enough, most_s, lambda *_: None)
+    with pytest.raises(schedule_module._EnoughError) if epochs < 5 else contextlib.nullcontext():
+        for step in range(10):
+            epoch = step // 2  # two steps of half a second each
+            last = Validation(epoch, 0.0, 0.1 * epoch, 0.0, 0.0) if epoch else None
+            clock.follow(Progress("training", step + 1, 10, epoch + 1, 5, seconds=0.5 * (step + 1), validation=last))
+        clock.judged(0.5)
+    expected = [(20 * n, 1.0 * n) for n in range(1, 6)]
+    assert [(point.images, point.seconds) for point in clock.course] == expected[:epochs]
+    assert [point.recall for point in clock.course] == pytest.approx([0.1 * n for n in range(1, epochs + 1)])
+
+
+def test_summary_tells_when_each_is_as_good_as_the_default_at_its_best():
+    courses = {
+        DEFAULT: [Point(100, 10.0, 0.2), Point(200, 20.0, 0.4), Point(300, 30.0, 0.3)],
+        PAPER: [Point(100, 15.0, 0.1), Point(800, 120.0, 0.45)],
+    }
+    figures = summary(courses)
+    assert figures["recall"] == 0.4
+    assert figures[DEFAULT] == {"images": 200, "seconds": 20.0, "reached": True, "best_recall": 0.4}
+    assert figures[PAPER] == {"images": 800, "seconds": 120.0, "reached": True, "best_recall": 0.45}
+    assert figures["times_faster"] == 6.0
+    assert not summary({**courses, PAPER: courses[PAPER][:1]})[PAPER]["reached"]
+
+
+def test_both_are_trained_once_and_told_side_by_side(tmp_path, capsys, monkeypatch):
+    network = ("--train.network.image-width", "32", "--train.network.image-height", "32")
+    network += ("--train.network.shortest-edge", "34", "--train.network.feature-dim", "16")
+    words = ["experiment", "schedule", "--scene", "round-table", "--output", str(tmp_path), "--most", "0.001"]
+    words += ["--sequences", "1", "--frames", "32", "--validation-frames", "6", "--train.epochs", "2", *network]
+    assert main(words) == 0
+    report = json.loads((tmp_path / "schedule.json").read_text())
+    assert [point["images"] for point in report["courses"]["default"]] == [32, 64]
+    assert [point["images"] for point in report["courses"]["paper"]] == [32]  # given up after its first epoch
+    assert cv2.imread(str(tmp_path / "schedule.png")).shape[1] > 800
+    assert "times less time" in capsys.readouterr().out
+    monkeypatch.setattr(schedule_module, "train", lambda *_, **__: pytest.fail("trained again"))
+    assert main(words) == 0
+    assert json.loads((tmp_path / "schedule.json").read_text()) == report
+
+
+def test_settings_that_cannot_be_are_refused():
+    with pytest.raises(VaporTrackError, match="sequences"):
+        ScheduleConfig(sequences=0)
