@@ -34,10 +34,10 @@ class LossConfig:
     """relative: images from one of a pair to the other, at most."""
     relaxation: float = 0.05
     """mixture: share of the loss that the components beside the best one have."""
-    target_noise_m: float = 0.02
+    target_noise_m: float = 0.05
     """flow: standard deviation of noise on true positions along each axis, metres: a density of points is without
     bounds, and what lies beside the points is never learned."""
-    target_noise_rad: float = 0.02
+    target_noise_rad: float = 0.05
     """flow: standard deviation of noise on true rotations about each axis, radians."""
 
     def __post_init__(self) -> None:
