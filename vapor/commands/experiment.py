@@ -215,7 +215,7 @@ def _posteriors(
     """Kept samples by the value, of the first runs; without those that could not be trained."""
     c = experiment.config
     done = {(r["scene"], r[c.parameter], r["seed"]) for r in results if "error" not in r}
-    some = [value for value in values if (scene, float(f"{value:g}"), c.first_seed) in done]
+    some = [value for value in sorted(values) if (scene, float(f"{value:g}"), c.first_seed) in done]
     return {f"{symbol} = {value:g}": experiment.samples(scene, value) for value in some}
 
 

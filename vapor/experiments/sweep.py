@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 from vapor.experiments.trainings import Scene, Training, height_to_cover, kept_samples, render_scenes, run_trainings
-from vapor.loss import LossConfig
 from vapor.network import NetworkConfig
 from vapor.train_config import TrainConfig
 
@@ -22,12 +21,12 @@ MODES: Mapping[str, int] = MappingProxyType({"round-table": 4, "dinner-table": 2
 _HEIGHT = 96  # pixels of the images as they are rendered, at least
 
 
-def small_training(*, epochs: int, alpha: float = 0.2) -> TrainConfig:
+def small_training(*, epochs: int, batch_size: int = 64) -> TrainConfig:
     """Of images of 64 × 48, all of them, uncalibrated."""
     return TrainConfig(
         network=NetworkConfig(image_width=64, image_height=48, shortest_edge=52),
-        loss=LossConfig(alpha=alpha),
         epochs=epochs,
+        batch_size=batch_size,
         calibrate=False,
         validation_share=0.0,
     )
