@@ -21,7 +21,7 @@ from filtering.se3 import Poses
 from vapor.efficientnet import EfficientNetLite0, pretrained_lite0_state
 from vapor.resnet import ResNet18
 
-Backbone = Literal["resnet18", "resnet18-half", "efficientnet-lite0"]
+Backbone = Literal["resnet18", "resnet18-half", "resnet18-quarter", "efficientnet-lite0"]
 Head = Literal["variational", "deterministic", "point", "dropout", "mixture", "flow"]
 
 # Mean and standard deviation of RGB pixels in 0..255 that the published weights expect.
@@ -37,7 +37,7 @@ class NetworkConfig:
     """Shape of the network, and of the images it sees."""
 
     backbone: Backbone = "resnet18-half"
-    """Convolutional network; resnet18-half has half of its channels, for demos."""
+    """Convolutional network; resnet18-half has half of its channels, for demos, resnet18-quarter a quarter."""
     head: Head = "variational"
     """From feature to poses: "variational" through a random latent vector; "deterministic" through its mean; "point"
     straight to one pose; "dropout" the same with random units of the feature left out, in use as well; "mixture" to
@@ -292,7 +292,7 @@ def make_backbone(name: Backbone) -> ResNet18 | EfficientNetLite0:
     """The convolutional network of that name, with random weights and without classifier."""
     if name == "efficientnet-lite0":
         return EfficientNetLite0()
-    return ResNet18(width=32 if name == "resnet18-half" else 64)
+    return ResNet18(width={"resnet18": 64, "resnet18-half": 32, "resnet18-quarter": 16}[name])
 
 
 def load_pretrained(network: PoseRegressor, weights: Path | None) -> None:

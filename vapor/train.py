@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from jaxtyping import Int64
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
@@ -358,12 +359,12 @@ def _update_average(state: TrainingState, decay: float, step: int) -> None:
     """Move the average towards the weights and BatchNorm statistics; faster in the first steps, which know little."""
     if not decay:
         return
-    weight = 1 - min(decay, (1 + step) / (10 + step))
-    for mine, its in zip(state.average.state_dict().values(), state.network.state_dict().values(), strict=True):
-        if mine.is_floating_point():
-            mine.lerp_(its, weight)
-        else:
-            mine.copy_(its)
+    mine, its = (list(network.state_dict().values()) for network in (state.average, state.network))
+    numbers = [k for k, tensor in enumerate(mine) if tensor.is_floating_point()]
+    move = get_ema_multi_avg_fn(min(decay, (1 + step) / (10 + step)))
+    move([mine[k] for k in numbers], [its[k] for k in numbers], 0)
+    for k in set(range(len(mine))).difference(numbers):
+        mine[k].copy_(its[k])
 
 
 def _best(history: Sequence[Validation], config: TrainConfig) -> Validation | None:
