@@ -153,22 +153,24 @@ def _greedy_peaks(poses: Poses, height: np.ndarray, config: ModeConfig) -> Int64
     while free.any() and len(peaks) < 2 * config.max_modes:
         peak = int(np.argmax(np.where(free, height, -np.inf)))
         peaks.append(peak)
-        free &= _scaled_distance(poses, poses[[peak]], config)[:, 0] > 1.0
+        free &= _scaled_squares(poses, poses[[peak]], config)[:, 0] > 1.0
     return np.array(peaks, np.int64)
 
 
 def _nearest_peak(poses: Poses, peaks: Poses, config: ModeConfig) -> Int64[np.ndarray, " n"]:
     """Index of the nearest peak, −1 where none is within reach."""
-    distance = _scaled_distance(poses, peaks, config)
+    distance = _scaled_squares(poses, peaks, config)
     nearest = np.argmin(distance, axis=1)
     return np.where(distance[np.arange(len(nearest)), nearest] <= 1.0, nearest, -1).astype(np.int64)
 
 
-def _scaled_distance(poses: Poses, centres: Poses, config: ModeConfig) -> Float64[np.ndarray, "n k"]:
-    """1 at the radius of a mode, in translation or in rotation (by the chord of the angle), whichever is larger."""
-    translation_m = cdist(poses.translation, centres.translation)
-    # Half the squared chord is 2 − 2 cos θ; it may round to less than nothing.
-    half_chord_squared = 2.0 - 2.0 * (poses.chordal[:, 3:] @ centres.chordal[:, 3:].T - 0.5)
-    chord = np.sqrt(2.0 * np.maximum(half_chord_squared, 0.0))
-    radius_chord = np.sqrt(8.0) * np.sin(min(config.radius_rad, np.pi) / 2)
-    return np.maximum(translation_m / config.radius_m, chord / radius_chord)
+def _scaled_squares(poses: Poses, centres: Poses, config: ModeConfig) -> Float64[np.ndarray, "n k"]:
+    """Squared distance, 1 at the radius of a mode, in translation or in rotation (by the chord), the larger one."""
+    translation = cdist(poses.translation, centres.translation, "sqeuclidean")
+    translation /= config.radius_m**2
+    # ‖R − S‖² is 6 − 2 tr RᵀS, and that of a rotation by θ is 8 sin² θ/2.
+    rotation = poses.chordal[:, 3:] @ centres.chordal[:, 3:].T
+    rotation *= -4.0
+    rotation += 6.0
+    rotation /= 8.0 * np.sin(min(config.radius_rad, np.pi) / 2) ** 2
+    return np.maximum(translation, rotation, out=translation)

@@ -165,7 +165,7 @@ def test_the_decay_experiment_judges_test_and_training_images_and_goes_on(tmp_pa
 def test_another_kind_of_experiment_is_refused(capfd):
     with pytest.raises(SystemExit, match="2"):
         main(["experiment", "beta"])
-    assert "expected one of alpha, decay, table first" in capfd.readouterr().err
+    assert "expected one of alpha, decay, schedule, table first" in capfd.readouterr().err
 
 
 # --- methods side by side --------------------------------------------------------------------------
@@ -210,6 +210,7 @@ def test_the_table_gives_medians_and_the_range_of_the_seeds():
         "mean": {"translation_m": 0.25, "rotation_deg": 3.0},
         "mode": {"translation_m": 0.15, "rotation_deg": 2.0},
         "negative_log_density": 1.5,
+        "exact_negative_log_density": None,
         "modes": 2.0,
         "seconds": 90.0,
     }

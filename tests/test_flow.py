@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from filtering.errors import VaporTrackError
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PoseDensity
@@ -121,6 +122,45 @@ def test_inverse_splines_undo_their_slopes():
         assert difference.quantile(0.95) < 0.01  # the rest is where bins meet
         ends = spline.log_slope(x)[0, [0, -1]]
         assert not circular or ends[0] == pytest.approx(float(ends[1]), abs=1e-4)
+
+
+@pytest.mark.parametrize("circular", [False, True])
+def test_splines_of_any_numbers_stay_finite_in_single_precision(circular):
+    raw = (30.0 * torch.randn(1, 4000, 96, generator=torch.Generator().manual_seed(1))).requires_grad_()
+    at = torch.rand(1, 4000, generator=torch.Generator().manual_seed(2))
+    at[0, :2] = torch.tensor([0.0, 1.0])
+    spline = _Spline.of(raw, circular=circular)
+    slope = spline.log_slope(at)
+    slope.sum().backward()
+    x = spline.inverse(at).detach()
+    assert torch.isfinite(slope).all()
+    assert torch.isfinite(raw.grad).all()
+    assert ((x >= 0.0) & (x <= 1.0)).all()
+
+
+def test_the_most_noise_on_targets_leaves_a_camera_in_its_box():
+    # All cameras at one height: the box has its least margin there, 0.3 m.
+    flat = Poses.exp(np.zeros((200, 6)))
+    network = make_regressor(replace(CONFIG, head="flow"), SceneBox.around(flat)).train()
+    truth = torch.zeros(200, 3), torch.eye(3).expand(200, 3, 3)
+    noise = torch.randn(200, 1, 6, generator=torch.Generator().manual_seed(0)).clamp(-5.9, 5.9)
+    noise[0, 0, :3] = 5.9
+    images = torch.zeros(200, 3, 32, 32)
+    assert torch.isfinite(training_loss(network, images, *truth, noise, LossConfig(target_noise_m=0.05)).total)
+    with pytest.raises(VaporTrackError, match="target_noise_m"):
+        LossConfig(target_noise_m=0.06)
+
+
+def test_the_density_takes_poses_in_any_layout():
+    posterior = VaporObservationModel(checkpoint_of(network_with("flow")), num_samples=50, device="cpu").observe(
+        IMAGE, rng=np.random.default_rng(0)
+    )
+    poses = posterior.sample(20, rng=np.random.default_rng(1))
+    np.testing.assert_array_equal(
+        posterior.density.log_density(poses[::-1])[::-1], posterior.density.log_density(poses)
+    )
+    same = Poses(np.broadcast_to(poses.rotation[0], (5, 3, 3)), np.broadcast_to(poses.translation[0], (5, 3)))
+    assert np.ptp(posterior.density.log_density(same)) < 1e-5
 
 
 def test_the_density_is_nothing_outside_the_box():

@@ -18,6 +18,7 @@ from vapor.network import (
     SceneBox,
     VariationalPoseRegressor,
     load_pretrained,
+    make_backbone,
     rotation_from_6d,
     sample_latent,
 )
@@ -49,12 +50,13 @@ def test_resnet18_has_torchvisions_parameter_names_and_count():
     assert network.state_dict()["layer4.0.downsample.0.weight"].shape == (512, 256, 1, 1)
 
 
-def test_half_resnet_has_half_of_every_stages_channels():
-    network = ResNet18(width=32)
+@pytest.mark.parametrize(("name", "width"), [("resnet18", 64), ("resnet18-half", 32), ("resnet18-quarter", 16)])
+def test_smaller_resnets_have_a_share_of_every_stages_channels(name, width):
+    network = make_backbone(name)
     stages = (network.layer1, network.layer2, network.layer3, network.layer4)
-    assert [list(stage.parameters())[-1].shape[0] for stage in stages] == [32, 64, 128, 256]
+    assert [list(stage.parameters())[-1].shape[0] for stage in stages] == [width, 2 * width, 4 * width, 8 * width]
     with torch.inference_mode():
-        assert network.eval()(torch.zeros(2, 3, 64, 64)).shape == (2, 256)
+        assert network.eval()(torch.zeros(2, 3, 64, 64)).shape == (2, 8 * width)
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -18,10 +18,10 @@ from vapor.loss import LossConfig
 from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import PRESETS
-from vapor.train import _parameter_groups, train, train_on
+from vapor.train import _parameter_groups, _update_average, train, train_on
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, held_out_tails, load_training_set
-from vapor.training_state import state_path
+from vapor.training_state import TrainingState, state_path
 from vapor.validation import validate
 
 STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -156,9 +156,24 @@ def test_a_model_of_another_shape_or_two_starts_are_refused_before_anything_is_r
         replace(TINY, initial_model=first, pretrained_weights=first)
 
 
+def test_the_average_follows_weights_and_statistics_and_copies_counts():
+    box = SceneBox((0.0,) * 3, (1.0,) * 3)
+    network, average = (make_regressor(TINY.network, box) for _ in range(2))
+    network.backbone.bn1.num_batches_tracked.fill_(7)
+    state = TrainingState(network, average, torch.optim.Adam(network.parameters()))
+    for step, stays in ((0, 0.1), (5, 6 / 15), (10**6, 0.9)):
+        before = {name: value.clone() for name, value in average.state_dict().items()}
+        _update_average(state, 0.9, step)
+        for name, value in average.state_dict().items():
+            now = network.state_dict()[name]
+            expected = stays * before[name] + (1 - stays) * now if value.is_floating_point() else now
+            torch.testing.assert_close(value, expected)
+    assert int(average.backbone.bn1.num_batches_tracked) == 7
+
+
 def test_told_seconds_are_those_of_training_without_judging(tmp_path, monkeypatch):
     def slowly(*args, **kwargs):
-        time.sleep(0.5)
+        time.sleep(0.1)
         return validate(*args, **kwargs)
 
     monkeypatch.setattr("vapor.train.validate", slowly)
@@ -166,7 +181,7 @@ def test_told_seconds_are_those_of_training_without_judging(tmp_path, monkeypatc
     result = train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", TINY, progress=told.append)
     seconds = [progress.seconds for progress in told if progress.stage == "training"]
     assert seconds == sorted(seconds)
-    assert 0.0 < seconds[-1] < result.seconds - 0.5 * TINY.epochs
+    assert 0.0 < seconds[-1] < result.seconds - 0.1 * TINY.epochs
 
 
 def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypatch):

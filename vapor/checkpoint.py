@@ -117,7 +117,7 @@ class Calibration:
         """
         wide = self.place_bandwidth_translation_m, self.place_bandwidth_rotation_rad
         places = KernelDensity(samples[:_PLACE_SAMPLES], *wide)
-        return PosteriorSamples(density or self.density(samples), likelihood, places)
+        return PosteriorSamples(self.density(samples) if density is None else density, likelihood, places)
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ class _Spline:
 
     @staticmethod
     def of(raw: Float[Tensor, "b n r"], *, circular: bool) -> _Spline:
-        """From any numbers, three for each bin; on a circle the slopes at both ends are one."""
+        """From any numbers, three for each bin; on a circle both ends have one slope, as they are one point."""
         widths, heights, steepness = raw.unflatten(-1, (3, -1)).unbind(dim=-2)
         widths, heights = _shares(widths, _LEAST_WIDTH), _shares(heights, _LEAST_HEIGHT)
         log_slope = (heights / widths).log()

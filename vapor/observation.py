@@ -108,7 +108,7 @@ class NetworkDensity:
         """Log density of poses (n,), per m³ rad³, −∞ where it is 0; `near_only` makes no difference."""
         with torch.inference_mode():
             translation, rotation = (
-                torch.from_numpy(part)[None].to(self.feature) for part in (poses.translation, poses.rotation)
+                torch.from_numpy(np.array(part[None])).to(self.feature) for part in (poses.translation, poses.rotation)
             )
             return self.network.log_density(self.feature, translation, rotation)[0].cpu().double().numpy()
 

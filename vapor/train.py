@@ -307,7 +307,7 @@ def has_bfloat16(device: torch.device) -> bool:
 
 
 def _start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint | None) -> TrainingState:
-    """Initial weights, which depend on the seed and the files to start from alone, and a fresh optimizer."""
+    """Initial weights, from the seed and the files to start from, a flow's axes from the poses; a fresh optimizer."""
     device = resolve_device(config.device)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
@@ -359,12 +359,13 @@ def _update_average(state: TrainingState, decay: float, step: int) -> None:
     """Move the average towards the weights and BatchNorm statistics; faster in the first steps, which know little."""
     if not decay:
         return
-    mine, its = (list(network.state_dict().values()) for network in (state.average, state.network))
-    numbers = [k for k, tensor in enumerate(mine) if tensor.is_floating_point()]
+    pairs = list(zip(state.average.state_dict().values(), state.network.state_dict().values(), strict=True))
+    numbers = [pair for pair in pairs if pair[0].is_floating_point()]
     move = get_ema_multi_avg_fn(min(decay, (1 + step) / (10 + step)))
-    move([mine[k] for k in numbers], [its[k] for k in numbers], 0)
-    for k in set(range(len(mine))).difference(numbers):
-        mine[k].copy_(its[k])
+    move([mine for mine, _ in numbers], [its for _, its in numbers], 0)
+    for mine, its in pairs:
+        if not mine.is_floating_point():
+            mine.copy_(its)
 
 
 def _best(history: Sequence[Validation], config: TrainConfig) -> Validation | None:

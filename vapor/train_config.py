@@ -47,7 +47,7 @@ class TrainConfig:
     """Decoupled weight decay of matrices (AdamW); 0 is Adam."""
     encoder_weight_decay: float | None = None
     """The same of the encoder, all from the image to μ and log σ² (with other heads, to the feature); None for as much
-    as the rest. Enough of it keeps the network from learning each image by heart, and posteriors ambiguous."""
+    as the rest. Enough of it keeps the network from learning each image by heart, and so posteriors broad."""
     schedule: Literal["one-cycle", "steps"] = "one-cycle"
     """One cosine up and down, or a decay by a factor every so many epochs, as in the paper."""
     warmup: float = 0.1

@@ -1,4 +1,4 @@
-"""How a constrained encoder turns confident posteriors into multimodal ones (Zangeneh et al., ICRA 2023).
+"""Whether a constrained encoder turns confident posteriors into multimodal ones, as in Zangeneh et al., ICRA 2023.
 
 One walk, seen often enough to be learned by heart: a free encoder tells its images apart by chance differences and is
 sure of a place in each; so it is in images of another walk, mostly wrongly. Weight decay takes from it what that needs.

@@ -153,9 +153,7 @@ def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
             cells = [method, *(_spread([row["recall"][t] for row in own]) for t in THRESHOLDS)]
             cells += [_percent([row[kind][RIGHT] for row in own]) for kind in ("mode_recall", "oracle_recall")]
             cells += [_error([row[kind] for row in own]) for kind in ("mean", "mode")]
-            exact = [
-                row["exact_negative_log_density"] for row in own if row.get("exact_negative_log_density") is not None
-            ]
+            exact = [row["exact_negative_log_density"] for row in own if row["exact_negative_log_density"] is not None]
             of_samples = f"{np.median([row['negative_log_density'] for row in own]):.2f}"
             cells.append(f"{of_samples} (exact {np.median(exact):.2f})" if exact else of_samples)
             cells.append(f"{np.median([row['modes'] for row in own]):.1f}")

@@ -77,7 +77,7 @@ class Training:
     def file(self, directory: Path, suffix: str) -> Path:
         """Where its result lies, named after all that it depends on."""
         tested = {
-            "test": [_identity(entry) for entry in self.scene.test],
+            "test": identities(self.scene.test),
             "gamma": self.gamma,
             "num_samples": self.num_samples,
             "localize": self.localize,
@@ -93,11 +93,15 @@ class Training:
 def trained_from(scene: Scene, config: TrainConfig) -> dict[str, Any]:
     """All that a training depends on, as JSON."""
     settings = {k: _identity(str(v)) if isinstance(v, Path) else v for k, v in config.settings().items()}
-    return {**settings, "data": [_identity(entry) for entry in scene.train], "results": _RESULTS}
+    return {**settings, "data": identities(scene.train), "results": _RESULTS}
+
+
+def identities(entries: Sequence[str]) -> list[list[str | int]]:
+    """What tells each of some files and folders from others and from itself after a change."""
+    return [_identity(entry) for entry in entries]
 
 
 def _identity(entry: str) -> list[str | int]:
-    """What tells one file or folder from another of its name and from itself after a change."""
     path = Path(entry if Path(entry).exists() else entry.rpartition("@")[0])
     about = path.stat() if path.exists() else None
     return [str(Path(entry).resolve()), *([] if about is None else [about.st_size, about.st_mtime_ns])]
