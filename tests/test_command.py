@@ -397,6 +397,10 @@ WRONG = {
     ),
     "no repetitions": (["benchmark", "step", "--repetitions", "0"], "repetitions is 0"),
     "a filter of no particles": (["benchmark", "step", "--particles", "10", "0"], "particles are (10, 0)"),
+    "a network of no preset": (
+        ["benchmark", "step", "--preset", "fast"],
+        "unknown preset 'fast', expected one of demo",
+    ),
     "unknown benchmark": (["benchmark", "everything"], "expected one of step, localization"),
 }
 
@@ -441,6 +445,13 @@ def test_every_command_explains_its_options(command, capsys):
 def test_the_usage_names_what_to_give(command, said, capsys):
     assert status_of([command, "--help"]) == 0
     assert f" {said}" in capsys.readouterr().out.splitlines()[0]
+
+
+def test_the_network_of_a_preset_is_timed_without_a_model_and_without_the_filter(capsys):
+    assert main(["benchmark", "step", "--preset", "demo", "--repetitions", "1", "--num-samples", "10"]) == 0
+    out = capsys.readouterr().out
+    assert "network, 10 samples" in out
+    assert "filter" not in out
 
 
 def test_the_help_of_train_lists_the_presets(capsys):

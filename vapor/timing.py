@@ -13,6 +13,9 @@ from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.messages import decode_image_bytes
+from vapor.baselines import make_regressor
+from vapor.checkpoint import Calibration, Checkpoint
+from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 
 _IMAGE_SHAPE = (240, 320, 3)
@@ -58,6 +61,13 @@ def time_step(model: VaporObservationModel, *, repetitions: int, particles: Sequ
         label = f"filter, {count} particles and {model.num_samples} samples"
         timings.append(_time(label, lambda loc=localizer, p=posteriors: loc.update(next(p), step), repetitions))
     return timings
+
+
+def untrained(config: NetworkConfig) -> Checkpoint:
+    """A model with random weights: it takes as long as a trained one."""
+    box = SceneBox((-5.0, -5.0, 0.0), (5.0, 5.0, 3.0))
+    weights = make_regressor(config, box).state_dict()
+    return Checkpoint(config, box, Calibration(), Poses.exp(np.zeros((1, 6))), weights, {})
 
 
 def _time(part: str, call: Callable[[], object], repetitions: int) -> Timing:

@@ -16,10 +16,11 @@ from vapor.checkpoint import Calibration
 from vapor.commands.benchmark_tables import failures, tables
 from vapor.commands.console import bar, parse, show, usage_error
 from vapor.observation import VaporObservationModel
+from vapor.presets import PRESETS
 from vapor.report import write_report
 from vapor.summary import summarise
 from vapor.threads import limited_threads
-from vapor.timing import time_step
+from vapor.timing import time_step, untrained
 
 _MAX_SEED = 2**63
 
@@ -30,6 +31,8 @@ class StepOptions:
 
     model: str = "staircase"
     """Model file, or name of a model that ships with the package."""
+    preset: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")] = None
+    """Time the network of this preset of `train` instead, with random weights; the filter is left out."""
     num_samples: int = 1000
     """Posterior samples per image."""
     particles: tuple[int, ...] = (1000, 10000)
@@ -45,6 +48,8 @@ class StepOptions:
         require_within(
             self, **dict.fromkeys(("num_samples", "threads", "repetitions"), (1, 10**6)), seed=(0, _MAX_SEED)
         )
+        if self.preset is not None and self.preset not in PRESETS:
+            raise VaporTrackError(f"unknown preset {self.preset!r}, expected one of {', '.join(PRESETS)}")
         if not self.particles or min(self.particles) < 1:
             raise VaporTrackError(f"particles are {self.particles}, expected numbers of at least 1")
 
@@ -100,10 +105,12 @@ def main(arguments: Sequence[str]) -> None:
 
 def _step(arguments: Sequence[str]) -> None:
     o = parse("benchmark step", StepOptions, arguments)
-    model = VaporObservationModel.from_checkpoint(o.model, num_samples=o.num_samples)
+    network = o.model if o.preset is None else untrained(PRESETS[o.preset].network)
+    model = VaporObservationModel.from_checkpoint(network, num_samples=o.num_samples)
+    particles = o.particles if o.preset is None else ()
     table = Table("part of a step", "median ms", "95 % ms")
     with limited_threads(o.threads):
-        timings = time_step(model, repetitions=o.repetitions, particles=o.particles, seed=o.seed)
+        timings = time_step(model, repetitions=o.repetitions, particles=particles, seed=o.seed)
     for timing in timings:
         table.add_row(timing.part, f"{timing.median_ms:.2f}", f"{timing.p95_ms:.2f}")
     show(table)
