@@ -1,7 +1,7 @@
 """Whether a constrained encoder turns confident posteriors into multimodal ones, as in Zangeneh et al., ICRA 2023.
 
-One walk, seen often enough to be learned by heart: a free encoder tells its images apart by chance differences and is
-sure of a place in each; so it is in images of another walk, mostly wrongly. Weight decay takes from it what that needs.
+Two walks, seen often enough to be learned by heart: a free encoder tells their images apart by chance differences and
+is sure of a place in each; so it is in images of another walk, mostly wrongly. Weight decay takes what that needs.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ class DecayConfig(SweepConfig):
     """Settings of the experiment."""
 
     parameter: ClassVar[str] = "decay"
-    decays: tuple[float, ...] = (0.0, 1.0, 3.0, 10.0, 30.0)
+    decays: tuple[float, ...] = (0.0, 0.3, 1.0, 3.0, 10.0)
     """Weight decays of the encoder."""
     runs: int = 3
     """Trainings for each decay; they differ in initial weights, order, augmentation and latent noise."""
-    sequences: int = 1
+    sequences: int = 2
     """Walks about the table that are trained on."""
-    frames: int = 400
+    frames: int = 500
     """Images of each."""
     training_images: int = 300
     """Images of those trained on that are judged as well, evenly spaced."""
-    train: TrainConfig = field(default_factory=lambda: small_training(epochs=60, batch_size=16))
+    train: TrainConfig = field(default_factory=lambda: small_training(50))
     """How each network is trained; the encoder's weight decay and the seed are the experiment's."""
 
     def __post_init__(self) -> None:

@@ -21,12 +21,12 @@ MODES: Mapping[str, int] = MappingProxyType({"round-table": 4, "dinner-table": 2
 _HEIGHT = 96  # pixels of the images as they are rendered, at least
 
 
-def small_training(*, epochs: int, batch_size: int = 64) -> TrainConfig:
+def small_training(epochs: int) -> TrainConfig:
     """Of images of 64 × 48, all of them, uncalibrated."""
     return TrainConfig(
         network=NetworkConfig(image_width=64, image_height=48, shortest_edge=52),
         epochs=epochs,
-        batch_size=batch_size,
+        batch_size=16,
         calibrate=False,
         validation_share=0.0,
     )
@@ -44,7 +44,7 @@ class SweepConfig(ABC):
     """Seed of the first of them."""
     gamma: float = 0.1
     """Share of an image's samples that must be near its true pose for it to count as right."""
-    sequences: int = 4
+    sequences: int = 20
     """Walks about the table that are trained on."""
     frames: int = 500
     """Images of each."""
@@ -56,7 +56,7 @@ class SweepConfig(ABC):
     """Posterior samples per image that is judged."""
     workers: int = 2
     """Trainings at a time, each with one thread."""
-    train: TrainConfig = field(default_factory=lambda: small_training(epochs=30))
+    train: TrainConfig = field(default_factory=lambda: small_training(12))
     """How each network is trained; the number that varies and the seed are the experiment's."""
 
     def __post_init__(self) -> None:
