@@ -159,13 +159,14 @@ class KernelDensity:
         rows, centres = poses.chordal, self.centres.chordal
         origin = centres.mean(axis=0)
         precision = np.stack([1 / np.square(width) for width in self._widths], axis=1)
-        row_squares, centre_squares = _squares(rows - origin), _squares(centres - origin)
+        row_offsets, centre_offsets = rows - origin, centres - origin
+        row_squares, centre_squares = _squares(row_offsets), _squares(centre_offsets)
         half = -0.5 * np.einsum("ij,ij->i", centre_squares, precision)
         largest = max(-half.min(), 0.5 * float(row_squares.max(axis=0) @ precision.max(axis=0)))
         dtype = np.float32 if largest < 4000.0 else np.float64
         left, right = np.empty((len(rows), 15), dtype), np.empty((len(centres), 15), dtype)
-        left[:, :12], left[:, 12:14], left[:, 14] = rows - origin, row_squares, 1.0
-        right[:, :12] = (centres - origin) * np.repeat(precision, [3, 9], axis=1)
+        left[:, :12], left[:, 12:14], left[:, 14] = row_offsets, row_squares, 1.0
+        right[:, :12] = centre_offsets * np.repeat(precision, [3, 9], axis=1)
         right[:, 12:14], right[:, 14] = -0.5 * precision, half
         return rows, left, right
 
@@ -209,7 +210,10 @@ def _halve(columns: Float32[np.ndarray, "12 n"], indices: Int64[np.ndarray, " k"
 
 def _squares(embedded: Float64[np.ndarray, "n 12"]) -> Float64[np.ndarray, "n 2"]:
     """Squared norms of the parts of translation and rotation."""
-    return np.stack([np.einsum("ij,ij->i", part, part) for part in (embedded[:, :3], embedded[:, 3:])], axis=1)
+    squares = np.empty((len(embedded), 2))
+    for column, part in zip(squares.T, (embedded[:, :3], embedded[:, 3:]), strict=True):
+        np.einsum("ij,ij->i", part, part, out=column)
+    return squares
 
 
 def _product(left: Float[np.ndarray, "n 15"], right: Float[np.ndarray, "k 15"]) -> Float32[np.ndarray, "n k"]:
