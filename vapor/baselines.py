@@ -120,7 +120,7 @@ def component_log_density(
     translation: Float[Tensor, "b n 3"],
     rotation: Float[Tensor, "b n 3 3"],
 ) -> Float[Tensor, "b n k"]:
-    """Log density of each component of a mixture at each pose, per m³ rad³."""
+    """Log density of each component of a mixture at each pose, per m³ rad³; widths in metres and radians."""
     metres = torch.linalg.vector_norm(mean[:, None] - translation[:, :, None], dim=-1)
     apart = mean_rotation[:, None] - rotation[:, :, None]
     versine = 0.25 * torch.linalg.vector_norm(apart, dim=(-2, -1)).square()  # 1 − cos θ

@@ -207,7 +207,10 @@ class DensityRegressor(PoseRegressor):
     def sample(
         self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
     ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
-        """Posterior samples of images with these features (`describe`), for given noise."""
+        """Posterior samples of images with these features (`describe`), for given noise, d = `noise_dim`.
+
+        Translations in metres and rotation matrices, world_from_camera, m of each image.
+        """
 
     @abstractmethod
     def log_density(
@@ -216,7 +219,10 @@ class DensityRegressor(PoseRegressor):
         translation: Float[Tensor, "b n 3"],
         rotation: Float[Tensor, "b n 3 3"],
     ) -> Float[Tensor, "b n"]:
-        """Log density of the samples' distribution at poses, per m³ rad³ (rotation volume 8π²); −∞ where it is 0."""
+        """Log density of the samples' distribution at n poses for each image, per m³ rad³; −∞ where it is 0.
+
+        Translations in metres and rotation matrices, world_from_camera; the volume of all rotations is 8π².
+        """
 
     def forward(
         self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]

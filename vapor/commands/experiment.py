@@ -143,7 +143,8 @@ def _alpha(arguments: Sequence[str]) -> None:
     shown = recalls[o.threshold]
     title = f"Share of images with at least {o.config.gamma:.0%} of the samples within {o.threshold}"
     papers = (o.threshold, o.config.gamma) == _PAPERS_RECALL
-    draw_recall(o.output / "recall.png", shown, title=f"{title}, {o.config.runs} runs", paper=papers)
+    if shown:
+        draw_recall(o.output / "recall.png", shown, title=f"{title}, {o.config.runs} runs", paper=papers)
     some = [alpha for alpha in _HEAT_MAPS if alpha in o.config.alphas] or [o.config.alphas[0]]
     for scene in o.scenes:
         if posteriors := _posteriors(experiment, results, scene, some, "α"):
@@ -181,10 +182,7 @@ def _schedule(arguments: Sequence[str]) -> None:
 
     o = parse("experiment schedule", ScheduleOptions, arguments)
     experiment = ScheduleExperiment(o.scene, o.output, o.config)
-    o.output.mkdir(parents=True, exist_ok=True)
-    with bar("rendering") as advance:
-        for done, number in experiment.render():
-            advance(done, number)
+    _render(experiment, o.output)
     courses: dict[str, list[Point]] = {}
     with bar("training") as advance:
         for schedule in SCHEDULES:
@@ -249,12 +247,16 @@ def _show_failed(results: Sequence[Mapping[str, Any]], parameter: str, symbol: s
             show(f"{r['scene']}, {symbol} = {r[parameter]:g}, seed {r['seed']}: {r['error']}")
 
 
-def _trained(experiment: Sweep | TableExperiment, output: Path, total: int) -> Iterator[dict[str, Any]]:
-    """Render and train with progress; the result of every training as it is done."""
+def _render(experiment: Sweep | ScheduleExperiment | TableExperiment, output: Path) -> None:
     output.mkdir(parents=True, exist_ok=True)
     with bar("rendering") as advance:
-        for done, number in experiment.render():
-            advance(done, number)
+        for done, total in experiment.render():
+            advance(done, total)
+
+
+def _trained(experiment: Sweep | TableExperiment, output: Path, total: int) -> Iterator[dict[str, Any]]:
+    """Render and train with progress; the result of every training as it is done."""
+    _render(experiment, output)
     with bar("training") as advance:
         for done, result in enumerate(experiment.train(), start=1):
             yield result
