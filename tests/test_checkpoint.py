@@ -89,7 +89,7 @@ HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, None), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '4'"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '5' or '4'"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "not JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
@@ -112,6 +112,9 @@ MALFORMED = {
     ),
     "number that must be whole": (
         lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(latent_dim=4.5))), "latent_dim 4.5, expected a w"
+    ),
+    "switch that is none": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(shortcut=1))), "shortcut 1, expected true or"
     ),
     "absurd size": (
         lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(hidden_width=10**12))), "hidden_width is 10000"
@@ -161,6 +164,31 @@ def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(tmp_path, 
     save_file(*(lambda pair: (pair[0], bad, pair[1]))(change(tensors, metadata)))
     with pytest.raises(CheckpointError, match=rf"bad\.safetensors: .*{message}"):
         load_checkpoint(bad)
+
+
+def test_models_from_before_the_shortcut_have_none(tmp_path):
+    new, old = tmp_path / "new.safetensors", tmp_path / "old.safetensors"
+    save_checkpoint(new, make_checkpoint())
+    with safe_open(new, framework="pt") as file:
+        tensors, metadata = {k: file.get_tensor(k) for k in file.keys()}, file.metadata()  # noqa: SIM118
+    metadata = _edit_config({**metadata, "version": "4"}, lambda c: c["network"].pop("shortcut"))
+    save_file(tensors, old, metadata)
+    loaded = load_checkpoint(old)
+    assert loaded.network == make_checkpoint().network
+    assert not loaded.network.shortcut
+    save_checkpoint(tmp_path / "again.safetensors", loaded)
+    assert load_checkpoint(tmp_path / "again.safetensors").network == loaded.network
+
+
+def test_a_network_with_a_shortcut_is_the_same_after_saving(tmp_path):
+    path = tmp_path / "m.safetensors"
+    saved = make_checkpoint(replace(SMALL, shortcut=True))
+    save_checkpoint(path, saved)
+    images, noise = torch.randn(2, 3, 32, 32), torch.randn(2, 10, 4)
+    with torch.inference_mode():
+        before, after = saved.build_network()(images, noise), load_checkpoint(path).build_network()(images, noise)
+    assert torch.equal(before[0], after[0])
+    assert torch.equal(before[1], after[1])
 
 
 @pytest.mark.parametrize("damage", ["absent", "empty", "text", "truncated", "folder"])

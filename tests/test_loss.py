@@ -9,6 +9,7 @@ from filtering.se3 import Poses
 from vapor.loss import LossConfig, kl_divergence, pose_distance, variational_loss
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 
+BOX = SceneBox((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
 CONFIG = LossConfig(lambda_translation=5.0, lambda_rotation=2.0, alpha=0.2, beta=0.01, num_samples=25)
 
 
@@ -25,15 +26,24 @@ def test_pose_distance_is_the_weighted_sum_of_metres_and_chord():
     turned = torch.from_numpy(Poses.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.pi])).rotation)
     distance = pose_distance(
         torch.tensor([3.0, 0.0, 4.0], dtype=torch.float64), turned, torch.zeros(3, dtype=torch.float64),
-        torch.eye(3, dtype=torch.float64), CONFIG,
+        torch.eye(3, dtype=torch.float64), CONFIG, BOX,
     )  # fmt: skip
     assert distance.item() == pytest.approx(5.0 * 5.0 + 2.0 * np.sqrt(8.0))
+
+
+@pytest.mark.parametrize(("axis", "counts"), [(0, 1.0), (1, 2.0), (2, 8.0)])
+def test_in_units_of_the_box_an_error_counts_as_much_more_as_its_edge_is_shorter(axis, counts):
+    box, config = SceneBox((0.0, 0.0, 1.0), (8.0, 4.0, 2.0)), LossConfig(lambda_translation=5.0, position_unit="box")
+    wrong = torch.zeros(3)
+    wrong[axis] = 0.1
+    distance = pose_distance(wrong, torch.eye(3), torch.zeros(3), torch.eye(3), config, box)
+    assert distance.item() == pytest.approx(5.0 * 0.1 * counts)
 
 
 def test_a_perfect_prediction_has_a_finite_gradient():
     translation = torch.ones(3, requires_grad=True)
     rotation = torch.eye(3, requires_grad=True)
-    pose_distance(translation, rotation, torch.ones(3), torch.eye(3), CONFIG).backward()
+    pose_distance(translation, rotation, torch.ones(3), torch.eye(3), CONFIG, BOX).backward()
     assert translation.grad is not None
     assert rotation.grad is not None
     assert torch.isfinite(translation.grad).all()
@@ -49,9 +59,8 @@ def test_winners_are_the_floor_of_alpha_m_and_at_least_one(alpha, num_samples, w
 
 def _batch():
     torch.manual_seed(0)
-    box = SceneBox((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
     config = NetworkConfig(image_width=32, image_height=32, shortest_edge=32, feature_dim=64, latent_dim=4)
-    network = VariationalPoseRegressor(config, box).double().train()
+    network = VariationalPoseRegressor(config, BOX).double().train()
     poses = Poses.exp(np.random.default_rng(0).standard_normal((6, 6)))
     truth = torch.from_numpy(poses.translation), torch.from_numpy(poses.rotation)
     return network, torch.randn(6, 3, 32, 32).double(), truth, torch.randn(6, 25, 4).double()

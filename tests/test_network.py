@@ -84,6 +84,20 @@ def test_predicted_positions_lie_in_the_box_however_large_the_latent():
     assert torch.isfinite(rotation).all()
 
 
+def test_a_shortcut_adds_a_linear_map_of_the_latent_to_the_pose():
+    torch.manual_seed(0)
+    latent, silent = torch.randn(50, 4), torch.nn.Sequential(torch.nn.Linear(4, 8))
+    pose_map = PoseMap(silent, 8, BOX, shortcut=4)
+    for layer in (silent[0], pose_map.translation, pose_map.rotation_6d):
+        torch.nn.init.zeros_(layer.weight)
+        torch.nn.init.zeros_(layer.bias)
+    translation, rotation = pose_map(latent)
+    expected = latent @ pose_map.shortcut.weight.T
+    share = torch.sigmoid(expected[:, :3])
+    torch.testing.assert_close(translation, torch.lerp(pose_map.lower, pose_map.upper, share))
+    torch.testing.assert_close(rotation, rotation_from_6d(expected[:, 3:]))
+
+
 def test_scene_box_holds_the_training_poses_with_a_margin_on_every_side():
     poses = Poses(np.broadcast_to(np.eye(3), (2, 3, 3)).copy(), np.array([[0.0, 0.0, 5.0], [20.0, 1.0, 5.0]]))
     box = SceneBox.around(poses)

@@ -25,13 +25,15 @@ from vapor.baselines import make_regressor
 from vapor.network import NetworkConfig, PoseRegressor, SceneBox
 
 FORMAT = "vapor-track model"
-VERSION = 4
+VERSION = 5
+_WITHOUT = {"4": {"shortcut": False}}  # older versions that are read, and what their networks did not say
 MAX_PRIOR_POSES = 2000
 # Enough for kernels as wide as a place: log densities change by 0.1.
 _PLACE_SAMPLES, _PRIOR_KERNELS = 250, 500
 _SHIPPED = Path(__file__).parent / "models"
 _NETWORK = "network."
 _ROTATION, _TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
+_KINDS = {bool: ("true or false", {bool}), int: ("a whole number", {int}), float: ("a number", {int, float})}
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 _ORTHONORMAL_WITHIN = 1e-3
 
@@ -203,10 +205,14 @@ def load_checkpoint(path: Path) -> Checkpoint:
     found = metadata.get("format")
     if found != FORMAT:
         raise CheckpointError(f"{path}: format is {found!r} in its metadata, expected {FORMAT!r}")
-    if metadata.get("version") != str(VERSION):
-        raise CheckpointError(f"{path}: format version is {metadata.get('version')!r}, expected '{VERSION}'")
+    version = metadata.get("version")
+    if version not in (str(VERSION), *_WITHOUT):
+        raise CheckpointError(f"{path}: format version is {version!r}, expected '{VERSION}' or '{', '.join(_WITHOUT)}'")
     config = read_json(path, metadata.get("config"))
-    network = parse_config(path, "network", NetworkConfig, config.get("network"))
+    network = config.get("network")
+    if isinstance(network, dict):
+        network = _WITHOUT.get(version, {}) | network
+    network = parse_config(path, "network", NetworkConfig, network)
     box = parse_config(path, "box", SceneBox, _with_triples(path, config.get("box")))
     calibration = parse_config(path, "calibration", Calibration, config.get("calibration"))
     training = config.get("training")
@@ -283,11 +289,9 @@ def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Conf
             f" expected {sorted(expected)}"
         )
     for f in fields(kind):  # pyright: ignore[reportArgumentType]
-        if isinstance(f.default, int | float):
-            kind_of_number = int if isinstance(f.default, int) else int | float
-            if not isinstance(values[f.name], kind_of_number) or isinstance(values[f.name], bool):
-                what = "a whole number" if isinstance(f.default, int) else "a number"
-                raise CheckpointError(f"{path}: {name} configuration has {f.name} {values[f.name]!r}, expected {what}")
+        what, kinds = _KINDS.get(type(f.default), ("", None))
+        if kinds and type(values[f.name]) not in kinds:
+            raise CheckpointError(f"{path}: {name} configuration has {f.name} {values[f.name]!r}, expected {what}")
     try:
         return kind(**values)
     except (VaporTrackError, TypeError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -11,7 +12,7 @@ from torch import Tensor
 from filtering.errors import require_within
 from vapor.baselines import MixtureRegressor, PointRegressor, component_log_density, rodrigues
 from vapor.flow import FlowRegressor
-from vapor.network import PoseRegressor, VariationalPoseRegressor, sample_latent
+from vapor.network import PoseRegressor, SceneBox, VariationalPoseRegressor, sample_latent
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,9 @@ class LossConfig:
 
     lambda_translation: float = 5.0
     """λ_t, per metre."""
+    position_unit: Literal["metre", "box"] = "metre"
+    """What errors of position are measured in: metres, as in the paper; or, along each axis, the edge of the scene's
+    box, times the longest edge in metres. So what varies little, such as a height, is learned like what varies much."""
     lambda_rotation: float = 2.0
     """λ_r, per unit of ‖R̂ − R‖_F."""
     alpha: float = 0.2
@@ -88,11 +92,15 @@ def pose_distance(
     true_translation: Float[Tensor, "*#batch 3"],
     true_rotation: Float[Tensor, "*#batch 3 3"],
     config: LossConfig,
+    box: SceneBox,
 ) -> Float[Tensor, "*batch"]:
-    """d_pose = λ_t ‖t̂ − t‖₂ + λ_r ‖R̂ − R‖_F; true poses broadcast."""
-    metres = torch.linalg.vector_norm(translation - true_translation, dim=-1)
-    chord = torch.linalg.vector_norm(rotation - true_rotation, dim=(-2, -1))
-    return config.lambda_translation * metres + config.lambda_rotation * chord
+    """d_pose = λ_t ‖t̂ − t‖₂ + λ_r ‖R̂ − R‖_F; true poses broadcast.
+
+    The box, that of the scene, gives the unit of positions where it is not metres.
+    """
+    scale = _axis_scale(config, box, translation)
+    errors = _errors((translation, rotation), (true_translation, true_rotation), scale)
+    return config.lambda_translation * errors[..., 0] + config.lambda_rotation * errors[..., 1]
 
 
 def training_loss(
@@ -125,7 +133,7 @@ def training_loss(
     if network.noise_dim:
         return variational_loss(network, images, *truth, noise, config)
     mean, _ = network.encode(images)
-    distance = pose_distance(*network.decode(mean), *truth, config).mean()
+    distance = pose_distance(*network.decode(mean), *truth, config, network.box).mean()
     return Loss(distance, torch.zeros_like(distance), distance.detach())
 
 
@@ -153,11 +161,11 @@ def variational_loss(
     mean, log_variance = network.encode(images)
     truth = true_translation[:, None], true_rotation[:, None]
     with torch.no_grad():
-        distance = pose_distance(*network.decode(sample_latent(mean, log_variance, noise)), *truth, config)
+        distance = pose_distance(*network.decode(sample_latent(mean, log_variance, noise)), *truth, config, network.box)
         winners = distance.topk(config.num_winners, dim=1, largest=False, sorted=False).indices
         winning_noise = noise.gather(1, winners[..., None].expand(-1, -1, noise.shape[-1]))
     latent = sample_latent(mean, log_variance, winning_noise)
-    nearest = pose_distance(*network.decode(latent), *truth, config).mean()
+    nearest = pose_distance(*network.decode(latent), *truth, config, network.box).mean()
     kl = kl_divergence(mean, log_variance).mean()
     return Loss(config.beta * kl + nearest, kl.detach(), nearest.detach())
 
@@ -179,13 +187,14 @@ def point_loss(
     poses = translation[:, 0], rotation[:, 0]
     truth = true_translation, true_rotation
     scale = network.log_scale
-    total = (_errors(poses, truth) * torch.exp(-scale) + scale).sum(dim=-1).mean()
+    errors = _errors(poses, truth, _axis_scale(config, network.box, translation))
+    total = (errors * torch.exp(-scale) + scale).sum(dim=-1).mean()
     if config.relative > 0.0:
         half = len(images) // 2
         with torch.autocast(images.device.type, enabled=False):  # bfloat16 would round metres to centimetres
             errors = _errors(_relative(*poses, half), _relative(*truth, half))
         total = total + config.relative * (errors * torch.exp(-scale) + scale).sum(dim=-1).mean()
-    distance = pose_distance(*poses, *truth, config).mean()
+    distance = pose_distance(*poses, *truth, config, network.box).mean()
     return Loss(total, torch.zeros_like(distance), distance.detach())
 
 
@@ -204,7 +213,7 @@ def mixture_loss(
     truth = true_translation[:, None], true_rotation[:, None]
     with torch.autocast(images.device.type, enabled=False):
         log_likelihood = component_log_density(translation, rotation, widths, *truth)[:, 0]
-    distance = pose_distance(translation, rotation, *truth, config)
+    distance = pose_distance(translation, rotation, *truth, config, network.box)
     best = distance.argmin(dim=1, keepdim=True)
     winner = torch.zeros_like(log_weights).scatter_(1, best, 1.0)
     others = config.relaxation / log_weights.shape[1]
@@ -235,7 +244,7 @@ def flow_loss(
     feature = network.describe(images)
     truth = true_translation[:, None], true_rotation[:, None]
     with torch.no_grad():
-        distance = pose_distance(*network.sample(feature, noise), *truth, config).mean()
+        distance = pose_distance(*network.sample(feature, noise), *truth, config, network.box).mean()
     with torch.autocast(images.device.type, enabled=False):
         turn = config.target_noise_rad * noise[..., 3:]
         angle = torch.linalg.vector_norm(turn, dim=-1).clamp_min(1e-9)
@@ -245,10 +254,17 @@ def flow_loss(
     return Loss(total, torch.zeros_like(distance), distance)
 
 
-def _errors(poses: tuple[Tensor, Tensor], truth: tuple[Tensor, Tensor]) -> Float[Tensor, "b 2"]:
-    """Metres, and ‖R̂ − R‖_F."""
-    metres = torch.linalg.vector_norm(poses[0] - truth[0], dim=-1)
+def _errors(
+    poses: tuple[Tensor, Tensor], truth: tuple[Tensor, Tensor], scale: Tensor | float = 1.0
+) -> Float[Tensor, "*b 2"]:
+    """‖t̂ − t‖₂ after each axis is multiplied by its scale, and ‖R̂ − R‖_F."""
+    metres = torch.linalg.vector_norm((poses[0] - truth[0]) * scale, dim=-1)
     return torch.stack([metres, torch.linalg.vector_norm(poses[1] - truth[1], dim=(-2, -1))], dim=-1)
+
+
+def _axis_scale(config: LossConfig, box: SceneBox, like: Tensor) -> Tensor | float:
+    """How much errors of position count along each axis, (3,), or along all."""
+    return like.new_tensor(box.extent.max() / box.extent) if config.position_unit == "box" else 1.0
 
 
 def _relative(translation: Tensor, rotation: Tensor, half: int) -> tuple[Tensor, Tensor]:

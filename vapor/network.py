@@ -10,7 +10,7 @@ from typing import Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float64, UInt8
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
@@ -58,6 +58,9 @@ class NetworkConfig:
     """Width of the hidden layers of the pose map, and of a flow's."""
     hidden_layers: int = 3
     """Hidden layers of the pose map after its first, n_layers in the paper; and of a flow."""
+    shortcut: bool = False
+    """A linear map from the latent vector to the pose beside the hidden layers of the pose map, which alone hardly
+    learn what varies little, such as a height."""
     dropout: float = 0.5
     """dropout: share of the feature's units that is left out."""
     components: int = 10
@@ -112,6 +115,11 @@ class SceneBox:
                 " below its upper one"
             )
 
+    @property
+    def extent(self) -> Float64[np.ndarray, "3"]:
+        """Its edges, metres."""
+        return np.array(self.upper) - self.lower
+
     @staticmethod
     def around(training_poses: Poses, margin: float = 0.1, margin_m: float = 0.3) -> SceneBox:
         """The box around training poses (n,), wider on each side by a share of its extent and at least by metres."""
@@ -131,16 +139,18 @@ class PoseMap(nn.Module):
         hidden: Layers before the last.
         width: Size of what they give.
         box: Box that positions lie in.
+        shortcut: Size of the vectors, for a linear map from them to the pose beside the layers; None for no such map.
     """
 
     lower: Tensor
     upper: Tensor
 
-    def __init__(self, hidden: nn.Module, width: int, box: SceneBox) -> None:
+    def __init__(self, hidden: nn.Module, width: int, box: SceneBox, shortcut: int | None = None) -> None:
         super().__init__()
         self.hidden = hidden
         self.translation = nn.Linear(width, 3)
         self.rotation_6d = nn.Linear(width, 6)
+        self.shortcut = nn.Linear(shortcut, 9, bias=False) if shortcut is not None else None
         self.register_buffer("lower", torch.tensor(box.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(box.upper), persistent=False)
 
@@ -149,8 +159,11 @@ class PoseMap(nn.Module):
     ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]:
         """Translations in metres and rotation matrices, world_from_camera."""
         hidden = self.hidden(vectors)
-        share = torch.sigmoid(self.translation(hidden))
-        return torch.lerp(self.lower, self.upper, share), rotation_from_6d(self.rotation_6d(hidden))
+        translation, rotation_6d = self.translation(hidden), self.rotation_6d(hidden)
+        if self.shortcut is not None:
+            direct = self.shortcut(vectors)
+            translation, rotation_6d = translation + direct[..., :3], rotation_6d + direct[..., 3:]
+        return torch.lerp(self.lower, self.upper, torch.sigmoid(translation)), rotation_from_6d(rotation_6d)
 
 
 class PoseRegressor(nn.Module, ABC):
@@ -242,7 +255,8 @@ class VariationalPoseRegressor(PoseRegressor):
         layers: list[nn.Module] = [nn.Linear(config.latent_dim, config.hidden_width), nn.ReLU()]
         for _ in range(config.hidden_layers):
             layers += [nn.Linear(config.hidden_width, config.hidden_width), nn.ReLU()]
-        self.pose_map = PoseMap(nn.Sequential(*layers), config.hidden_width, box)
+        shortcut = config.latent_dim if config.shortcut else None
+        self.pose_map = PoseMap(nn.Sequential(*layers), config.hidden_width, box, shortcut)
         self.noise_dim = config.latent_dim if config.head == "variational" else 0
 
     @property

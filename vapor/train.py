@@ -23,7 +23,7 @@ from vapor.calibrate import CalibrationResult, calibrate
 from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, load_checkpoint, save_checkpoint, spaced
 from vapor.flow import FlowRegressor
 from vapor.loss import training_loss
-from vapor.network import PoseRegressor, SceneBox, load_pretrained
+from vapor.network import PoseRegressor, SceneBox, VariationalPoseRegressor, load_pretrained
 from vapor.observation import resolve_device
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, TrainingSet, held_out_tails, load_training_set, open_sequences
@@ -318,6 +318,9 @@ def _start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint
         load_pretrained(network, config.pretrained_weights)
     if isinstance(network, FlowRegressor):
         network.choose_axes(poses)
+    if isinstance(network, VariationalPoseRegressor):
+        with torch.no_grad():
+            network.latent_log_variance.bias += config.initial_log_variance
     if initial is not None:
         network.load_state_dict(dict(initial.state_dict))
     average.load_state_dict(network.state_dict())

@@ -37,6 +37,9 @@ class TrainConfig:
     initial_model: Path | None = None
     """A model trained here, of the same network shape, all of whose weights are the start: to go on with more data, or
     with another loss. Its scene box is widened where the new data need it."""
+    initial_log_variance: float = 0.0
+    """Mean log σ² of the latent before training, about; 0 starts as it ends where an image says nothing. Below that less
+    noise hides from the pose map what the encoder learns first."""
     epochs: int = 30
     """Times every training image is seen."""
     batch_size: int = 64
@@ -96,6 +99,10 @@ class TrainConfig:
             raise TrainingError(
                 f"training: loss.relative is {self.loss.relative} with head {self.network.head} and batches of"
                 f" {self.batch_size}, expected head point or dropout and at least 2: relative poses are of pairs"
+            )
+        if not -20.0 <= self.initial_log_variance <= 20.0:  # where the network's are kept
+            raise TrainingError(
+                f"training: initial_log_variance is {self.initial_log_variance}, expected it in [-20, 20]"
             )
         for name in ("weight_decay", "encoder_weight_decay"):
             if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:

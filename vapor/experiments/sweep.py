@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 from vapor.experiments.trainings import Scene, Training, height_to_cover, kept_samples, render_scenes, run_trainings
+from vapor.loss import LossConfig
 from vapor.network import NetworkConfig
 from vapor.train_config import TrainConfig
 
@@ -22,11 +23,14 @@ _HEIGHT = 96  # pixels of the images as they are rendered, at least
 
 
 def small_training(epochs: int) -> TrainConfig:
-    """Of images of 64 × 48, all of them, uncalibrated."""
+    """Of images of 64 × 48, all of them, uncalibrated; heights vary little about the tables and are to be learned."""
     return TrainConfig(
-        network=NetworkConfig(image_width=64, image_height=48, shortest_edge=52),
+        network=NetworkConfig("resnet18-quarter", image_width=64, image_height=48, shortest_edge=52, shortcut=True),
+        loss=LossConfig(position_unit="box", num_samples=100),
+        initial_log_variance=-4.0,
         epochs=epochs,
         batch_size=16,
+        learning_rate=3e-3,
         calibrate=False,
         validation_share=0.0,
     )
