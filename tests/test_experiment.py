@@ -66,7 +66,7 @@ def test_every_alpha_and_run_is_trained_once_and_kept(tmp_path, monkeypatch):
     assert all(r["images"] == 6 for r in results)
     assert len({r["negative_log_density"] for r in results}) == 4  # no two trainings are one
 
-    monkeypatch.setattr(trainings_module, "train", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(trainings_module, "train_loaded", lambda *_, **__: pytest.fail("trained again"))
     again = Sweep(["round-table"], tmp_path, TINY)
     assert list(again.render()) == [(2, 2)]
     assert list(again.train()) == results
@@ -155,7 +155,7 @@ def test_the_decay_experiment_judges_test_and_training_images_and_goes_on(tmp_pa
         assert picture.std() > 10
         path.unlink()
 
-    monkeypatch.setattr(trainings_module, "train", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(trainings_module, "train_loaded", lambda *_, **__: pytest.fail("trained again"))
     assert main(words) == 0
     assert capfd.readouterr().out == printed
     assert json.loads((tmp_path / "decay.json").read_text()) == report
@@ -280,7 +280,7 @@ def test_another_way_to_test_needs_no_other_training(tmp_path, monkeypatch):
     first = TableExperiment([parse_scene("round-table")], tmp_path, replace(TINY_TABLE, localize=False))
     list(first.render())
     before = list(first.train())
-    monkeypatch.setattr(trainings_module, "train", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(trainings_module, "train_loaded", lambda *_, **__: pytest.fail("trained again"))
     again = TableExperiment([parse_scene("round-table")], tmp_path, replace(TINY_TABLE, localize=False, gamma=1.0))
     list(again.render())
     after = list(again.train())

@@ -118,26 +118,57 @@ def train_on(
     progress: ProgressCallback | None = None,
 ) -> TrainResult:
     """Train on frames by the name of their sequence; else as `train`."""
-    output = Path(output)
-    if not output.parent.is_dir():  # told now, not after hours of training
-        raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
-    if output.is_dir():
-        raise TrainingError(f"{output}: is a folder, expected the name of a model file to write")
-    initial = _initial_model(config)
+    initial = _ready(output, config)
     report = progress or (lambda _: None)
     frame, central = config.network.frame_size, config.augment.crop == "central"
     loaded = load_training_set(sequences, frame, central=central, progress=lambda n: report(Progress("reading", n)))
-    if validation:
-        training, held_out = loaded, load_training_set(validation, frame, central=central)
-    else:
+    held_out = load_training_set(validation, frame, central=central) if validation else None
+    names = {"data": list(sequences), "validation_data": list(validation or ())}
+    return _train_loaded(loaded, held_out, names, output, config, initial, report)
+
+
+def train_loaded(images: TrainingSet, names: Sequence[str], output: Path, config: TrainConfig) -> TrainResult:
+    """Train on images that were read before, for many trainings on the same; else as `train`.
+
+    Args:
+        images: From `load_training_set`, for the configured frame size and crop.
+        names: Of their sequences, for the model file.
+        output: The model file.
+        config: How.
+    """
+    initial = _ready(output, config)
+    named = {"data": list(names), "validation_data": []}
+    return _train_loaded(images, None, named, output, config, initial, lambda _: None)
+
+
+def _ready(output: Path, config: TrainConfig) -> Checkpoint | None:
+    """The model to start from; raises what would otherwise be told after hours of training."""
+    if not Path(output).parent.is_dir():
+        raise TrainingError(f"{output}: cannot be written, expected the folder {Path(output).parent} to exist")
+    if Path(output).is_dir():
+        raise TrainingError(f"{output}: is a folder, expected the name of a model file to write")
+    return _initial_model(config)
+
+
+def _train_loaded(
+    loaded: TrainingSet,
+    held_out: TrainingSet | None,
+    names: dict[str, Any],
+    output: Path,
+    config: TrainConfig,
+    initial: Checkpoint | None,
+    report: ProgressCallback,
+) -> TrainResult:
+    if held_out is None:
         tails = held_out_tails(loaded.sequence, config.validation_share)
         training, held_out = loaded.select(np.flatnonzero(~tails)), loaded.select(np.flatnonzero(tails))
+    else:
+        training = loaded
     if len(training) < 2:
-        raise TrainingError(f"{', '.join(sequences)}: {len(training)} training images, expected at least 2")
-    names = {"data": list(sequences), "validation_data": list(validation or ())}
+        raise TrainingError(f"{', '.join(names['data'])}: {len(training)} training images, expected at least 2")
     box = SceneBox.around(training.poses)
     state = _start(config, box.union(initial.box) if initial else box, training.poses, initial)
-    return _fit(state, training, held_out, names, output, config, report)
+    return _fit(state, training, held_out, names, Path(output), config, report)
 
 
 def _fit(
@@ -320,7 +351,7 @@ def _start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint
         network.choose_axes(poses)
     if isinstance(network, VariationalPoseRegressor):
         with torch.no_grad():
-            network.latent_log_variance.bias += config.initial_log_variance
+            network.latent_log_variance.bias.add_(config.initial_log_variance)
     if initial is not None:
         network.load_state_dict(dict(initial.state_dict))
     average.load_state_dict(network.state_dict())

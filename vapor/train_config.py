@@ -38,7 +38,7 @@ class TrainConfig:
     """A model trained here, of the same network shape, all of whose weights are the start: to go on with more data, or
     with another loss. Its scene box is widened where the new data need it."""
     initial_log_variance: float = 0.0
-    """Mean log σ² of the latent before training, about; 0 starts as it ends where an image says nothing. Below that less
+    """log σ² of the latent before training, about. 0 is what it becomes where an image says nothing; below that less
     noise hides from the pose map what the encoder learns first."""
     epochs: int = 30
     """Times every training image is seen."""

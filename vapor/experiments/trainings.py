@@ -7,6 +7,7 @@ import math
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,7 +23,7 @@ from vapor.posterior_metrics import posterior_metrics
 from vapor.recordings import digest, from_rows, to_rows
 from vapor.run import RunConfig, run
 from vapor.threads import limited_threads
-from vapor.train import train
+from vapor.train import train_loaded
 from vapor.train_config import TrainConfig
 from vapor.training_set import TrainingError, TrainingSet, load_training_set, open_sequences
 from vapor.validation import exact_log_density, predict
@@ -207,12 +208,24 @@ def _run(training: Training, directory: Path) -> dict[str, Any]:
     return result
 
 
+def _images(entries: tuple[str, ...], frame_size: tuple[int, int], *, central: bool = True) -> TrainingSet:
+    """Images read once for all trainings of this process, as long as the files stay as they are."""
+    return _read_once(entries, frame_size, central, json.dumps(identities(entries)))
+
+
+@lru_cache(maxsize=4)
+def _read_once(entries: tuple[str, ...], frame_size: tuple[int, int], central: bool, _: str) -> TrainingSet:
+    return load_training_set(open_sequences(entries), frame_size, central=central)
+
+
 def _train(training: Training, model: Path) -> dict[str, float]:
     """Train, unless that is done; `seconds` and `images_seen`."""
     about = model.with_suffix(".json")
     if model.is_file() and about.is_file():
         return json.loads(about.read_text(encoding="utf-8"))
-    trained = train(training.scene.train, model, training.config)
+    crop = training.config.augment.crop
+    images = _images(training.scene.train, training.config.network.frame_size, central=crop == "central")
+    trained = train_loaded(images, list(open_sequences(training.scene.train)), model, training.config)
     cost = {"seconds": trained.seconds, "images_seen": trained.images_seen}
     with atomic_output(about) as partial:
         partial.write_text(json.dumps(cost) + "\n", encoding="utf-8")
@@ -237,10 +250,10 @@ def _test(training: Training, directory: Path, model: Path, folder: Path) -> dic
         return figures, posteriors
 
     size = training.config.network.frame_size
-    test = load_training_set(open_sequences(scene.test), size)
+    test = _images(scene.test, size)
     result, posteriors = judge(test)
     if training.training_images:
-        seen = load_training_set(open_sequences(scene.train), size)
+        seen = _images(scene.train, size)
         result["training"], _ = judge(seen.select(spaced(len(seen), training.training_images)))
     if training.localize:
         config = RunConfig(seed, recording=False, num_samples=training.num_samples, device=training.config.device)
