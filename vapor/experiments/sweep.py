@@ -29,7 +29,7 @@ def small_training(epochs: int) -> TrainConfig:
         loss=LossConfig(position_unit="box", num_samples=100),
         initial_log_variance=-4.0,
         epochs=epochs,
-        batch_size=16,
+        batch_size=32,
         learning_rate=3e-3,
         calibrate=False,
         validation_share=0.0,
@@ -48,7 +48,7 @@ class SweepConfig(ABC):
     """Seed of the first of them."""
     gamma: float = 0.1
     """Share of an image's samples that must be near its true pose for it to count as right."""
-    sequences: int = 20
+    sequences: int = 40
     """Walks about the table that are trained on."""
     frames: int = 500
     """Images of each."""
@@ -60,7 +60,7 @@ class SweepConfig(ABC):
     """Posterior samples per image that is judged."""
     workers: int = 2
     """Trainings at a time, each with one thread."""
-    train: TrainConfig = field(default_factory=lambda: small_training(12))
+    train: TrainConfig = field(default_factory=lambda: small_training(6))
     """How each network is trained; the number that varies and the seed are the experiment's."""
 
     def __post_init__(self) -> None:
