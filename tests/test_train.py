@@ -18,7 +18,7 @@ from vapor.loss import LossConfig
 from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import PRESETS
-from vapor.train import _parameter_groups, _update_average, train, train_on
+from vapor.train import _parameter_groups, _update_average, train, train_loaded, train_on
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, held_out_tails, load_training_set
 from vapor.training_state import TrainingState, state_path
@@ -141,6 +141,32 @@ def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_hold
     assert on.box.upper[:2] == there.box.upper[:2]
     assert on.box.upper[2] > there.box.upper[2] + 8
     assert on.training["config"]["initial_model"] == "first.safetensors"
+
+
+def test_images_read_before_train_the_same_network(tmp_path):
+    frames, config = {"a": make_frames(24)}, replace(TINY, epochs=1)
+    read = train_on(frames, tmp_path / "read.safetensors", config).checkpoint
+    images = load_training_set(frames, config.network.frame_size)
+    for name in ("once", "twice"):
+        again = train_loaded(images, ["a"], tmp_path / f"{name}.safetensors", config).checkpoint
+        assert again.training == read.training
+        assert all(torch.equal(again.state_dict[k], value) for k, value in read.state_dict.items())
+
+
+def test_the_latents_first_variance_is_the_configured_one_and_nothing_else_differs(tmp_path):
+    still = replace(TINY, learning_rate=1e-12, weight_decay=0.0, average=0.0, epochs=1)
+    plain = train_on({"a": make_frames(24)}, tmp_path / "plain.safetensors", still).checkpoint
+    quiet = replace(still, initial_log_variance=-3.0)
+    other = train_on({"a": make_frames(24)}, tmp_path / "quiet.safetensors", quiet).checkpoint
+    name = "latent_log_variance.bias"
+    torch.testing.assert_close(other.state_dict[name], plain.state_dict[name] - 3.0)
+    assert all(torch.allclose(other.state_dict[k], v, atol=1e-8) for k, v in plain.state_dict.items() if k != name)
+
+
+@pytest.mark.parametrize("value", [-21.0, 20.5, float("nan")])
+def test_a_first_variance_beyond_what_the_network_keeps_is_refused(value):
+    with pytest.raises(TrainingError, match=r"initial_log_variance is .*, expected it in \[-20, 20\]"):
+        replace(TINY, initial_log_variance=value)
 
 
 def test_a_model_of_another_shape_or_two_starts_are_refused_before_anything_is_read(tmp_path):
