@@ -1,4 +1,5 @@
 import json
+import os
 from dataclasses import replace
 
 import cv2
@@ -66,10 +67,34 @@ def test_every_alpha_and_run_is_trained_once_and_kept(tmp_path, monkeypatch):
     assert all(r["images"] == 6 for r in results)
     assert len({r["negative_log_density"] for r in results}) == 4  # no two trainings are one
 
-    monkeypatch.setattr(trainings_module, "train_loaded", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(trainings_module, "train_on_images", lambda *_, **__: pytest.fail("trained again"))
     again = Sweep(["round-table"], tmp_path, TINY)
     assert list(again.render()) == [(2, 2)]
     assert list(again.train()) == results
+
+
+def test_images_are_read_once_for_many_trainings_and_again_when_a_file_changes(tmp_path, monkeypatch):
+    read = []
+    load = trainings_module.load_training_set
+    monkeypatch.setattr(
+        trainings_module, "load_training_set", lambda s, *a, **k: read.append(list(s)) or load(s, *a, **k)
+    )
+    monkeypatch.setattr(trainings_module, "in_parallel", lambda function, jobs, _: (function(*job) for job in jobs))
+    experiment = Sweep(["round-table"], tmp_path, TINY)
+    list(experiment.render())
+    list(experiment.train())
+    assert len(read) == 2  # to train on and to test on, for four trainings
+    (walk,) = (tmp_path / "images").glob("*-train-*")
+    os.utime(walk)
+    list(experiment.train())
+    assert [len(names) for names in read] == [1, 1, 1]
+    assert "train" in read[2][0]
+
+
+def test_alpha_is_varied_where_heights_are_learned():
+    config = AlphaConfig().varied(0.3)
+    assert (config.network.shortcut, config.loss.position_unit, config.initial_log_variance) == (True, "box", -4.0)
+    assert config.loss.alpha == 0.3
 
 
 def test_kept_samples_are_those_of_the_figures(tmp_path):
@@ -155,7 +180,7 @@ def test_the_decay_experiment_judges_test_and_training_images_and_goes_on(tmp_pa
         assert picture.std() > 10
         path.unlink()
 
-    monkeypatch.setattr(trainings_module, "train_loaded", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(trainings_module, "train_on_images", lambda *_, **__: pytest.fail("trained again"))
     assert main(words) == 0
     assert capfd.readouterr().out == printed
     assert json.loads((tmp_path / "decay.json").read_text()) == report
@@ -280,7 +305,7 @@ def test_another_way_to_test_needs_no_other_training(tmp_path, monkeypatch):
     first = TableExperiment([parse_scene("round-table")], tmp_path, replace(TINY_TABLE, localize=False))
     list(first.render())
     before = list(first.train())
-    monkeypatch.setattr(trainings_module, "train_loaded", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(trainings_module, "train_on_images", lambda *_, **__: pytest.fail("trained again"))
     again = TableExperiment([parse_scene("round-table")], tmp_path, replace(TINY_TABLE, localize=False, gamma=1.0))
     list(again.render())
     after = list(again.train())

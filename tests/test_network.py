@@ -1,4 +1,5 @@
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -86,16 +87,13 @@ def test_predicted_positions_lie_in_the_box_however_large_the_latent():
 
 def test_a_shortcut_adds_a_linear_map_of_the_latent_to_the_pose():
     torch.manual_seed(0)
-    latent, silent = torch.randn(50, 4), torch.nn.Sequential(torch.nn.Linear(4, 8))
-    pose_map = PoseMap(silent, 8, BOX, shortcut=4)
-    for layer in (silent[0], pose_map.translation, pose_map.rotation_6d):
-        torch.nn.init.zeros_(layer.weight)
-        torch.nn.init.zeros_(layer.bias)
-    translation, rotation = pose_map(latent)
-    expected = latent @ pose_map.shortcut.weight.T
-    share = torch.sigmoid(expected[:, :3])
+    network = VariationalPoseRegressor(replace(SMALL, shortcut=True), BOX)
+    pose_map, latent = network.pose_map, torch.randn(50, SMALL.latent_dim)
+    hidden, direct = pose_map.hidden(latent), latent @ pose_map.shortcut.weight.T
+    translation, rotation = network.decode(latent)
+    share = torch.sigmoid(pose_map.translation(hidden) + direct[:, :3])
     torch.testing.assert_close(translation, torch.lerp(pose_map.lower, pose_map.upper, share))
-    torch.testing.assert_close(rotation, rotation_from_6d(expected[:, 3:]))
+    torch.testing.assert_close(rotation, rotation_from_6d(pose_map.rotation_6d(hidden) + direct[:, 3:]))
 
 
 def test_scene_box_holds_the_training_poses_with_a_margin_on_every_side():

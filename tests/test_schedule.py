@@ -34,7 +34,13 @@ TINY = ScheduleConfig(
 
 
 @pytest.mark.parametrize(
-    "shared", [{"pretrained": False}, {"pretrained_weights": Path("w.safetensors")}, {"initial_model": Path("m")}]
+    "shared",
+    [
+        {"pretrained": False},
+        {"pretrained_weights": Path("w.safetensors")},
+        {"initial_model": Path("m")},
+        {"initial_log_variance": -4.0},
+    ],
 )
 def test_both_start_from_the_same_weights(shared):
     config = replace(TINY, train=replace(TINY.train, **shared))

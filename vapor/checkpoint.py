@@ -26,7 +26,8 @@ from vapor.network import NetworkConfig, PoseRegressor, SceneBox
 
 FORMAT = "vapor-track model"
 VERSION = 5
-_WITHOUT = {"4": {"shortcut": False}}  # older versions that are read, and what their networks did not say
+_OLDER = "4"  # is read as well
+_UNSAID = {"shortcut": False}  # what networks of that version are and did not say
 MAX_PRIOR_POSES = 2000
 # Enough for kernels as wide as a place: log densities change by 0.1.
 _PLACE_SAMPLES, _PRIOR_KERNELS = 250, 500
@@ -151,7 +152,8 @@ class Checkpoint:
 
     def network_sha256(self) -> str:
         """What the posterior samples depend on: a digest of network, box and weights, but not of the calibration."""
-        digest = hashlib.sha256(json.dumps([asdict(self.network), asdict(self.box)], sort_keys=True).encode())
+        network = {name: value for name, value in asdict(self.network).items() if _UNSAID.get(name) is not value}
+        digest = hashlib.sha256(json.dumps([network, asdict(self.box)], sort_keys=True).encode())
         for name in sorted(self.state_dict):
             digest.update(name.encode())
             digest.update(self.state_dict[name].numpy().tobytes())
@@ -206,12 +208,12 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if found != FORMAT:
         raise CheckpointError(f"{path}: format is {found!r} in its metadata, expected {FORMAT!r}")
     version = metadata.get("version")
-    if version not in (str(VERSION), *_WITHOUT):
-        raise CheckpointError(f"{path}: format version is {version!r}, expected '{VERSION}' or '{', '.join(_WITHOUT)}'")
+    if version not in (str(VERSION), _OLDER):
+        raise CheckpointError(f"{path}: format version is {version!r}, expected '{VERSION}' or '{_OLDER}'")
     config = read_json(path, metadata.get("config"))
     network = config.get("network")
-    if isinstance(network, dict):
-        network = _WITHOUT.get(version, {}) | network
+    if version == _OLDER and isinstance(network, dict):
+        network = network | _UNSAID
     network = parse_config(path, "network", NetworkConfig, network)
     box = parse_config(path, "box", SceneBox, _with_triples(path, config.get("box")))
     calibration = parse_config(path, "calibration", Calibration, config.get("calibration"))

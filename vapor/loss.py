@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from filtering.errors import require_within
+from filtering.errors import VaporTrackError, require_within
 from vapor.baselines import MixtureRegressor, PointRegressor, component_log_density, rodrigues
 from vapor.flow import FlowRegressor
 from vapor.network import PoseRegressor, SceneBox, VariationalPoseRegressor, sample_latent
+
+PositionUnit = Literal["metre", "box"]
 
 
 @dataclass(frozen=True)
@@ -20,10 +22,11 @@ class LossConfig:
     """Weights of the loss; the defaults are the paper's, λ for its ambiguous scenes."""
 
     lambda_translation: float = 5.0
-    """λ_t, per metre."""
-    position_unit: Literal["metre", "box"] = "metre"
-    """What errors of position are measured in: metres, as in the paper; or, along each axis, the edge of the scene's
-    box, times the longest edge in metres. So what varies little, such as a height, is learned like what varies much."""
+    """λ_t, per metre; with `position_unit` box per metre along the longest edge."""
+    position_unit: PositionUnit = "metre"
+    """Unit of errors of position: the metre, as in the paper; or box, which multiplies the error along each axis by the
+    longest edge of the scene's box over its own edge, so that what varies little, such as a height, counts as much as
+    what varies much. See also `shortcut`. Of a mixture it says which component is best, of a flow nothing."""
     lambda_rotation: float = 2.0
     """λ_r, per unit of ‖R̂ − R‖_F."""
     alpha: float = 0.2
@@ -45,6 +48,9 @@ class LossConfig:
     """flow: standard deviation of noise on true rotations about each axis, radians."""
 
     def __post_init__(self) -> None:
+        if self.position_unit not in get_args(PositionUnit):
+            units = get_args(PositionUnit)
+            raise VaporTrackError(f"loss: position_unit is {self.position_unit!r}, expected one of {units}")
         require_within(
             self,
             lambda_translation=(0.0, 1e9),
@@ -98,9 +104,8 @@ def pose_distance(
 
     The box, that of the scene, gives the unit of positions where it is not metres.
     """
-    scale = _axis_scale(config, box, translation)
-    errors = _errors((translation, rotation), (true_translation, true_rotation), scale)
-    return config.lambda_translation * errors[..., 0] + config.lambda_rotation * errors[..., 1]
+    position, chord = _errors((translation, rotation), (true_translation, true_rotation), config, box)
+    return config.lambda_translation * position + config.lambda_rotation * chord
 
 
 def training_loss(
@@ -186,14 +191,18 @@ def point_loss(
     translation, rotation = network(images, noise)
     poses = translation[:, 0], rotation[:, 0]
     truth = true_translation, true_rotation
-    scale = network.log_scale
-    errors = _errors(poses, truth, _axis_scale(config, network.box, translation))
-    total = (errors * torch.exp(-scale) + scale).sum(dim=-1).mean()
+
+    def weighted(errors: tuple[Tensor, Tensor]) -> Tensor:
+        scale = network.log_scale
+        return (torch.stack(errors, dim=-1) * torch.exp(-scale) + scale).sum(dim=-1).mean()
+
+    total = weighted(_errors(poses, truth, config, network.box))
     if config.relative > 0.0:
         half = len(images) // 2
         with torch.autocast(images.device.type, enabled=False):  # bfloat16 would round metres to centimetres
-            errors = _errors(_relative(*poses, half), _relative(*truth, half))
-        total = total + config.relative * (errors * torch.exp(-scale) + scale).sum(dim=-1).mean()
+            axes = true_rotation[:half]
+            errors = _errors(_relative(*poses, half, axes), _relative(*truth, half, axes), config, network.box)
+        total = total + config.relative * weighted(errors)
     distance = pose_distance(*poses, *truth, config, network.box).mean()
     return Loss(total, torch.zeros_like(distance), distance.detach())
 
@@ -255,20 +264,17 @@ def flow_loss(
 
 
 def _errors(
-    poses: tuple[Tensor, Tensor], truth: tuple[Tensor, Tensor], scale: Tensor | float = 1.0
-) -> Float[Tensor, "*b 2"]:
-    """‖t̂ − t‖₂ after each axis is multiplied by its scale, and ‖R̂ − R‖_F."""
-    metres = torch.linalg.vector_norm((poses[0] - truth[0]) * scale, dim=-1)
-    return torch.stack([metres, torch.linalg.vector_norm(poses[1] - truth[1], dim=(-2, -1))], dim=-1)
+    poses: tuple[Tensor, Tensor], truth: tuple[Tensor, Tensor], config: LossConfig, box: SceneBox
+) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
+    """‖t̂ − t‖₂ in the configured unit, and ‖R̂ − R‖_F."""
+    apart = poses[0] - truth[0]
+    if config.position_unit == "box":
+        apart = apart * apart.new_tensor(box.extent.max() / box.extent)
+    return torch.linalg.vector_norm(apart, dim=-1), torch.linalg.vector_norm(poses[1] - truth[1], dim=(-2, -1))
 
 
-def _axis_scale(config: LossConfig, box: SceneBox, like: Tensor) -> Tensor | float:
-    """How much errors of position count along each axis, (3,), or along all."""
-    return like.new_tensor(box.extent.max() / box.extent) if config.position_unit == "box" else 1.0
-
-
-def _relative(translation: Tensor, rotation: Tensor, half: int) -> tuple[Tensor, Tensor]:
-    """Poses of the second half in the frames of the first."""
+def _relative(translation: Tensor, rotation: Tensor, half: int, axes: Tensor) -> tuple[Tensor, Tensor]:
+    """Poses of the second half as seen from the first; `axes` turns what they see to the world's axes."""
     back = rotation[:half].mT
-    shift = (back @ (translation[half : 2 * half] - translation[:half])[..., None])[..., 0]
+    shift = (axes @ back @ (translation[half : 2 * half] - translation[:half])[..., None])[..., 0]
     return shift, back @ rotation[half : 2 * half]

@@ -59,8 +59,9 @@ class NetworkConfig:
     hidden_layers: int = 3
     """Hidden layers of the pose map after its first, n_layers in the paper; and of a flow."""
     shortcut: bool = False
-    """A linear map from the latent vector to the pose beside the hidden layers of the pose map, which alone hardly
-    learn what varies little, such as a height."""
+    """variational, deterministic: a linear map from the latent vector to the pose beside the hidden layers of the pose
+    map. With `position_unit` box and an `initial_log_variance` of -4 what varies little, such as a height, is learned,
+    too."""
     dropout: float = 0.5
     """dropout: share of the feature's units that is left out."""
     components: int = 10
@@ -139,18 +140,18 @@ class PoseMap(nn.Module):
         hidden: Layers before the last.
         width: Size of what they give.
         box: Box that positions lie in.
-        shortcut: Size of the vectors, for a linear map from them to the pose beside the layers; None for no such map.
+        shortcut_dim: Size of the vectors, for a linear map from them to the pose beside the layers; 0 for no such map.
     """
 
     lower: Tensor
     upper: Tensor
 
-    def __init__(self, hidden: nn.Module, width: int, box: SceneBox, shortcut: int | None = None) -> None:
+    def __init__(self, hidden: nn.Module, width: int, box: SceneBox, shortcut_dim: int = 0) -> None:
         super().__init__()
         self.hidden = hidden
         self.translation = nn.Linear(width, 3)
         self.rotation_6d = nn.Linear(width, 6)
-        self.shortcut = nn.Linear(shortcut, 9, bias=False) if shortcut is not None else None
+        self.shortcut = nn.Linear(shortcut_dim, 9, bias=False) if shortcut_dim else None
         self.register_buffer("lower", torch.tensor(box.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(box.upper), persistent=False)
 
@@ -255,8 +256,8 @@ class VariationalPoseRegressor(PoseRegressor):
         layers: list[nn.Module] = [nn.Linear(config.latent_dim, config.hidden_width), nn.ReLU()]
         for _ in range(config.hidden_layers):
             layers += [nn.Linear(config.hidden_width, config.hidden_width), nn.ReLU()]
-        shortcut = config.latent_dim if config.shortcut else None
-        self.pose_map = PoseMap(nn.Sequential(*layers), config.hidden_width, box, shortcut)
+        shortcut_dim = config.latent_dim if config.shortcut else 0
+        self.pose_map = PoseMap(nn.Sequential(*layers), config.hidden_width, box, shortcut_dim)
         self.noise_dim = config.latent_dim if config.head == "variational" else 0
 
     @property

@@ -118,31 +118,42 @@ def train_on(
     progress: ProgressCallback | None = None,
 ) -> TrainResult:
     """Train on frames by the name of their sequence; else as `train`."""
-    initial = _ready(output, config)
+    initial = _checked_start(output, config)
     report = progress or (lambda _: None)
     frame, central = config.network.frame_size, config.augment.crop == "central"
     loaded = load_training_set(sequences, frame, central=central, progress=lambda n: report(Progress("reading", n)))
     held_out = load_training_set(validation, frame, central=central) if validation else None
     names = {"data": list(sequences), "validation_data": list(validation or ())}
-    return _train_loaded(loaded, held_out, names, output, config, initial, report)
+    return _train(loaded, held_out, names, output, config, initial, report)
 
 
-def train_loaded(images: TrainingSet, names: Sequence[str], output: Path, config: TrainConfig) -> TrainResult:
-    """Train on images that were read before, for many trainings on the same; else as `train`.
+def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, config: TrainConfig) -> TrainResult:
+    """Train on images that were read before, for many trainings on the same; some of them are held out as configured.
 
     Args:
         images: From `load_training_set`, for the configured frame size and crop.
         names: Of their sequences, for the model file.
         output: The model file.
         config: How.
+
+    Raises:
+        TrainingError: unusable images or configuration, or a loss that is not finite.
+        CheckpointError: an interrupted training of another configuration.
     """
-    initial = _ready(output, config)
+    initial = _checked_start(output, config)
+    (width, height), found = config.network.frame_size, images.images.shape[1:3]
+    central = config.augment.crop == "central"
+    if found != (height, width) if central else (found[0] < height or found[1] < width):
+        size, least = f"{found[1]} x {found[0]}", "" if central else "at least "
+        raise TrainingError(f"images are {size} pixels, expected {least}{width} x {height} as the network's frame")
+    if len(names) != (count := len(np.unique(images.sequence))):
+        raise TrainingError(f"{len(names)} names of sequences, expected {count}")
     named = {"data": list(names), "validation_data": []}
-    return _train_loaded(images, None, named, output, config, initial, lambda _: None)
+    return _train(images, None, named, output, config, initial, lambda _: None)
 
 
-def _ready(output: Path, config: TrainConfig) -> Checkpoint | None:
-    """The model to start from; raises what would otherwise be told after hours of training."""
+def _checked_start(output: Path, config: TrainConfig) -> Checkpoint | None:
+    """The model to start from, if any; raises what would otherwise be told after reading or hours of training."""
     if not Path(output).parent.is_dir():
         raise TrainingError(f"{output}: cannot be written, expected the folder {Path(output).parent} to exist")
     if Path(output).is_dir():
@@ -150,7 +161,7 @@ def _ready(output: Path, config: TrainConfig) -> Checkpoint | None:
     return _initial_model(config)
 
 
-def _train_loaded(
+def _train(
     loaded: TrainingSet,
     held_out: TrainingSet | None,
     names: dict[str, Any],
@@ -381,10 +392,10 @@ def _initial_model(config: TrainConfig) -> Checkpoint | None:
     initial = load_checkpoint(config.initial_model)
     wanted = config.network
     sizes = {name: getattr(wanted, name) for name in ("image_width", "image_height", "shortest_edge")}
-    if replace(initial.network, **sizes) != wanted:  # weights of a convolutional network fit images of any size
-        raise TrainingError(
-            f"{config.initial_model}: its network is {initial.network}, expected {wanted} as configured"
-        )
+    found = replace(initial.network, **sizes)  # weights of a convolutional network fit images of any size
+    if other := [name for name, value in asdict(wanted).items() if getattr(found, name) != value]:
+        told = ", ".join(f"{name} {getattr(found, name)!r} (expected {getattr(wanted, name)!r})" for name in other)
+        raise TrainingError(f"{config.initial_model}: its network has {told} as configured")
     return initial
 
 

@@ -38,8 +38,8 @@ class TrainConfig:
     """A model trained here, of the same network shape, all of whose weights are the start: to go on with more data, or
     with another loss. Its scene box is widened where the new data need it."""
     initial_log_variance: float = 0.0
-    """log σ² of the latent before training, about. 0 is what it becomes where an image says nothing; below that less
-    noise hides from the pose map what the encoder learns first."""
+    """variational: log σ² of the latent before training, about; `initial_model` brings its own. With a low one the pose
+    map can use early what the encoder learns, which noise would hide; 0 is where an image that says nothing ends."""
     epochs: int = 30
     """Times every training image is seen."""
     batch_size: int = 64
@@ -100,10 +100,8 @@ class TrainConfig:
                 f"training: loss.relative is {self.loss.relative} with head {self.network.head} and batches of"
                 f" {self.batch_size}, expected head point or dropout and at least 2: relative poses are of pairs"
             )
-        if not -20.0 <= self.initial_log_variance <= 20.0:  # where the network's are kept
-            raise TrainingError(
-                f"training: initial_log_variance is {self.initial_log_variance}, expected it in [-20, 20]"
-            )
+        if not -10.0 <= self.initial_log_variance <= 5.0:
+            raise TrainingError(f"training: initial_log_variance is {self.initial_log_variance}, expected -10 to 5")
         for name in ("weight_decay", "encoder_weight_decay"):
             if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a number of at least 0")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -43,6 +44,11 @@ class TrainingSet:
 
     def __len__(self) -> int:
         return len(self.sequence)
+
+    def unload(self) -> None:
+        """Give back the memory that images read from disk take; they are read again when they are used."""
+        if isinstance(self.images.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+            self.images.base.madvise(mmap.MADV_DONTNEED)
 
     def select(self, indices: Int64[np.ndarray, " k"]) -> TrainingSet:
         """Some of the images, (k,), in increasing order."""

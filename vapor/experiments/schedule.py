@@ -26,7 +26,7 @@ from vapor.train_config import TrainConfig
 
 DEFAULT, PAPER = SCHEDULES = "default", "paper"
 _HEIGHT = 180  # pixels of the images as they are rendered, at least
-_START = "network", "pretrained_weights", "pretrained", "initial_model"
+_START = "network", "pretrained_weights", "pretrained", "initial_model", "initial_log_variance"
 _SHARED = *_START, "calibration", "calibrate", "validation_images", "seed", "device"
 
 

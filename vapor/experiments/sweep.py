@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 from vapor.experiments.trainings import Scene, Training, height_to_cover, kept_samples, render_scenes, run_trainings
-from vapor.loss import LossConfig
 from vapor.network import NetworkConfig
 from vapor.train_config import TrainConfig
 
@@ -23,14 +22,11 @@ _HEIGHT = 96  # pixels of the images as they are rendered, at least
 
 
 def small_training(epochs: int) -> TrainConfig:
-    """Of images of 64 × 48, all of them, uncalibrated; heights vary little about the tables and are to be learned."""
+    """Of images of 64 × 48, all of them, uncalibrated."""
     return TrainConfig(
-        network=NetworkConfig("resnet18-quarter", image_width=64, image_height=48, shortest_edge=52, shortcut=True),
-        loss=LossConfig(position_unit="box", num_samples=100),
-        initial_log_variance=-4.0,
+        network=NetworkConfig(image_width=64, image_height=48, shortest_edge=52),
         epochs=epochs,
-        batch_size=32,
-        learning_rate=3e-3,
+        batch_size=16,
         calibrate=False,
         validation_share=0.0,
     )
@@ -60,7 +56,7 @@ class SweepConfig(ABC):
     """Posterior samples per image that is judged."""
     workers: int = 2
     """Trainings at a time, each with one thread."""
-    train: TrainConfig = field(default_factory=lambda: small_training(6))
+    train: TrainConfig = field(default_factory=lambda: small_training(8))
     """How each network is trained; the number that varies and the seed are the experiment's."""
 
     def __post_init__(self) -> None:

@@ -23,7 +23,7 @@ from vapor.posterior_metrics import posterior_metrics
 from vapor.recordings import digest, from_rows, to_rows
 from vapor.run import RunConfig, run
 from vapor.threads import limited_threads
-from vapor.train import train_loaded
+from vapor.train import train_on_images
 from vapor.train_config import TrainConfig
 from vapor.training_set import TrainingError, TrainingSet, load_training_set, open_sequences
 from vapor.validation import exact_log_density, predict
@@ -209,11 +209,11 @@ def _run(training: Training, directory: Path) -> dict[str, Any]:
 
 
 def _images(entries: tuple[str, ...], frame_size: tuple[int, int], *, central: bool = True) -> TrainingSet:
-    """Images read once for all trainings of this process, as long as the files stay as they are."""
+    """Images, read once for all trainings of a scene in this process unless files change."""
     return _read_once(entries, frame_size, central, json.dumps(identities(entries)))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)  # to train on and to test on
 def _read_once(entries: tuple[str, ...], frame_size: tuple[int, int], central: bool, _: str) -> TrainingSet:
     return load_training_set(open_sequences(entries), frame_size, central=central)
 
@@ -225,7 +225,10 @@ def _train(training: Training, model: Path) -> dict[str, float]:
         return json.loads(about.read_text(encoding="utf-8"))
     crop = training.config.augment.crop
     images = _images(training.scene.train, training.config.network.frame_size, central=crop == "central")
-    trained = train_loaded(images, list(open_sequences(training.scene.train)), model, training.config)
+    try:
+        trained = train_on_images(images, list(open_sequences(training.scene.train)), model, training.config)
+    finally:
+        images.unload()  # a worker that seems to leak memory is replaced
     cost = {"seconds": trained.seconds, "images_seen": trained.images_seen}
     with atomic_output(about) as partial:
         partial.write_text(json.dumps(cost) + "\n", encoding="utf-8")
