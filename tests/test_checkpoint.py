@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
 from safetensors.torch import save_file
 
 from filtering.se3 import Poses
@@ -15,6 +14,7 @@ from vapor.checkpoint import (
     CheckpointError,
     find_model,
     load_checkpoint,
+    read_safetensors,
     save_checkpoint,
     thin_poses,
 )
@@ -157,8 +157,7 @@ def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(tmp_path, 
     change, message = MALFORMED[case]
     good, bad = tmp_path / "good.safetensors", tmp_path / "bad.safetensors"
     save_checkpoint(good, make_checkpoint())
-    with safe_open(good, framework="pt") as file:
-        tensors, metadata = {k: file.get_tensor(k) for k in file.keys()}, file.metadata()  # noqa: SIM118
+    metadata, tensors = read_safetensors(good)
     save_file(tensors, bad, metadata)
     load_checkpoint(bad)  # unchanged, it is good
     save_file(*(lambda pair: (pair[0], bad, pair[1]))(change(tensors, metadata)))
@@ -169,8 +168,7 @@ def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(tmp_path, 
 def test_models_from_before_the_shortcut_have_none(tmp_path):
     new, old = tmp_path / "new.safetensors", tmp_path / "old.safetensors"
     save_checkpoint(new, make_checkpoint())
-    with safe_open(new, framework="pt") as file:
-        tensors, metadata = {k: file.get_tensor(k) for k in file.keys()}, file.metadata()  # noqa: SIM118
+    metadata, tensors = read_safetensors(new)
     metadata = _edit_config({**metadata, "version": "4"}, lambda c: c["network"].pop("shortcut"))
     save_file(tensors, old, metadata)
     loaded = load_checkpoint(old)

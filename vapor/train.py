@@ -118,6 +118,7 @@ def train_on(
     progress: ProgressCallback | None = None,
 ) -> TrainResult:
     """Train on frames by the name of their sequence; else as `train`."""
+    output = Path(output)
     initial = _checked_start(output, config)
     report = progress or (lambda _: None)
     frame, central = config.network.frame_size, config.augment.crop == "central"
@@ -154,9 +155,9 @@ def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, con
 
 def _checked_start(output: Path, config: TrainConfig) -> Checkpoint | None:
     """The model to start from, if any; raises what would otherwise be told after reading or hours of training."""
-    if not Path(output).parent.is_dir():
-        raise TrainingError(f"{output}: cannot be written, expected the folder {Path(output).parent} to exist")
-    if Path(output).is_dir():
+    if not output.parent.is_dir():
+        raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
+    if output.is_dir():
         raise TrainingError(f"{output}: is a folder, expected the name of a model file to write")
     return _initial_model(config)
 
@@ -179,7 +180,7 @@ def _train(
         raise TrainingError(f"{', '.join(names['data'])}: {len(training)} training images, expected at least 2")
     box = SceneBox.around(training.poses)
     state = _start(config, box.union(initial.box) if initial else box, training.poses, initial)
-    return _fit(state, training, held_out, names, Path(output), config, report)
+    return _fit(state, training, held_out, names, output, config, report)
 
 
 def _fit(
