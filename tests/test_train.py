@@ -18,9 +18,10 @@ from vapor.loss import LossConfig
 from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import PRESETS
-from vapor.train import _parameter_groups, _update_average, train, train_on, train_on_images
+from vapor.train import _update_average, train, train_on, train_on_images
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, held_out_tails, load_training_set
+from vapor.training_start import parameter_groups
 from vapor.training_state import TrainingState, state_path
 from vapor.validation import validate
 
@@ -495,12 +496,12 @@ def test_every_matrix_decays_as_its_part_and_nothing_else_does(head):
         TINY, network=replace(TINY.network, head=head), weight_decay=0.1, encoder_weight_decay=0.3, validation_share=0.0
     )
     network = make_regressor(config.network, SceneBox((0.0,) * 3, (1.0,) * 3))
-    decays = {id(p): g["weight_decay"] for g in _parameter_groups(network, config) for p in g["params"]}
+    decays = {id(p): g["weight_decay"] for g in parameter_groups(network, config) for p in g["params"]}
     for name, parameter in network.named_parameters():
         encoder = name.startswith(("backbone", "feature", "latent"))
         assert decays.pop(id(parameter)) == (0.0 if parameter.ndim <= 1 else 0.3 if encoder else 0.1), name
     assert not decays
-    same = _parameter_groups(network, replace(config, encoder_weight_decay=None))
+    same = parameter_groups(network, replace(config, encoder_weight_decay=None))
     assert {g["weight_decay"] for g in same} == {0.1, 0.0}
 
 

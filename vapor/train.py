@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
@@ -18,15 +18,13 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from vapor.augment import jitter_and_normalise, random_crops
-from vapor.baselines import make_regressor
 from vapor.calibrate import CalibrationResult, calibrate
-from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, load_checkpoint, save_checkpoint, spaced
-from vapor.flow import FlowRegressor
+from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, save_checkpoint, spaced
 from vapor.loss import training_loss
-from vapor.network import PoseRegressor, SceneBox, VariationalPoseRegressor, load_pretrained
-from vapor.observation import resolve_device
+from vapor.network import PoseRegressor, SceneBox
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, TrainingSet, held_out_tails, load_training_set, open_sequences
+from vapor.training_start import initial_model, start
 from vapor.training_state import TrainingState, load_state, save_state, state_path
 from vapor.validation import Validation, predict, validate
 
@@ -159,7 +157,7 @@ def _checked_start(output: Path, config: TrainConfig) -> Checkpoint | None:
         raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
     if output.is_dir():
         raise TrainingError(f"{output}: is a folder, expected the name of a model file to write")
-    return _initial_model(config)
+    return initial_model(config)
 
 
 def _train(
@@ -179,7 +177,7 @@ def _train(
     if len(training) < 2:
         raise TrainingError(f"{', '.join(names['data'])}: {len(training)} training images, expected at least 2")
     box = SceneBox.around(training.poses)
-    state = _start(config, box.union(initial.box) if initial else box, training.poses, initial)
+    state = start(config, box.union(initial.box) if initial else box, training.poses, initial)
     return _fit(state, training, held_out, names, output, config, report)
 
 
@@ -278,7 +276,7 @@ def _train_epoch(
     order = rng.permutation(len(training))[: steps * batch].reshape(steps, batch)
     true_translation = torch.from_numpy(training.poses.translation).float().to(device)
     true_rotation = torch.from_numpy(training.poses.rotation).float().to(device)
-    bfloat16 = config.precision == "bfloat16" or (config.precision == "auto" and has_bfloat16(device))
+    bfloat16 = _uses_bfloat16(config, device)
     network.train()
     total = 0.0
     for number, indices in enumerate(order):
@@ -341,63 +339,20 @@ def _paired(
     return np.concatenate([first, np.where(missing, first, there)])
 
 
-def has_bfloat16(device: torch.device) -> bool:
-    """Whether bfloat16 is faster than float32 on the device: without instructions for it, it is many times slower."""
+def _uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
+    """Whether the encoder is trained in bfloat16.
+
+    By itself where that is faster than float32: without instructions for it, it is many times slower; and on a CPU
+    separable convolutions do not gain by it.
+    """
+    if config.precision != "auto":
+        return config.precision == "bfloat16"
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
+    if config.network.backbone == "efficientnet-lite0":
+        return False
     capabilities = torch.cpu.get_capabilities()
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
-
-
-def _start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint | None) -> TrainingState:
-    """Initial weights, from the seed and the files to start from, a flow's axes from the poses; a fresh optimizer."""
-    device = resolve_device(config.device)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        network = make_regressor(config.network, box)
-        average = make_regressor(config.network, box)
-    packaged = config.pretrained and config.network.backbone == "efficientnet-lite0"
-    if config.pretrained_weights is not None or packaged:
-        load_pretrained(network, config.pretrained_weights)
-    if isinstance(network, FlowRegressor):
-        network.choose_axes(poses)
-    if isinstance(network, VariationalPoseRegressor):
-        with torch.no_grad():
-            network.latent_log_variance.bias.add_(config.initial_log_variance)
-    if initial is not None:
-        network.load_state_dict(dict(initial.state_dict))
-    average.load_state_dict(network.state_dict())
-    network, average = (
-        n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-        for n in (network, average)
-    )
-    optimizer = torch.optim.AdamW(_parameter_groups(network, config), lr=config.learning_rate, fused=True)
-    return TrainingState(network, average, optimizer)
-
-
-def _parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[str, Any]]:
-    """Matrices of the encoder, those of the rest, and what does not decay: biases and BatchNorm."""
-    encoder = {id(p) for part in network.encoder for p in part.parameters()}
-    matrices = [p for p in network.parameters() if p.ndim > 1]
-    decay = config.weight_decay if config.encoder_weight_decay is None else config.encoder_weight_decay
-    return [
-        {"params": [p for p in matrices if id(p) in encoder], "weight_decay": decay},
-        {"params": [p for p in matrices if id(p) not in encoder], "weight_decay": config.weight_decay},
-        {"params": [p for p in network.parameters() if p.ndim <= 1], "weight_decay": 0.0},
-    ]
-
-
-def _initial_model(config: TrainConfig) -> Checkpoint | None:
-    if config.initial_model is None:
-        return None
-    initial = load_checkpoint(config.initial_model)
-    wanted = config.network
-    sizes = {name: getattr(wanted, name) for name in ("image_width", "image_height", "shortest_edge")}
-    found = replace(initial.network, **sizes)  # weights of a convolutional network fit images of any size
-    if other := [name for name, value in asdict(wanted).items() if getattr(found, name) != value]:
-        told = ", ".join(f"{name} {getattr(found, name)!r} (expected {getattr(wanted, name)!r})" for name in other)
-        raise TrainingError(f"{config.initial_model}: its network has {told} as configured")
-    return initial
 
 
 @torch.no_grad()

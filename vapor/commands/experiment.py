@@ -16,12 +16,14 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from vapor.commands.console import bar, parse, show, usage_error
+from vapor.commands.named_settings import Preset, parse_named
 from vapor.evaluate import RIGHT, THRESHOLDS
 from vapor.experiments.alpha import AlphaConfig
 from vapor.experiments.decay import DecayConfig
 from vapor.experiments.schedule import PAPER, SCHEDULES, Point, ScheduleConfig, ScheduleExperiment, summary
 from vapor.experiments.sweep import MODES, Sweep, SweepConfig, by_value, in_order
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
+from vapor.presets import PRESETS
 from vapor.report import write_report
 
 _Tables = Annotated[
@@ -81,6 +83,8 @@ class TableOptions:
     """Synthetic scenes by name, or your own data: NAME=TRAIN,...=TEST,... with whatever `train` reads."""
     output: Path
     """Directory for images, results, table.json and table.md; an interrupted experiment goes on."""
+    preset: Preset = "demo"
+    """Named settings of training, of which the options below change single ones."""
     config: Annotated[TableConfig, tyro.conf.arg(name="")] = field(default_factory=TableConfig)
 
 
@@ -95,6 +99,8 @@ class ScheduleOptions:
     """Directory for images, results, schedule.json and the picture; trainings that are done are not done again."""
     scene: Literal["staircase", "ceiling", "round-table", "dinner-table"] = "staircase"
     """What the camera moves through."""
+    preset: Preset = "demo"
+    """Named settings of the default training, of which the options below change single ones."""
     config: Annotated[ScheduleConfig, tyro.conf.arg(name="")] = field(default_factory=ScheduleConfig)
 
 
@@ -116,7 +122,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _table(arguments: Sequence[str]) -> None:
-    o = parse("experiment table", TableOptions, arguments)
+    o = parse_named("experiment table", TableOptions, arguments, ("preset",), _table_config)
     experiment = TableExperiment([parse_scene(text) for text in o.scenes], o.output, o.config)
     order = {method: k for k, method in enumerate(o.config.methods)}
     settings = _settings(o.config, o.scenes)
@@ -180,7 +186,7 @@ def _decay(arguments: Sequence[str]) -> None:
 def _schedule(arguments: Sequence[str]) -> None:
     from vapor.experiments.schedule_pictures import draw_courses
 
-    o = parse("experiment schedule", ScheduleOptions, arguments)
+    o = parse_named("experiment schedule", ScheduleOptions, arguments, ("preset",), _schedule_config)
     experiment = ScheduleExperiment(o.scene, o.output, o.config)
     _render(experiment, o.output)
     courses: dict[str, list[Point]] = {}
@@ -201,6 +207,14 @@ def _schedule(arguments: Sequence[str]) -> None:
     least = "" if figures[PAPER]["reached"] else "at least "
     ratios = f"{figures['times_images']:.1f} times the images and {figures['times_seconds']:.1f} times the time"
     show(f"the paper's schedule takes {least}{ratios}")
+
+
+def _table_config(preset: str) -> TableConfig:
+    return TableConfig(train=PRESETS[preset])
+
+
+def _schedule_config(preset: str) -> ScheduleConfig:
+    return ScheduleConfig(train=PRESETS[preset])
 
 
 def _swept(experiment: Sweep, scenes: Sequence[str]) -> list[Mapping[str, Any]]:

@@ -5,20 +5,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, make_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from vapor.commands.calibrate import show_calibration
-from vapor.commands.console import parse, progress_display, show, usage_error
+from vapor.commands.console import progress_display, show, usage_error
+from vapor.commands.named_settings import Method, Preset, parse_named
 from vapor.presets import METHODS, PRESETS
 from vapor.train import Progress, TrainConfig, TrainResult, train
 from vapor.validation import Validation
-
-_Preset = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")]
-_Method = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
 
 
 @dataclass(frozen=True)
@@ -31,20 +29,18 @@ class Options:
     """Model file to write (.safetensors)."""
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Held-out data; without it the last part of each training sequence is held out."""
-    preset: _Preset = "demo"
+    preset: Preset = "demo"
     """Named settings, of which the options below change single ones."""
-    method: _Method = "variational"
+    method: Method = "variational"
     """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["demo"]
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    preset, method = (_named(arguments, option) for option in ("preset", "method"))
-    for what, name, known in (("preset", preset, PRESETS), ("method", method, METHODS)):
-        if name not in known:
-            usage_error("train", f"unknown {what} {name!r}, expected one of {', '.join(known)}")
-    options = parse("train", _options(preset, method), arguments)
+    options = parse_named(
+        "train", Options, arguments, ("preset", "method"), lambda preset, method: METHODS[method](PRESETS[preset])
+    )
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
     with _display() if sys.stderr.isatty() else _log() as report:
@@ -52,24 +48,6 @@ def main(arguments: Sequence[str]) -> None:
     if result.calibration is not None:
         show_calibration(result.calibration)
     show(_summary(result, options.output))
-
-
-def _options(preset: str, method: str) -> type[Options]:
-    """The options with the defaults of a preset and a method."""
-    flat = Annotated[TrainConfig, tyro.conf.arg(name="")]
-    config = METHODS[method](PRESETS[preset])
-    defaults = [("preset", _Preset, preset), ("method", _Method, method), ("config", flat, config)]
-    return make_dataclass("Options", defaults, bases=(Options,), frozen=True, namespace={"__doc__": Options.__doc__})
-
-
-def _named(arguments: Sequence[str], option: str) -> str:
-    """Preset and method must be known before the options are read, since they are their defaults."""
-    for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
-        if word == f"--{option}":
-            return following
-        if word.startswith(f"--{option}="):
-            return word.removeprefix(f"--{option}=")
-    return getattr(Options, option)
 
 
 @contextmanager

@@ -6,25 +6,17 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 from filtering.errors import VaporTrackError
-from vapor.experiments.sweep import SweepConfig, small_training
-from vapor.loss import LossConfig
+from vapor.experiments.sweep import SweepConfig
+from vapor.presets import PRESETS
 from vapor.train_config import TrainConfig
 
 PAPER_ALPHAS = (0.01, *(round(0.05 * k, 2) for k in range(1, 21)))
 """α of the paper's figure."""
 
 
-def table_training() -> TrainConfig:
-    """With what heights need to be learned, which vary little about the tables; small and fast."""
-    small = small_training(8)
-    return replace(
-        small,
-        network=replace(small.network, backbone="resnet18-quarter", shortcut=True),
-        loss=LossConfig(position_unit="box", num_samples=100),
-        initial_log_variance=-4.0,
-        batch_size=32,
-        learning_rate=3e-3,
-    )
+def _small_training() -> TrainConfig:
+    """Of all images, uncalibrated."""
+    return replace(PRESETS["tables"], calibrate=False, validation_share=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +26,9 @@ class AlphaConfig(SweepConfig):
     parameter: ClassVar[str] = "alpha"
     alphas: tuple[float, ...] = PAPER_ALPHAS
     """Shares of the samples that learn."""
-    train: TrainConfig = field(default_factory=table_training)
+    train: TrainConfig = field(
+        default_factory=lambda: replace(PRESETS["tables"], calibrate=False, validation_share=0.0)
+    )
     """How each network is trained; α and the seed are the experiment's. Three epochs are enough for the round table."""
 
     @property

@@ -10,8 +10,20 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 from filtering.errors import require_within
-from vapor.experiments.sweep import SweepConfig, small_training
+from vapor.experiments.sweep import SweepConfig
+from vapor.network import NetworkConfig
 from vapor.train_config import TrainConfig
+
+
+def _by_heart() -> TrainConfig:
+    """Long enough to learn two walks by heart."""
+    return TrainConfig(
+        network=NetworkConfig(image_width=64, image_height=48, shortest_edge=52),
+        epochs=50,
+        batch_size=16,
+        calibrate=False,
+        validation_share=0.0,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +41,7 @@ class DecayConfig(SweepConfig):
     """Images of each."""
     training_images: int = 300
     """Images of those trained on that are judged as well, evenly spaced."""
-    train: TrainConfig = field(default_factory=lambda: small_training(50))
+    train: TrainConfig = field(default_factory=_by_heart)
     """How each network is trained; the encoder's weight decay and the seed are the experiment's."""
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 
 from filtering.errors import require_within
 from sequences.atomic import atomic_output
-from vapor.experiments.trainings import Scene, height_to_cover, identities, render_scenes, trained_from
+from vapor.experiments.trainings import Scene, identities, render_scenes, rendered_height, trained_from
 from vapor.observation import resolve_device
 from vapor.presets import PRESETS
 from vapor.recordings import digest
@@ -25,7 +25,6 @@ from vapor.train import Progress, train
 from vapor.train_config import TrainConfig
 
 DEFAULT, PAPER = SCHEDULES = "default", "paper"
-_HEIGHT = 180  # pixels of the images as they are rendered, at least
 _START = "network", "pretrained_weights", "pretrained", "initial_model", "initial_log_variance"
 _SHARED = *_START, "calibration", "calibrate", "validation_images", "seed", "device"
 
@@ -104,7 +103,7 @@ class ScheduleExperiment:
             train_frames=c.frames,
             test_walks=1,
             test_frames=c.validation_frames,
-            height=height_to_cover(c.train.network.frame_size, _HEIGHT),
+            height=rendered_height(c.train.network.frame_size),
             workers=2,
         ):
             (self._scene,) = scenes

@@ -4,32 +4,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
-from vapor.experiments.trainings import Scene, Training, height_to_cover, kept_samples, render_scenes, run_trainings
-from vapor.network import NetworkConfig
+from vapor.experiments.trainings import Scene, Training, kept_samples, render_scenes, rendered_height, run_trainings
 from vapor.train_config import TrainConfig
 
 MODES: Mapping[str, int] = MappingProxyType({"round-table": 4, "dinner-table": 2})
 """Scenes of the sweeps, and how many poses look alike in each, by construction."""
-
-_HEIGHT = 96  # pixels of the images as they are rendered, at least
-
-
-def small_training(epochs: int) -> TrainConfig:
-    """Of images of 64 × 48, all of them, uncalibrated."""
-    return TrainConfig(
-        network=NetworkConfig(image_width=64, image_height=48, shortest_edge=52),
-        epochs=epochs,
-        batch_size=16,
-        calibrate=False,
-        validation_share=0.0,
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +42,7 @@ class SweepConfig(ABC):
     """Posterior samples per image that is judged."""
     workers: int = 2
     """Trainings at a time, each with one thread."""
-    train: TrainConfig = field(default_factory=lambda: small_training(8))
+    train: TrainConfig
     """How each network is trained; the number that varies and the seed are the experiment's."""
 
     def __post_init__(self) -> None:
@@ -110,7 +96,7 @@ class Sweep:
             train_frames=c.frames,
             test_walks=1,
             test_frames=c.test_frames,
-            height=height_to_cover(c.train.network.frame_size, _HEIGHT),
+            height=rendered_height(c.train.network.frame_size),
             workers=c.workers,
         ):
             self._scenes = scenes

@@ -14,12 +14,10 @@ from filtering.errors import VaporTrackError, require_within
 from sequences.reader import SequenceReader
 from sequences.synthesize import SCENES
 from vapor.evaluate import RIGHT, THRESHOLDS
-from vapor.experiments.trainings import Scene, Training, height_to_cover, render_scenes, run_trainings
+from vapor.experiments.trainings import Scene, Training, render_scenes, rendered_height, run_trainings
 from vapor.presets import METHODS
 from vapor.train_config import TrainConfig
 from vapor.training_set import TrainingError
-
-_HEIGHT = 180  # pixels of synthetic images as they are rendered, at least
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ class TableExperiment:
             train_frames=c.frames,
             test_walks=c.test_sequences,
             test_frames=c.test_frames,
-            height=height_to_cover(c.train.network.frame_size, _HEIGHT),
+            height=rendered_height(c.train.network.frame_size),
             workers=c.workers,
         ):
             self._scenes |= {scene.name: scene for scene in scenes}

@@ -158,9 +158,9 @@ def render_scenes(
         yield done, len(every), scenes
 
 
-def height_to_cover(frame_size: tuple[int, int], least: int) -> int:
-    """Height of 4:3 images that are not enlarged to cover a frame (width, height), at least so many pixels."""
-    return max(least, frame_size[1], math.ceil(frame_size[0] * 3 / 4))
+def rendered_height(frame_size: tuple[int, int]) -> int:
+    """Height of 4:3 images that cover a frame (width, height) with pixels to spare, pixels."""
+    return max(96, math.ceil(1.4 * max(frame_size[1], frame_size[0] * 3 / 4)))
 
 
 def run_trainings(trainings: Sequence[Training], directory: Path, workers: int) -> Iterator[dict[str, Any]]:

@@ -1,0 +1,82 @@
+"""What a training starts from: first weights, from the seed or from files, and a fresh optimizer."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import torch
+
+from filtering.se3 import Poses
+from vapor.baselines import make_regressor
+from vapor.checkpoint import Checkpoint, load_checkpoint
+from vapor.flow import FlowRegressor
+from vapor.network import PoseRegressor, SceneBox, VariationalPoseRegressor, load_pretrained
+from vapor.observation import resolve_device
+from vapor.train_config import TrainConfig
+from vapor.training_set import TrainingError
+from vapor.training_state import TrainingState
+
+
+def initial_model(config: TrainConfig) -> Checkpoint | None:
+    """The model all of whose weights are the start, if one is configured.
+
+    Raises:
+        TrainingError: its network has another shape.
+        CheckpointError: it cannot be read.
+    """
+    if config.initial_model is None:
+        return None
+    initial = load_checkpoint(config.initial_model)
+    wanted = config.network
+    sizes = {name: getattr(wanted, name) for name in ("image_width", "image_height", "shortest_edge")}
+    found = replace(initial.network, **sizes)  # weights of a convolutional network fit images of any size
+    if other := [name for name, value in asdict(wanted).items() if getattr(found, name) != value]:
+        told = ", ".join(f"{name} {getattr(found, name)!r} (expected {getattr(wanted, name)!r})" for name in other)
+        raise TrainingError(f"{config.initial_model}: its network has {told} as configured")
+    return initial
+
+
+def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint | None) -> TrainingState:
+    """A network before its first step.
+
+    Args:
+        config: How it will be trained.
+        box: Where cameras can be.
+        poses: world_from_camera of the training images, (n,); a flow's axes follow from them.
+        initial: From `initial_model`.
+    """
+    device = resolve_device(config.device)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        network = make_regressor(config.network, box)
+        average = make_regressor(config.network, box)
+    packaged = config.pretrained and config.network.backbone == "efficientnet-lite0"
+    if config.pretrained_weights is not None or packaged:
+        load_pretrained(network, config.pretrained_weights)
+    if isinstance(network, FlowRegressor):
+        network.choose_axes(poses)
+    if isinstance(network, VariationalPoseRegressor):
+        with torch.no_grad():
+            network.latent_log_variance.bias.add_(config.initial_log_variance)
+    if initial is not None:
+        network.load_state_dict(dict(initial.state_dict))
+    average.load_state_dict(network.state_dict())
+    network, average = (
+        n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        for n in (network, average)
+    )
+    optimizer = torch.optim.AdamW(parameter_groups(network, config), lr=config.learning_rate, fused=True)
+    return TrainingState(network, average, optimizer)
+
+
+def parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[str, Any]]:
+    """Matrices of the encoder, those of the rest, and what does not decay: biases and BatchNorm."""
+    encoder = {id(p) for part in network.encoder for p in part.parameters()}
+    matrices = [p for p in network.parameters() if p.ndim > 1]
+    decay = config.weight_decay if config.encoder_weight_decay is None else config.encoder_weight_decay
+    return [
+        {"params": [p for p in matrices if id(p) in encoder], "weight_decay": decay},
+        {"params": [p for p in matrices if id(p) not in encoder], "weight_decay": config.weight_decay},
+        {"params": [p for p in network.parameters() if p.ndim <= 1], "weight_decay": 0.0},
+    ]
