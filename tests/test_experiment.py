@@ -1,5 +1,6 @@
 import json
 import os
+import sys
 from dataclasses import replace
 
 import cv2
@@ -8,14 +9,16 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from vapor.checkpoint import Calibration
+from vapor.commands import experiment as experiment_command
 from vapor.experiments import trainings as trainings_module
 from vapor.experiments.alpha import AlphaConfig
 from vapor.experiments.decay import DecayConfig
 from vapor.experiments.sweep import Sweep, by_value
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
-from vapor.experiments.trainings import Scene, Training
+from vapor.experiments.trainings import Scene, Training, rendered_height
 from vapor.network import NetworkConfig
 from vapor.posterior_metrics import posterior_metrics
+from vapor.presets import PRESETS
 from vapor.track import main
 from vapor.train_config import TrainConfig
 
@@ -95,6 +98,13 @@ def test_alpha_is_varied_where_heights_are_learned():
     config = AlphaConfig().varied(0.3)
     assert (config.network.shortcut, config.loss.position_unit, config.initial_log_variance) == (True, "box", -4.0)
     assert config.loss.alpha == 0.3
+
+
+@pytest.mark.parametrize("network", [NetworkConfig(), PRESETS["tables"].network, PRESETS["resnet18"].network])
+def test_synthetic_images_are_never_enlarged_for_a_network(network):
+    height = rendered_height(network.frame_size)
+    assert height > network.frame_size[1]
+    assert round(height * 4 / 3) > network.frame_size[0]
 
 
 def test_kept_samples_are_those_of_the_figures(tmp_path):
@@ -279,6 +289,27 @@ def test_a_table_that_cannot_be_is_refused(change, message):
 def test_the_same_scene_twice_is_refused(tmp_path):
     with pytest.raises(VaporTrackError, match="expected each at most once"):
         TableExperiment([parse_scene("ceiling")] * 2, tmp_path, TINY_TABLE)
+
+
+@pytest.mark.parametrize(
+    ("words", "experiment"),
+    [
+        (["table", "round-table", "--preset", "tables", "--train.epochs", "3"], "TableExperiment"),
+        (["schedule", "--preset=tables", "--train.epochs=3"], "ScheduleExperiment"),
+    ],
+)
+def test_a_table_and_a_schedule_start_from_a_preset(words, experiment, monkeypatch, tmp_path):
+    given = []
+    monkeypatch.setattr(experiment_command, experiment, lambda *arguments: given.append(arguments[-1]) or sys.exit(0))
+    with pytest.raises(SystemExit):
+        main(["experiment", *words, "--output", str(tmp_path)])
+    assert given[0].train == replace(PRESETS["tables"], epochs=3)
+
+
+def test_an_unknown_preset_of_a_table_is_told(tmp_path, capfd):
+    with pytest.raises(SystemExit, match="2"):
+        main(["experiment", "table", "round-table", "--preset", "quick", "--output", str(tmp_path)])
+    assert "vapor-track experiment table: unknown preset 'quick', expected one of demo," in capfd.readouterr().err
 
 
 def test_data_that_the_filter_cannot_read_is_refused_before_anything_is_trained(tmp_path):

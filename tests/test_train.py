@@ -1,4 +1,5 @@
 import itertools
+import mmap
 import sys
 import time
 from dataclasses import replace
@@ -18,7 +19,7 @@ from vapor.loss import LossConfig
 from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import PRESETS
-from vapor.train import _update_average, train, train_on, train_on_images
+from vapor.train import _update_average, _uses_bfloat16, train, train_on, train_on_images
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, held_out_tails, load_training_set
 from vapor.training_start import parameter_groups
@@ -327,6 +328,17 @@ def test_samples_grow_from_the_winners_to_all_of_them_and_by_default_do_not():
     assert {samples_per_image(TrainConfig(), step, 10) for step in range(300)} == {TrainConfig().loss.num_samples}
 
 
+def test_arithmetic_is_chosen_by_hardware_and_network_unless_it_is_told(monkeypatch):
+    cpu = torch.device("cpu")
+    lite = replace(PRESETS["efficientnet-lite0"], precision="auto")
+    for capable in (False, True):
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda capable=capable: {"avx512_bf16": capable})
+        assert _uses_bfloat16(TrainConfig(), cpu) == capable
+        assert not _uses_bfloat16(lite, cpu)
+        assert _uses_bfloat16(replace(lite, precision="bfloat16"), cpu)
+        assert not _uses_bfloat16(TrainConfig(precision="float32"), cpu)
+
+
 @pytest.mark.parametrize(
     ("name", "lambda_r", "batch", "epochs", "n", "alpha", "layers"),
     [
@@ -364,6 +376,21 @@ def test_training_images_are_scaled_to_cover_the_frame_and_keep_their_order():
     np.testing.assert_array_equal(square.images, whole.images[:, :, 3:21])
     flat = load_training_set({"a": frames}, (24, 12))
     np.testing.assert_array_equal(flat.images, whole.images[:, 3:15])
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="what a process shares of memory is told by Linux")
+def test_unloaded_images_leave_memory_and_come_back_when_they_are_used():
+    training = load_training_set({"a": make_frames(2) * 60}, (400, 300))
+    images = training.images
+    before = images.sum()
+    loaded = shared_memory_bytes()
+    training.unload()
+    assert loaded - shared_memory_bytes() > 0.9 * images.nbytes
+    assert images.sum() == before
+
+
+def shared_memory_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[2]) * mmap.PAGESIZE
 
 
 def test_images_of_different_size_are_cropped_alike_or_refused():
