@@ -53,6 +53,11 @@ class DecayConfig(SweepConfig):
         """Weight decays."""
         return self.decays
 
+    @property
+    def also_judged(self) -> int:
+        """Images of those trained on that are judged as well."""
+        return self.training_images
+
     def varied(self, value: float) -> TrainConfig:
         """The training with this weight decay of the encoder."""
         return replace(self.train, encoder_weight_decay=value)

@@ -36,8 +36,6 @@ class SweepConfig(ABC):
     """Images of each."""
     test_frames: int = 300
     """Images of the walk that is tested on."""
-    training_images: int = 0
-    """Images of those trained on that are judged as well, evenly spaced."""
     num_samples: int = 1000
     """Posterior samples per image that is judged."""
     workers: int = 2
@@ -50,7 +48,6 @@ class SweepConfig(ABC):
             self,
             gamma=(1e-6, 1.0),
             first_seed=(0, 10**9),
-            training_images=(0, 10**6),
             **dict.fromkeys(("runs", "sequences", "frames", "test_frames", "num_samples", "workers"), (1, 10**6)),
         )
         if not self.values or len({f"{value:g}" for value in self.values}) < len(self.values):
@@ -62,6 +59,11 @@ class SweepConfig(ABC):
     @abstractmethod
     def values(self) -> tuple[float, ...]:
         """Of the number."""
+
+    @property
+    def also_judged(self) -> int:
+        """Images of those trained on that are judged as well, evenly spaced."""
+        return 0
 
     @abstractmethod
     def varied(self, value: float) -> TrainConfig:
@@ -122,7 +124,7 @@ class Sweep:
     def _training(self, scene: Scene, value: float, seed: int) -> Training:
         c = self.config
         config = replace(c.varied(value), seed=seed, resume=False)
-        return Training(scene, f"{value:g}", config, c.gamma, c.num_samples, training_images=c.training_images)
+        return Training(scene, f"{value:g}", config, c.gamma, c.num_samples, training_images=c.also_judged)
 
 
 def in_order(results: Sequence[Mapping[str, Any]], parameter: str) -> list[Mapping[str, Any]]:
