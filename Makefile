@@ -13,7 +13,9 @@ CEILING_FEW := $(foreach seed,$(shell seq 0 23),$(DATA)/ceiling-$(seed).mcap)
 CEILING_MORE := $(foreach seed,$(shell seq 0 71),$(DATA)/ceiling-$(seed).mcap)
 CEILING := $(foreach seed,$(shell seq 0 99),$(DATA)/ceiling-$(seed).mcap)
 CEILING_HELD_OUT := $(foreach seed,$(shell seq 100 103),$(DATA)/ceiling-$(seed).mcap)
-SQUARE := --network.image-width 128 --network.image-height 128 --network.shortest-edge 146
+# What was no default when the models that ship were trained.
+FORMER := --network.no-shortcut --loss.position-unit metre --initial-log-variance 0 --batch-size 64
+SQUARE := $(FORMER) --network.image-width 128 --network.image-height 128 --network.shortest-edge 146
 
 .PHONY: demo test check models clean
 
@@ -47,11 +49,11 @@ $(DATA)/ceiling-%.mcap: | $(INSTALLED) $(DATA)
 
 $(DATA)/features.safetensors: $(STAIRCASE_FEW) $(DATA)/staircase-100.mcap
 	$(BIN)/vapor-track train $(STAIRCASE_FEW) --validation $(DATA)/staircase-100.mcap --output $@ \
-	    $(SQUARE) --loss.alpha 0.1 --epochs 16 --no-calibrate
+	    $(SQUARE) --loss.alpha 0.1 --learning-rate 1e-3 --epochs 16 --no-calibrate
 
 $(DATA)/staircase-first.safetensors: $(DATA)/features.safetensors
 	$(BIN)/vapor-track train $(STAIRCASE_FEW) --validation $(DATA)/staircase-100.mcap --output $@ \
-	    $(SQUARE) --pretrained-weights $< --loss.alpha 0.1 --epochs 28 --no-calibrate
+	    $(SQUARE) --pretrained-weights $< --loss.alpha 0.1 --learning-rate 1e-3 --epochs 28 --no-calibrate
 
 $(DATA)/staircase-second.safetensors: $(DATA)/staircase-first.safetensors $(STAIRCASE)
 	$(BIN)/vapor-track train $(STAIRCASE) --validation $(DATA)/staircase-100.mcap --output $@ \
@@ -60,7 +62,7 @@ $(DATA)/staircase-second.safetensors: $(DATA)/staircase-first.safetensors $(STAI
 # The square from the middle leaves out what is at the sides; the weights fit the whole image as well.
 $(DATA)/staircase.safetensors: $(DATA)/staircase-second.safetensors $(STAIRCASE) $(STAIRCASE_MORE)
 	$(BIN)/vapor-track train $(STAIRCASE) $(STAIRCASE_MORE) --validation $(DATA)/staircase-100.mcap --output $@ \
-	    --initial-model $< --loss.alpha 0.1 --loss.beta 0.005 --learning-rate 1.5e-3 --epochs 7 \
+	    $(FORMER) --initial-model $< --loss.alpha 0.1 --loss.beta 0.005 --learning-rate 1.5e-3 --epochs 7 \
 	    --select-by log_density --no-calibrate
 
 # Few images and many winners tell the like places apart, if at the cost of some; more images and fewer winners bring
@@ -82,7 +84,7 @@ $(DATA)/ceiling-third.safetensors: $(DATA)/ceiling-second.safetensors $(CEILING)
 
 $(DATA)/ceiling.safetensors: $(DATA)/ceiling-third.safetensors $(CEILING)
 	$(BIN)/vapor-track train $(CEILING) --validation $(DATA)/ceiling-100.mcap --output $@ \
-	    --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
+	    $(FORMER) --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
 	    --learning-rate 2e-3 --epochs 12 --select-by log_density --no-calibrate
 
 # One sequence has five stretches of trajectory, too few to tell the settings of the filter apart.

@@ -141,7 +141,7 @@ def test_only_the_best_component_learns_but_for_the_relaxation():
 def test_errors_of_position_and_rotation_are_weighted_by_scales_that_learn():
     network = network_with("point")
     truth = truth_of(3)
-    loss = training_loss(network, IMAGES, *truth, torch.zeros(3, 1, 0), LossConfig())
+    loss = training_loss(network, IMAGES, *truth, torch.zeros(3, 1, 0), LossConfig(position_unit="metre"))
     translation, rotation = (part[:, 0] for part in draw(network, 1))
     metres = (translation - truth[0]).norm(dim=-1).mean()
     chord = (rotation - truth[1]).flatten(1).norm(dim=-1).mean()
@@ -155,8 +155,10 @@ def test_relative_poses_of_a_pair_do_not_depend_on_the_frame_of_the_map():
     images = torch.cat([IMAGES, IMAGES.flip(0)])
     truth = truth_of(6)
     noise = torch.zeros(6, 1, 0)
-    plain = training_loss(network, images, *truth, noise, LossConfig())
-    paired = training_loss(network, images, *truth, noise, LossConfig(relative=2.0))
+    plain, paired = (
+        training_loss(network, images, *truth, noise, LossConfig(position_unit="metre", relative=relative))
+        for relative in (0.0, 2.0)
+    )
     with torch.no_grad():
         poses = network(images, noise)
     here, there = (

@@ -167,12 +167,13 @@ def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(tmp_path, 
 
 def test_models_from_before_the_shortcut_have_none(tmp_path):
     new, old = tmp_path / "new.safetensors", tmp_path / "old.safetensors"
-    save_checkpoint(new, make_checkpoint())
+    without = make_checkpoint(replace(SMALL, shortcut=False))
+    save_checkpoint(new, without)
     metadata, tensors = read_safetensors(new)
     metadata = _edit_config({**metadata, "version": "4"}, lambda c: c["network"].pop("shortcut"))
     save_file(tensors, old, metadata)
     loaded = load_checkpoint(old)
-    assert loaded.network == make_checkpoint().network
+    assert loaded.network == without.network
     assert not loaded.network.shortcut
     save_checkpoint(tmp_path / "again.safetensors", loaded)
     assert load_checkpoint(tmp_path / "again.safetensors").network == loaded.network

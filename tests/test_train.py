@@ -37,8 +37,9 @@ TINY = TrainConfig(
         hidden_width=64,
         hidden_layers=2,
     ),
-    loss=LossConfig(num_samples=64),
+    loss=LossConfig(num_samples=64, position_unit="metre"),
     calibration=Calibration(1.0, 1.0),  # wide, so that a few steps move the held-out density
+    learning_rate=1e-3,
     select_by="log_density",  # moves from the first epoch on, when no sample is near yet
     epochs=4,
     batch_size=8,
@@ -145,6 +146,24 @@ def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_hold
     assert on.training["config"]["initial_model"] == "first.safetensors"
 
 
+@pytest.mark.parametrize("head", ["variational", "point"])
+def test_a_model_without_a_shortcut_goes_on_with_one_and_one_with_it_does_not_go_on_without(head, tmp_path):
+    first, last = tmp_path / "first.safetensors", tmp_path / "last.safetensors"
+    plain = replace(TINY.network, head=head, shortcut=False)
+    there = train_on({"a": make_frames(24)}, first, replace(TINY, network=plain)).checkpoint
+    direct = replace(TINY.network, head=head, shortcut=True)
+    still = replace(TINY, initial_model=first, network=direct, learning_rate=1e-12, weight_decay=0.0, epochs=1)
+    on = train_on({"a": make_frames(24)}, last, still).checkpoint
+    learned = {name for name in there.state_dict if "running" not in name and "num_batches" not in name}
+    assert all(torch.allclose(on.state_dict[name], there.state_dict[name], atol=1e-8) for name in learned)
+    new = set(on.state_dict) - set(there.state_dict)
+    assert new == ({"pose_map.shortcut.weight"} if head == "variational" else set())
+    assert all(on.state_dict[name].abs().max() < 1e-8 for name in new)
+    if head == "variational":
+        with pytest.raises(TrainingError, match=r"has shortcut True \(expected False\)"):
+            train_on({"a": make_frames(24)}, first, replace(still, initial_model=last, network=plain))
+
+
 def test_images_read_before_train_the_same_network(tmp_path):
     frames, config = {"a": make_frames(24)}, replace(TINY, epochs=1)
     read = train_on(frames, tmp_path / "read.safetensors", config).checkpoint
@@ -157,7 +176,8 @@ def test_images_read_before_train_the_same_network(tmp_path):
 
 def test_the_latents_first_variance_is_the_configured_one_and_nothing_else_differs(tmp_path):
     still = replace(TINY, learning_rate=1e-12, weight_decay=0.0, average=0.0, epochs=1)
-    plain = train_on({"a": make_frames(24)}, tmp_path / "plain.safetensors", still).checkpoint
+    wide = replace(still, initial_log_variance=0.0)
+    plain = train_on({"a": make_frames(24)}, tmp_path / "plain.safetensors", wide).checkpoint
     quiet = replace(still, initial_log_variance=-3.0)
     other = train_on({"a": make_frames(24)}, tmp_path / "quiet.safetensors", quiet).checkpoint
     name = "latent_log_variance.bias"

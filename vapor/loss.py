@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -16,17 +17,19 @@ from vapor.network import PoseRegressor, SceneBox, VariationalPoseRegressor, sam
 
 PositionUnit = Literal["metre", "box"]
 
+_LARGEST_WEIGHT = 10.0  # of an axis along which cameras hardly move, whose errors are noise
+
 
 @dataclass(frozen=True)
 class LossConfig:
-    """Weights of the loss; the defaults are the paper's, λ for its ambiguous scenes."""
+    """Weights of the loss; those of the defaults that the paper names are its own, λ for its ambiguous scenes."""
 
     lambda_translation: float = 5.0
     """λ_t, per metre; with `position_unit` box per metre along the longest edge."""
-    position_unit: PositionUnit = "metre"
+    position_unit: PositionUnit = "box"
     """Unit of errors of position: the metre, as in the paper; or box, which multiplies the error along each axis by the
-    longest edge of the scene's box over its own edge, so that what varies little, such as a height, counts as much as
-    what varies much. See also `shortcut`. Of a mixture it says which component is best, of a flow nothing."""
+    longest edge of the scene's box over its own edge, up to ten, so that what varies little, such as a height, is not
+    drowned by what varies much. Of a mixture it says which component is best, of a flow nothing."""
     lambda_rotation: float = 2.0
     """λ_r, per unit of ‖R̂ − R‖_F."""
     alpha: float = 0.2
@@ -269,7 +272,7 @@ def _errors(
     """‖t̂ − t‖₂ in the configured unit, and ‖R̂ − R‖_F."""
     apart = poses[0] - truth[0]
     if config.position_unit == "box":
-        apart = apart * apart.new_tensor(box.extent.max() / box.extent)
+        apart = apart * apart.new_tensor(np.minimum(box.extent.max() / box.extent, _LARGEST_WEIGHT))
     return torch.linalg.vector_norm(apart, dim=-1), torch.linalg.vector_norm(poses[1] - truth[1], dim=(-2, -1))
 
 

@@ -12,6 +12,7 @@ from vapor.network import Head, NetworkConfig
 from vapor.train_config import TrainConfig
 
 _RESNET18 = NetworkConfig("resnet18", image_width=224, image_height=224, shortest_edge=256)
+_LITE0 = replace(_RESNET18, backbone="efficientnet-lite0")
 
 
 def _paper(
@@ -19,8 +20,9 @@ def _paper(
 ) -> TrainConfig:
     """The schedule of Zangeneh et al. (ICRA 2023); all images are trained on, the last weights are kept."""
     return TrainConfig(
-        network=replace(_RESNET18, hidden_layers=hidden_layers),
-        loss=LossConfig(lambda_translation=5.0, lambda_rotation=lambda_rotation, alpha=alpha, num_samples=1000),
+        network=replace(_RESNET18, hidden_layers=hidden_layers, shortcut=False),
+        loss=LossConfig(5.0, "metre", lambda_rotation=lambda_rotation, alpha=alpha, num_samples=1000),
+        initial_log_variance=0.0,
         augment=AugmentConfig(crop="anywhere"),
         epochs=epochs,
         batch_size=batch_size,
@@ -36,20 +38,19 @@ def _paper(
     )
 
 
-_TABLES = TrainConfig(  # small and fast, with what heights need to be learned, which vary little about the table scenes
-    network=NetworkConfig("resnet18-quarter", image_width=64, image_height=48, shortest_edge=52, shortcut=True),
-    loss=LossConfig(position_unit="box", num_samples=100),
-    initial_log_variance=-4.0,
+_TABLES = TrainConfig(  # small and fast
+    network=NetworkConfig("resnet18-quarter", image_width=64, image_height=48, shortest_edge=52),
+    loss=LossConfig(num_samples=100),
     epochs=8,
-    batch_size=32,
-    learning_rate=3e-3,
 )
 
 PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
     {
         "demo": TrainConfig(),
-        "resnet18": TrainConfig(network=_RESNET18, batch_size=32),
-        "efficientnet-lite0": TrainConfig(network=replace(_RESNET18, backbone="efficientnet-lite0"), batch_size=32),
+        "resnet18": TrainConfig(network=_RESNET18, learning_rate=1e-3),
+        "efficientnet-lite0": TrainConfig(
+            network=replace(_RESNET18, backbone="efficientnet-lite0"), learning_rate=1e-3
+        ),
         "tables": _TABLES,
         "paper-7scenes": _paper(10.0, 64, 100, 10),
         "paper-cambridge": _paper(100.0, 64, 500, 50),

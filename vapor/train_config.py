@@ -37,14 +37,15 @@ class TrainConfig:
     initial_model: Path | None = None
     """A model trained here, of the same network shape, all of whose weights are the start: to go on with more data, or
     with another loss. Its scene box is widened where the new data need it."""
-    initial_log_variance: float = 0.0
+    initial_log_variance: float = -4.0
     """variational: log σ² of the latent before training, about; `initial_model` brings its own. With a low one the pose
-    map can use early what the encoder learns, which noise would hide; 0 is where an image that says nothing ends."""
+    map can use early what the encoder learns, which noise would hide; 0, as in the paper, is where an image that says
+    nothing ends."""
     epochs: int = 30
     """Times every training image is seen."""
-    batch_size: int = 64
+    batch_size: int = 32
     """Images per step."""
-    learning_rate: float = 1e-3
+    learning_rate: float = 3e-3
     """Largest learning rate of Adam."""
     weight_decay: float = 1e-2
     """Decoupled weight decay of matrices (AdamW); 0 is Adam."""

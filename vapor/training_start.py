@@ -30,7 +30,8 @@ def initial_model(config: TrainConfig) -> Checkpoint | None:
     initial = load_checkpoint(config.initial_model)
     wanted = config.network
     sizes = {name: getattr(wanted, name) for name in ("image_width", "image_height", "shortest_edge")}
-    found = replace(initial.network, **sizes)  # weights of a convolutional network fit images of any size
+    shortcut = initial.network.shortcut or wanted.shortcut  # `start` adds one that is missing
+    found = replace(initial.network, shortcut=shortcut, **sizes)  # convolutions fit images of any size
     if other := [name for name, value in asdict(wanted).items() if getattr(found, name) != value]:
         told = ", ".join(f"{name} {getattr(found, name)!r} (expected {getattr(wanted, name)!r})" for name in other)
         raise TrainingError(f"{config.initial_model}: its network has {told} as configured")
@@ -60,7 +61,7 @@ def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint 
         with torch.no_grad():
             network.latent_log_variance.bias.add_(config.initial_log_variance)
     if initial is not None:
-        network.load_state_dict(dict(initial.state_dict))
+        _take_weights(network, initial)
     average.load_state_dict(network.state_dict())
     network, average = (
         n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
@@ -68,6 +69,14 @@ def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint 
     )
     optimizer = torch.optim.AdamW(parameter_groups(network, config), lr=config.learning_rate, fused=True)
     return TrainingState(network, average, optimizer)
+
+
+def _take_weights(network: PoseRegressor, initial: Checkpoint) -> None:
+    """All of a model's weights; where it has no shortcut, a new one adds nothing at first."""
+    state = dict(initial.state_dict)
+    if isinstance(network, VariationalPoseRegressor) and network.pose_map.shortcut is not None:
+        state.setdefault("pose_map.shortcut.weight", torch.zeros_like(network.pose_map.shortcut.weight))
+    network.load_state_dict(state)
 
 
 def parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[str, Any]]:

@@ -1,8 +1,8 @@
 """What the default schedule saves against the paper's: images and time until held-out images are judged as good.
 
-By schedule is meant all of a training but its data, network and α: the paper's differs from the default in rate and its
-decay, batches of 4 instead of 64, 1000 samples an image instead of 256, crops, arithmetic (float32), and in neither
-averaging weights nor decaying them.
+By schedule is meant all of a training but its data, network, α and unit of positions: the paper's differs from the
+default in rate and its decay, batches of 4 instead of 32, 1000 samples an image instead of 256, crops, arithmetic
+(float32), and in neither averaging weights nor decaying them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ScheduleConfig:
     seed: int = 0
     """Of both trainings."""
     train: TrainConfig = field(default_factory=TrainConfig)
-    """The default schedule, and the network, its first weights and α of both."""
+    """The default schedule, and the network, its first weights, α and unit of positions of both."""
 
     def __post_init__(self) -> None:
         counts = dict.fromkeys(("sequences", "frames", "validation_frames"), (1, 10**6))
@@ -56,7 +56,7 @@ class ScheduleConfig:
         if schedule == DEFAULT:
             return mine
         paper = PRESETS["paper-synthetic"]
-        loss = replace(paper.loss, alpha=mine.loss.alpha)
+        loss = replace(paper.loss, alpha=mine.loss.alpha, position_unit=mine.loss.position_unit)
         return replace(paper, loss=loss, **{name: getattr(mine, name) for name in _SHARED})
 
 
