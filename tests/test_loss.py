@@ -11,7 +11,9 @@ from vapor.loss import LossConfig, kl_divergence, pose_distance, variational_los
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 
 BOX = SceneBox((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
-CONFIG = LossConfig(lambda_translation=5.0, lambda_rotation=2.0, alpha=0.2, beta=0.01, num_samples=25)
+CONFIG = LossConfig(
+    position_unit="metre", lambda_translation=5.0, lambda_rotation=2.0, alpha=0.2, beta=0.01, num_samples=25
+)
 
 
 @given(st.integers(0, 2**32 - 1))

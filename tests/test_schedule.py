@@ -12,6 +12,7 @@ from filtering.errors import VaporTrackError
 from vapor.checkpoint import Calibration
 from vapor.experiments import schedule as schedule_module
 from vapor.experiments.schedule import DEFAULT, PAPER, Point, ScheduleConfig, _Clock, summary
+from vapor.loss import LossConfig
 from vapor.network import NetworkConfig
 from vapor.presets import PRESETS
 from vapor.track import main
@@ -25,6 +26,7 @@ TINY = ScheduleConfig(
     validation_frames=6,
     train=TrainConfig(
         network=NetworkConfig(image_width=32, image_height=32, shortest_edge=34, feature_dim=16, latent_dim=4),
+        loss=LossConfig(alpha=0.3),
         calibration=Calibration(2.0, 2.0),
         epochs=2,
         batch_size=16,
@@ -39,7 +41,7 @@ TINY = ScheduleConfig(
         {"pretrained": False},
         {"pretrained_weights": Path("w.safetensors")},
         {"initial_model": Path("m")},
-        {"initial_log_variance": -4.0},
+        {"initial_log_variance": -3.0},
     ],
 )
 def test_both_start_from_the_same_weights(shared):
@@ -48,10 +50,17 @@ def test_both_start_from_the_same_weights(shared):
     assert getattr(config.of(PAPER), name) == getattr(config.of(DEFAULT), name) == value
 
 
+@pytest.mark.parametrize("unit", ["box", "metre"])
+def test_both_have_the_same_unit_of_positions(unit):
+    config = replace(TINY, train=replace(TINY.train, loss=LossConfig(position_unit=unit)))
+    assert config.of(PAPER).loss.position_unit == config.of(DEFAULT).loss.position_unit == unit
+
+
 def test_the_paper_trains_the_same_network_by_its_own_schedule():
     default, paper = TINY.of(DEFAULT), TINY.of(PAPER)
     assert paper.network == default.network
-    assert paper.loss.alpha == default.loss.alpha
+    assert paper.loss.alpha == default.loss.alpha == 0.3
+    assert paper.loss.num_samples == 1000
     preset = PRESETS["paper-synthetic"]
     assert paper.validation_images == default.validation_images == TINY.validation_frames
     names = ("learning_rate", "schedule", "decay_factor", "decay_epochs", "batch_size", "epochs", "average")

@@ -350,9 +350,11 @@ def test_samples_grow_from_the_winners_to_all_of_them_and_by_default_do_not():
 
 def test_arithmetic_is_chosen_by_hardware_and_network_unless_it_is_told(monkeypatch):
     cpu = torch.device("cpu")
-    lite = replace(PRESETS["efficientnet-lite0"], precision="auto")
+    lite = PRESETS["efficientnet-lite0"]
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda **_: True)
+    assert _uses_bfloat16(lite, torch.device("cuda"))
     for capable in (False, True):
-        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda capable=capable: {"avx512_bf16": capable})
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda capable=capable: {"amx_bf16": capable})
         assert _uses_bfloat16(TrainConfig(), cpu) == capable
         assert not _uses_bfloat16(lite, cpu)
         assert _uses_bfloat16(replace(lite, precision="bfloat16"), cpu)
@@ -379,6 +381,7 @@ def test_paper_presets_have_the_papers_numbers(name, lambda_r, batch, epochs, n,
     assert (c.network.image_width, c.network.image_height, c.network.frame_size) == (224, 224, (256, 256))
     assert c.augment.crop == "anywhere"
     assert (c.weight_decay, c.average, c.precision) == (0.0, 0.0, "float32")
+    assert (c.network.shortcut, c.loss.position_unit, c.initial_log_variance) == (False, "metre", 0.0)
 
 
 # --- data ------------------------------------------------------------------------------------------

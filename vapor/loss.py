@@ -22,7 +22,7 @@ _LARGEST_WEIGHT = 10.0  # of an axis along which cameras hardly move, whose erro
 
 @dataclass(frozen=True)
 class LossConfig:
-    """Weights of the loss; those of the defaults that the paper names are its own, λ for its ambiguous scenes."""
+    """Weights of the loss; the defaults of α, β and λ are the paper's, λ for its ambiguous scenes."""
 
     lambda_translation: float = 5.0
     """λ_t, per metre; with `position_unit` box per metre along the longest edge."""

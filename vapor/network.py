@@ -60,7 +60,7 @@ class NetworkConfig:
     """Hidden layers of the pose map after its first, n_layers in the paper; and of a flow."""
     shortcut: bool = True
     """variational, deterministic: a linear map from the latent vector to the pose beside the hidden layers of the pose
-    map, with which poses are learned from many times fewer images; the paper's network has none."""
+    map, with which poses are learned from fewer images; the paper's network has none."""
     dropout: float = 0.5
     """dropout: share of the feature's units that is left out."""
     components: int = 10

@@ -21,7 +21,13 @@ def _paper(
     """The schedule of Zangeneh et al. (ICRA 2023); all images are trained on, the last weights are kept."""
     return TrainConfig(
         network=replace(_RESNET18, hidden_layers=hidden_layers, shortcut=False),
-        loss=LossConfig(5.0, "metre", lambda_rotation=lambda_rotation, alpha=alpha, num_samples=1000),
+        loss=LossConfig(
+            lambda_translation=5.0,
+            position_unit="metre",
+            lambda_rotation=lambda_rotation,
+            alpha=alpha,
+            num_samples=1000,
+        ),
         initial_log_variance=0.0,
         augment=AugmentConfig(crop="anywhere"),
         epochs=epochs,
@@ -38,7 +44,7 @@ def _paper(
     )
 
 
-_TABLES = TrainConfig(  # small and fast
+_TABLES = TrainConfig(
     network=NetworkConfig("resnet18-quarter", image_width=64, image_height=48, shortest_edge=52),
     loss=LossConfig(num_samples=100),
     epochs=8,
@@ -48,9 +54,7 @@ PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
     {
         "demo": TrainConfig(),
         "resnet18": TrainConfig(network=_RESNET18, learning_rate=1e-3),
-        "efficientnet-lite0": TrainConfig(
-            network=replace(_RESNET18, backbone="efficientnet-lite0"), learning_rate=1e-3
-        ),
+        "efficientnet-lite0": TrainConfig(network=_LITE0, learning_rate=1e-3),
         "tables": _TABLES,
         "paper-7scenes": _paper(10.0, 64, 100, 10),
         "paper-cambridge": _paper(100.0, 64, 500, 50),

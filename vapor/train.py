@@ -342,7 +342,7 @@ def _paired(
 def _uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
     """Whether the encoder is trained in bfloat16.
 
-    By itself where that is faster than float32: without instructions for it, it is many times slower; and on a CPU
+    With "auto" where that is faster than float32: without instructions for it, it is many times slower, and on a CPU
     separable convolutions do not gain by it.
     """
     if config.precision != "auto":

@@ -36,7 +36,7 @@ class TrainConfig:
     """efficientnet-lite0: start from the ImageNet weights of its package where no file is given."""
     initial_model: Path | None = None
     """A model trained here, of the same network shape, all of whose weights are the start: to go on with more data, or
-    with another loss. Its scene box is widened where the new data need it."""
+    with another loss. Its scene box is widened where the new data need it, and a missing shortcut is added."""
     initial_log_variance: float = -4.0
     """variational: log σ² of the latent before training, about; `initial_model` brings its own. With a low one the pose
     map can use early what the encoder learns, which noise would hide; 0, as in the paper, is where an image that says
@@ -77,7 +77,8 @@ class TrainConfig:
     true pose falls when a possible place is forgotten, but it prefers vague posteriors to sharp ones that miss: of a
     ceiling of 24 like places it once kept the second epoch of 24."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it."""
+    """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it, but for efficientnet-lite0
+    on a CPU, which gains nothing by it."""
     half: bool = True
     """Store weight matrices as float16."""
     seed: int = 0

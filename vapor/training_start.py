@@ -39,13 +39,16 @@ def initial_model(config: TrainConfig) -> Checkpoint | None:
 
 
 def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint | None) -> TrainingState:
-    """A network before its first step.
+    """A network before its first step, its average, which is a copy, and its optimizer, on the configured device.
 
     Args:
         config: How it will be trained.
         box: Where cameras can be.
         poses: world_from_camera of the training images, (n,); a flow's axes follow from them.
         initial: From `initial_model`.
+
+    Raises:
+        VaporTrackError: weights of the backbone or the device are not there.
     """
     device = resolve_device(config.device)
     with torch.random.fork_rng(devices=[]):

@@ -84,15 +84,17 @@ class TableOptions:
     output: Path
     """Directory for images, results, table.json and table.md; an interrupted experiment goes on."""
     preset: Preset = "demo"
-    """Named settings of training, of which the options below change single ones."""
+    """Named settings of training, of which the options below change single ones; tables: small and fast, for the scenes
+    of that name; paper-...: the paper's."""
     config: Annotated[TableConfig, tyro.conf.arg(name="")] = field(default_factory=TableConfig)
 
 
 @dataclass(frozen=True)
 class ScheduleOptions:
-    """Train by the default settings and by the paper's, and compare images and time to the same recall.
+    """Train by our schedule and by the paper's, and compare images and time to the same recall.
 
-    The paper's differ in rate, batches, samples an image, crops and arithmetic, and neither average nor decay weights.
+    Both train the same network from the same weights, with the same α and unit of positions. The paper's schedule
+    differs in rate, batches, samples an image, crops and arithmetic, and neither averages nor decays weights.
     """
 
     output: Path
@@ -100,7 +102,7 @@ class ScheduleOptions:
     scene: Literal["staircase", "ceiling", "round-table", "dinner-table"] = "staircase"
     """What the camera moves through."""
     preset: Preset = "demo"
-    """Named settings of the default training, of which the options below change single ones."""
+    """Named settings of our training, of which the options below change single ones."""
     config: Annotated[ScheduleConfig, tyro.conf.arg(name="")] = field(default_factory=ScheduleConfig)
 
 

@@ -21,14 +21,14 @@ _Options = TypeVar("_Options")
 def parse_named(
     command: str, options: type[_Options], arguments: Sequence[str], names: Sequence[str], config: Callable[..., Any]
 ) -> _Options:
-    """Options as `parse` reads them, with defaults that are named among them.
+    """Options as `parse` reads them, with defaults that are named among them; an unknown name exits with status 2.
 
     Args:
         command: Its name, for messages.
         options: A frozen dataclass with a `config` and the fields `names`.
         arguments: Words of the command line.
         names: Which of `preset` and `method` there are.
-        config: Default of `config`, from what they name.
+        config: Makes the default of `config` from what they name, given by keyword.
     """
     chosen = {name: _named(arguments, name, getattr(options, name)) for name in names}
     for name, value in chosen.items():
@@ -42,10 +42,10 @@ def parse_named(
 
 
 def _named(arguments: Sequence[str], name: str, default: str) -> str:
-    """Known before the options are read, since their defaults depend on it."""
+    """Known before the options are read, since their defaults depend on it; the last one counts, as of all options."""
     for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
         if word == f"--{name}":
-            return following
-        if word.startswith(f"--{name}="):
-            return word.removeprefix(f"--{name}=")
+            default = following
+        elif word.startswith(f"--{name}="):
+            default = word.removeprefix(f"--{name}=")
     return default

@@ -30,7 +30,8 @@ class Options:
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Held-out data; without it the last part of each training sequence is held out."""
     preset: Preset = "demo"
-    """Named settings, of which the options below change single ones."""
+    """Named settings, of which the options below change single ones; tables: small and fast, for the scenes of that
+    name; paper-...: the paper's."""
     method: Method = "variational"
     """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["demo"]

@@ -26,9 +26,7 @@ class AlphaConfig(SweepConfig):
     parameter: ClassVar[str] = "alpha"
     alphas: tuple[float, ...] = PAPER_ALPHAS
     """Shares of the samples that learn."""
-    train: TrainConfig = field(
-        default_factory=lambda: replace(PRESETS["tables"], calibrate=False, validation_share=0.0)
-    )
+    train: TrainConfig = field(default_factory=_small_training)
     """How each network is trained; α and the seed are the experiment's. Three epochs are enough for the round table."""
 
     @property

@@ -11,16 +11,20 @@ from typing import ClassVar
 
 from filtering.errors import require_within
 from vapor.experiments.sweep import SweepConfig
+from vapor.loss import LossConfig
 from vapor.network import NetworkConfig
 from vapor.train_config import TrainConfig
 
 
 def _by_heart() -> TrainConfig:
-    """Long enough to learn two walks by heart."""
+    """Long enough to learn two walks by heart, by the paper's network and loss."""
     return TrainConfig(
-        network=NetworkConfig(image_width=64, image_height=48, shortest_edge=52),
+        network=NetworkConfig(image_width=64, image_height=48, shortest_edge=52, shortcut=False),
+        loss=LossConfig(position_unit="metre"),
+        initial_log_variance=0.0,
         epochs=50,
         batch_size=16,
+        learning_rate=1e-3,
         calibrate=False,
         validation_share=0.0,
     )

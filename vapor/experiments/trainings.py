@@ -28,7 +28,8 @@ from vapor.train_config import TrainConfig
 from vapor.training_set import TrainingError, TrainingSet, load_training_set, open_sequences
 from vapor.validation import exact_log_density, predict
 
-_RESULTS = 1  # counts up when the same training gives other results than before
+_RESULTS = 2  # counts up when the same training gives other results than before
+_LEAST_HEIGHT, _SPARE = 96, 1.4  # of rendered images: pixels, and times what covers a frame
 _SHOWN = 25  # test images whose samples are kept for pictures, evenly spaced
 
 
@@ -159,8 +160,8 @@ def render_scenes(
 
 
 def rendered_height(frame_size: tuple[int, int]) -> int:
-    """Height of 4:3 images that cover a frame (width, height) with pixels to spare, pixels."""
-    return max(96, math.ceil(1.4 * max(frame_size[1], frame_size[0] * 3 / 4)))
+    """Height of 4:3 images that cover a frame (width, height) when they are scaled down, pixels."""
+    return max(_LEAST_HEIGHT, math.ceil(_SPARE * max(frame_size[1], frame_size[0] * 3 / 4)))
 
 
 def run_trainings(trainings: Sequence[Training], directory: Path, workers: int) -> Iterator[dict[str, Any]]:
