@@ -73,6 +73,7 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
     assert min(apart) > 1.0
     config = replace(
         TINY,
+        loss=LossConfig(num_samples=64),
         augment=STILL,
         epochs=4,
         batch_size=12,
