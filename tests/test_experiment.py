@@ -259,12 +259,16 @@ def test_the_table_gives_medians_and_the_range_of_the_seeds():
         for k, r in enumerate(recalls)
     ]
     results.append({"scene": "hall", "label": "mapnet", "seed": 0, "error": "loss is nan"})
-    *_, row, empty, failed = markdown(results, 0.1).splitlines()
+    title, *_, row, empty, failed = markdown(results, 0.1).splitlines()
+    assert title == "**hall**, 10 test images, 3 seeds, γ = 0.1"
     assert (empty, failed) == ("", "hall, mapnet, seed 0: loss is nan")
     assert row.startswith(
         "| posenet | 20 % (10-40) | 20 % (10-40) | 20 % (10-40) | 50 % | 100 % | 0.25 m, 3.0° | 0.15 m, 2.0° | 1.50 |"
     )
     assert row.endswith("| 2.0 | 1.5 min |")
+    title, *_, row = markdown(results[:1], 0.1).splitlines()
+    assert "images, 1 seed, γ" in title
+    assert row.startswith("| posenet | 10 % | 10 % | 10 % | 50 % |")
 
 
 def test_scenes_are_synthetic_ones_or_named_data():

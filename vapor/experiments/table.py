@@ -134,13 +134,14 @@ class TableExperiment:
 
 
 def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
-    """The table as Markdown: medians over the seeds, and for recall its least and most."""
+    """The table as Markdown: medians over the seeds, and for recall of several its least and most."""
     lines: list[str] = []
     done = [result for result in results if "error" not in result]
     for scene in dict.fromkeys(result["scene"] for result in done):
         rows = [result for result in done if result["scene"] == scene]
         seeds = len({row["seed"] for row in rows})
-        lines += [f"**{scene}**, {rows[0]['images']} test images, {seeds} seeds, γ = {gamma:g}", ""]
+        counted = "1 seed" if seeds == 1 else f"{seeds} seeds"
+        lines += [f"**{scene}**, {rows[0]['images']} test images, {counted}, γ = {gamma:g}", ""]
         filtered = any("filter" in row for row in rows)
         names = ["method", *(f"recall {t}" for t in THRESHOLDS), f"best mode {RIGHT}", f"any sample {RIGHT}"]
         names += ["median error of the mean", "of the best mode", "−log p̂", "modes"]
@@ -174,7 +175,8 @@ def _percent(values: Sequence[float]) -> str:
 
 
 def _spread(values: Sequence[float]) -> str:
-    return f"{_percent(values)} ({100 * min(values):.0f}-{100 * max(values):.0f})"
+    spread = f" ({100 * min(values):.0f}-{100 * max(values):.0f})" if len(values) > 1 else ""
+    return _percent(values) + spread
 
 
 def _error(errors: Sequence[Mapping[str, float]]) -> str:
