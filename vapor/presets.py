@@ -77,6 +77,11 @@ def _density(head: Head, components: int) -> Callable[[TrainConfig], TrainConfig
     return configured
 
 
+def _flow(c: TrainConfig) -> TrainConfig:
+    """Higher rates than 0.001 make it vague."""
+    return replace(_density("flow", 32)(c), learning_rate=min(c.learning_rate, 1e-3))
+
+
 METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
     {
         "variational": _head("variational"),
@@ -87,7 +92,7 @@ METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
         "mapnet": _head("point", relative=1.0),
         "mixture-10": _density("mixture", 10),
         "mixture-50": _density("mixture", 50),
-        "flow": _density("flow", 32),
+        "flow": _flow,
     }
 )
 """The paper's regressor, the same without its parts, those it is measured against (see `vapor.baselines`), and one that
