@@ -105,7 +105,7 @@ def test_the_calibration_shapes_density_and_likelihood():
         0.3,
         outlier_floor=0.1,
         temper=0.5,
-        saturation=2.5,
+        saturation=1.0,
         preference=0.1,
         place_bandwidth_translation_m=0.4,
         place_bandwidth_rotation_rad=0.6,
@@ -124,8 +124,8 @@ def test_the_calibration_shapes_density_and_likelihood():
     prior = np.exp(np.maximum(density.log_density(poses), floor))
     place = np.exp(KernelDensity(posterior.poses, 0.4, 0.6).log_density(poses))
     evidence = np.log((0.9 * place / prior + 0.1) / 0.1)
-    assert evidence.min() < 2.5 < evidence.max()  # on both sides of the saturation
-    likelihood = 0.5 * (np.minimum(evidence, 2.5) + 0.1 * np.maximum(evidence - 2.5, 0.0))
+    assert evidence.min() < 1.0 < evidence.max()  # on both sides of the saturation
+    likelihood = 0.5 * (np.minimum(evidence, 1.0) + 0.1 * np.maximum(evidence - 1.0, 0.0))
     np.testing.assert_allclose(posterior.log_likelihood(poses), likelihood, rtol=1e-5)
     ratio = np.exp(posterior.log_density(poses)) / place
     detail = 0.7 * (1 - np.exp(-evidence)) * np.log(1 + ratio / 0.05)
