@@ -138,7 +138,7 @@ def _errors_figure(record: RunRecord, truth: Trajectory, title: str) -> Figure:
             for ax in panels if moment is not None else ():
                 ax.axvline(float(moment or 0.0), color=_INK, linewidth=1.0)
             if moment is not None:
-                note = f" converged at {moment:.1f} s"
+                note = f" right from {moment:.1f} s on"
                 at = (moment, 0.97)
                 panels[0].annotate(note, at, xycoords=("data", "axes fraction"), va="top", fontsize=9, color=_INK)
     for ax, limit, name, unit in zip(panels, limits, ("translation error", "rotation error"), "m°", strict=True):
