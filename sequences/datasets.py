@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
@@ -19,7 +20,22 @@ _LAYOUTS = (tum_rgbd, seven_scenes, ambiguous, ceiling, cambridge, colmap)
 _SPLITS = ("train", "test", "TrainSplit.txt", "TestSplit.txt", "dataset_train.txt", "dataset_test.txt")
 
 
-def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOptions | None = None) -> Iterator[Frame]:
+class PosedFrames(Iterator[Frame]):
+    """Frames with true poses, from `posed_frames`.
+
+    Attributes:
+        skipped: Images and poses of the data that were left out, by reason; complete once all frames were yielded.
+    """
+
+    def __init__(self, path: Path, frames: slice, options: SequenceOptions | None) -> None:
+        self.skipped: Counter[str] = Counter()
+        self._frames = _posed_frames(path, frames, options, self.skipped)
+
+    def __next__(self) -> Frame:
+        return next(self._frames)
+
+
+def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOptions | None = None) -> PosedFrames:
     """Frames with true poses, in order of time; MCAP sequences with their odometry, where there is any to be found.
 
     Args:
@@ -28,9 +44,12 @@ def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOp
         options: Topics and stretch of an MCAP sequence; folders of images ignore it.
 
     Raises:
-        SequenceError: the layout is unknown, a file is missing or damaged, or no frame is left.
+        SequenceError: the layout is unknown, a file is missing or damaged, or no frame is left; with the first frame.
     """
-    path = Path(path)
+    return PosedFrames(Path(path), frames, options)
+
+
+def _posed_frames(path: Path, frames: slice, options: SequenceOptions | None, skipped: Counter[str]) -> Iterator[Frame]:
     number = 0
     if _is_bag(path):
         if any(bound is not None and bound < 0 for bound in (frames.start, frames.stop, frames.step)):
@@ -38,12 +57,16 @@ def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOp
                 f"{path}: frames {frames.start}:{frames.stop}:{frames.step} count from the end, which"
                 " a stream does not know; expected numbers from 0 on"
             )
-        posed = _posed(SequenceReader(path, options, odometry="optional"))
+        reader = SequenceReader(path, options, odometry="optional")
+        posed = _posed(reader, skipped)
         for number, frame in enumerate(islice(posed, frames.start, frames.stop, frames.step), start=1):
             follows = number > 1 and frames.step in (None, 1)
             yield frame if follows else replace(frame, odometry=None)
+        skipped.update(reader.skipped)
     else:
-        for number, frame in enumerate(_load(list_images(path)[frames]), start=1):  # noqa: B007
+        images = list_images(path)
+        skipped.update(images.skipped)
+        for number, frame in enumerate(_load(images[frames], skipped), start=1):  # noqa: B007
             yield frame
     if number == 0:
         raise SequenceError(
@@ -97,16 +120,18 @@ def _is_bag(path: Path) -> bool:
     return (path.is_file() and path.suffix != ".txt") or (path / "metadata.yaml").is_file()
 
 
-def _posed(frames: Iterable[Frame]) -> Iterator[Frame]:
+def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:
     """Those with a true pose; without odometry where the frame before was left out."""
     follows = True
     for frame in frames:
         if frame.world_from_camera is not None:
             yield frame if follows else replace(frame, odometry=None)
+        else:
+            skipped["no true pose"] += 1
         follows = frame.world_from_camera is not None
 
 
-def _load(images: PosedImages) -> Iterator[Frame]:
+def _load(images: PosedImages, skipped: Counter[str]) -> Iterator[Frame]:
     """Decode images; those that cannot be are left out, unless it is all of them."""
     problem = None
     num_loaded = 0
@@ -115,8 +140,10 @@ def _load(images: PosedImages) -> Iterator[Frame]:
             image = decode_image_bytes(read_image_bytes(file))
         except SequenceError as error:
             problem = problem or f"{file}: {error}"
+            skipped["undecodable image"] += 1
             continue
         num_loaded += 1
-        yield Frame(int(images.times_ns[i]), image, None, images.world_from_camera[i], images.cameras[i])
+        sequence = 0 if images.sequence is None else int(images.sequence[i])
+        yield Frame(int(images.times_ns[i]), image, None, images.world_from_camera[i], images.cameras[i], sequence)
     if problem and not num_loaded:
         raise SequenceError(f"no image left: {problem}")

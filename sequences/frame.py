@@ -37,6 +37,7 @@ class Frame:
             no odometry covers it.
         world_from_camera: True pose, one pose; None where unknown.
         camera: Intrinsics, None where unknown.
+        sequence: Which sequence of its data set it is from, counted from 0, where a data set has several.
     """
 
     time_ns: int
@@ -44,6 +45,7 @@ class Frame:
     odometry: Odometry | None = None
     world_from_camera: Poses | None = None
     camera: Camera | None = None
+    sequence: int = 0
 
 
 @dataclass(frozen=True)

@@ -105,6 +105,22 @@ def test_tum_images_in_a_gap_of_the_true_poses_are_left_out(tmp_path: Path) -> N
     assert indices == [0, 1, 2, 6, 7, 8, 9]
 
 
+def test_what_is_left_out_of_frames_is_counted(tmp_path: Path) -> None:
+    folder = make_tum(tmp_path / "tum")
+    write_tum(folder / "groundtruth.txt", truth_at([BEGIN_NS + 10_000_000 * i for i in range(-1, 28)]))
+    files = sorted((folder / "rgb").iterdir())
+    files[2].unlink()
+    files[4].write_bytes(b"no image")
+    frames = posed_frames(folder)
+    assert [int(frame.image[0, 0, 0]) // 10 for frame in frames] == [0, 1, 3, 5, 6, 7, 8]
+    assert frames.skipped == {"no image": 1, "undecodable image": 1, "true pose does not cover": 1}
+    walk = Walk()
+    walk.images[5] = (walk.images[5][0], b"no image")
+    bag = posed_frames(walk.write(tmp_path / "walk.mcap"))
+    assert len(list(bag)) == 11
+    assert bag.skipped == {"undecodable image": 1}
+
+
 @pytest.mark.parametrize("sequence", ["", "seq-01"])
 def test_a_7_scenes_folder_gives_frames_of_a_sequence_or_of_all(sequence: str, tmp_path: Path) -> None:
     scene = make_7scenes(tmp_path / "scene", sequences=("seq-01", "seq-02"))

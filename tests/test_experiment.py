@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
+from tests.test_datasets import make_7scenes
 from vapor.checkpoint import Calibration
 from vapor.commands import experiment as experiment_command
 from vapor.experiments import trainings as trainings_module
@@ -223,7 +224,7 @@ TINY_TABLE = TableConfig(
 )
 
 
-def test_every_method_is_trained_and_drives_the_filter(tmp_path):
+def test_methods_are_trained_and_drive_the_filter(tmp_path):
     experiment = TableExperiment([parse_scene("staircase")], tmp_path, TINY_TABLE)
     assert list(experiment.render())[-1] == (2, 2)
     results = list(experiment.train())
@@ -277,8 +278,10 @@ def test_scenes_are_synthetic_ones_or_named_data():
     for wrong in ("cellar", "a=b", "a=b=c=d", "=b=c", "a=b,=c", "my/desk=b=c"):
         with pytest.raises(VaporTrackError, match="expected one of staircase"):
             parse_scene(wrong)
-    with pytest.raises(VaporTrackError, match="is both trained on and tested on"):
-        parse_scene("desk=a.mcap,b.mcap=b.mcap")
+    for overlapping in ("desk=a,b=b", "desk=a,b@0:5=b@3:6", "desk=b@4:=b", "desk=b=x/../b@:1"):
+        with pytest.raises(VaporTrackError, match=r"is trained on and .*b.* tested on"):
+            parse_scene(overlapping)
+    assert parse_scene("desk=b@0:5,b@9:=b@5:9").train == ("b@0:5", "b@9:")
 
 
 @pytest.mark.parametrize(
@@ -338,6 +341,20 @@ def test_results_of_other_data_of_the_same_name_are_not_taken_for_these(tmp_path
     before = files[0].file(tmp_path, ".json")
     (tmp_path / "chess" / "TrainSplit.txt").write_text("another one")
     assert files[0].file(tmp_path, ".json") != before
+
+
+@pytest.mark.parametrize("entry", ["TrainSplit.txt", "seq-01", "seq-01@2:5", ""])
+def test_a_file_changed_inside_a_data_set_makes_another_training(entry, tmp_path):
+    scene = make_7scenes(tmp_path / "chess")
+    (scene / "TrainSplit.txt").write_text("sequence1")
+    training = Training(Scene("desk", (str(scene / entry),), ("t",)), "x", TINY_TRAIN, 0.1, 10)
+    before = training.file(tmp_path, ".json"), training.model_file(tmp_path)
+    assert before == (training.file(tmp_path, ".json"), training.model_file(tmp_path))
+    with open(scene / "seq-01" / "frame-000003.pose.txt", "a") as pose:
+        pose.write("\n")
+    after = training.file(tmp_path, ".json"), training.model_file(tmp_path)
+    assert before[0] != after[0]
+    assert before[1] != after[1]
 
 
 def test_another_way_to_test_needs_no_other_training(tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ import torch
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
+from tests.test_datasets import make_7scenes
 from vapor.augment import AugmentConfig, jitter_and_normalise, random_crops
 from vapor.baselines import make_regressor
 from vapor.checkpoint import Calibration, CheckpointError, load_checkpoint
@@ -19,9 +20,10 @@ from vapor.loss import LossConfig
 from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import PRESETS
-from vapor.train import _update_average, _uses_bfloat16, train, train_on, train_on_images
+from vapor.track import main
+from vapor.train import _paired, _update_average, _uses_bfloat16, train, train_on, train_on_images
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
-from vapor.training_set import TrainingError, held_out_tails, load_training_set
+from vapor.training_set import TrainingError, held_out_tails, load_training_set, open_sequences
 from vapor.training_start import parameter_groups
 from vapor.training_state import TrainingState, state_path
 from vapor.validation import validate
@@ -413,6 +415,50 @@ def test_unloaded_images_leave_memory_and_come_back_when_they_are_used():
     assert images.sum() == before
 
 
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="what a process shares of memory is told by Linux")
+def test_a_part_of_the_images_is_not_copied_into_memory():
+    training = load_training_set({"a": make_frames(2) * 60}, (400, 300))
+    part = training.select(np.arange(0, 120, 2)).select(np.arange(1, 60))
+    assert part.images is training.images
+    np.testing.assert_array_equal(part.rows, np.arange(2, 120, 2))
+
+
+def test_each_sequence_of_a_split_has_its_own_tail_and_pairs(tmp_path):
+    scene = make_7scenes(tmp_path / "chess", sequences=("seq-01", "seq-02"))
+    (scene / "TrainSplit.txt").write_text("sequence1\nsequence2\n")
+    loaded = load_training_set(open_sequences([scene / "TrainSplit.txt", scene / "seq-01"]), (32, 24))
+    np.testing.assert_array_equal(loaded.sequence, np.repeat([0, 1, 2], 10))
+    np.testing.assert_array_equal(np.flatnonzero(held_out_tails(loaded.sequence, 0.1)), [9, 19, 29])
+    rng = np.random.default_rng(0)
+    first, second = np.split(_paired(rng.permutation(30).repeat(2)[:60], loaded.sequence, 5, rng=rng), 2)
+    np.testing.assert_array_equal(loaded.sequence[first], loaded.sequence[second])
+
+
+def test_what_is_left_out_of_the_data_is_told(tmp_path, capsys):
+    scene = make_7scenes(tmp_path / "chess", num_images=24)
+    (scene / "seq-01" / "frame-000003.pose.txt").unlink()
+    (scene / "seq-01" / "frame-000007.color.png").unlink()
+    (scene / "seq-01" / "frame-000009.color.png").write_bytes(b"no image")
+    config = replace(TINY, calibrate=False, epochs=1)
+    result = train([scene / "seq-01"], tmp_path / "model.safetensors", config)
+    assert result.images_seen == 16  # of 21, a quarter of which is held out
+    assert result.skipped == {"no true pose": 1, "no image": 1, "undecodable image": 1}
+    words = ["--network.image-width", "32", "--network.image-height", "32", "--network.shortest-edge", "34"]
+    words += ["--epochs", "1", "--no-calibrate"]
+    main(["train", str(scene / "seq-01"), "--output", str(tmp_path / "again.safetensors"), *words])
+    printed = capsys.readouterr().out
+    assert "skipped 1: no true pose" in printed
+    assert "skipped 1: undecodable image" in printed
+
+
+def test_fewer_images_than_a_batch_are_one_batch_and_a_batch_of_one_is_refused(tmp_path):
+    config = replace(TINY, batch_size=64, calibrate=False, validation_share=0.0, epochs=2)
+    result = train_on({"a": make_frames(5)}, tmp_path / "model.safetensors", config)
+    assert result.images_seen == 10
+    with pytest.raises(TrainingError, match="batch_size is 1, expected at least 2"):
+        replace(TINY, batch_size=1)
+
+
 def shared_memory_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[2]) * mmap.PAGESIZE
 
@@ -421,7 +467,7 @@ def test_images_of_different_size_are_cropped_alike_or_refused():
     frames = make_frames(2)
     frames[1] = replace(frames[1], image=np.zeros((100, 90, 3), np.uint8))
     assert load_training_set({"a": frames}, (36, 36)).images.shape == (2, 36, 36, 3)
-    with pytest.raises(TrainingError, match="a: image at 1 ns is 36 x 40 after scaling, expected 48 x 36"):
+    with pytest.raises(TrainingError, match="a: image 2, at 1 ns, is 36 x 40 after scaling, expected 48 x 36"):
         load_training_set({"a": frames}, (36, 36), central=False)
 
 

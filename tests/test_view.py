@@ -54,6 +54,7 @@ def test_a_recording_holds_image_belief_paths_and_plots(tmp_path, steps):
         "/world/camera",
         "/world/particles",
         "/world/posterior",
+        "/world/posterior/cameras",
         "/world/modes",
         "/world/truth",
         "/world/path/filter",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,7 @@ class CalibrationResult:
         stretches: Held-out stretches with odometry; 0 where there were too few.
         odometry: Where that came from.
         notes: What was kept, and why.
+        skipped: Images and poses of the data that were left out in reading, by reason.
     """
 
     calibration: Calibration
@@ -58,11 +59,12 @@ class CalibrationResult:
     stretches: int = 0
     odometry: str = "none"
     notes: tuple[str, ...] = ()
+    skipped: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """JSON for the model file: all but the values themselves."""
-        return {key: value for key, value in asdict(self).items() if key != "calibration"}
+        """JSON for the model file: all but the values themselves and what was left out."""
+        return {key: value for key, value in asdict(self).items() if key not in ("calibration", "skipped")}
 
 
 def calibrate_model(
@@ -111,7 +113,7 @@ def calibrate_model(
     names = {"data": [Path(str(entry)).name for entry in data]}
     training = {**checkpoint.training, "calibration": names | result.provenance}
     save_checkpoint(output, replace(checkpoint, calibration=result.calibration, training=training), half=half)
-    return result
+    return replace(result, skipped=held_out.skipped)
 
 
 def calibrate(

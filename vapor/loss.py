@@ -33,7 +33,7 @@ class LossConfig:
     lambda_rotation: float = 2.0
     """λ_r, per unit of ‖R̂ − R‖_F."""
     alpha: float = 0.2
-    """Share of the samples, the nearest to the true pose, that learn from it."""
+    """Share of the samples, the nearest to the true pose, that learn from it; never less than one of them."""
     beta: float = 0.01
     """Weight of the KL divergence."""
     num_samples: int = 256

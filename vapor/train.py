@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
@@ -69,6 +69,7 @@ class TrainResult:
         seconds: Wall clock of this call's training, reading and interruptions left out.
         images_seen: Of this call.
         calibration: What was calibrated at the end, and what that gained; None where it was not asked for.
+        skipped: Images and poses of all data that were left out in reading, by reason.
     """
 
     checkpoint: Checkpoint
@@ -77,6 +78,7 @@ class TrainResult:
     seconds: float
     images_seen: int
     calibration: CalibrationResult | None = None
+    skipped: Mapping[str, int] = field(default_factory=dict)
 
 
 ProgressCallback = Callable[[Progress], None]
@@ -145,8 +147,8 @@ def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, con
     if found != (height, width) if central else (found[0] < height or found[1] < width):
         size, least = f"{found[1]} x {found[0]}", "" if central else "at least "
         raise TrainingError(f"images are {size} pixels, expected {least}{width} x {height} as the network's frame")
-    if len(names) != (count := len(np.unique(images.sequence))):
-        raise TrainingError(f"{len(names)} names of sequences, expected {count}")
+    if not 1 <= len(names) <= (count := len(np.unique(images.sequence))):
+        raise TrainingError(f"{len(names)} names of files and folders with {count} sequences, expected 1 to {count}")
     named = {"data": list(names), "validation_data": []}
     return _train(images, None, named, output, config, initial, lambda _: None)
 
@@ -253,7 +255,8 @@ def _fit(
     save_checkpoint(output, checkpoint, half=config.half)
     state_path(output).unlink(missing_ok=True)
     images_seen = (state.epoch - first_epoch) * len(training)
-    return TrainResult(checkpoint, tuple(state.history), best, seconds, images_seen, calibrated)
+    skipped = training.skipped if held_out.images is training.images else training.skipped + held_out.skipped
+    return TrainResult(checkpoint, tuple(state.history), best, seconds, images_seen, calibrated, skipped)
 
 
 def _train_epoch(
@@ -287,7 +290,7 @@ def _train_epoch(
         for group in state.optimizer.param_groups:
             group["lr"] = rate
         size = config.network.image_width, config.network.image_height
-        crops = random_crops(training.images, indices, *size, config.augment, rng=rng)
+        crops = random_crops(training.images, training.rows[indices], *size, config.augment, rng=rng)
         pixels = torch.from_numpy(crops).to(device)
         images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
         samples = samples_per_image(config, step, steps) if config.network.head == "variational" else 1

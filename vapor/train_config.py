@@ -44,7 +44,7 @@ class TrainConfig:
     epochs: int = 30
     """Times every training image is seen."""
     batch_size: int = 32
-    """Images per step."""
+    """Images per step, at least 2; all of them where there are fewer."""
     learning_rate: float = 3e-3
     """Largest learning rate of Adam."""
     weight_decay: float = 1e-2
@@ -92,15 +92,17 @@ class TrainConfig:
         for name in ("epochs", "batch_size", "learning_rate", "decay_epochs", "validation_images"):
             if not getattr(self, name) > 0:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
+        if self.batch_size < 2:
+            raise TrainingError(f"training: batch_size is {self.batch_size}, expected at least 2 for batch statistics")
         if self.initial_model is not None and self.pretrained_weights is not None:
             raise TrainingError(
                 f"training: initial_model {self.initial_model} and pretrained_weights {self.pretrained_weights} are"
                 " both given, expected one of them: a model brings its backbone along"
             )
-        if self.loss.relative > 0.0 and (self.network.head not in ("point", "dropout") or self.batch_size < 2):
+        if self.loss.relative > 0.0 and self.network.head not in ("point", "dropout"):
             raise TrainingError(
-                f"training: loss.relative is {self.loss.relative} with head {self.network.head} and batches of"
-                f" {self.batch_size}, expected head point or dropout and at least 2: relative poses are of pairs"
+                f"training: loss.relative is {self.loss.relative} with head {self.network.head}, expected head point or"
+                " dropout"
             )
         if not -10.0 <= self.initial_log_variance <= 5.0:
             raise TrainingError(f"training: initial_log_variance is {self.initial_log_variance}, expected -10 to 5")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import mmap
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from jaxtyping import Bool, Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.datasets import posed_frames
+from sequences.datasets import PosedFrames, posed_frames
 from sequences.frame import Frame
 from vapor.images import centre_crop, scale_to_cover
 
@@ -29,18 +30,23 @@ class TrainingSet:
     """Scaled images with their poses.
 
     Attributes:
-        images: RGB of one size, scaled; memory-mapped, so the system decides what stays in memory.
+        images: RGB of one size, scaled: all that were read, of which these are some; memory-mapped, so the system
+            decides what stays in memory.
+        rows: Which of `images` each of these is, (n,).
         poses: world_from_camera, batch (n,).
         sequence: Index of the sequence each image is from; images of one sequence lie together, in its order.
         times_ns: Stamps of the images, integer nanoseconds, (n,).
         odometry: Motion since the image before, n of them; None where that image is not here, or none was recorded.
+        skipped: Images and poses of the data that were left out in reading, by reason.
     """
 
-    images: UInt8[np.ndarray, "n h w 3"]
+    images: UInt8[np.ndarray, "m h w 3"]
+    rows: Int64[np.ndarray, " n"]
     poses: Poses
     sequence: Int64[np.ndarray, " n"]
     times_ns: Int64[np.ndarray, " n"]
     odometry: tuple[Odometry | None, ...]
+    skipped: Counter[str] = field(default_factory=Counter)
 
     def __len__(self) -> int:
         return len(self.sequence)
@@ -51,15 +57,15 @@ class TrainingSet:
             self.images.base.madvise(mmap.MADV_DONTNEED)
 
     def select(self, indices: Int64[np.ndarray, " k"]) -> TrainingSet:
-        """Some of the images, (k,), in increasing order."""
-        whole = len(indices) == len(self)  # a selection is copied into memory, the whole stays on disk
+        """Some of the images, (k,), in increasing order; none of them is copied."""
         follows = np.diff(indices, prepend=-2) == 1
-        return TrainingSet(
-            self.images if whole else self.images[indices],
-            self.poses[indices],
-            self.sequence[indices],
-            self.times_ns[indices],
-            tuple(self.odometry[i] if after else None for i, after in zip(indices, follows, strict=True)),
+        return replace(
+            self,
+            rows=self.rows[indices],
+            poses=self.poses[indices],
+            sequence=self.sequence[indices],
+            times_ns=self.times_ns[indices],
+            odometry=tuple(self.odometry[i] if after else None for i, after in zip(indices, follows, strict=True)),
         )
 
 
@@ -71,17 +77,25 @@ def open_sequences(data: Sequence[Path | str]) -> dict[str, Iterable[Frame]]:
     """
     opened: dict[str, Iterable[Frame]] = {}
     for number, entry in enumerate(data):
-        match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
-        path = Path(match["path"] if match else entry)
-        if match is None and re.search(r"@[^/]*:[^/]*$", str(entry)) and not path.exists():
-            raise TrainingError(f"{entry}: expected START:STOP after @ to be whole numbers, or one of them left out")
-        frames = (
-            slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None) if match else slice(None)
-        )
+        path, frames = parse_entry(entry)
         parts = Path(str(entry)).parts[-2 if path.suffix == ".txt" else -1 :]  # lists of splits are all named alike
         name = "/".join(parts)
         opened[name if name not in opened else f"{name} ({number + 1})"] = posed_frames(path, frames=frames)
     return opened
+
+
+def parse_entry(entry: Path | str) -> tuple[Path, slice]:
+    """Path and frames of `PATH` or `PATH@START:STOP`.
+
+    Raises:
+        TrainingError: what follows the @ is no range.
+    """
+    match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
+    if match:
+        return Path(match["path"]), slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None)
+    if re.search(r"@[^/]*:[^/]*$", str(entry)) and not Path(entry).exists():
+        raise TrainingError(f"{entry}: expected START:STOP after @ to be whole numbers, or one of them left out")
+    return Path(entry), slice(None)
 
 
 def load_training_set(
@@ -104,13 +118,15 @@ def load_training_set(
         TrainingError: a sequence without posed frames, a pose that is not finite, or images of different aspect.
     """
     matrices: list[np.ndarray] = []
-    sequence: list[int] = []
+    sources: list[tuple[int, int]] = []
+    skipped: Counter[str] = Counter()
     times_ns: list[int] = []
     odometry: list[Odometry | None] = []
     shape: tuple[int, ...] | None = None
     with tempfile.TemporaryFile() as file:
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
+            num_before = len(sources)
             for frame in frames:
                 if frame.world_from_camera is None:
                     follows = False
@@ -119,27 +135,39 @@ def load_training_set(
                 image = centre_crop(image, *frame_size) if central else image
                 shape = shape or image.shape
                 if image.shape != shape:
+                    number = len(sources) - num_before + 1
                     raise TrainingError(
-                        f"{name}: image at {frame.time_ns} ns is {image.shape[1]} x {image.shape[0]} after scaling,"
-                        f" expected {shape[1]} x {shape[0]} as the first (or augment.crop central)"
+                        f"{name}: image {number}, at {frame.time_ns} ns, is {image.shape[1]} x {image.shape[0]} after"
+                        f" scaling, expected {shape[1]} x {shape[0]} as the first (or augment.crop central)"
                     )
                 if not frame.world_from_camera.is_finite():
                     raise TrainingError(f"{name}: true pose at {frame.time_ns} ns is not finite")
                 file.write(np.ascontiguousarray(image).data)
                 matrices.append(frame.world_from_camera.as_matrix())
-                sequence.append(index)
+                sources.append((index, frame.sequence))
                 times_ns.append(frame.time_ns)
                 odometry.append(frame.odometry if follows else None)
                 follows = True
-                progress(len(sequence))
-            if index not in sequence[-1:]:
+                progress(len(sources))
+            if len(sources) == num_before:
                 raise TrainingError(f"{name}: no image with a true pose, expected at least one")
+            if isinstance(frames, PosedFrames):
+                skipped += frames.skipped
         if shape is None:
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
-        images = np.memmap(file, np.uint8, mode="r", shape=(len(sequence), *shape))
+        images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
     poses = Poses.from_matrix(np.stack(matrices))
-    return TrainingSet(images, poses, np.array(sequence, np.int64), np.array(times_ns, np.int64), tuple(odometry))
+    begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
+    return TrainingSet(
+        images,
+        np.arange(len(sources)),
+        poses,
+        np.cumsum(begins),
+        np.array(times_ns, np.int64),
+        tuple(odometry),
+        skipped,
+    )
 
 
 def held_out_tails(sequence: Int64[np.ndarray, " n"], share: float) -> Bool[np.ndarray, " n"]:

@@ -107,7 +107,7 @@ def _batches(network: PoseRegressor, images: TrainingSet, size: int) -> Iterator
     config, training = network.config, network.training
     network.eval()
     for start in range(0, len(images), size):
-        whole = images.images[start : start + size]
+        whole = images.images[images.rows[start : start + size]]
         crops = np.stack([centre_crop(image, config.image_width, config.image_height) for image in whole])
         pixels = torch.from_numpy(crops).to(network.pixel_mean.device)
         yield slice(start, start + len(crops)), network.normalise(pixels)

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from filtering.se3 import Poses
 from sequences.layouts.image_files import num_beside
 from sequences.layouts.pose_rows import stack_poses
-from sequences.layouts.posed_images import ASSUMED_HZ, PosedImages, assumed_times_ns, by_name
+from sequences.layouts.posed_images import PosedImages, by_name
 
 
 def list_named(layout: str, root: Path, world_from_camera: Mapping[str, Poses | str]) -> PosedImages:
@@ -39,15 +39,7 @@ def list_named(layout: str, root: Path, world_from_camera: Mapping[str, Poses | 
                 poses.append(pose)
                 numbers[-1].append(number)
     skipped["image not in the list"] += num_beside(root / name for name in ordered)
-    return PosedImages(
-        layout,
-        files,
-        assumed_times_ns(numbers),
-        stack_poses(poses),
-        [None] * len(files),
-        ASSUMED_HZ,
-        +skipped,
-    )
+    return PosedImages.numbered(layout, files, stack_poses(poses), numbers, skipped)
 
 
 def _folder(name: str) -> str:

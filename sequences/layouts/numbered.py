@@ -13,7 +13,7 @@ from sequences.errors import SequenceError
 from sequences.layouts.image_files import images_by_number
 from sequences.layouts.intrinsics import find_camera
 from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row, stack_poses
-from sequences.layouts.posed_images import ASSUMED_HZ, PosedImages, assumed_times_ns
+from sequences.layouts.posed_images import PosedImages
 from sequences.tum import read_lines
 
 _MAX_NUMBER = 10**9  # beyond, it counts nanoseconds rather than frames
@@ -66,15 +66,7 @@ class NumberedLayout:
                 numbers[-1].append(number)
         sequence = pose_files[0].parent.absolute()
         camera = find_camera([sequence, *sequence.parents[: self.levels]], files)
-        return PosedImages(
-            self.name,
-            files,
-            assumed_times_ns(numbers),
-            stack_poses(poses),
-            [camera] * len(files),
-            ASSUMED_HZ,
-            +skipped,
-        )
+        return PosedImages.numbered(self.name, files, stack_poses(poses), numbers, skipped, camera)
 
     def _read(self, pose_file: Path) -> dict[int, Poses | None]:
         """Poses by the number of their frame."""

@@ -30,6 +30,7 @@ class PosedImages:
         cameras: Intrinsics of each, in pixels of the image; None where unknown.
         assumed_hz: The rate that stamps were made up with; None where they were recorded.
         skipped: Images and poses left out, by reason.
+        sequence: Index of the sequence each image is from, (n,); None where all are from one.
     """
 
     layout: str
@@ -39,6 +40,38 @@ class PosedImages:
     cameras: list[Camera | None]
     assumed_hz: int | None = None
     skipped: Counter[str] = field(default_factory=Counter)
+    sequence: Int64[np.ndarray, " n"] | None = None
+
+    @classmethod
+    def numbered(
+        cls,
+        layout: str,
+        files: list[Path],
+        world_from_camera: Poses,
+        numbers: Sequence[Sequence[int]],
+        skipped: Counter[str],
+        camera: Camera | None = None,
+    ) -> PosedImages:
+        """Images of sequences without time stamps, which are made up at the assumed rate.
+
+        Args:
+            layout: As the attribute; likewise `files`, `world_from_camera` and `skipped`, whose zeros are left out.
+            files: See there.
+            world_from_camera: See there.
+            numbers: Increasing frame numbers of each sequence, n in all.
+            skipped: See there.
+            camera: Intrinsics of all.
+        """
+        return cls(
+            layout,
+            files,
+            _assumed_times_ns(numbers),
+            world_from_camera,
+            [camera] * len(files),
+            ASSUMED_HZ,
+            +skipped,
+            np.repeat(np.arange(len(numbers)), [len(some) for some in numbers]),
+        )
 
     def __len__(self) -> int:
         return len(self.files)
@@ -56,15 +89,12 @@ class PosedImages:
             [self.cameras[i] for i in indices],
             self.assumed_hz,
             self.skipped,
+            None if self.sequence is None else self.sequence[indices],
         )
 
 
-def assumed_times_ns(sequences: Iterable[Sequence[int]]) -> Int64[np.ndarray, " n"]:
-    """Stamps for the frame numbers of sequences: at the assumed rate, and a second from sequence to sequence.
-
-    Args:
-        sequences: Increasing frame numbers of each sequence, n in all.
-    """
+def _assumed_times_ns(sequences: Iterable[Sequence[int]]) -> Int64[np.ndarray, " n"]:
+    """Stamps for the frame numbers of sequences: at the assumed rate, and a second from sequence to sequence."""
     times_ns: list[int] = []
     begin_ns = 0
     for numbers in sequences:

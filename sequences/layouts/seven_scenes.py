@@ -17,7 +17,7 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.layouts.intrinsics import find_camera
 from sequences.layouts.pose_rows import NOT_FINITE
-from sequences.layouts.posed_images import ASSUMED_HZ, PosedImages, assumed_times_ns
+from sequences.layouts.posed_images import PosedImages
 from sequences.tum import read_lines
 
 LOOKED_FOR = (
@@ -89,15 +89,8 @@ def _list(sequences: list[Path]) -> PosedImages:
             matrices.append(matrix)
             numbers[-1].append(number)
     camera = find_camera((sequences[0], sequences[0].parent), files, _CAMERA)
-    return PosedImages(
-        "7-Scenes",
-        files,
-        assumed_times_ns(numbers),
-        Poses.from_matrix(np.array(matrices).reshape(-1, 4, 4)),
-        [camera] * len(files),
-        ASSUMED_HZ,
-        +skipped,
-    )
+    poses = Poses.from_matrix(np.array(matrices).reshape(-1, 4, 4))
+    return PosedImages.numbered("7-Scenes", files, poses, numbers, skipped, camera)
 
 
 def _frame_number(path: Path) -> int:

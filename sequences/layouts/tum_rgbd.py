@@ -47,8 +47,11 @@ def list_images(path: Path) -> PosedImages | None:
         if times_ns and time_ns <= times_ns[-1]:
             skipped["time stamp not increasing"] += 1
             continue
+        if not (file := path / fields[1].strip()).is_file():
+            skipped["no image"] += 1
+            continue
         times_ns.append(time_ns)
-        files.append(path / fields[1].strip())
+        files.append(file)
     times = np.array(times_ns, np.int64)
     poses, covered = interpolate(truth.times_ns, truth.poses, times, max_gap_s=MAX_TRUE_POSE_GAP_S)
     if not covered.all():

@@ -11,7 +11,7 @@ import tyro
 from rich.table import Table
 
 from vapor.calibrate import CalibrationResult, calibrate_model
-from vapor.commands.console import bar, parse, show, usage_error
+from vapor.commands.console import bar, parse, show, show_skipped, usage_error
 from vapor.observation import Device
 
 
@@ -46,6 +46,7 @@ def main(arguments: Sequence[str]) -> None:
         )
     show_calibration(result)
     show(str(o.output))
+    show_skipped(result.skipped)
 
 
 def show_calibration(result: CalibrationResult) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 
 from vapor.commands.calibrate import show_calibration
-from vapor.commands.console import progress_display, show, usage_error
+from vapor.commands.console import progress_display, show, show_skipped, usage_error
 from vapor.commands.named_settings import Method, Preset, parse_named
 from vapor.presets import METHODS, PRESETS
 from vapor.train import Progress, TrainConfig, TrainResult, train
@@ -49,6 +49,7 @@ def main(arguments: Sequence[str]) -> None:
     if result.calibration is not None:
         show_calibration(result.calibration)
     show(_summary(result, options.output))
+    show_skipped(result.skipped)
 
 
 @contextmanager

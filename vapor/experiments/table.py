@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from vapor.evaluate import RIGHT, THRESHOLDS
 from vapor.experiments.trainings import Scene, Training, render_scenes, rendered_height, run_trainings
 from vapor.presets import METHODS
 from vapor.train_config import TrainConfig
-from vapor.training_set import TrainingError
+from vapor.training_set import TrainingError, parse_entry
 
 
 @dataclass(frozen=True)
@@ -74,9 +76,18 @@ def parse_scene(text: str) -> Scene:
     if not re.fullmatch(r"[\w.-]+", name) or not train or not all([*train, *test]):
         expected = "or NAME=TRAIN,...=TEST,... with your own data"
         raise TrainingError(f"{text}: expected one of {', '.join(SCENES)}, {expected}")
-    if both := sorted({str(Path(entry).resolve()) for entry in train} & {str(Path(entry).resolve()) for entry in test}):
-        raise TrainingError(f"{text}: {both[0]} is both trained on and tested on, expected other images for the test")
+    for one, other in product(train, test):
+        if _overlap(one, other):
+            raise TrainingError(
+                f"{text}: {one} is trained on and {other} tested on, expected other images for the test"
+            )
     return Scene(name, train, test)
+
+
+def _overlap(one: str, other: str) -> bool:
+    (path, frames), (its_path, its_frames) = parse_entry(one), parse_entry(other)
+    begin, end = max(frames.start or 0, its_frames.start or 0), min(frames.stop or inf, its_frames.stop or inf)
+    return path.resolve() == its_path.resolve() and begin < end
 
 
 class TableExperiment:

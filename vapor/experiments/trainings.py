@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,7 +27,7 @@ from vapor.run import RunConfig, run
 from vapor.threads import limited_threads
 from vapor.train import train_on_images
 from vapor.train_config import TrainConfig
-from vapor.training_set import TrainingError, TrainingSet, load_training_set, open_sequences
+from vapor.training_set import TrainingError, TrainingSet, load_training_set, open_sequences, parse_entry
 from vapor.validation import exact_log_density, predict
 
 _RESULTS = 2  # counts up when the same training gives other results than before
@@ -104,9 +106,13 @@ def identities(entries: Sequence[str]) -> list[list[str | int]]:
 
 
 def _identity(entry: str) -> list[str | int]:
-    path = Path(entry if Path(entry).exists() else entry.rpartition("@")[0])
-    about = path.stat() if path.exists() else None
-    return [str(Path(entry).resolve()), *([] if about is None else [about.st_size, about.st_mtime_ns])]
+    """Where it lies, and sizes and times of change of its files: of a folder, or the folder of a split, all in it."""
+    path, _ = parse_entry(entry)
+    folder = path.parent if path.suffix == ".txt" else path
+    files = (Path(at, name) for at, _, names in os.walk(folder) for name in names) if folder.is_dir() else [path]
+    about = [[str(file), file.stat().st_size, file.stat().st_mtime_ns] for file in sorted(files) if file.exists()]
+    content = hashlib.sha256(json.dumps(about).encode()).hexdigest()
+    return [str(Path(entry).resolve()), len(about), content]
 
 
 def render_scenes(
@@ -241,31 +247,36 @@ def _test(training: Training, directory: Path, model: Path, folder: Path) -> dic
     checkpoint = load_checkpoint(model)
     network = checkpoint.build_network().to(resolve_device(training.config.device))
 
-    def judge(images: TrainingSet) -> tuple[dict[str, Any], list[Poses]]:
-        posteriors = list(predict(network, images, training.num_samples, seed))
-        figures = posterior_metrics(
-            posteriors,
+    def judge(images: TrainingSet, kept: dict[int, Poses]) -> dict[str, Any]:
+        def posteriors() -> Iterator[Poses]:
+            for index, posterior in enumerate(predict(network, images, training.num_samples, seed)):
+                if index in kept:
+                    kept[index] = posterior
+                yield posterior
+
+        return posterior_metrics(
+            posteriors(),
             images.poses,
             checkpoint.calibration,
             gamma=training.gamma,
             exact_log_density=exact_log_density(network, images),
             rng=np.random.default_rng(seed),
         )
-        return figures, posteriors
 
     size = training.config.network.frame_size
     test = _images(scene.test, size)
-    result, posteriors = judge(test)
+    shown = spaced(len(test), _SHOWN)
+    kept = dict.fromkeys(shown.tolist(), Poses.identity())
+    result = judge(test, kept)
     if training.training_images:
         seen = _images(scene.train, size)
-        result["training"], _ = judge(seen.select(spaced(len(seen), training.training_images)))
+        result["training"] = judge(seen.select(spaced(len(seen), training.training_images)), {})
     if training.localize:
         config = RunConfig(seed, recording=False, num_samples=training.num_samples, device=training.config.device)
         result["filter"] = [
             run(Path(entry), str(model), folder / f"run-{k}", config).report for k, entry in enumerate(scene.test)
         ]
-    shown = spaced(len(test), _SHOWN)
     with atomic_output(training.file(directory, ".npz")) as partial, partial.open("wb") as out:
-        rows = np.stack([to_rows(posteriors[i]) for i in shown])
+        rows = np.stack([to_rows(kept[i]) for i in shown.tolist()])
         np.savez(out, truth=to_rows(test.poses[shown]), samples=rows.astype(np.float32))
     return result
