@@ -270,6 +270,19 @@ def test_the_table_gives_medians_and_the_range_of_the_seeds():
     title, *_, row = markdown(results[:1], 0.1).splitlines()
     assert "images, 1 seed, γ" in title
     assert row.startswith("| posenet | 10 % | 10 % | 10 % | 50 % |")
+    runs = [
+        {
+            "frames_with_true_pose": 100,
+            "filter": {"success": right, "median_translation_m": metres, "median_rotation_deg": 1.0},
+            "smoothed": {"success": True},
+            "consistency": {"images": said, "wrong": wrong},
+        }
+        for right, metres, said, wrong in ((True, 0.1, 40, 0.0), (False, 3.0, 20, 0.5), (False, 4.0, 0, None))
+    ]
+    *_, row = markdown([results[0] | {"filter": runs}], 0.1).splitlines()
+    assert row.endswith("| 1 of 3 | 3.00 m, 1.0° | 20 %, 17 % | 3 of 3 | 1.5 min |")
+    *_, row = markdown([results[0] | {"filter": runs[2:]}], 0.1).splitlines()
+    assert row.endswith("| 0 of 1 | 4.00 m, 1.0° | 0 %, – | 1 of 1 | 1.5 min |")
 
 
 def test_scenes_are_synthetic_ones_or_named_data():

@@ -19,7 +19,7 @@ COMMANDS = {
     "convert": "write a data set of images with true poses as an MCAP sequence",
     "posterior": "draw the posterior of one image",
     "evaluate": "measure the trajectories of a run against true poses",
-    "experiment": "train many networks: recall over α, or methods side by side",
+    "experiment": "train many networks: methods side by side, recall over α, weight decay, schedules",
     "benchmark": "time the parts of a step, or localize many synthetic sequences",
 }
 """Name -> what it does; each is a module of `vapor.commands`, imported only when it is called."""

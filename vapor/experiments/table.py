@@ -156,7 +156,11 @@ def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
         filtered = any("filter" in row for row in rows)
         names = ["method", *(f"recall {t}" for t in THRESHOLDS), f"best mode {RIGHT}", f"any sample {RIGHT}"]
         names += ["median error of the mean", "of the best mode", "−log p̂", "modes"]
-        names += ["filter: success", "median error"] if filtered else []
+        names += (
+            ["filter: success", "median error", "said converged, of these wrong", "smoothed: success"]
+            if filtered
+            else []
+        )
         lines += ["| " + " | ".join([*names, "training"]) + " |", "|---" * (len(names) + 1) + "|"]
         for method in dict.fromkeys(row["label"] for row in rows):
             own = [row for row in rows if row["label"] == method]
@@ -168,17 +172,31 @@ def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
             cells.append(f"{of_samples} (exact {np.median(exact):.2f})" if exact else of_samples)
             cells.append(f"{np.median([row['modes'] for row in own]):.1f}")
             if filtered:
-                reports = [report["filter"] for row in own for report in row["filter"]]
-                cells.append(f"{sum(bool(r['success']) for r in reports)} of {len(reports)}")
-                cells.append(
-                    _error([{k: r[f"median_{k}"] for k in ("translation_m", "rotation_deg")} for r in reports])
-                )
+                cells += _filtered([report for row in own for report in row["filter"]])
             cells.append(f"{np.median([row['seconds'] for row in own]) / 60:.1f} min")
             lines.append("| " + " | ".join(cells) + " |")
         lines.append("")
     failed = [result for result in results if "error" in result]
     lines += [f"{r['scene']}, {r['label']}, seed {r['seed']}: {r['error']}" for r in failed]
     return "\n".join(lines)
+
+
+def _filtered(reports: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Of reports of runs: how many succeed, errors, and how far `converged` is to be trusted."""
+    runs = [report["filter"] for report in reports]
+    said = [report["consistency"]["images"] for report in reports]
+    wrong = [report["consistency"]["wrong"] or 0.0 for report in reports]  # None where it was never said
+    images = sum(report["frames_with_true_pose"] for report in reports)
+    return [
+        f"{sum(bool(run['success']) for run in runs)} of {len(runs)}",
+        _error([{k: run[f"median_{k}"] for k in ("translation_m", "rotation_deg")} for run in runs]),
+        f"{100 * sum(said) / images:.0f} %, {_share(np.dot(said, wrong), sum(said))}",
+        f"{sum(bool(report['smoothed']['success']) for report in reports)} of {len(runs)}",
+    ]
+
+
+def _share(part: float, whole: int) -> str:
+    return f"{100 * part / whole:.0f} %" if whole else "–"
 
 
 def _percent(values: Sequence[float]) -> str:
