@@ -2,6 +2,7 @@ import json
 import os
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -357,11 +358,14 @@ def test_results_of_other_data_of_the_same_name_are_not_taken_for_these(tmp_path
 
 
 @pytest.mark.parametrize("entry", ["TrainSplit.txt", "seq-01", "seq-01@2:5", ""])
-def test_a_file_changed_inside_a_data_set_makes_another_training(entry, tmp_path):
+def test_a_file_changed_inside_a_data_set_makes_another_training(entry, tmp_path, monkeypatch):
     scene = make_7scenes(tmp_path / "chess")
     (scene / "TrainSplit.txt").write_text("sequence1")
-    training = Training(Scene("desk", (str(scene / entry),), ("t",)), "x", TINY_TRAIN, 0.1, 10)
+    training = Training(Scene("desk", (str(scene / entry),), (str(tmp_path / "t"),)), "x", TINY_TRAIN, 0.1, 10)
     before = training.file(tmp_path, ".json"), training.model_file(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    relative = replace(training, scene=Scene("desk", (str(Path("chess") / entry),), (str(tmp_path / "t"),)))
+    assert before[1] == relative.model_file(tmp_path)
     assert before == (training.file(tmp_path, ".json"), training.model_file(tmp_path))
     with open(scene / "seq-01" / "frame-000003.pose.txt", "a") as pose:
         pose.write("\n")

@@ -86,7 +86,8 @@ def parse_scene(text: str) -> Scene:
 
 def _overlap(one: str, other: str) -> bool:
     (path, frames), (its_path, its_frames) = parse_entry(one), parse_entry(other)
-    begin, end = max(frames.start or 0, its_frames.start or 0), min(frames.stop or inf, its_frames.stop or inf)
+    begin = max(frames.start or 0, its_frames.start or 0)
+    end = min(inf if part.stop is None else part.stop for part in (frames, its_frames))
     return path.resolve() == its_path.resolve() and begin < end
 
 

@@ -8,6 +8,7 @@ import math
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -109,8 +110,12 @@ def _identity(entry: str) -> list[str | int]:
     """Where it lies, and sizes and times of change of its files: of a folder, or the folder of a split, all in it."""
     path, _ = parse_entry(entry)
     folder = path.parent if path.suffix == ".txt" else path
-    files = (Path(at, name) for at, _, names in os.walk(folder) for name in names) if folder.is_dir() else [path]
-    about = [[str(file), file.stat().st_size, file.stat().st_mtime_ns] for file in sorted(files) if file.exists()]
+    walked = (Path(at, name) for at, _, names in os.walk(folder, followlinks=True) for name in names)
+    about: list[list[str | int]] = []
+    for file in sorted(walked if folder.is_dir() else [path]):
+        with suppress(FileNotFoundError):
+            stat = file.stat()
+            about.append([os.path.relpath(file, folder), stat.st_size, stat.st_mtime_ns])
     content = hashlib.sha256(json.dumps(about).encode()).hexdigest()
     return [str(Path(entry).resolve()), len(about), content]
 
