@@ -66,7 +66,8 @@ def _posed_frames(path: Path, frames: slice, options: SequenceOptions | None, sk
     else:
         images = list_images(path)
         skipped.update(images.skipped)
-        for number, frame in enumerate(_load(images[frames], skipped), start=1):  # noqa: B007
+        for frame in _load(images[frames], skipped):
+            number += 1
             yield frame
     if number == 0:
         raise SequenceError(

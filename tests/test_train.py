@@ -26,7 +26,7 @@ from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import TrainingError, held_out_tails, load_training_set, open_sequences
 from vapor.training_start import parameter_groups
 from vapor.training_state import TrainingState, state_path
-from vapor.validation import validate
+from vapor.validation import predict, validate
 
 STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0)
 TINY = TrainConfig(
@@ -421,6 +421,17 @@ def test_a_part_of_the_images_is_not_copied_into_memory():
     part = training.select(np.arange(0, 120, 2)).select(np.arange(1, 60))
     assert part.images is training.images
     np.testing.assert_array_equal(part.rows, np.arange(2, 120, 2))
+
+
+def test_a_selection_is_judged_by_its_own_images():
+    loaded = load_training_set({"a": make_frames(12)}, TINY.network.frame_size)
+    network = make_regressor(TINY.network, SceneBox.around(loaded.poses))
+    wanted = np.array([2, 5, 11])
+    alone = load_training_set({"a": [make_frames(12)[i] for i in wanted]}, TINY.network.frame_size)
+    of_part, of_alone = (list(predict(network, images, 5, 0)) for images in (loaded.select(wanted), alone))
+    for a, b in zip(of_part, of_alone, strict=True):
+        np.testing.assert_allclose(a.translation, b.translation, atol=1e-5)
+    assert not np.allclose(of_part[0].translation, next(iter(predict(network, loaded, 5, 0))).translation, atol=1e-5)
 
 
 def test_each_sequence_of_a_split_has_its_own_tail_and_pairs(tmp_path):

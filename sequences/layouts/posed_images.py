@@ -55,12 +55,12 @@ class PosedImages:
         """Images of sequences without time stamps, which are made up at the assumed rate.
 
         Args:
-            layout: As the attribute; likewise `files`, `world_from_camera` and `skipped`, whose zeros are left out.
-            files: See there.
-            world_from_camera: See there.
+            layout: Name of the layout.
+            files: Image files, n of them, those of one sequence together.
+            world_from_camera: True poses, batch (n,).
             numbers: Increasing frame numbers of each sequence, n in all.
-            skipped: See there.
-            camera: Intrinsics of all.
+            skipped: Images and poses left out, by reason; zeros are dropped.
+            camera: Intrinsics of all, in pixels of the image; None where unknown.
         """
         return cls(
             layout,
