@@ -11,6 +11,7 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.sequence_files import Walk, rewrite
 from tests.simulation import climb
+from tests.test_datasets import make_7scenes
 from vapor import calibrate as calibrate_module
 from vapor.calibrate import calibrate
 from vapor.checkpoint import Calibration, load_checkpoint, read_safetensors
@@ -321,6 +322,19 @@ def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model
     old, new = read_safetensors(tiny_model)[1], read_safetensors(output)[1]
     assert old.keys() == new.keys()
     assert all(old[name].dtype == new[name].dtype and torch.equal(old[name], new[name]) for name in old)
+
+
+def test_the_command_tells_what_it_left_out_of_the_data(tiny_model, tmp_path, capsys):
+    names = ("seq-01", "seq-02", "seq-03")
+    scene = make_7scenes(tmp_path / "chess", num_images=20, sequences=names)
+    (scene / "seq-01" / "frame-000003.pose.txt").unlink()
+    (scene / "seq-03" / "frame-000009.color.png").write_bytes(b"no image")
+    data, output = [str(scene / name) for name in names], tmp_path / "m.safetensors"
+    assert main(["calibrate", str(tiny_model), *data, "--output", str(output), "--device", "cpu"]) == 0
+    printed = capsys.readouterr().out
+    assert "skipped 1: no true pose" in printed
+    assert "skipped 1: undecodable image" in printed
+    assert "skipped" not in json.dumps(load_checkpoint(output).training)
 
 
 @pytest.mark.parametrize(

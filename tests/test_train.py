@@ -177,6 +177,20 @@ def test_images_read_before_train_the_same_network(tmp_path):
         assert all(torch.equal(again.state_dict[k], value) for k, value in read.state_dict.items())
 
 
+def test_a_selection_trains_the_network_that_its_images_alone_train(tmp_path):
+    frames, wanted, config = make_frames(24), np.arange(1, 24, 2), replace(TINY, epochs=1, calibrate=False)
+    of_part, of_alone, of_first = (
+        train_on_images(images, ["a"], tmp_path / "model.safetensors", config).checkpoint
+        for images in (
+            load_training_set({"a": frames}, config.network.frame_size).select(wanted),
+            load_training_set({"a": [frames[i] for i in wanted]}, config.network.frame_size),
+            load_training_set({"a": frames[: len(wanted)]}, config.network.frame_size),
+        )
+    )
+    assert _same(of_part, of_alone)
+    assert not _same(of_part, of_first)
+
+
 def test_the_latents_first_variance_is_the_configured_one_and_nothing_else_differs(tmp_path):
     still = replace(TINY, learning_rate=1e-12, weight_decay=0.0, average=0.0, epochs=1)
     wide = replace(still, initial_log_variance=0.0)
