@@ -51,7 +51,7 @@ def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOp
 
 def _posed_frames(path: Path, frames: slice, options: SequenceOptions | None, skipped: Counter[str]) -> Iterator[Frame]:
     number = 0
-    if _is_bag(path):
+    if is_recording(path):
         if any(bound is not None and bound < 0 for bound in (frames.start, frames.stop, frames.step)):
             raise SequenceError(
                 f"{path}: frames {frames.start}:{frames.stop}:{frames.step} count from the end, which"
@@ -79,7 +79,7 @@ def _posed_frames(path: Path, frames: slice, options: SequenceOptions | None, sk
 def count_frames(path: Path) -> int:
     """How many frames `posed_frames` yields at most: for progress."""
     path = Path(path)
-    return SequenceReader(path, odometry="unread").num_images if _is_bag(path) else len(list_images(path))
+    return SequenceReader(path, odometry="unread").num_images if is_recording(path) else len(list_images(path))
 
 
 def list_images(path: Path) -> PosedImages:
@@ -116,8 +116,8 @@ def _looked_for() -> str:
     return f"{bags}, {', '.join(layout.LOOKED_FOR for layout in _LAYOUTS)}"
 
 
-def _is_bag(path: Path) -> bool:
-    """MCAP or rosbag2; a text file is the list of a split."""
+def is_recording(path: Path) -> bool:
+    """Whether a path is taken for an MCAP file or rosbag2 folder, rather than images on disk or the list of a split."""
     return (path.is_file() and path.suffix != ".txt") or (path / "metadata.yaml").is_file()
 
 

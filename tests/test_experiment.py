@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
+from tests.sequence_files import Walk
 from tests.test_datasets import make_7scenes
 from vapor.checkpoint import Calibration
 from vapor.commands import experiment as experiment_command
@@ -292,10 +293,15 @@ def test_scenes_are_synthetic_ones_or_named_data():
     for wrong in ("cellar", "a=b", "a=b=c=d", "=b=c", "a=b,=c", "my/desk=b=c"):
         with pytest.raises(VaporTrackError, match="expected one of staircase"):
             parse_scene(wrong)
-    for overlapping in ("desk=a,b=b", "desk=a,b@0:5=b@3:6", "desk=b@4:=b", "desk=b=x/../b@:1"):
-        with pytest.raises(VaporTrackError, match=r"is trained on and .*b.* tested on"):
-            parse_scene(overlapping)
-    assert parse_scene("desk=b@0:5,b@9:=b@5:9").train == ("b@0:5", "b@9:")
+
+
+def test_a_table_is_not_judged_by_images_that_it_trains_on(tmp_path):
+    scene, config = make_7scenes(tmp_path / "chess"), replace(TINY_TABLE, localize=False)
+    (scene / "TrainSplit.txt").write_text("sequence1\n")
+    one = scene / "seq-01"
+    with pytest.raises(VaporTrackError, match=r"TrainSplit.txt and .*seq-01@7:: 3 images are in both, expected other"):
+        TableExperiment([parse_scene(f"desk={scene}/TrainSplit.txt={one}@7:")], tmp_path, config)
+    TableExperiment([parse_scene(f"desk={one}@0:5,{one}@9:={one}@5:9")], tmp_path, config)
 
 
 @pytest.mark.parametrize(
@@ -338,8 +344,11 @@ def test_an_unknown_preset_of_a_table_is_told(tmp_path, capfd):
 
 
 def test_data_that_the_filter_cannot_read_is_refused_before_anything_is_trained(tmp_path):
+    one, recording = make_7scenes(tmp_path / "chess") / "seq-01", Walk(4).write(tmp_path / "walk.mcap")
     with pytest.raises(VaporTrackError, match="absent"):
-        TableExperiment([parse_scene("desk=a=absent.mcap")], tmp_path, TINY_TABLE)
+        TableExperiment([parse_scene(f"desk={one}=absent.mcap")], tmp_path, TINY_TABLE)
+    with pytest.raises(VaporTrackError, match="seq-01"):
+        TableExperiment([parse_scene(f"desk={recording}={one}")], tmp_path, TINY_TABLE)
 
 
 def test_results_of_other_data_of_the_same_name_are_not_taken_for_these(tmp_path):

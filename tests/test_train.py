@@ -12,6 +12,7 @@ import torch
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
+from tests.sequence_files import Walk
 from tests.test_datasets import make_7scenes
 from vapor.augment import AugmentConfig, jitter_and_normalise, random_crops
 from vapor.baselines import make_regressor
@@ -23,7 +24,7 @@ from vapor.presets import PRESETS
 from vapor.track import main
 from vapor.train import _paired, _update_average, _uses_bfloat16, train, train_on, train_on_images
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
-from vapor.training_set import TrainingError, held_out_tails, load_training_set, open_sequences
+from vapor.training_set import TrainingError, held_out_tails, load_training_set, open_sequences, require_apart
 from vapor.training_start import parameter_groups
 from vapor.training_state import TrainingState, state_path
 from vapor.validation import predict, validate
@@ -474,6 +475,21 @@ def test_what_is_left_out_of_the_data_is_told(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "skipped 1: no true pose" in printed
     assert "skipped 1: undecodable image" in printed
+
+
+def test_images_that_are_trained_on_are_not_taken_for_held_out_ones(tmp_path):
+    recording = Walk(12).write(tmp_path / "walk.mcap")
+    (tmp_path / "again.mcap").symlink_to(recording)
+    sequence = make_7scenes(tmp_path / "chess") / "seq-01"
+    for data, held_out, common in (
+        ([sequence], [f"{sequence}@8:"], 2),
+        ([f"{sequence}@:3", f"{recording}@:9"], [f"{sequence}@3:", recording], 9),
+        ([recording], [tmp_path / "again.mcap"], 12),
+    ):
+        with pytest.raises(TrainingError, match=f": {common} images are in both, expected other images to judge by"):
+            train(data, tmp_path / "model.safetensors", TINY, validation=held_out)
+    require_apart([f"{recording}@:9", sequence], [f"{recording}@9:"])
+    require_apart([tmp_path / "absent"], [])
 
 
 def test_fewer_images_than_a_batch_are_one_batch_and_a_batch_of_one_is_refused(tmp_path):

@@ -23,7 +23,14 @@ from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, save_checkpoint, space
 from vapor.loss import training_loss
 from vapor.network import PoseRegressor, SceneBox
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
-from vapor.training_set import TrainingError, TrainingSet, held_out_tails, load_training_set, open_sequences
+from vapor.training_set import (
+    TrainingError,
+    TrainingSet,
+    held_out_tails,
+    load_training_set,
+    open_sequences,
+    require_apart,
+)
 from vapor.training_start import initial_model, start
 from vapor.training_state import TrainingState, load_state, save_state, state_path
 from vapor.validation import Validation, predict, validate
@@ -98,7 +105,8 @@ def train(
         data: Whatever `posed_frames` reads; `PATH@START:STOP` takes those frames of it only.
         output: The model file.
         config: How.
-        validation: Held-out data, likewise; without it the last part of each training sequence is held out.
+        validation: Held-out data, likewise, with no image of the former; without it the last part of each training
+            sequence is held out.
         progress: Called after every image read and every step.
 
     Raises:
@@ -106,6 +114,7 @@ def train(
         SequenceError: unreadable data.
         CheckpointError: an interrupted training of another configuration.
     """
+    require_apart(data, validation)
     return train_on(open_sequences(data), output, config, validation=open_sequences(validation), progress=progress)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.datasets import PosedFrames, posed_frames
+from sequences.datasets import PosedFrames, count_frames, is_recording, list_images, posed_frames
 from sequences.frame import Frame
 from vapor.images import centre_crop, scale_to_cover
 
@@ -96,6 +96,36 @@ def parse_entry(entry: Path | str) -> tuple[Path, slice]:
     if re.search(r"@[^/]*:[^/]*$", str(entry)) and not Path(entry).exists():
         raise TrainingError(f"{entry}: expected START:STOP after @ to be whole numbers, or one of them left out")
     return Path(entry), slice(None)
+
+
+def require_apart(data: Sequence[Path | str], held_out: Sequence[Path | str]) -> None:
+    """Refuse to judge by images that are trained on: the same files, or the same frames of one recording.
+
+    Args:
+        data: Each `PATH` or `PATH@START:STOP`.
+        held_out: Likewise.
+
+    Raises:
+        TrainingError: an image is in both, or what follows an @ is no range.
+        SequenceError: unreadable data.
+    """
+    images_held_out = [_images(entry) for entry in held_out]
+    for entry in data if held_out else ():
+        images = _images(entry)
+        for other, its_images in zip(held_out, images_held_out, strict=True):
+            if common := images & its_images:
+                raise TrainingError(
+                    f"{entry} and {other}: {len(common)} images are in both, expected other images to judge by than"
+                    " to train on"
+                )
+
+
+def _images(entry: Path | str) -> set[tuple[Path, int]]:
+    """Each image of `PATH` or `PATH@START:STOP` by its file and, in a recording, its number."""
+    path, frames = parse_entry(entry)
+    if is_recording(path):
+        return {(path.resolve(), number) for number in range(count_frames(path))[frames]}
+    return {(file.resolve(), 0) for file in list_images(path)[frames].files}
 
 
 def load_training_set(

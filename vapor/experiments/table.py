@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
-from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ from vapor.evaluate import RIGHT, THRESHOLDS
 from vapor.experiments.trainings import Scene, Training, render_scenes, rendered_height, run_trainings
 from vapor.presets import METHODS
 from vapor.train_config import TrainConfig
-from vapor.training_set import TrainingError, parse_entry
+from vapor.training_set import TrainingError, require_apart
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ def parse_scene(text: str) -> Scene:
     """A scene from the command line: the name of a synthetic one, or `NAME=TRAIN,...=TEST,...`.
 
     Raises:
-        TrainingError: neither, or the same data in both.
+        TrainingError: neither.
     """
     if text in SCENES:
         return Scene(text, (), ())
@@ -76,19 +74,7 @@ def parse_scene(text: str) -> Scene:
     if not re.fullmatch(r"[\w.-]+", name) or not train or not all([*train, *test]):
         expected = "or NAME=TRAIN,...=TEST,... with your own data"
         raise TrainingError(f"{text}: expected one of {', '.join(SCENES)}, {expected}")
-    for one, other in product(train, test):
-        if _overlap(one, other):
-            raise TrainingError(
-                f"{text}: {one} is trained on and {other} tested on, expected other images for the test"
-            )
     return Scene(name, train, test)
-
-
-def _overlap(one: str, other: str) -> bool:
-    (path, frames), (its_path, its_frames) = parse_entry(one), parse_entry(other)
-    begin = max(frames.start or 0, its_frames.start or 0)
-    end = min(inf if part.stop is None else part.stop for part in (frames, its_frames))
-    return path.resolve() == its_path.resolve() and begin < end
 
 
 class TableExperiment:
@@ -106,6 +92,8 @@ class TableExperiment:
         if not scenes or len(self._scenes) < len(scenes):
             names = ", ".join(scene.name for scene in scenes)
             raise VaporTrackError(f"scenes are {names or 'none'}, expected each at most once, and one")
+        for scene in scenes:
+            require_apart(scene.train, scene.test)
         if config.localize:  # what the filter cannot read is told now, not after a training
             for entry in (entry for scene in scenes for entry in scene.test):
                 SequenceReader(Path(entry))
