@@ -12,7 +12,7 @@ import torch
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
-from tests.sequence_files import Walk
+from tests.sequence_files import Walk, as_split_folder
 from tests.test_datasets import make_7scenes
 from vapor.augment import AugmentConfig, jitter_and_normalise, random_crops
 from vapor.baselines import make_regressor
@@ -477,18 +477,23 @@ def test_what_is_left_out_of_the_data_is_told(tmp_path, capsys):
     assert "skipped 1: undecodable image" in printed
 
 
-def test_images_that_are_trained_on_are_not_taken_for_held_out_ones(tmp_path):
-    recording = Walk(12).write(tmp_path / "walk.mcap")
+def test_images_that_are_trained_on_are_not_taken_for_held_out_ones(tmp_path, monkeypatch):
+    recording, scene = Walk(12).write(tmp_path / "walk.mcap"), make_7scenes(tmp_path / "chess")
     (tmp_path / "again.mcap").symlink_to(recording)
-    sequence = make_7scenes(tmp_path / "chess") / "seq-01"
-    for data, held_out, common in (
-        ([sequence], [f"{sequence}@8:"], 2),
-        ([f"{sequence}@:3", f"{recording}@:9"], [f"{sequence}@3:", recording], 9),
-        ([recording], [tmp_path / "again.mcap"], 12),
+    as_split_folder(recording, tmp_path)
+    (scene / "TrainSplit.txt").write_text("sequence1\n")
+    monkeypatch.chdir(tmp_path)
+    for data, held_out in (
+        ([scene / "seq-01"], ["chess/seq-01@8:"]),
+        ([scene / "TrainSplit.txt"], [f"{scene}/seq-01@3:"]),
+        ([f"{recording}@:9"], ["walk.mcap@8:"]),
+        ([recording], ["again.mcap"]),
+        (["bag"], [next((tmp_path / "bag").glob("*.mcap"))]),
+        ([f"{recording}@:9", recording], []),  # of both the last part is held out
     ):
-        with pytest.raises(TrainingError, match=f": {common} images are in both, expected other images to judge by"):
+        with pytest.raises(TrainingError, match=r"shares images with .*, which is trained on; expected none of them"):
             train(data, tmp_path / "model.safetensors", TINY, validation=held_out)
-    require_apart([f"{recording}@:9", sequence], [f"{recording}@9:"])
+    require_apart([f"{recording}@:9", scene / "seq-01"], [f"{recording}@9:"])
     require_apart([tmp_path / "absent"], [])
 
 

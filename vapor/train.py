@@ -106,7 +106,7 @@ def train(
         output: The model file.
         config: How.
         validation: Held-out data, likewise, with no image of the former; without it the last part of each training
-            sequence is held out.
+            sequence is held out, and no two of them may share images.
         progress: Called after every image read and every step.
 
     Raises:
@@ -114,7 +114,9 @@ def train(
         SequenceError: unreadable data.
         CheckpointError: an interrupted training of another configuration.
     """
-    require_apart(data, validation)
+    _check_output(output := Path(output))
+    if validation or config.validation_share > 0:
+        require_apart(data, validation)
     return train_on(open_sequences(data), output, config, validation=open_sequences(validation), progress=progress)
 
 
@@ -164,11 +166,15 @@ def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, con
 
 def _checked_start(output: Path, config: TrainConfig) -> Checkpoint | None:
     """The model to start from, if any; raises what would otherwise be told after reading or hours of training."""
+    _check_output(output)
+    return initial_model(config)
+
+
+def _check_output(output: Path) -> None:
     if not output.parent.is_dir():
         raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
     if output.is_dir():
         raise TrainingError(f"{output}: is a folder, expected the name of a model file to write")
-    return initial_model(config)
 
 
 def _train(

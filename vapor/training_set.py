@@ -8,6 +8,9 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import combinations, product
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +19,8 @@ from jaxtyping import Bool, Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.datasets import PosedFrames, count_frames, is_recording, list_images, posed_frames
+from sequences.bag import bag_files
+from sequences.datasets import PosedFrames, is_recording, list_images, posed_frames
 from sequences.frame import Frame
 from vapor.images import centre_crop, scale_to_cover
 
@@ -103,29 +107,32 @@ def require_apart(data: Sequence[Path | str], held_out: Sequence[Path | str]) ->
 
     Args:
         data: Each `PATH` or `PATH@START:STOP`.
-        held_out: Likewise.
+        held_out: Likewise; none where the last part of each of `data` is held out, which may then share no images.
 
     Raises:
-        TrainingError: an image is in both, or what follows an @ is no range.
+        TrainingError: two share images, or what follows an @ is no range.
         SequenceError: unreadable data.
     """
-    images_held_out = [_images(entry) for entry in held_out]
-    for entry in data if held_out else ():
-        images = _images(entry)
-        for other, its_images in zip(held_out, images_held_out, strict=True):
-            if common := images & its_images:
-                raise TrainingError(
-                    f"{entry} and {other}: {len(common)} images are in both, expected other images to judge by than"
-                    " to train on"
-                )
+    pairs = product(data, held_out) if held_out else combinations(data, 2)
+    files = cache(_files)
+    for entry, other in pairs:
+        (path, frames), (its_path, its_frames) = parse_entry(entry), parse_entry(other)
+        if path.resolve() == its_path.resolve():
+            stop = min(inf if part.stop is None else part.stop for part in (frames, its_frames))
+            shared = max(frames.start or 0, its_frames.start or 0) < stop
+        else:
+            shared = not files(entry).isdisjoint(files(other))
+        if shared:
+            raise TrainingError(
+                f"{other}: shares images with {entry}, which is trained on; expected none of them to be held out"
+            )
 
 
-def _images(entry: Path | str) -> set[tuple[Path, int]]:
-    """Each image of `PATH` or `PATH@START:STOP` by its file and, in a recording, its number."""
+def _files(entry: Path | str) -> set[Path]:
+    """Image files of `PATH` or `PATH@START:STOP`; of a recording all that it is made of, whichever frames."""
     path, frames = parse_entry(entry)
-    if is_recording(path):
-        return {(path.resolve(), number) for number in range(count_frames(path))[frames]}
-    return {(file.resolve(), 0) for file in list_images(path)[frames].files}
+    files = bag_files(path) if is_recording(path) else list_images(path)[frames].files
+    return {file.resolve() for file in files}
 
 
 def load_training_set(

@@ -28,7 +28,7 @@ class Options:
     output: Path
     """Model file to write (.safetensors)."""
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
-    """Held-out data; without it the last part of each training sequence is held out."""
+    """Held-out data, of other images; without it the last part of each training sequence is held out."""
     preset: Preset = "demo"
     """Named settings, of which the options below change single ones; tables: small and fast, for the scenes of that
     name; paper-...: the paper's."""

@@ -84,6 +84,10 @@ class TableExperiment:
         scenes: From `parse_scene`.
         directory: For images and results.
         config: Settings.
+
+    Raises:
+        TrainingError: a scene is tested on images that it is trained on.
+        VaporTrackError: no scene, one twice, or test data that cannot be read.
     """
 
     def __init__(self, scenes: Sequence[Scene], directory: Path, config: TableConfig) -> None:
@@ -93,7 +97,10 @@ class TableExperiment:
             names = ", ".join(scene.name for scene in scenes)
             raise VaporTrackError(f"scenes are {names or 'none'}, expected each at most once, and one")
         for scene in scenes:
-            require_apart(scene.train, scene.test)
+            if scene.test:
+                require_apart(scene.train, scene.test)
+            if scene.train and config.train.validation_share > 0:
+                require_apart(scene.train, ())
         if config.localize:  # what the filter cannot read is told now, not after a training
             for entry in (entry for scene in scenes for entry in scene.test):
                 SequenceReader(Path(entry))
