@@ -114,9 +114,8 @@ def train(
         SequenceError: unreadable data.
         CheckpointError: an interrupted training of another configuration.
     """
-    _check_output(output := Path(output))
     if validation or config.validation_share > 0:
-        require_apart(data, validation)
+        require_apart(data, validation or None)
     return train_on(open_sequences(data), output, config, validation=open_sequences(validation), progress=progress)
 
 
@@ -166,15 +165,11 @@ def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, con
 
 def _checked_start(output: Path, config: TrainConfig) -> Checkpoint | None:
     """The model to start from, if any; raises what would otherwise be told after reading or hours of training."""
-    _check_output(output)
-    return initial_model(config)
-
-
-def _check_output(output: Path) -> None:
     if not output.parent.is_dir():
         raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
     if output.is_dir():
         raise TrainingError(f"{output}: is a folder, expected the name of a model file to write")
+    return initial_model(config)
 
 
 def _train(

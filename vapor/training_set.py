@@ -102,22 +102,21 @@ def parse_entry(entry: Path | str) -> tuple[Path, slice]:
     return Path(entry), slice(None)
 
 
-def require_apart(data: Sequence[Path | str], held_out: Sequence[Path | str]) -> None:
+def require_apart(data: Sequence[Path | str], held_out: Sequence[Path | str] | None = None) -> None:
     """Refuse to judge by images that are trained on: the same files, or the same frames of one recording.
 
     Args:
         data: Each `PATH` or `PATH@START:STOP`.
-        held_out: Likewise; none where the last part of each of `data` is held out, which may then share no images.
+        held_out: Likewise; None where the last part of each of `data` is held out, so that no two may share images.
 
     Raises:
         TrainingError: two share images, or what follows an @ is no range.
         SequenceError: unreadable data.
     """
-    pairs = product(data, held_out) if held_out else combinations(data, 2)
-    files = cache(_files)
-    for entry, other in pairs:
-        (path, frames), (its_path, its_frames) = parse_entry(entry), parse_entry(other)
-        if path.resolve() == its_path.resolve():
+    source, files = cache(_source), cache(_files)
+    for entry, other in combinations(data, 2) if held_out is None else product(data, held_out):
+        (path, frames), (its_path, its_frames) = source(entry), source(other)
+        if path == its_path:
             stop = min(inf if part.stop is None else part.stop for part in (frames, its_frames))
             shared = max(frames.start or 0, its_frames.start or 0) < stop
         else:
@@ -126,6 +125,12 @@ def require_apart(data: Sequence[Path | str], held_out: Sequence[Path | str]) ->
             raise TrainingError(
                 f"{other}: shares images with {entry}, which is trained on; expected none of them to be held out"
             )
+
+
+def _source(entry: Path | str) -> tuple[Path, slice]:
+    """Where `PATH` or `PATH@START:STOP` lies, whatever links lead there, and which frames of it."""
+    path, frames = parse_entry(entry)
+    return path.resolve(), frames
 
 
 def _files(entry: Path | str) -> set[Path]:

@@ -97,10 +97,9 @@ class TableExperiment:
             names = ", ".join(scene.name for scene in scenes)
             raise VaporTrackError(f"scenes are {names or 'none'}, expected each at most once, and one")
         for scene in scenes:
-            if scene.test:
-                require_apart(scene.train, scene.test)
-            if scene.train and config.train.validation_share > 0:
-                require_apart(scene.train, ())
+            require_apart(scene.train, scene.test)
+            if config.train.validation_share > 0:
+                require_apart(scene.train)
         if config.localize:  # what the filter cannot read is told now, not after a training
             for entry in (entry for scene in scenes for entry in scene.test):
                 SequenceReader(Path(entry))
@@ -152,11 +151,8 @@ def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
         filtered = any("filter" in row for row in rows)
         names = ["method", *(f"recall {t}" for t in THRESHOLDS), f"best mode {RIGHT}", f"any sample {RIGHT}"]
         names += ["median error of the mean", "of the best mode", "−log p̂", "modes"]
-        names += (
-            ["filter: success", "median error", "said converged, of these wrong", "smoothed: success"]
-            if filtered
-            else []
-        )
+        if filtered:
+            names += ["filter: success", "median error", "said converged, of these wrong", "smoothed: success"]
         lines += ["| " + " | ".join([*names, "training"]) + " |", "|---" * (len(names) + 1) + "|"]
         for method in dict.fromkeys(row["label"] for row in rows):
             own = [row for row in rows if row["label"] == method]
