@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -17,27 +18,54 @@ from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.render import render, sees_cue
 from sequences.route import Cues, choose_path
-from sequences.scenes import ceiling, staircase, tables
-from sequences.scenes.paths import STEP_S, circle_table, roll_through_hall, walk_stairs
+from sequences.scenes import ceiling, corridor, staircase, tables
+from sequences.scenes.paths import STEP_S, circle_table, roll_through_hall, walk_corridor, walk_stairs
 from sequences.scenes.surface import Scene, build_scene
 from sequences.writer import SequenceWriter
 
-SCENES: tuple[str, ...] = ("staircase", "ceiling", "round-table", "dinner-table")
+SCENES: tuple[str, ...] = ("staircase", "ceiling", "round-table", "dinner-table", "corridor")
 """Names that `synthesize` takes."""
 
 SYNTHESIS = 1
 """Counts up when a seed gives other images, odometry or poses than before."""
 
+IMAGE_RATE_HZ = 10.0
+"""Images a second where no other rate is asked for; paths are chosen by what is seen at this rate."""
 IMAGE_PERIOD_NS, ODOMETRY_PERIOD_NS = 100_000_000, 20_000_000
 EPOCH_NS = 1_700_000_000_000_000_000  # the first odometry message
 _LEAD_NS = 513_000_000  # the first image comes later, and between two odometry messages
-_TAIL_S = 0.5  # of odometry after the last image
+_TAIL_S = 0.5  # of odometry after the last image at 10 Hz
+_RATES_HZ = (0.1, 200.0)
+_LONGEST_STAND_S = 86400.0
+_STOPPING_S = 0.4  # to come to rest, and to walk again
+_STILL_M = 1e-9  # a camera that moves less than this, and turns less than as many radians, stands
 _EXPOSURE_S = 0.014
 _SAMPLES = 4  # per pixel and exposure
 _ONE_RAY = 1e-9  # share of the image: a single coarse ray that meets something unique counts
 _STREAMS = {"train": 1, "test": 2}
 _CUES: dict[str, Cues] = {"train": "any", "test": "early"}
-_FIELD_OF_VIEW = {"staircase": 77.0, "ceiling": 64.0, "round-table": 60.0, "dinner-table": 60.0}  # horizontal, degrees
+_FIELD_OF_VIEW = {  # horizontal, degrees
+    "staircase": 77.0,
+    "ceiling": 64.0,
+    "round-table": 60.0,
+    "dinner-table": 60.0,
+    "corridor": 70.0,
+}
+
+
+@dataclass(frozen=True)
+class Stand:
+    """The camera comes to rest and stands, perfectly still, on a path that is otherwise as it would be.
+
+    Attributes:
+        image: The first image at rest; the last 0.4 s before it are slower.
+        duration_s: How long; rounded to whole images, at least one.
+        walks_on: Whether the rest of the path follows; else the sequence ends.
+    """
+
+    image: int
+    duration_s: float
+    walks_on: bool = False
 
 
 @dataclass(frozen=True)
@@ -48,13 +76,14 @@ class SyntheticSequence:
         scene: What the camera moves through.
         camera: Intrinsics.
         base_from_camera: One pose, the extrinsics.
-        image_times_ns: Stamps of the images, the middle of each exposure, 10 Hz.
+        image_times_ns: Stamps of the images, the middle of each exposure.
         world_from_camera: True poses at the images, batch (n,).
         odometry_times_ns: Stamps of the odometry, 50 Hz, from before the first image to after the last.
         odom_from_base: Odometry, batch (k,), with scale error and drift.
         twist_covariances: As `simulate_odometry` states them.
         world_from_base: True poses of the body at the odometry, batch (k,).
         seed: Names the sequence's sensor noise.
+        rate_hz: Images a second.
     """
 
     scene: Scene
@@ -67,19 +96,29 @@ class SyntheticSequence:
     twist_covariances: Float64[np.ndarray, "k 6 6"]
     world_from_base: Poses
     seed: np.random.SeedSequence
+    rate_hz: float = IMAGE_RATE_HZ
 
     def images(self) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-        """The images in order, RGB, rendered one by one; every call begins anew and gives the same bytes."""
+        """The images in order, RGB, rendered one by one; every call begins anew and gives the same bytes.
+
+        While the camera stands, light is traced once and every image is exposed and developed anew: auto exposure and
+        sensor noise go on, and all that is missing is how the few scattered reflections of gloss would differ.
+        """
         rng = np.random.default_rng(self.seed)
+        # Exposure follows in the same time at every rate: these are the shares of a tenth of a second.
+        lag, keep = 0.75 ** (IMAGE_RATE_HZ / self.rate_hz), 0.97 ** (IMAGE_RATE_HZ / self.rate_hz)
+        shake = 0.03 * np.sqrt((1 - keep**2) / (1 - 0.97**2))
         exposure = drift = 0.0  # log2 of the gain: the automatic part lags behind the light, the rest wanders
+        traced_at, radiance = None, np.empty(0, np.float32)
         for index in range(len(self.image_times_ns)):
             spread = _EXPOSURE_S * ((np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5)
             times = self.image_times_ns[index] + np.round(spread * 1e9).astype(np.int64)
             poses = _at(self.odometry_times_ns, self.world_from_base, times) @ self.base_from_camera
-            radiance = render(self.scene, self.camera, poses, rng=rng)
+            if traced_at is None or not _still(traced_at, poses):
+                traced_at, radiance = poses, render(self.scene, self.camera, poses, rng=rng)
             wanted = _metered_exposure(radiance)
-            exposure = wanted if index == 0 else exposure + 0.25 * (wanted - exposure)
-            drift = 0.97 * drift + 0.03 * rng.standard_normal()
+            exposure = wanted if index == 0 else exposure + (1 - lag) * (wanted - exposure)
+            drift = keep * drift + shake * rng.standard_normal()
             yield develop(radiance, self.camera, exposure + drift, rng=rng)
 
 
@@ -93,22 +132,29 @@ def synthesize(
     width: int = 320,
     height: int = 240,
     noise: OdometryNoise | None = None,
+    rate_hz: float = IMAGE_RATE_HZ,
+    stand: Stand | None = None,
 ) -> SyntheticSequence:
     """A sequence through one of the `SCENES`.
 
     Args:
         scene: Name of the scene.
         seed: Of path, odometry and sensor noise; the scene itself is always the same.
-        num_frames: Number of images, 10 a second.
+        num_frames: Number of images, without those that a stand adds.
         split: "test" paths keep further from the edges of the hall than "train" paths, and show something unique
             "early" where there is anything and `cues` does not say otherwise; "train" paths show "any". The same seed
             gives different paths in the two.
         cues: What is unique in the scene is passed "early", at will ("any"), or never ("none"); see `choose_path`.
         width, height: Image size in pixels; the horizontal field of view stays the same.
         noise: Of the odometry.
+        rate_hz: Images a second. Path and odometry follow from seed and duration alone, and stamps from a common first
+            one: every third of 900 images at 30 Hz is taken where and when one of 300 at 10 Hz is. What is seen on the
+            way, for `cues`, is looked at ten times a second at every rate.
+        stand: Where the camera stands still, and for how long; that adds images. Odometry goes on, noise and bias too.
 
     Raises:
-        SequenceError: unknown scene, split, cues or size, a negative seed, or no path without anything unique found.
+        SequenceError: unknown scene, split, cues or size, a negative seed, a rate or stand that cannot be, or no path
+            without anything unique found.
     """
     if scene not in SCENES:
         raise SequenceError(f"unknown scene {scene!r}, expected one of {', '.join(SCENES)}")
@@ -120,6 +166,13 @@ def synthesize(
         raise SequenceError(f"seed {seed}, expected at least 0")
     if num_frames < 1 or width < 8 or height < 8:
         raise SequenceError(f"{num_frames} frames of {width} × {height} pixels, expected at least 1 of 8 × 8")
+    if not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
+        raise SequenceError(f"{rate_hz:g} images a second, expected {_RATES_HZ[0]:g} to {_RATES_HZ[1]:g}")
+    if stand is not None and not (0 <= stand.image < num_frames and 0 < stand.duration_s <= _LONGEST_STAND_S):
+        raise SequenceError(
+            f"a stand of {stand.duration_s:g} s from image {stand.image} on, expected an image below {num_frames}"
+            f" and at most {_LONGEST_STAND_S:g} s"
+        )
     path_seed, odometry_seed, image_seed = np.random.SeedSequence([seed, _STREAMS[split], SCENES.index(scene)]).spawn(3)
     built = load_scene(scene)
     camera, base_from_camera = _camera(scene, width, height), _extrinsics(scene)
@@ -138,7 +191,7 @@ def synthesize(
 
     base = choose_path(
         cues or (_CUES[split] if built.geometry.cue.any() else "any"),
-        num_frames,
+        math.ceil(num_frames * IMAGE_RATE_HZ / rate_hz - 1e-6),
         poses_per_image=IMAGE_PERIOD_NS // ODOMETRY_PERIOD_NS,
         draw=draw,
         look=look,
@@ -148,7 +201,13 @@ def synthesize(
             f"{scene}, seed {seed}: no random path has {num_frames} images in a row that show nothing unique,"
             " expected fewer frames or another seed"
         )
-    base_times_ns = _base_times_ns(base)
+    num_images = num_frames
+    if stand is not None:
+        still_images = max(1, round(stand.duration_s * rate_hz))
+        first_still_ns = int(_image_times_ns(stand.image + 1, rate_hz)[-1])
+        base = _halted(base, first_still_ns, still_images / rate_hz, walks_on=stand.walks_on)
+        num_images = still_images + (num_frames if stand.walks_on else stand.image)
+    image_times_ns, base_times_ns = _image_times_ns(num_images, rate_hz), _base_times_ns(base)
     odom_from_base, twist_covariances = simulate_odometry(
         base_times_ns, base, noise or OdometryNoise(), rng=np.random.default_rng(odometry_seed)
     )
@@ -156,13 +215,14 @@ def synthesize(
         scene=built,
         camera=camera,
         base_from_camera=base_from_camera,
-        image_times_ns=_image_times_ns(num_frames),
-        world_from_camera=at_images(base, num_frames),
+        image_times_ns=image_times_ns,
+        world_from_camera=_at(base_times_ns, base, image_times_ns) @ base_from_camera,
         odometry_times_ns=base_times_ns,
         odom_from_base=odom_from_base,
         twist_covariances=twist_covariances,
         world_from_base=base,
         seed=image_seed,
+        rate_hz=rate_hz,
     )
 
 
@@ -210,6 +270,7 @@ def load_scene(scene: str) -> Scene:
         "ceiling": ceiling.placements,
         "round-table": tables.round_table,
         "dinner-table": tables.dinner_table,
+        "corridor": corridor.placements,
     }
     return build_scene(placements[scene](), seed=0)
 
@@ -241,8 +302,9 @@ def _metered_exposure(radiance: np.ndarray) -> float:
     return float(np.clip(np.log2(0.42) - np.log2(luminance + 1e-3).mean(), -5.0, 4.5))
 
 
-def _image_times_ns(count: int) -> Int64[np.ndarray, " n"]:
-    return EPOCH_NS + _LEAD_NS + IMAGE_PERIOD_NS * np.arange(count, dtype=np.int64)
+def _image_times_ns(count: int, rate_hz: float = IMAGE_RATE_HZ) -> Int64[np.ndarray, " n"]:
+    since_first = np.round(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
+    return EPOCH_NS + _LEAD_NS + since_first
 
 
 def _base_times_ns(base: Poses) -> Int64[np.ndarray, " k"]:
@@ -256,9 +318,31 @@ def _at(times_ns: np.ndarray, poses: Poses, query_ns: np.ndarray) -> Poses:
     return poses[after - 1].interpolate(poses[after], fraction)
 
 
+def _still(before: Poses, after: Poses) -> bool:
+    distance_m, angle_rad = before.distance(after)
+    return bool(max(distance_m.max(), angle_rad.max()) < _STILL_M)
+
+
+def _halted(base: Poses, image_time_ns: int, duration_s: float, *, walks_on: bool) -> Poses:
+    """The path of the body as it is walked with a stand: at rest from half an exposure before the image on."""
+    times_ns = _base_times_ns(base)
+    still_from = int(np.searchsorted(times_ns, image_time_ns - round(_EXPOSURE_S * 0.5e9), side="right")) - 1
+    steps, ramp_steps = math.ceil(duration_s / STEP_S) + 2, round(_STOPPING_S / STEP_S)
+    ramp = (np.arange(ramp_steps) + 0.5) / ramp_steps  # share of the speed
+    before = np.concatenate([np.ones(max(still_from - ramp_steps, 0)), ramp[::-1]])[-still_from:]
+    after = np.concatenate([ramp, np.ones(len(base))])[: len(base) - 1 - still_from]
+    if not walks_on:
+        after = np.zeros(round(_TAIL_S / STEP_S))
+    step_ns = round(STEP_S * 1e9)
+    walked_ns = step_ns * np.concatenate([[0.0], np.cumsum(np.concatenate([before, np.zeros(steps), after]))])
+    return _at(times_ns, base, times_ns[0] + np.round(walked_ns).astype(np.int64))
+
+
 def _path(scene: str, duration_s: float, split: str, rng: np.random.Generator) -> Poses:
     if scene == "staircase":
         return walk_stairs(duration_s, rng=rng)
+    if scene == "corridor":
+        return walk_corridor(duration_s, rng=rng)
     if scene.endswith("-table"):
         return circle_table(duration_s, rng=rng)
     return roll_through_hall(duration_s, margin_m=1.0 if split == "train" else 1.8, rng=rng)

@@ -11,10 +11,10 @@ from sequences import synthesize as synthesize_module
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.render import depth_and_quads, render, sees_cue
-from sequences.scenes import ceiling, staircase
-from sequences.scenes.paths import circle_table, roll_through_hall, walk_stairs
+from sequences.scenes import ceiling, corridor, staircase
+from sequences.scenes.paths import circle_table, roll_through_hall, walk_corridor, walk_stairs
 from sequences.scenes.surface import Scene
-from sequences.synthesize import SCENES, load_scene, synthesize
+from sequences.synthesize import SCENES, Stand, SyntheticSequence, load_scene, synthesize
 
 CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 
@@ -24,7 +24,7 @@ def name(request) -> str:
     return request.param
 
 
-@pytest.fixture(scope="module", params=["staircase", "ceiling"])
+@pytest.fixture(scope="module", params=["staircase", "ceiling", "corridor"])
 def name_with_cues(request) -> str:
     """Of a scene that has something unique."""
     return request.param
@@ -110,6 +110,35 @@ def test_each_unique_thing_of_the_ceiling_is_seen_from_below_it():
     poses = Poses.stack([upward(float(x), float(y), 1.0) for x, y in spots])
     assert sees_cue(load_scene("ceiling"), CAMERA, poses).all()
     assert not sees_cue(load_scene("ceiling"), CAMERA, Poses.stack([upward(9.8, 8.2, 0.0)])).any()
+
+
+CORRIDOR_VIEWS = [look((31.3, 1.0, 1.5), 0.1), look((44.0, 1.5, 1.55), np.pi - 0.2), look((37.0, 1.2, 1.5), 1.2)]
+
+
+@pytest.mark.parametrize("view", CORRIDOR_VIEWS, ids=["along", "back", "aside"])
+def test_both_floors_of_the_corridor_look_the_same_and_other_places_along_it_do_not(view):
+    scene = matt("corridor")
+    assert not sees_cue(scene, CAMERA, Poses.stack([view]), min_share=1e-9).any()
+    first = picture(scene, view)
+    assert share_that_differs(first, picture(scene, shifted(view, 0, 0, corridor.FLOOR_HEIGHT))) < 0.01
+    assert share_that_differs(first, picture(scene, shifted(view, 0.3, 0, 0))) > 0.15
+    assert share_that_differs(first, picture(scene, shifted(view, corridor.REPEAT, 0, 0))) > 0.05  # walls and boards
+
+
+@pytest.mark.parametrize("floor", [0, 1])
+@pytest.mark.parametrize(("x", "yaw"), [(4.0, np.pi), (71.0, 0.0)], ids=["window", "door"])
+def test_each_end_of_the_corridor_shows_the_floor(floor, x, yaw):
+    scene, up = load_scene("corridor"), floor * corridor.FLOOR_HEIGHT
+    here, there = look((x, 1.2, 1.5 + up), yaw), look((x, 1.2, 1.5 + corridor.FLOOR_HEIGHT - up), yaw)
+    assert sees_cue(scene, CAMERA, Poses.stack([here])).all()
+    assert share_that_differs(picture(scene, here), picture(scene, there)) > 0.05
+
+
+def test_the_two_ends_of_the_corridor_differ_without_the_painted_walls():
+    scene = load_scene("corridor")
+    ends = [look((2.0, 1.2, 1.5), np.pi, 0.0), look((73.0, 1.2, 1.5), 0.0, 0.0)]
+    pictures = [picture(scene, end)[18:54, 24:72] for end in ends]
+    assert share_that_differs(*pictures) > 0.5
 
 
 def turned(pose: Poses, angle: float) -> Poses:
@@ -306,6 +335,21 @@ def test_long_walks_visit_every_floor_both_ways():
         assert ((floor == level) & (climb < -0.1)).any()
 
 
+def test_walks_in_the_corridor_go_all_along_both_floors_both_ways_at_a_walking_pace():
+    walks = [walk_corridor(90.0, rng=np.random.default_rng(seed)) for seed in range(12)]
+    place, floor = (np.concatenate([walk.translation[:, axis] for walk in walks]) for axis in (0, 2))
+    ahead = np.concatenate([walk.rotation[:, 0, 0] for walk in walks])
+    for level in range(corridor.NUM_FLOORS):
+        for way in (-1, 1):
+            there = (floor // corridor.FLOOR_HEIGHT == level) & (way * ahead > 0.5)
+            visits, _ = np.histogram(place[there], bins=5, range=(0, corridor.LENGTH))
+            assert visits.min() > 0.005 * len(place)
+    assert np.median([np.ptp(walk.translation[:, 0]) for walk in walks]) > 0.5 * corridor.LENGTH
+    speed = np.concatenate([np.linalg.norm(np.diff(walk.translation, axis=0), axis=1) for walk in walks]) / 0.02
+    assert 1.0 < np.median(speed) < 1.4
+    assert speed.max() < 2.0
+
+
 def test_carts_visit_the_whole_hall_under_all_headings():
     carts = [roll_through_hall(600.0, margin_m=1.0, rng=np.random.default_rng(seed)) for seed in range(3)]
     xy = np.concatenate([cart.translation[:, :2] for cart in carts])
@@ -318,9 +362,133 @@ def test_carts_visit_the_whole_hall_under_all_headings():
     assert speed.max() < 1.0
 
 
+# --- other rates, and standing ---------------------------------------------------------------------
+
+
+def small(name: str = "corridor", num_frames: int = 40, **options) -> SyntheticSequence:
+    return synthesize(name, seed=3, num_frames=num_frames, width=32, height=24, **options)
+
+
+@pytest.mark.parametrize(("rate_hz", "times"), [(30.0, 3), (20.0, 2), (50.0, 5)])
+def test_a_faster_camera_on_the_same_walk_takes_the_same_images_and_others_between(rate_hz, times):
+    slow, fast = small(), small(num_frames=40 * times, rate_hz=rate_hz)
+    np.testing.assert_array_equal(fast.image_times_ns[::times], slow.image_times_ns)
+    np.testing.assert_array_equal(fast.world_from_camera.as_matrix()[::times], slow.world_from_camera.as_matrix())
+    np.testing.assert_array_equal(fast.odom_from_base.as_matrix(), slow.odom_from_base.as_matrix())
+    assert fast.odometry_times_ns[-1] > fast.image_times_ns[-1] + 200_000_000
+    assert len(fast.image_times_ns) == len(fast.world_from_camera) == 40 * times
+    steps = np.diff(fast.image_times_ns)
+    assert steps.max() - steps.min() <= 1  # ns
+
+
+def test_a_slower_camera_on_the_same_walk_takes_some_of_the_same_images():
+    fast, slow = small(num_frames=42), small(num_frames=14, rate_hz=10 / 3)
+    np.testing.assert_array_equal(slow.image_times_ns, fast.image_times_ns[::3])
+    np.testing.assert_array_equal(slow.odom_from_base.as_matrix(), fast.odom_from_base.as_matrix())
+
+
+def test_exposure_follows_the_light_in_the_same_time_at_every_rate(monkeypatch):
+    def exposures(sequence: SyntheticSequence) -> np.ndarray:
+        taken = []
+        monkeypatch.setattr(synthesize_module, "develop", lambda light, camera, exposure, **_: taken.append(exposure))
+        light = iter([-3.0] + [1.0] * 1000)  # what the metering asks for: one dark image, then bright ones
+        monkeypatch.setattr(synthesize_module, "_metered_exposure", lambda radiance: next(light))
+        list(sequence.images())
+        return np.array(taken)
+
+    slow, fast = exposures(small()), exposures(small(num_frames=120, rate_hz=30.0))
+    assert abs(slow[5] - fast[15]) < 0.5
+    assert slow[5] < 0.6
+    assert abs(slow[20:].mean() - 1) < 0.3
+    assert abs(fast[60:].mean() - 1) < 0.3
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, -10.0, 1e4, float("nan")])
+def test_a_rate_that_no_camera_has_is_refused(rate_hz):
+    with pytest.raises(SequenceError, match=r"images a second, expected 0\.1 to 200"):
+        small(rate_hz=rate_hz)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 30.0])
+def test_a_camera_that_stands_keeps_its_pose_from_the_image_on_for_as_long_as_asked(rate_hz):
+    walk, sequence = small(rate_hz=rate_hz), small(rate_hz=rate_hz, stand=Stand(20, 8.0))
+    assert len(sequence.image_times_ns) == 20 + round(8 * rate_hz)
+    poses = sequence.world_from_camera
+    distance_m, angle_rad = poses[20].distance(poses[20:])
+    assert max(distance_m.max(), angle_rad.max()) < 1e-9
+    moved_m, _ = poses[18].distance(poses[20])
+    assert moved_m > 1e-4  # and not before
+    walked = 20 - int(0.5 * rate_hz)
+    np.testing.assert_array_equal(poses.as_matrix()[:walked], walk.world_from_camera.as_matrix()[:walked])
+    late_m, _ = poses[20].distance(walk.world_from_camera[20])
+    assert late_m < 0.5  # where the walk was at that time, but for stopping
+    speed = np.linalg.norm(np.diff(sequence.world_from_base.translation, axis=0), axis=1)
+    assert speed.max() <= np.linalg.norm(np.diff(walk.world_from_base.translation, axis=0), axis=1).max() + 1e-9
+
+
+def test_odometry_of_a_camera_that_stands_goes_on_with_noise_and_bias():
+    sequence = small(stand=Stand(20, 60.0))
+    still = sequence.odometry_times_ns > sequence.image_times_ns[20]
+    moved = sequence.odom_from_base.translation[still]
+    step = np.diff(moved, axis=0)
+    assert step.std() == pytest.approx(0.008 * np.sqrt(0.02), rel=0.1)
+    assert 0.02 < np.linalg.norm(moved[-1] - moved[0]) < 3
+    assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
+    assert (np.linalg.eigvalsh(sequence.twist_covariances) > 0).all()
+
+
+def test_a_camera_that_stands_sees_the_same_under_noise_of_its_own_and_light_is_traced_once(monkeypatch):
+    traced = []
+
+    def counted(*arguments, **options):
+        traced.append(1)
+        return render(*arguments, **options)
+
+    monkeypatch.setattr(synthesize_module, "render", counted)
+    images = np.stack(list(small(stand=Stand(5, 30.0)).images())).astype(float)
+    assert len(images) == 305
+    assert len(traced) <= 7
+    standing = images[100:]  # exposure has settled
+    change = np.abs(np.diff(standing, axis=0))
+    assert change.mean(axis=(1, 2, 3)).min() > 0.5  # of 255
+    assert change.mean() < 8
+    brightness = standing.mean(axis=(1, 2, 3))
+    assert brightness.std() > 0.5  # auto exposure goes on
+    early, late = standing[:100].mean(axis=0), standing[100:].mean(axis=0)
+    assert np.corrcoef(early.ravel(), late.ravel())[0, 1] > 0.99
+
+
+def test_a_camera_that_stood_walks_on_along_the_rest_of_its_path():
+    walk, sequence = small(num_frames=60), small(num_frames=60, stand=Stand(20, 3.0, walks_on=True))
+    assert len(sequence.image_times_ns) == 60 + 30
+    distance_m, _ = sequence.world_from_camera[20].distance(sequence.world_from_camera[20:50])
+    assert distance_m.max() < 1e-9
+    path = walk.world_from_base.translation
+    end = (sequence.world_from_camera[-1] @ sequence.base_from_camera.inverse()).translation
+    distance_m = np.linalg.norm(path - end, axis=1)
+    assert distance_m.min() < 0.02
+    last = (walk.image_times_ns[-1] - walk.odometry_times_ns[0]) // 20_000_000
+    assert abs(distance_m.argmin() - (last - 20)) <= 2  # stopping and starting lose 0.2 s of walking each
+    assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
+
+
+@pytest.mark.parametrize("walks_on", [False, True])
+def test_a_short_stand_before_a_slow_camera_is_one_image_and_odometry_covers_all(walks_on):
+    sequence = small(num_frames=4, rate_hz=0.5, stand=Stand(0, 0.1, walks_on=walks_on))
+    assert len(sequence.image_times_ns) == (5 if walks_on else 1)
+    assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
+
+
+@pytest.mark.parametrize("stand", [Stand(40, 1.0), Stand(-1, 1.0), Stand(3, 0.0), Stand(3, float("nan"))])
+def test_a_stand_that_cannot_be_is_refused(stand):
+    with pytest.raises(SequenceError, match="expected an image below 40"):
+        small(stand=stand)
+
+
 def test_an_unknown_scene_is_refused_and_the_known_ones_are_named():
     with pytest.raises(
-        SequenceError, match="unknown scene 'cellar', expected one of staircase, ceiling, round-table, dinner-table"
+        SequenceError,
+        match="unknown scene 'cellar', expected one of staircase, ceiling, round-table, dinner-table, corridor",
     ):
         synthesize("cellar", seed=0, num_frames=10)
 

@@ -19,14 +19,16 @@ from vapor.commands.console import bar, parse, show, usage_error
 class Options:
     """Render a sequence through a synthetic scene, with odometry and true poses."""
 
-    scene: tyro.conf.Positional[Literal["staircase", "ceiling", "round-table", "dinner-table"]]
+    scene: tyro.conf.Positional[Literal["staircase", "ceiling", "round-table", "dinner-table", "corridor"]]
     """What the camera moves through."""
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT.mcap")]
     """MCAP file to write."""
     seed: int = 0
     """Of path, odometry noise and sensor noise."""
     frames: int = 300
-    """Number of images, ten a second."""
+    """Number of images."""
+    rate: float = 10.0
+    """Images a second. The same seed and duration give the same path and odometry at every rate."""
     split: Literal["test", "train"] = "test"
     """Test paths pass something unique in their first half; training paths go everywhere."""
     cues: Cues | None = None
@@ -42,7 +44,14 @@ def main(arguments: Sequence[str]) -> None:
     o = parse("synthesize", Options, arguments)
     try:
         sequence = synthesize(
-            o.scene, seed=o.seed, num_frames=o.frames, split=o.split, cues=o.cues, width=o.width, height=o.height
+            o.scene,
+            seed=o.seed,
+            num_frames=o.frames,
+            split=o.split,
+            cues=o.cues,
+            width=o.width,
+            height=o.height,
+            rate_hz=o.rate,
         )
     except SequenceError as error:  # of numbers that no sequence can have
         usage_error("synthesize", str(error))
