@@ -13,6 +13,11 @@ from filtering.se3 import Poses
 _RIGID = 1e-6  # of RRᵀ − I: float32 passes. Particles compose every increment and are never made orthonormal again
 
 
+_LARGEST_VARIANCE = 1e12
+_NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(10)  # 1e-14 of the integral for turns up to π
+_REMAINING, _NODE_WEIGHTS = (1.0 - _NODES) / 2, _NODE_WEIGHTS / 2
+
+
 @dataclass(frozen=True)
 class Odometry:
     """Relative motion of the camera from one image to the next.
@@ -20,18 +25,31 @@ class Odometry:
     Attributes:
         previous_from_current: One pose: the camera now, in the camera frame at the previous image.
         covariance: Covariance of ξ = (v, ω) in metres and radians, where the true motion is
-            `previous_from_current @ Poses.exp(ξ)`; symmetric, positive semidefinite, in the current camera frame.
+            `previous_from_current @ Poses.exp(ξ)`; symmetric, positive semidefinite, in the current camera frame. Of
+            white noise only: that of consecutive increments is independent.
+        duration_s: Seconds it took, 0 or more.
     """
 
     previous_from_current: Poses
     covariance: Float64[np.ndarray, "6 6"]
+    duration_s: float
+
+    def then(self, later: Odometry) -> Odometry:
+        """This motion and the one that follows it as one: errors carried to the end by the adjoint, and added."""
+        carry = later.previous_from_current.inverse().adjoint()
+        return Odometry(
+            self.previous_from_current @ later.previous_from_current,
+            carry @ self.covariance @ carry.T + later.covariance,
+            self.duration_s + later.duration_s,
+        )
 
 
 def require_odometry(odometry: Odometry) -> None:
     """Check that odometry is one rigid motion with a covariance. However far it goes is its covariance's affair.
 
     Raises:
-        VaporTrackError: the motion is not one pose, not finite or not rigid, or as `covariance_factor`.
+        VaporTrackError: the motion is not one pose, not finite or not rigid, its duration is negative or not finite, or
+            as `covariance_factor`.
     """
     motion = odometry.previous_from_current
     if motion.batch_shape != ():
@@ -44,25 +62,60 @@ def require_odometry(odometry: Odometry) -> None:
             f"odometry increment has {rotation.tolist()} for a rotation, expected orthonormal columns (to {_RIGID:g}) "
             "and determinant 1"
         )
+    require_duration(odometry.duration_s)
     covariance_factor(odometry.covariance)
+    widest = float(np.diagonal(odometry.covariance).max())
+    if widest > _LARGEST_VARIANCE:
+        raise VaporTrackError(
+            f"odometry covariance has the variance {widest:.3g}, expected at most {_LARGEST_VARIANCE:g} m² or rad²;"
+            " where nothing is known of the motion, give no odometry"
+        )
+
+
+def require_duration(duration_s: float) -> None:
+    """Check that a motion took no negative time.
+
+    Raises:
+        VaporTrackError: it did, or the time is not finite.
+    """
+    if not 0.0 <= duration_s < np.inf:
+        raise VaporTrackError(f"odometry increment took {duration_s} s, expected a finite duration of 0 s or more")
+
+
+def accumulated(
+    tangent: Float64[np.ndarray, "*batch 6"], noise: Float64[np.ndarray, "*batch 6 6"]
+) -> Float64[np.ndarray, "*batch 6 6"]:
+    """Covariance, at the end of motions of constant twist, of white noise that comes evenly all along them.
+
+    Q = ∫₀¹ A(u) noise A(u)ᵀ du with A(u) = Ad(exp(−(1 − u) ξ)), by Gauss-Legendre quadrature (relative error below 1e-9
+    for turns up to π). Whatever parts a motion is cut into, what they accumulate adds up to that of the whole.
+
+    Args:
+        tangent: ξ = (v, ω) of whole motions, metres and radians.
+        noise: Covariance of what comes along each, in the frame that moves.
+    """
+    carry = Poses.exp(-_REMAINING[:, None] * tangent[..., None, :]).adjoint()
+    weighted = carry * _NODE_WEIGHTS[:, None, None]
+    covariance = (weighted @ noise[..., None, :, :] @ np.swapaxes(carry, -1, -2)).sum(axis=-3)
+    return (covariance + np.swapaxes(covariance, -1, -2)) / 2
 
 
 @dataclass(frozen=True)
 class MotionNoise:
-    """Stated noise of odometry whose messages carry no covariance (Thrun et al. 2005, §5.4, in three dimensions).
+    """Stated white noise of odometry whose messages carry no covariance (Thrun et al. 2005, §5.4, in three dimensions).
 
-    Standard deviations of an increment grow in proportion to what it moved, above a floor that grows with the
-    square root of time.
+    Variances grow in proportion to distance, angle and time, so a motion's covariance is the same whatever increments
+    it comes in. Distance and angle are counted along the way: jitter counts, too.
     """
 
-    translation_per_m: float = 0.05
-    """Metres of error per metre moved."""
-    translation_per_rad: float = 0.02
-    """Metres of error per radian turned."""
-    rotation_per_m: float = 0.02
-    """Radians of error per metre moved."""
-    rotation_per_rad: float = 0.05
-    """Radians of error per radian turned."""
+    translation_per_sqrt_m: float = 0.02
+    """Metres of error after one metre moved."""
+    translation_per_sqrt_rad: float = 0.01
+    """Metres of error after one radian turned."""
+    rotation_per_sqrt_m: float = 0.01
+    """Radians of error after one metre moved."""
+    rotation_per_sqrt_rad: float = 0.02
+    """Radians of error after one radian turned."""
     translation_per_sqrt_s: float = 0.01
     """Metres of error after one second at rest."""
     rotation_per_sqrt_s: float = 0.01
@@ -71,34 +124,74 @@ class MotionNoise:
     def __post_init__(self) -> None:
         require_within(
             self,
-            translation_per_m=(0.0, 1e3),
-            translation_per_rad=(0.0, 1e3),
-            rotation_per_m=(0.0, 1e3),
-            rotation_per_rad=(0.0, 1e3),
+            translation_per_sqrt_m=(0.0, 1e3),
+            translation_per_sqrt_rad=(0.0, 1e3),
+            rotation_per_sqrt_m=(0.0, 1e3),
+            rotation_per_sqrt_rad=(0.0, 1e3),
             translation_per_sqrt_s=(0.0, 1e3),
             rotation_per_sqrt_s=(0.0, 1e3),
         )
 
-    def covariance(self, previous_from_current: Poses, duration_s: float) -> Float64[np.ndarray, "6 6"]:
-        """Covariance of one increment, in the tangent at the current frame.
+    def along(
+        self, tangent: Float64[np.ndarray, "*batch 6"], duration_s: Float64[np.ndarray, "*batch"]
+    ) -> Float64[np.ndarray, "*batch 6"]:
+        """Variances, m² and rad², that come along motions of constant twist, each axis of the frame that moves.
 
         Args:
-            previous_from_current: One pose, the increment.
+            tangent: ξ = (v, ω) of each motion.
             duration_s: Seconds it took.
         """
-        tangent = previous_from_current.log()
-        moved_m, turned_rad = float(np.linalg.norm(tangent[:3])), float(np.linalg.norm(tangent[3:]))
+        moved_m, turned_rad = np.linalg.norm(tangent[..., :3], axis=-1), np.linalg.norm(tangent[..., 3:], axis=-1)
         variance_t = (
-            (self.translation_per_m * moved_m) ** 2
-            + (self.translation_per_rad * turned_rad) ** 2
+            self.translation_per_sqrt_m**2 * moved_m
+            + self.translation_per_sqrt_rad**2 * turned_rad
             + self.translation_per_sqrt_s**2 * duration_s
         )
         variance_r = (
-            (self.rotation_per_m * moved_m) ** 2
-            + (self.rotation_per_rad * turned_rad) ** 2
+            self.rotation_per_sqrt_m**2 * moved_m
+            + self.rotation_per_sqrt_rad**2 * turned_rad
             + self.rotation_per_sqrt_s**2 * duration_s
         )
-        return np.diag([variance_t] * 3 + [variance_r] * 3)
+        return np.repeat(np.stack([variance_t, variance_r], axis=-1), 3, axis=-1)
+
+    def covariance(self, previous_from_current: Poses, duration_s: float) -> Float64[np.ndarray, "6 6"]:
+        """Covariance of one increment of constant twist, in the tangent at the current frame.
+
+        Args:
+            previous_from_current: One pose, the increment.
+            duration_s: Seconds it took; 0 for a motion whose error comes from its length alone.
+
+        Raises:
+            VaporTrackError: the duration is negative or not finite.
+        """
+        require_duration(duration_s)
+        tangent = previous_from_current.log()
+        return accumulated(tangent, np.diag(self.along(tangent, np.array(duration_s))))
+
+
+@dataclass(frozen=True)
+class SlowErrors:
+    """Errors of odometry that last, beside the white noise that its covariance states.
+
+    An increment that is reported as (v, ω) in the camera frame errs by s·(v, 0) + b·duration, where the scale error s
+    is constant and the drift b = (b_v, b_ω) an Ornstein-Uhlenbeck process. A positive s is a distance reported too
+    long.
+    """
+
+    scale: float = 0.02
+    """Standard deviation of the scale error, as a share of the distance."""
+    drift: tuple[float, float, float, float, float, float] | None = None
+    """Standard deviations of the drift, each axis of the camera: m/s, then rad/s. None: `relative_drift` tells."""
+    relative_drift: float = 1.0
+    """Standard deviation of the drift over the square root of the rate at which the stated variance grows, each axis,
+    1/√s: with 1.0 drift and white noise err alike over one second."""
+    time_s: float = 30.0
+    """Time over which the drift changes, seconds."""
+
+    def __post_init__(self) -> None:
+        require_within(self, scale=(0.0, 10.0), relative_drift=(0.0, 1e3), time_s=(1e-3, 1e9))
+        if self.drift is not None and not all(0.0 <= value <= 1e3 for value in self.drift):
+            raise VaporTrackError(f"drift is {self.drift}, expected each axis between 0 and 1000")
 
 
 def covariance_factor(covariance: Float64[np.ndarray, "6 6"]) -> Float64[np.ndarray, "6 6"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -131,7 +131,7 @@ def _odometry(
         return None
     rng = np.random.default_rng(seed)
     poses, covariances = simulate_odometry(images.times_ns, images.world_from_camera @ camera_from_base, noise, rng=rng)
-    settings = ", ".join(f"{key} {value:g}" for key, value in asdict(noise).items())
+    settings = noise.settings
     return _OdometryTrack(images.times_ns, poses, covariances, f"simulated: {settings}, seed {seed}")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -111,7 +111,7 @@ class EstimateSequence:
         self._tracks = self._odometry(source, None if simulate_odometry_from is None else seed)
         self.odometry_description = f"recorded: {source.path.name}"
         if simulate_odometry_from is not None:
-            settings = ", ".join(f"{key} {value:g}" for key, value in asdict(self._options.noise).items())
+            settings = self._options.noise.settings
             self.odometry_description = f"simulated from {source.path.name}: {settings}, seed {seed}"
         self.num_images = len(self._frames)
 
@@ -147,6 +147,16 @@ class EstimateSequence:
         sequence = np.array([frame.sequence for frame in self._frames])
         steps = np.diff(times_ns)[sequence[1:] == sequence[:-1]]
         return float(np.median(steps)) * 1e-9 if len(steps) else np.inf
+
+    @property
+    def speed_m_per_s(self) -> float:
+        """Median speed of the camera by odometry, m/s; 0 where no sequence has two poses."""
+        speeds = [
+            np.linalg.norm(np.diff(track.odom_from_base.translation, axis=0), axis=1) / (np.diff(track.times_ns) * 1e-9)
+            for track in self._tracks.values()
+            if len(track.times_ns) > 1
+        ]
+        return float(np.median(np.concatenate(speeds))) if speeds else 0.0
 
     def _read(self, path: Path) -> PoseFile:
         return read_poses(path, self._options.direction)

@@ -1,108 +1,19 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
-from filtering.motion import MotionNoise, Odometry, covariance_factor, isotropic_std
-from filtering.particles import Particles
-from filtering.posterior import PosteriorSamples
-from filtering.proposal import mixture_log_weights, propose
-from filtering.regularisation import KernelConfig
-from filtering.sample_size import SampleSizeConfig
+from filtering.motion import (
+    MotionNoise,
+    Odometry,
+    SlowErrors,
+    accumulated,
+    covariance_factor,
+    isotropic_std,
+    require_odometry,
+)
 from filtering.se3 import Poses
-
-
-def belief(poses):
-    return Particles.from_unnormalised(poses, np.zeros(len(poses)))[0]
-
-
-def fixed(num_particles):
-    return SampleSizeConfig(min_particles=num_particles, max_particles=num_particles)
-
-
-STILL = KernelConfig(jitter_m=0.0, jitter_rad=0.0)
-
-
-def draw(odometry, n=20_000, injection_fraction=0.0, seed=0, **changes):
-    posterior = PosteriorSamples(KernelDensity(Poses.exp(np.array([[5.0, 0, 0, 0, 0, 0]])), 0.1, 0.1))
-    start = Poses.exp(np.tile([1.0, 2, 3, 0.1, 0.2, 0.3], (10, 1)))
-    return start[0], propose(
-        belief(start),
-        np.zeros(10, np.int64),
-        odometry,
-        posterior,
-        sample_size=fixed(n),
-        injection_fraction=injection_fraction,
-        kernels=replace(STILL, **changes),
-        rng=np.random.default_rng(seed),
-    )
-
-
-def test_particles_follow_the_odometry_in_their_own_frame_with_its_noise():
-    delta = Poses.exp(np.array([0.5, 0.0, 0.1, 0.0, 0.3, 0.0]))
-    covariance = np.diag([0.04**2] * 3 + [0.02**2] * 3)
-    start, proposal = draw(Odometry(delta, covariance))
-    error = ((start @ delta).inverse() @ proposal.poses).log()
-    np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=4 * 0.04 / np.sqrt(20_000))
-    np.testing.assert_allclose(error.std(axis=0), [0.04] * 3 + [0.02] * 3, rtol=0.03)
-
-
-def test_the_predicted_density_is_the_density_that_the_particles_were_drawn_from():
-    """Importance sampling with it integrates a known function right: E over draws of f/p⁻ is the integral of f."""
-    _, proposal = draw(Odometry(Poses.identity(), np.diag([0.05**2] * 6)), jitter_m=0.02, jitter_rad=0.02)
-    target = KernelDensity(Poses.exp(np.array([[1.0, 2, 3, 0.1, 0.2, 0.3]])), 0.04, 0.04)
-    ratio = np.exp(target.log_density(proposal.poses) - proposal.log_predicted)
-    assert ratio.mean() == pytest.approx(1.0, abs=4 * ratio.std() / np.sqrt(len(ratio)))
-    assert ratio.std() > 0.1  # the two densities do differ
-
-
-def test_an_unlikely_place_keeps_particles_at_its_true_small_weight():
-    weights = np.repeat([0.9999, 0.0001], 100) / 100
-    there = np.repeat([0.0, 3.0], 100)[:, None] * np.eye(6)[0]
-    unlikely = Particles(Poses.exp(there), np.log(weights))
-    image = PosteriorSamples(KernelDensity(Poses.identity(1), 0.1, 0.1))
-    proposal = propose(
-        unlikely, np.full(200, -1), Odometry(Poses.identity(), 1e-4 * np.eye(6)), image, sample_size=fixed(4000),
-        injection_fraction=0.0, kernels=KernelConfig(jitter_m=0.01, jitter_rad=0.01), rng=np.random.default_rng(0),
-    )  # fmt: skip
-    share = np.exp(proposal.log_predicted - proposal.log_moved)
-    at_it = proposal.poses.translation[:, 0] > 1.5
-    assert at_it.mean() == pytest.approx(0.01, rel=0.2)  # the root of one in 10 000
-    assert share[at_it].sum() / share.sum() == pytest.approx(0.0001, rel=0.2)
-
-
-def test_the_image_draws_its_fraction():
-    _, proposal = draw(Odometry(Poses.identity(), 1e-4 * np.eye(6)), n=1000, injection_fraction=0.1)
-    assert proposal.num_from_motion == 900
-    assert (np.abs(proposal.poses.translation[900:] - [5.0, 0, 0]) < 0.6).all()
-
-
-def test_mixture_weights_integrate_the_filtering_target_whatever_the_fraction():
-    """Bayes by brute force: L p⁻ / ∫ L p⁻ integrates to one for any φ, and the evidence is ∫ L p⁻."""
-    covariance = np.diag([0.05**2] * 6)
-    likelihood_centre = Poses.exp(np.array([[1.05, 2, 3, 0.1, 0.2, 0.3]]))
-    bump = KernelDensity(likelihood_centre, 0.1, 0.1)
-    wide = KernelDensity(likelihood_centre, 0.12, 0.12)
-    means, evidence = [], []
-    for fraction in (0.0, 0.3, 0.7):
-        start = Poses.exp(np.tile([1.0, 2, 3, 0.1, 0.2, 0.3], (10, 1)))
-        proposal = propose(
-            belief(start), np.zeros(len(start), np.int64), Odometry(Poses.identity(), covariance),
-            PosteriorSamples(wide),
-            sample_size=fixed(40_000),
-            injection_fraction=fraction, kernels=replace(STILL, max_kernels=10), rng=np.random.default_rng(1),
-        )  # fmt: skip
-        log_weights = mixture_log_weights(
-            proposal, bump.log_density(proposal.poses), kidnap_probability=0.0
-        )  # fmt: skip
-        means.append(np.exp(log_weights).mean())
-        evidence.append(np.exp(proposal.log_evidence(bump.log_density(proposal.poses))))
-    np.testing.assert_allclose(means, 1.0, rtol=0.05)  # standard errors are near 1 %
-    # The integral of two kernels' product, by drawing from one and evaluating the other.
-    exact = np.exp(bump.log_density(KernelDensity(start[:1], 0.05, 0.05).sample(200_000, rng=np.random.default_rng(2))))
-    np.testing.assert_allclose(evidence, exact.mean(), rtol=0.05)
 
 
 def test_noise_is_made_isotropic_on_the_safe_side():
@@ -141,20 +52,108 @@ def test_stated_noise_grows_with_motion_and_time():
     np.testing.assert_allclose(np.diag(later), 10 * np.diag(still))
 
 
-def test_the_kidnapped_share_of_the_belief_is_the_posterior_of_the_image():
-    place, elsewhere = Poses.exp(np.array([[1.0, 2, 3, 0.1, 0.2, 0.3]])), Poses.exp(np.array([[4.0, 2, 3, 0, 0, 0.3]]))
-    posterior = PosteriorSamples(KernelDensity(elsewhere, 0.1, 0.1))
-    proposal = propose(
-        belief(place[[0] * 10]), np.zeros(10, np.int64), Odometry(Poses.identity(), np.diag([0.05**2] * 6)), posterior,
-        sample_size=fixed(4000),
-        injection_fraction=0.3, kernels=replace(STILL, max_kernels=10), rng=np.random.default_rng(3),
-    )  # fmt: skip
-    log_likelihood = posterior.log_likelihood(proposal.poses)
-    for kidnap_probability in (0.0, 1e-4, 0.2, 1.0):
-        weights = np.exp(mixture_log_weights(proposal, log_likelihood, kidnap_probability=kidnap_probability))
-        there = proposal.poses.translation[:, 0] > 2.5
-        assert weights[there].sum() / weights.sum() == pytest.approx(kidnap_probability, rel=0.02, abs=1e-12)
-    impossible = np.where(there, 0.0, -np.inf)
-    weights = np.exp(mixture_log_weights(proposal, impossible, kidnap_probability=1e-4))
-    assert weights[there].sum() == pytest.approx(weights.sum())
-    assert not np.exp(mixture_log_weights(proposal, impossible, kidnap_probability=0.0)).any()
+TWIST = np.array([0.9, -0.2, 0.4, 0.3, -0.5, 0.8])
+
+
+@st.composite
+def motions(draw):
+    """A tangent whose turn is at most π, seconds it takes (0 too), and shares that its parts have of it."""
+    rng = np.random.default_rng(draw(st.integers(0, 10_000)))
+    turn = rng.standard_normal(3)
+    turn *= draw(st.floats(0.0, 3.1)) / np.linalg.norm(turn)
+    moved = rng.standard_normal(3) * draw(st.sampled_from([0.0, 0.01, 1.0, 20.0]))
+    cuts = np.sort(draw(st.lists(st.floats(0.0, 1.0), max_size=6)))
+    return np.concatenate([moved, turn]), draw(st.sampled_from([0.0, 0.1, 30.0])), np.diff([0.0, *cuts, 1.0])
+
+
+@settings(max_examples=100, deadline=None)
+@given(motion=motions())
+def test_a_motion_in_any_parts_is_as_uncertain_as_in_one(motion):
+    tangent, duration_s, shares = motion
+    noise = MotionNoise()
+
+    def part(share):
+        moved = Poses.exp(share * tangent)
+        return Odometry(moved, noise.covariance(moved, share * duration_s), share * duration_s)
+
+    composed = part(shares[0])
+    for share in shares[1:]:
+        composed = composed.then(part(share))
+    whole = part(1.0)
+    np.testing.assert_allclose(
+        composed.previous_from_current.as_matrix(), whole.previous_from_current.as_matrix(), atol=1e-9
+    )
+    scale = np.sqrt(np.outer(np.diag(whole.covariance), np.diag(whole.covariance))) + 1e-30
+    np.testing.assert_allclose(composed.covariance / scale, whole.covariance / scale, atol=1e-9)
+    assert composed.duration_s == pytest.approx(duration_s)
+
+
+def test_one_metre_in_one_second_is_as_uncertain_in_a_hundred_increments_as_in_one():
+    def sigma_m(parts):
+        moved = Poses.exp(np.array([1.0 / parts, 0, 0, 0, 0, 0]))
+        step = Odometry(moved, MotionNoise().covariance(moved, 1.0 / parts), 1.0 / parts)
+        whole = step
+        for _ in range(parts - 1):
+            whole = whole.then(step)
+        return np.sqrt(whole.covariance[0, 0])
+
+    assert sigma_m(1) == pytest.approx(np.hypot(0.02, 0.01))
+    np.testing.assert_allclose([sigma_m(10), sigma_m(30), sigma_m(100)], sigma_m(1), rtol=1e-9)
+
+
+def test_what_composes_is_what_happens_to_poses():
+    """`then` says what errors drawn for two increments do to the pose after both."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(scale=0.02, size=(2, 6, 6))
+    first, second = (
+        Odometry(Poses.exp(TWIST * sign), factor @ factor.T, 0.5) for sign, factor in zip((1, -0.7), root, strict=True)
+    )
+    drawn = [
+        step.previous_from_current @ Poses.exp(rng.standard_normal((40_000, 6)) @ factor.T)
+        for step, factor in zip((first, second), root, strict=True)
+    ]
+    both = first.then(second)
+    errors = (both.previous_from_current.inverse() @ drawn[0] @ drawn[1]).log()
+    scale = np.sqrt(np.outer(np.diag(both.covariance), np.diag(both.covariance)))
+    # 40 000 draws: entries of a correlation matrix have a standard error of at most √2/200; curvature adds its own.
+    np.testing.assert_allclose(errors.T @ errors / 40_000 / scale, both.covariance / scale, atol=0.04)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 3.0])
+def test_noise_that_comes_all_along_is_the_limit_of_many_small_errors(turn):
+    tangent = np.concatenate([TWIST[:3], [0.0, turn, 0.0]])
+    root = np.random.default_rng(1).normal(size=(6, 6))
+    noise, parts = root @ root.T, 2000
+    after = Poses.exp(-(np.arange(parts) + 0.5)[:, None] / parts * tangent).adjoint()
+    expected = (after @ noise @ np.swapaxes(after, 1, 2)).mean(axis=0)
+    np.testing.assert_allclose(accumulated(tangent, noise), expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_a_motion_in_no_time_errs_by_its_length_alone_and_none_at_all_does_not_err():
+    noise = MotionNoise()
+    assert not noise.covariance(Poses.identity(), 0.0).any()
+    straight = noise.covariance(Poses.exp(np.array([4.0, 0, 0, 0, 0, 0])), 0.0)
+    assert straight[0, 0] == pytest.approx((0.02 * 2) ** 2)
+    assert straight[3, 3] == pytest.approx((0.01 * 2) ** 2)
+
+
+@pytest.mark.parametrize("duration_s", [-0.1, float("nan"), float("inf")])
+def test_a_duration_that_is_none_is_refused_with_its_value(duration_s):
+    with pytest.raises(VaporTrackError, match=f"took {duration_s} s, expected"):
+        MotionNoise().covariance(Poses.identity(), duration_s)
+    with pytest.raises(VaporTrackError, match=f"took {duration_s} s, expected"):
+        require_odometry(Odometry(Poses.identity(), np.eye(6), duration_s))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scale": -0.1}, "scale is -0.1"),
+        ({"relative_drift": float("nan")}, "relative_drift is nan"),
+        ({"time_s": 0.0}, "time_s is 0.0"),
+        ({"drift": (0.0, 0.0, 0.0, 0.0, 0.0, -1.0)}, "drift is .*-1.0.*, expected each axis"),
+    ],
+)
+def test_slow_errors_out_of_range_are_refused(change, message):
+    with pytest.raises(VaporTrackError, match=message):
+        SlowErrors(**change)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.odometry import OdometryNoise, simulate_odometry
@@ -38,6 +39,30 @@ def test_odometry_without_noise_is_the_true_motion_from_the_identity():
     np.testing.assert_allclose(odom.as_matrix(), expected.as_matrix(), atol=1e-9)
     assert np.abs(covariance).max() == 0
     np.testing.assert_array_equal(odom.as_matrix()[0], np.eye(4))
+
+
+def test_a_given_error_of_scale_makes_odometry_too_long_by_just_that_and_changes_no_other_error():
+    true = walk(turn=0.0)
+    silent = OdometryNoise(0.02, 0.0, 0.0, 30.0, 0.0, 0.0, fixed_scale=0.02)
+    odom, covariance = simulate_odometry(TIMES_NS, true, silent, rng=np.random.default_rng(0))
+    length = np.linalg.norm(true.translation[-1] - true.translation[0])
+    assert np.linalg.norm(odom.translation[-1]) == pytest.approx(1.02 * length, rel=1e-6)
+    noisy = [
+        simulate_odometry(TIMES_NS, true, noise, rng=np.random.default_rng(0))
+        for noise in (OdometryNoise(), OdometryNoise(fixed_scale=0.0), OdometryNoise(fixed_scale=0.02))
+    ]
+    for _, stated in noisy[1:]:
+        np.testing.assert_array_equal(stated, noisy[0][1])
+    np.testing.assert_array_equal(noisy[1][0].rotation, noisy[0][0].rotation)
+    extra = np.linalg.norm(noisy[2][0].translation[-1] - noisy[1][0].translation[-1])
+    assert extra == pytest.approx(0.02 * length, rel=0.02)
+    assert (covariance[:, 0, 0] > 0).all()
+
+
+@pytest.mark.parametrize("fixed_scale", [-1.5, 11.0, float("nan")])
+def test_a_given_error_of_scale_that_cannot_be_is_refused(fixed_scale):
+    with pytest.raises(VaporTrackError, match="fixed_scale is"):
+        OdometryNoise(fixed_scale=fixed_scale)
 
 
 def test_errors_over_a_tenth_of_a_second_are_slightly_smaller_than_stated():

@@ -1,12 +1,15 @@
 """Which odometry lies between which images."""
 
+from functools import reduce
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filtering.motion import MotionNoise
+from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
+from sequences.errors import SequenceError
 from sequences.pairing import PoseWindow, interpolate, odometry_between
 
 SECOND = 1_000_000_000
@@ -46,23 +49,40 @@ def test_times_outside_and_in_gaps_are_not_covered_but_stamps_beside_gaps_are() 
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10_000), cut=st.floats(0.1, 0.9), at_message=st.booleans())
-def test_increments_and_their_covariances_add_up_wherever_the_images_fall(
-    seed: int, cut: float, at_message: bool
-) -> None:
+@given(seed=st.integers(0, 10_000), cut=st.floats(0.1, 0.9), measured=st.integers(0, 6))
+def test_increments_and_their_covariances_add_up_wherever_the_images_fall(seed: int, cut: float, measured: int) -> None:
     times_ns, poses, twists = random_walk(12, seed)
+    unknown = np.arange(6) >= measured
+    twists[:, unknown, unknown] = np.inf
     start, end = int(times_ns[0] * 0.3 + times_ns[1] * 0.7), int(times_ns[-2] * 0.6 + times_ns[-1] * 0.4)
-    middle = int(times_ns[6]) if at_message else int(start + cut * (end - start))
+    middle = int(start + cut * (end - start))
     setting = {"base_from_camera": Poses.exp(np.array([0.3, 0.2, 0.1, 1.0, -1.0, 0.5])), "motion_noise": MotionNoise()}
     whole = odometry_between(times_ns, poses, twists, start, end, **setting)
     first = odometry_between(times_ns, poses, twists, start, middle, **setting)
-    second = odometry_between(times_ns, poses, twists, middle, end, **setting)
-    assert_same(first.previous_from_current @ second.previous_from_current, whole.previous_from_current)
-    carry = second.previous_from_current.inverse().adjoint()
-    total = carry @ first.covariance @ carry.T + second.covariance
-    # Cut within an interval, each part's error is taken at its own end: the same but for the turn in between.
+    both = first.then(odometry_between(times_ns, poses, twists, middle, end, **setting))
+    assert_same(both.previous_from_current, whole.previous_from_current)
     scale = np.sqrt(np.outer(np.diag(whole.covariance), np.diag(whole.covariance)))
-    np.testing.assert_allclose(total / scale, whole.covariance / scale, atol=1e-9 if at_message else 0.05)
+    np.testing.assert_allclose(both.covariance / scale, whole.covariance / scale, atol=1e-9)
+    assert whole.duration_s == pytest.approx((end - start) * 1e-9)
+    assert both.duration_s == pytest.approx(whole.duration_s)
+
+
+def test_between_a_time_and_itself_nothing_moves_and_nothing_errs() -> None:
+    times_ns, poses, twists = random_walk(4, seed=2)
+    setting = {"base_from_camera": Poses.exp(np.full(6, 0.3)), "motion_noise": MotionNoise()}
+    for time_ns in times_ns.tolist():
+        odometry = odometry_between(times_ns, poses, twists, time_ns, time_ns, **setting)
+        assert_same(odometry.previous_from_current, Poses.identity())
+        assert not odometry.covariance.any()
+        assert odometry.duration_s == 0.0
+
+
+def test_time_that_runs_backwards_is_refused() -> None:
+    times_ns, poses, twists = random_walk(4, seed=2)
+    setting = {"base_from_camera": Poses.identity(), "motion_noise": MotionNoise()}
+    start, end = int(times_ns[2]), int(times_ns[1])
+    with pytest.raises(SequenceError, match=f"from {start} ns to {end} ns, expected the end not to be before"):
+        odometry_between(times_ns, poses, twists, start, end, **setting)
 
 
 def test_the_covariance_is_that_of_simulated_twist_errors() -> None:
@@ -98,22 +118,23 @@ def test_the_covariance_is_that_of_simulated_twist_errors() -> None:
 
 def test_zero_covariances_leave_the_word_to_the_motion_noise() -> None:
     times_ns, poses, twists = random_walk(8, seed=5)
-    noise = MotionNoise(translation_per_m=0.2)
+    noise = MotionNoise(translation_per_sqrt_m=0.2)
     end = int(times_ns[-1])
     setting = {"base_from_camera": Poses.identity(), "motion_noise": noise}
     odometry = odometry_between(times_ns, poses, np.zeros_like(twists), int(times_ns[0]), end, **setting)
-    increment = poses[0].inverse() @ poses[7]
-    assert_same(odometry.previous_from_current, increment)
-    expected = noise.covariance(increment, (end - int(times_ns[0])) * 1e-9)
-    np.testing.assert_allclose(odometry.covariance, expected, rtol=1e-9)
+    steps, seconds = poses[:-1].inverse() @ poses[1:], np.diff(times_ns) * 1e-9
+    parts = [Odometry(step, noise.covariance(step, s), s) for step, s in zip(steps, seconds.tolist(), strict=True)]
+    expected = reduce(Odometry.then, parts)
+    assert_same(odometry.previous_from_current, expected.previous_from_current)
+    np.testing.assert_allclose(odometry.covariance, expected.covariance, rtol=1e-9, atol=1e-15)
 
 
 def test_axes_that_are_not_measured_get_the_motion_noise_and_the_others_keep_theirs() -> None:
-    # Straight ahead along x: the adjoint mixes no known axis with another.
+    # Straight ahead along x: the adjoint mixes no known axis with another. It mixes the turn about y into z.
     times_ns = np.arange(4, dtype=np.int64) * SECOND
     poses = Poses(np.broadcast_to(np.eye(3), (4, 3, 3)).copy(), np.array([[float(i), 0.0, 0.0] for i in range(4)]))
     twist = np.diag([0.04, 0.01, np.inf, np.inf, np.inf, 0.0])
-    noise = MotionNoise(translation_per_m=0.2, rotation_per_m=0.1)
+    noise = MotionNoise(translation_per_sqrt_m=0.2, rotation_per_sqrt_m=0.1)
     odometry = odometry_between(
         times_ns,
         poses,
@@ -124,7 +145,8 @@ def test_axes_that_are_not_measured_get_the_motion_noise_and_the_others_keep_the
         motion_noise=noise,
     )
     stated = noise.covariance(poses[0].inverse() @ poses[3], 3.0)
-    expected = np.diag([0.12, 0.03, stated[2, 2], stated[3, 3], stated[4, 4], 0.0])
+    unknown = np.isinf(np.diag(twist))
+    expected = np.where(unknown[:, None] & unknown, stated, np.diag([0.12, 0.03, 0, 0, 0, 0]))
     np.testing.assert_allclose(odometry.covariance, expected, rtol=1e-9, atol=1e-15)
 
 

@@ -103,14 +103,16 @@ def test_a_stretch_of_a_sequence_is_read(walk_file: Path) -> None:
 
 def test_zero_covariances_are_replaced_by_the_stated_motion_noise(tmp_path: Path) -> None:
     path = Walk(twist_covariance=np.zeros((6, 6))).write(tmp_path / "walk.mcap")
-    noise = MotionNoise(translation_per_m=0.3)
+    noise = MotionNoise(translation_per_sqrt_m=0.3)
     frame = list(SequenceReader(path, SequenceOptions(motion_noise=noise)))[1]
     assert frame.odometry is not None
     camera_from_base = BASE_FROM_CAMERA.inverse()
     base_increment = BASE_FROM_CAMERA @ frame.odometry.previous_from_current @ camera_from_base
     carry = camera_from_base.adjoint()
     expected = carry @ noise.covariance(base_increment, 0.1) @ carry.T
-    np.testing.assert_allclose(frame.odometry.covariance, expected, rtol=1e-6, atol=1e-12)
+    # As of one increment: between two images the twist of the walk hardly changes.
+    np.testing.assert_allclose(frame.odometry.covariance, expected, rtol=1e-3, atol=1e-7)
+    assert frame.odometry.duration_s == pytest.approx(0.1)
 
 
 def test_placeholders_for_variances_leave_the_covariance_of_an_increment_small(tmp_path: Path) -> None:
