@@ -1,17 +1,29 @@
-"""The single-hypothesis baseline: an error-state Kalman filter on SE(3), the linear algebra by filterpy."""
+"""The single-hypothesis baseline: an error-state Kalman filter on SE(3), the linear algebra by filterpy.
+
+It knows all that the particle filter knows about errors: the covariances of an image's places, that a share of an
+image's error lasts, heavy tails, slow errors of odometry. What it lacks is a second hypothesis.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from scipy.stats import chi2
+from jaxtyping import Float64
+from scipy.stats import f as fisher
 
-from filtering.errors import require_within
+from filtering.adaptation import ErrorScale
+from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
-from filtering.motion import Odometry, covariance_factor
+from filtering.hypotheses import POSE, Hypotheses, bias, born, motion_of_state, widened
+from filtering.localizer import GapConfig, LocalizerConfig
+from filtering.motion import Odometry, SlowErrors, require_duration, require_odometry
+from filtering.novelty import ViewMeter
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+
+_FAR = 1.25  # a variance of the error by so much larger than an ordinary one is taken for that
 
 
 @dataclass(frozen=True)
@@ -19,69 +31,141 @@ class KalmanConfig:
     """Settings of the baseline."""
 
     gate_probability: float = 0.99
-    """A measurement outside the region of this probability is taken for an outlier."""
-    max_rejections: int = 20
-    """After this many outliers in a row the filter starts anew at the measurement."""
+    """A place outside the region of this probability is taken for another one."""
+    rejected_s: float = 2.0
+    """After images without a place inside it for so many seconds, the filter starts anew, seconds."""
+    adapt_errors: bool = True
+    """Take images to err more than their model says where odometry shows it."""
+    slow_errors: SlowErrors = field(default_factory=lambda: LocalizerConfig().slow_errors)
+    """Errors of the odometry that last; the filter's."""
+    gap: GapConfig = field(default_factory=GapConfig)
+    """What is assumed where odometry is missing."""
 
     def __post_init__(self) -> None:
-        require_within(
-            self,
-            gate_probability=(1e-6, 1.0),
-            max_rejections=(0, 10**9),
-        )
+        require_within(self, gate_probability=(1e-6, 0.999999), rejected_s=(0.0, 1e9))
 
 
 class KalmanLocalizer:
-    """Follows one pose: odometry predicts it, the best mode of each image's posterior corrects it.
+    """Follows one pose: odometry predicts it, the place of each image that is nearest to the prediction corrects it.
 
-    The state is the error ξ in the tangent at the present pose, camera frame; it is folded into the pose and set to
-    zero after every update (Solà et al., "A micro Lie theory", 2018).
+    The state is that of one of the particle filter's `Hypotheses`: the error of the pose, folded into the pose after
+    every step (Solà et al., "A micro Lie theory", 2018), slow errors of odometry, and the lasting error of images.
     """
 
     def __init__(self, config: KalmanConfig | None = None) -> None:
         self.config = config or KalmanConfig()
         self._pose: Poses | None = None
-        self._filter = KalmanFilter(dim_x=6, dim_z=6)
-        self._filter.H = np.eye(6)
-        self._gate = float(chi2.ppf(self.config.gate_probability, df=6))
-        self._rejections = 0
+        self._filter = KalmanFilter(dim_x=19, dim_z=6)
+        self._meter = ViewMeter(1.0, 1.0)
+        self._scale = ErrorScale()
+        self._way = 0.0  # since the last image that says something, in lengths
+        self._least_covariance = np.zeros((6, 6))
+        self._provisional = False  # the next image that says something is where it starts anew
+        self._rejected_s: float | None = None  # since the first of the images rejected in a row
 
-    def update(self, measurement: Mode, odom: Odometry | None) -> Mode:
+    def update(self, posterior: PosePosterior, odom: Odometry | None, *, elapsed_s: float = 1.0) -> Mode:
         """Follow one image.
 
         Args:
-            measurement: Best mode of the image's posterior.
-            odom: Motion since the previous image; None starts anew at the measurement.
+            posterior: Of the image.
+            odom: Motion since the previous image. On the first step it is not used; None on a later step means that
+                the motion is unknown: see `GapConfig`.
+            elapsed_s: Seconds since the previous image; used where `odom` is None.
 
         Returns:
-            The one hypothesis, weight 1.
+            The one hypothesis, weight 1, with the errors that no number of images takes away.
 
         Raises:
-            VaporTrackError: the odometry covariance is no covariance.
+            VaporTrackError: the odometry is none (`require_odometry`), the elapsed time is negative, or the posterior
+                has no place at a first step. The localizer is then as it was before.
         """
-        if self._pose is None or odom is None:
-            return self._start(measurement)
-        covariance_factor(odom.covariance)
-        self._pose = self._pose @ odom.previous_from_current
-        self._filter.predict(F=odom.previous_from_current.inverse().adjoint(), Q=odom.covariance)
-        innovation = (self._pose.inverse() @ measurement.world_from_camera).log()
-        # A mode of few or equal samples has a singular covariance: a millimetre and a milliradian keep it regular.
-        noise = measurement.covariance + 1e-6 * np.eye(6)
-        squared_distance = innovation @ np.linalg.solve(self._filter.P + noise, innovation)
-        if squared_distance > self._gate:
-            self._rejections += 1
-            if self._rejections > self.config.max_rejections:
-                return self._start(measurement)
+        if odom is not None:
+            require_odometry(odom)
+        require_duration(elapsed_s)
+        if self._pose is None and len(posterior.shares) == 0:
+            raise VaporTrackError("the first image says nothing about where the camera is, expected one that does")
+        if odom is None and self.config.gap.action == "forget":
+            self._provisional = True
+        if self._pose is None or (self._provisional and not posterior.says_nothing):
+            self._start(posterior, None)
         else:
-            self._rejections = 0
-            self._filter.update(innovation, R=noise)
-            self._pose = self._pose @ Poses.exp(self._filter.x.ravel())
-            self._filter.x = np.zeros((6, 1))
-        return Mode(self._pose, self._filter.P.copy(), 1.0)
+            self._predict(self._pose, odom, elapsed_s)
+            if not posterior.says_nothing:
+                if self.config.adapt_errors:
+                    self._scale = self._scale.looked(posterior)
+                posterior = posterior.inflated(self._scale.factor)
+                self._least_covariance = posterior.errors.least_covariance
+                if not self._correct(posterior):
+                    self._reject(posterior, elapsed_s if odom is None else odom.duration_s)
+                self._way = 0.0
+        pose = self._pose
+        assert pose is not None
+        return Mode(pose, self._filter.P[POSE, POSE] + self._least_covariance, 1.0)
 
-    def _start(self, measurement: Mode) -> Mode:
-        self._pose = measurement.world_from_camera
-        self._filter.x = np.zeros((6, 1))
-        self._filter.P = measurement.covariance + 1e-6 * np.eye(6)
-        self._rejections = 0
-        return Mode(self._pose, self._filter.P.copy(), 1.0)
+    def _hypothesis(self, pose: Poses) -> Hypotheses:
+        mean, covariance = self._filter.x[6:].T.copy(), self._filter.P[None].copy()
+        return Hypotheses(Poses(pose.rotation[None], pose.translation[None]), mean, covariance, np.zeros(1))
+
+    def _start(self, posterior: PosePosterior, before: Hypotheses | None) -> None:
+        """Begin at the image's heaviest place; what is known of the odometry is kept."""
+        places = born(posterior, 0, 1, self.config.slow_errors, before)
+        heaviest = int(np.argmax(posterior.shares))
+        self._pose = places.poses[heaviest]
+        self._filter.x = np.concatenate([np.zeros(6), places.mean[heaviest]])[:, None]
+        self._filter.P = places.covariance[heaviest].copy()
+        self._meter = ViewMeter(posterior.errors.length_m, posterior.errors.length_rad)
+        self._least_covariance = posterior.errors.least_covariance
+        self._provisional = posterior.says_nothing
+        self._rejected_s = None
+
+    def _predict(self, pose: Poses, odom: Odometry | None, elapsed_s: float) -> None:
+        if odom is None:
+            gap = self.config.gap
+            self._meter, way = self._meter.across_gap(gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s)
+            self._filter.P = widened(self._hypothesis(pose), gap.covariance(elapsed_s)).covariance[0]
+            odom = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s)
+            self._scale = replace(self._scale, place=None)
+        else:
+            self._meter, way = self._meter.moved(odom.previous_from_current)
+            self._scale = self._scale.moved(odom, way)
+        self._way += way
+        transition, noise = motion_of_state(odom, self.config.slow_errors, [way])
+        self._filter.predict(F=transition, Q=noise)
+        self._fold(pose @ odom.previous_from_current)
+
+    def _correct(self, posterior: PosePosterior) -> bool:
+        """Take the nearest place for what the image shows, if it is near enough; returns whether it is."""
+        errors, pose = posterior.errors, self._pose
+        assert pose is not None
+        difference = (pose.inverse() @ posterior.means).log()
+        shows = np.zeros((len(posterior.shares), 6, 19))  # error of the pose + factor · bias + fresh noise
+        shows[:, :, POSE] = np.eye(6)
+        shows[:, :, bias(0)] = np.sqrt(errors.lasting_share) * posterior.factors
+        fresh = (1.0 - errors.lasting_share) * posterior.covariances
+        innovation = difference - shows @ self._filter.x[:, 0]
+        covariance = shows @ self._filter.P @ np.swapaxes(shows, 1, 2) + fresh
+        squared = np.einsum("ki,ki->k", innovation, np.linalg.solve(covariance, innovation[:, :, None])[:, :, 0])
+        k = int(np.argmin(squared))
+        if squared[k] > 6.0 * fisher.ppf(self.config.gate_probability, 6, errors.tail):
+            return False
+        error = fresh[k]
+        larger = (errors.tail + squared[k]) / (errors.tail + 6.0)
+        if larger > _FAR:
+            # An image that errs in a way of its own, which lasts: over a way of 2 it is worth one image.
+            shows[k, :, bias(0)] = 0.0
+            error = larger * max(1.0, 2.0 / max(self._way, 1e-6)) * posterior.covariances[k]
+        self._filter.update(difference[k][:, None], R=error, H=shows[k])
+        self._fold(pose)
+        self._rejected_s = None
+        return True
+
+    def _reject(self, posterior: PosePosterior, duration_s: float) -> None:
+        self._rejected_s = 0.0 if self._rejected_s is None else self._rejected_s + duration_s
+        if self._rejected_s >= self.config.rejected_s and self._pose is not None:
+            self._start(posterior, self._hypothesis(self._pose))
+
+    def _fold(self, pose: Poses) -> None:
+        """Put the error of the pose into the pose."""
+        change: Float64[np.ndarray, " 6"] = self._filter.x[POSE, 0]
+        self._pose = pose @ Poses.exp(change)
+        self._filter.x[POSE] = 0.0

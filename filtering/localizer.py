@@ -1,78 +1,166 @@
-"""The particle filter: image by image, from posterior samples and odometry to an estimate."""
+"""The particle filter: image by image, from posteriors and odometry to an estimate."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic
+from typing import Literal
 
 import numpy as np
 
-from filtering.checked import CheckedPosterior
+from filtering.adaptation import ErrorScale
+from filtering.association import associate
+from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
-from filtering.estimate import Estimate, Mode, ModeConfig, Status, describe_modes, find_hypotheses
-from filtering.motion import Odometry, require_odometry
-from filtering.particles import Particles, log_mean
-from filtering.posterior import ObservationModel, PosePosterior, Posterior
-from filtering.proposal import Proposal, mixture_log_weights, propose
-from filtering.recovery import Recovery, RecoveryConfig
-from filtering.regularisation import KernelConfig
-from filtering.sample_size import SampleSizeConfig, draw_enough
+from filtering.estimate import Estimate, Mode, ModeConfig, Status, describe_modes
+from filtering.hypotheses import Hypotheses, born, concatenate, moved, reduced, widened, with_camera
+from filtering.motion import Odometry, SlowErrors, require_odometry
+from filtering.novelty import ViewMeter
+from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
+
+_FARTHEST = 1e6  # metres or radians: further than that a gap leads nowhere in particular
+
+
+@dataclass(frozen=True)
+class GapConfig:
+    """What is assumed where odometry is missing."""
+
+    action: Literal["widen", "forget"] = "widen"
+    """Widen the belief by a motion in an unknown direction, or start anew from the next image that says something:
+    until then the belief is widened and "lost"."""
+    speed_m_per_s: float = 1.4
+    """Standard deviation of the speed along each axis; walking pace."""
+    turn_rad_per_s: float = 0.5
+    """Standard deviation of the turn rate about each axis."""
+
+    def __post_init__(self) -> None:
+        require_within(self, speed_m_per_s=(0.0, 1e6), turn_rad_per_s=(0.0, 1e3))
+
+    def covariance(self, duration_s: float) -> np.ndarray:
+        """Of ξ = (v, ω) after a motion that is unknown, (6, 6)."""
+        likely = np.minimum([self.speed_m_per_s * duration_s, self.turn_rad_per_s * duration_s], _FARTHEST)
+        return np.diag(np.repeat(np.square(likely), 3))
 
 
 @dataclass(frozen=True)
 class LocalizerConfig:
-    """Settings of the filter; the defaults serve a hand-held camera or a slow robot in a building."""
+    """Settings of the filter; lengths follow from how the images err (`ErrorModel`)."""
 
-    num_particles: int | None = None
-    """Particles that carry the belief; None for as many as it needs (see `sample_size`)."""
-    injection_fraction: float = 0.1
-    """φ: share of the particles that every image's posterior draws anew."""
+    max_hypotheses: int = 50
+    """Particles that carry the belief, each a hypothesis with a Gaussian of its own: at most so many."""
+    kidnap_per_view: float = 3e-4
+    """The chance that the camera was carried elsewhere unnoticed, for every new view that fits the belief: so much of
+    the belief an image draws anew."""
+    max_kidnap_per_view: float = 0.1
+    """The same where no image of the last second fits; between the two in equal ratios. 0 for both: never."""
+    adapt_errors: bool = True
+    """Take images to err more than their model says where odometry shows it."""
+    merge_divergence: float = 0.5
+    """Hypotheses that differ by no more than this, in nats, are one."""
+    least_weight: float = 1e-8
+    """Hypotheses with a smaller share of the belief are dropped."""
     converged_weight: float = 0.9
     """Status is "converged" from this share of the belief in the best mode on."""
-    converged_std_m: float = 0.5
-    """And with at most this standard deviation of its position, in metres, along its widest axis."""
-    converged_doubt: float = 0.25
-    """And while the images cast no more doubt on the belief than this (0: none, 1: they contradict it). Without
-    particles drawn from the images (φ = 0) nothing is doubted."""
-    lost_log_evidence: float = 0.07
-    """Status is "lost" while the running mean of the log evidence is below this (0: every image an outlier)."""
-    evidence_decay: float = 0.9
-    """Share of the running mean of the log evidence that an image leaves unchanged."""
+    converged_std: float = 3.0
+    """And with at most this standard deviation of its position along its widest axis, in those of an ordinary image's
+    error."""
+    converged_std_m: float | None = None
+    """The same in metres, instead."""
+    converged_map_share: float = 0.5
+    """And at most this share of the size of the map (`ErrorModel.map_size_m`): who knows no more than that they are in
+    the room knows nothing."""
+    converged_agreement: float = 0.7
+    """And while the images of the last second fit at least this share of what they could of the belief."""
+    lost_agreement: float = 0.3
+    """Status is "lost" while they fit less than this."""
+    agreement_s: float = 1.0
+    """Time over which that is averaged, seconds."""
     switch_ratio: float = 1.5
     """Another mode becomes the best one when it outweighs the present best by this factor."""
-    sample_size: SampleSizeConfig = field(default_factory=SampleSizeConfig)
-    """How many particles the belief needs."""
-    kernels: KernelConfig = field(default_factory=KernelConfig)
-    """How the belief is carried from image to image."""
-    recovery: RecoveryConfig = field(default_factory=RecoveryConfig)
-    """When the belief is doubted."""
+    slow_errors: SlowErrors = field(default_factory=lambda: SlowErrors(relative_drift=0.6))
+    """Errors of the odometry that last."""
+    gap: GapConfig = field(default_factory=GapConfig)
+    """What is assumed where odometry is missing."""
     modes: ModeConfig = field(default_factory=ModeConfig)
-    """What counts as one hypothesis."""
+    """What counts as one place."""
 
     def __post_init__(self) -> None:
         require_within(
             self,
-            injection_fraction=(0.0, 0.99),
+            max_hypotheses=(1, 10**6),
+            max_kidnap_per_view=(0.0, 1.0),
+            kidnap_per_view=(0.0, self.max_kidnap_per_view),
+            merge_divergence=(0.0, 1e6),
+            least_weight=(0.0, 0.1),
             converged_weight=(0.0, 1.0),
-            converged_std_m=(0.0, 1e6),
-            converged_doubt=(0.0, 1.0),
-            lost_log_evidence=(-1e6, 1e6),
-            evidence_decay=(0.0, 0.9999),
+            converged_std=(0.0, 1e6),
+            converged_map_share=(0.0, 1e6),
+            converged_agreement=(0.0, 1.0),
+            lost_agreement=(0.0, 1.0),
+            agreement_s=(1e-6, 1e6),
             switch_ratio=(1.0, 1e9),
         )
-        if self.num_particles is not None:
-            require_within(self, num_particles=(1, 10**7))
+        if self.converged_std_m is not None:
+            require_within(self, converged_std_m=(0.0, 1e9))
 
-    @property
-    def size(self) -> SampleSizeConfig:
-        """How many particles: `num_particles` if given, else what the belief needs."""
-        n = self.num_particles
-        return self.sample_size if n is None else replace(self.sample_size, min_particles=n, max_particles=n)
+    def widest_std_m(self, errors: ErrorModel) -> float:
+        """The largest standard deviation of the position, along its widest axis, of a converged belief, metres."""
+        if self.converged_std_m is not None:
+            return self.converged_std_m
+        return min(self.converged_std * max(errors.typical_std[:3]), self.converged_map_share * errors.map_size_m)
 
 
-class ParticleLocalizer(Generic[Posterior]):
-    """Localizes a camera from images and odometry; the filter's one mutable object.
+@dataclass(frozen=True)
+class View:
+    """What one camera of several says about one moment.
+
+    Attributes:
+        posterior: Of its image.
+        reference_from_camera: Its extrinsics: from the camera to the frame that is localized, one pose.
+        camera: Its name: the errors of one camera's images last, those of two are independent.
+    """
+
+    posterior: PosePosterior
+    reference_from_camera: Poses
+    camera: str
+
+
+@dataclass(frozen=True)
+class _Camera:
+    """A camera that was seen before: its place in the state, how new its view is, and how much it errs."""
+
+    number: int
+    errors: ErrorModel
+    meter: ViewMeter
+    reference_from_camera: Poses
+    scale: ErrorScale = field(default_factory=ErrorScale)
+
+    def seen_through(self, reference_from_camera: Poses) -> _Camera:
+        """The same on its mount of now; where that was turned, no image of before is compared with those that come."""
+        mount = self.reference_from_camera
+        if np.array_equal(mount.as_matrix(), reference_from_camera.as_matrix()):
+            return self
+        return replace(self, reference_from_camera=reference_from_camera, scale=replace(self.scale, place=None))
+
+    def moved(self, odom: Odometry) -> tuple[_Camera, float]:
+        """After a motion of the reference frame; the way in lengths."""
+        meter, way = self.meter.moved(odom.previous_from_current)
+        camera_from_reference = self.reference_from_camera.inverse()
+        carry = camera_from_reference.adjoint()
+        motion = Odometry(
+            camera_from_reference @ odom.previous_from_current @ self.reference_from_camera,
+            carry @ odom.covariance @ carry.T,
+            odom.duration_s,
+        )
+        return replace(self, meter=meter, scale=self.scale.moved(motion, way)), way
+
+
+_ONLY = "camera"
+
+
+class ParticleLocalizer:
+    """Localizes a camera, or a rig of several, from images and odometry; the filter's one mutable object.
 
     Args:
         model: Maps an image to its posterior over poses; None where posteriors are at hand, for `update` alone.
@@ -81,151 +169,251 @@ class ParticleLocalizer(Generic[Posterior]):
     """
 
     def __init__(
-        self,
-        model: ObservationModel[Posterior] | None,
-        config: LocalizerConfig | None = None,
-        *,
-        rng: np.random.Generator,
+        self, model: ObservationModel | None, config: LocalizerConfig | None = None, *, rng: np.random.Generator
     ) -> None:
         self.model = model
         self.config = config or LocalizerConfig()
         self._model_rng, self._filter_rng = rng.spawn(2)
-        self._belief: Particles | None = None
-        self._label = np.empty(0, np.int64)
+        self._belief: Hypotheses | None = None
+        self._cameras: dict[str, _Camera] = {}
         self._best: Poses | None = None
-        self._mean_log_evidence: float | None = None
-        self._recovery = Recovery()
+        self._agreement = 1.0  # of the images of the last second with the belief
+        self._unseen_s = 0.0  # since an image that says something
+        self._provisional = False  # the next image that says something replaces the belief
+        self._way = 0.0
+        self._last_image: np.ndarray | None = None
 
-    def step(self, image: np.ndarray, odom: Odometry | None) -> Estimate:
+    def step(self, image: np.ndarray, odom: Odometry | None, *, elapsed_s: float = 1.0) -> Estimate:
         """Localize one image.
 
         Args:
             image: RGB, uint8, (H, W, 3).
             odom: Motion of the camera since the previous step. On the first step there is no previous image, and it
-                is not used. None on a later step means that the motion is unknown: the belief starts anew.
+                is not used. None on a later step means that the motion is unknown: see `GapConfig`.
+            elapsed_s: Seconds since the previous step; used where `odom` is None.
 
         Raises:
-            VaporTrackError: the image is refused by the model, the odometry is none (`require_odometry`), the posterior
-                answers what is no density (`CheckedPosterior`), or no particle is left any weight. The localizer is
-                then as it was before, so a step that is tried again with good input gives what it would have given.
+            VaporTrackError: the image is refused by the model, or as `update`. The localizer is then as it was before,
+                so a step that is tried again with good input gives what it would have given.
         """
-        before = self._model_rng.bit_generator.state
+        before, last_image = self._model_rng.bit_generator.state, self._last_image
         try:
-            return self.update(self.observe(image), odom)
+            return self.update(self.observe(image), odom, elapsed_s=elapsed_s)
         except BaseException:
-            self._model_rng.bit_generator.state = before
+            self._model_rng.bit_generator.state, self._last_image = before, last_image
             raise
 
-    def observe(self, image: np.ndarray) -> Posterior:
+    def observe(self, image: np.ndarray) -> PosePosterior:
         """The posterior of one image (H, W, 3), uint8 RGB: the first half of `step`, one call of the model.
+
+        An image that equals the one before, pixel by pixel, comes from a camera that froze, and says nothing: no two
+        exposures are equal. It stays as unlike the training images as it is: a black one is foreign however often it
+        comes. What is no picture, uint8, may well come twice.
 
         Raises:
             VaporTrackError: there is no model, or it refuses the image.
         """
         if self.model is None:
             raise VaporTrackError("this localizer has no observation model, expected posteriors through `update`")
-        return self.model.observe(image, rng=self._model_rng)
+        posterior = self.model.observe(image, rng=self._model_rng)
+        frozen = image.dtype == np.uint8 and self._last_image is not None and np.array_equal(self._last_image, image)
+        self._last_image = np.array(image)
+        if not frozen:
+            return posterior
+        nothing = PosePosterior.nothing(posterior.errors, posterior.samples)
+        return replace(nothing, unfamiliarity=posterior.unfamiliarity)
 
-    def update(self, posterior: PosePosterior, odom: Odometry | None) -> Estimate:
-        """Localize one image whose posterior is at hand: the second half of `step`; raises as it does."""
+    def update(
+        self, seen: PosePosterior | Sequence[View], odom: Odometry | None, *, elapsed_s: float = 1.0
+    ) -> Estimate:
+        """Localize one moment whose posterior is at hand: the second half of `step`.
+
+        Args:
+            seen: What the camera says, or what several cameras of one moment say.
+            odom: Motion since the previous step of what is localized: the camera, or with several the frame that their
+                extrinsics lead to.
+            elapsed_s: Seconds since the previous step; used where `odom` is None.
+
+        Raises:
+            VaporTrackError: the odometry is none (`require_odometry`), the elapsed time is negative, two views are of
+                one camera, or no posterior has any place at a first step. The localizer is then as it was before.
+        """
+        views = [View(seen, Poses.identity(), _ONLY)] if isinstance(seen, PosePosterior) else list(seen)
+        names = [view.camera for view in views]
+        if len(set(names)) < len(names):
+            raise VaporTrackError(f"views of cameras {', '.join(names)}, expected each once")
+        if not 0.0 <= elapsed_s < np.inf:
+            raise VaporTrackError(f"{elapsed_s} s since the previous step, expected a finite time of 0 s or more")
         # All state but the generator's is replaced, never changed in place: a shallow copy is a full one.
         before, generator = dict(vars(self)), self._filter_rng.bit_generator.state
         try:
-            return self._update(CheckedPosterior(posterior), odom)
+            self._move(odom, elapsed_s)
+            return self._look(views)
         except BaseException:
             vars(self).update(before)
             self._filter_rng.bit_generator.state = generator
             raise
 
-    def _update(self, posterior: CheckedPosterior, odom: Odometry | None) -> Estimate:
-        if self._belief is None or odom is None:
-            self._best = None
-            particles, log_evidence = self._start(posterior)
-        else:
+    def predict(self, odom: Odometry) -> Estimate:
+        """Move the belief without an image.
+
+        Raises:
+            VaporTrackError: there is no belief yet, or the odometry is none (`require_odometry`).
+        """
+        if self._belief is None:
+            raise VaporTrackError("nothing to predict from: no image was localized yet")
+        self._move(odom, 0.0)
+        return self._look([])
+
+    def _move(self, odom: Odometry | None, elapsed_s: float) -> None:
+        """Carry the belief to the present, on odometry or across a gap."""
+        if self._belief is None:
+            return
+        gap = self.config.gap
+        if odom is not None:
             require_odometry(odom)
-            if self._best is not None:
-                self._best = self._best @ odom.previous_from_current
-            particles, log_evidence = self._continue(self._belief, posterior, odom)
-        particles = self._settle(particles, posterior, first=odom is None or self._belief is None)
-        self._belief = particles
-        modes = self._order(describe_modes(particles, self._label, self.config.modes))
-        if self._best is not None and not self.config.modes.same_place(modes[0].world_from_camera, self._best):
-            self._recovery = self._recovery.reset()  # the doubt has led to another place, which starts without it
+            after = {name: camera.moved(odom) for name, camera in self._cameras.items()}
+        else:
+            if gap.action == "forget":
+                self._provisional, self._agreement = True, 0.0
+            likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
+            after = {}
+            for name, camera in self._cameras.items():
+                meter, way = camera.meter.across_gap(*likely)
+                after[name] = replace(camera, meter=meter, scale=replace(camera.scale, place=None)), way
+            odom = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s)
+            self._belief = widened(self._belief, gap.covariance(elapsed_s))
+        self._cameras = {name: camera for name, (camera, _) in after.items()}
+        ways = [way for _, way in after.values()]
+        self._belief = moved(self._belief, odom, self.config.slow_errors, ways)
+        self._way = ways[0] if ways else 0.0
+        if self._best is not None:
+            self._best = self._best @ odom.previous_from_current
+        self._unseen_s += odom.duration_s
+
+    def _look(self, views: Sequence[View]) -> Estimate:
+        """Weigh and correct the belief by what is seen, and let a little of it begin anew there."""
+        told = [view for view in views if not view.posterior.says_nothing]
+        foreign = [view for view in views if view.posterior.unfamiliarity > 1.0]
+        novelty = 0.0
+        if self._begins(views):
+            self._start(told or foreign, provisional=not told)
+            novelty, told = 1.0, told[1:]
+        belief = self._known(told)
+        agreements = [0.0] * len(foreign)
+        newborn: list[Hypotheses] = []
+        looks = {view.camera: self._cameras[view.camera].meter.looked() for view in told}
+        novelty = max([novelty, *(new for _, new in looks.values())])
+        kidnapped = self._share_anew(novelty)
+        for view in told:
+            camera, (meter, new) = self._cameras[view.camera], looks[view.camera]
+            camera = camera.seen_through(view.reference_from_camera)
+            way = camera.meter.way
+            scale = camera.scale.looked(view.posterior) if self.config.adapt_errors else camera.scale
+            self._cameras = self._cameras | {view.camera: replace(camera, meter=meter, scale=scale)}
+            posterior = view.posterior.inflated(scale.factor).seen_from(view.reference_from_camera)
+            seen = associate(belief, posterior, camera.number, novelty=new, way=way)
+            if kidnapped > 0.0:
+                births = born(posterior, camera.number, len(self._cameras), self.config.slow_errors, belief)
+                newborn.append(replace(births, log_weights=births.log_weights + _log(kidnapped / len(told))))
+            belief = seen.hypotheses.with_log_weights(seen.hypotheses.log_weights)
+            agreements.append(seen.agreement)
+        if newborn:
+            carried = replace(belief, log_weights=belief.log_weights + _log(1.0 - kidnapped))
+            belief = concatenate([carried, *newborn])
+        if told or novelty > 0.0:
+            belief = self._reduced(belief)
+        self._belief = belief
+        if agreements:
+            follow = -np.expm1(-self._unseen_s / self.config.agreement_s)
+            self._agreement += follow * (float(np.mean(agreements)) - self._agreement)
+            self._unseen_s = 0.0
+        return self._estimate(belief, novelty, max((v.posterior.unfamiliarity for v in views), default=0.0))
+
+    def _begins(self, views: Sequence[View]) -> bool:
+        """Whether the belief is what these say, and nothing else."""
+        return self._belief is None or (self._provisional and not all(view.posterior.says_nothing for view in views))
+
+    def _share_anew(self, novelty: float) -> float:
+        """The share of the belief that begins anew where the images say: how likely the camera was carried off."""
+        doubt = 1.0 - min(1.0, self._agreement / self.config.converged_agreement)
+        per_view = self.config.kidnap_per_view ** (1.0 - doubt) * self.config.max_kidnap_per_view**doubt
+        return float(-np.expm1(-per_view * novelty))
+
+    def _reduced(self, belief: Hypotheses) -> Hypotheses:
+        c = self.config
+        return reduced(
+            belief,
+            divergence=c.merge_divergence,
+            least_weight=c.least_weight,
+            most=c.max_hypotheses,
+            rng=self._filter_rng,
+        )
+
+    def _start(self, views: Sequence[View], *, provisional: bool) -> None:
+        """The first belief is what the first view says, with caution about how likely its places are."""
+        first = next((view for view in views if len(view.posterior.shares)), None)
+        if first is None:
+            raise VaporTrackError("the first image says nothing about where the camera is, expected one that does")
+        self._cameras, self._best, self._unseen_s = {}, None, 0.0
+        self._agreement, self._provisional = 0.0 if provisional else 1.0, provisional
+        self._add_camera(first)
+        self._belief = born(first.posterior.seen_from(first.reference_from_camera), 0, 1, self.config.slow_errors, None)
+        self._way = 0.0
+
+    def _known(self, views: Sequence[View]) -> Hypotheses:
+        """The belief, with room for the errors of every camera that is seen."""
+        belief = self._belief
+        assert belief is not None
+        for view in views:
+            if view.camera not in self._cameras:
+                self._add_camera(view)
+                belief = with_camera(belief)
+        return belief
+
+    def _add_camera(self, view: View) -> None:
+        errors = view.posterior.errors
+        # The first image of a camera is all new: it looks from a length away.
+        meter = ViewMeter(errors.length_m, errors.length_rad, unknown=0.0 if self._belief is None else 1.0)
+        camera = _Camera(len(self._cameras), errors, meter, view.reference_from_camera)
+        self._cameras = self._cameras | {view.camera: camera}
+
+    def _estimate(self, belief: Hypotheses, novelty: float, unfamiliarity: float) -> Estimate:
+        camera = next(iter(self._cameras.values()))
+        errors = camera.errors.inflated(camera.scale.factor)
+        modes = self._order(describe_modes(belief, errors, self.config.modes), errors)
         self._best = modes[0].world_from_camera
         return Estimate(
             modes,
-            self._status(modes, log_evidence),
-            particles.poses,
-            particles.log_weights,
-            particles.effective_sample_size,
-            log_evidence,
+            self._status(modes[0], errors),
+            belief.poses,
+            belief.pose_covariance + errors.least_covariance,
+            belief.log_weights,
+            self._agreement,
+            novelty,
+            self._way,
+            unfamiliarity,
         )
 
-    def _start(self, posterior: PosePosterior) -> tuple[Particles, float]:
-        """The first belief is the image's posterior, untempered, as no image before it shares its errors."""
-        poses, _ = draw_enough(lambda size: posterior.sample(size, rng=self._filter_rng), self.config.size)
-        particles, _ = Particles.from_unnormalised(poses, np.zeros(len(poses)))
-        log_likelihood = posterior.log_likelihood(poses)
-        self._recovery = Recovery()
-        self._mean_log_evidence = None
-        return particles, log_mean(log_likelihood)
-
-    def _continue(self, belief: Particles, posterior: PosePosterior, odom: Odometry) -> tuple[Particles, float]:
-        """Propagate, inject, weigh."""
-        c = self.config
-        proposal = propose(
-            belief,
-            self._label,
-            odom,
-            posterior,
-            sample_size=c.size,
-            injection_fraction=c.injection_fraction,
-            kernels=c.kernels,
-            rng=self._filter_rng,
-        )
-        log_likelihood = posterior.log_likelihood(proposal.poses)
-        log_evidence = proposal.log_evidence(log_likelihood)
-        num_moved = proposal.num_from_motion
-        if num_moved < len(log_likelihood):
-            self._recovery = self._recovery.update(log_evidence, log_mean(log_likelihood[num_moved:]), c.recovery)
-        log_weights = self._weigh(proposal, log_likelihood)
-        particles, _ = Particles.from_unnormalised(proposal.poses, log_weights)
-        return particles, log_evidence
-
-    def _weigh(self, proposal: Proposal, log_likelihood: np.ndarray) -> np.ndarray:
-        """Log weights of the particles, not normalised, (n,)."""
-        kidnap_probability = self._recovery.kidnap_probability(self.config.recovery)
-        return mixture_log_weights(proposal, log_likelihood, kidnap_probability=kidnap_probability)
-
-    def _settle(self, particles: Particles, posterior: CheckedPosterior, *, first: bool) -> Particles:
-        """Find the hypotheses, and weigh each one's particles by what the image says of details, the shares kept.
-
-        A first belief is the image's posterior, and has its details already.
-        """
-        log_detail = None if first else posterior.log_detail(particles.poses)
-        detailed = particles if log_detail is None else particles.reweighted(log_detail)
-        self._label = find_hypotheses(detailed, self.config.modes, rng=self._filter_rng)
-        return particles if log_detail is None else detailed.keep_shares(particles, self._label)
-
-    def _order(self, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
+    def _order(self, modes: tuple[Mode, ...], errors: ErrorModel) -> tuple[Mode, ...]:
         """Keep the previous best mode first unless another clearly outweighs it."""
         if self._best is None or len(modes) == 1:
             return modes
         for k, mode in enumerate(modes):
-            if self.config.modes.same_place(mode.world_from_camera, self._best):
+            if self.config.modes.same_place(mode.world_from_camera, self._best, errors):
                 if modes[0].weight < self.config.switch_ratio * mode.weight:
                     return (mode, *modes[:k], *modes[k + 1 :])
                 break
         return modes
 
-    def _status(self, modes: tuple[Mode, ...], log_evidence: float) -> Status:
-        if log_evidence == -np.inf:  # impossible everywhere; in the running mean it would stay for good
+    def _status(self, best: Mode, errors: ErrorModel) -> Status:
+        c = self.config
+        if self._agreement < c.lost_agreement:
             return "lost"
-        previous = log_evidence if self._mean_log_evidence is None else self._mean_log_evidence
-        decay = self.config.evidence_decay
-        self._mean_log_evidence = decay * previous + (1 - decay) * log_evidence
-        if self._mean_log_evidence < self.config.lost_log_evidence:
-            return "lost"
-        best, c = modes[0], self.config
-        sure = best.weight >= c.converged_weight and best.widest_std_m <= c.converged_std_m
-        return "converged" if sure and self._recovery.doubt <= c.converged_doubt else "ambiguous"
+        widest = c.widest_std_m(errors)
+        sure = best.weight >= c.converged_weight and best.widest_std_m <= widest
+        return "converged" if sure and self._agreement >= c.converged_agreement else "ambiguous"
+
+
+def _log(share: float) -> float:
+    return float(np.log(share)) if share > 0.0 else -np.inf

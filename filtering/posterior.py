@@ -1,251 +1,219 @@
-"""What one image says about the camera's pose: two protocols, and the samples that fulfil them."""
+"""What one image says about the camera's pose: a mixture of Gaussians on SE(3), and how it errs."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Protocol, TypeVar, runtime_checkable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64, Int64
 
-from filtering.density import KernelDensity
-from filtering.errors import VaporTrackError, require_within
+from filtering.error_model import ErrorModel
+from filtering.errors import VaporTrackError
+from filtering.moments import group_moments
 from filtering.se3 import Poses
 
-
-@runtime_checkable
-class PosePosterior(Protocol):
-    """The distribution of camera poses for one image."""
-
-    def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
-        """Draw world_from_camera poses, batch (num_samples,), from p(pose | image)."""
-        ...
-
-    def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log p(pose | image) of poses (n,), per m³ rad³, normalised."""
-        ...
-
-    def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log p(image | pose) of poses (n,), at least 0, and 0 where only the chance of an outlier is left.
-
-        That constant matters: by how far the likelihood rises above 0 the filter tells a fitting image from one that
-        fits nowhere (status "lost", recovery). One that stays below 0 says that nothing fits: the belief is not doubted
-        for another place, and the status becomes lost.
-        """
-        ...
-
-
-@runtime_checkable
-class DetailedPosterior(PosePosterior, Protocol):
-    """A posterior that trusts itself about where in a place the camera is, but not about which place it is."""
-
-    def log_detail(self, poses: Poses) -> Float64[np.ndarray, " n"] | None:
-        """Log of a further factor of p(image | pose) at poses (n,), which counts within a hypothesis only.
-
-        None where `log_likelihood` says all.
-        """
-        ...
-
-
-@runtime_checkable
-class PoseDensity(Protocol):
-    """A density over poses that can be drawn from and evaluated, both exactly: kernels, or a network's own."""
-
-    @property
-    def centres(self) -> Poses:
-        """Poses that stand for it, world_from_camera, batch (m,)."""
-        ...
-
-    def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
-        """Draw poses (num_samples,)."""
-        ...
-
-    def log_density(self, poses: Poses, *, near_only: bool = False) -> Float64[np.ndarray, " n"]:
-        """Log density of poses (n,), per m³ rad³; `near_only`: −∞ will do where it is next to nothing."""
-        ...
-
-
-Posterior = TypeVar("Posterior", bound=PosePosterior, covariant=True)
-
-
-@runtime_checkable
-class ObservationModel(Protocol[Posterior]):
-    """Maps an image to its posterior: one network call per image."""
-
-    def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> Posterior:
-        """The posterior of one image, (H, W, 3) uint8 RGB."""
-        ...
+_SOUGHT = 250  # samples among which peaks are sought
+_MOST_PLACES = 40
+_LEAST_SHARE = 0.01  # of the samples: fewer are no place of their own
+_FOREIGN = 1.0  # unfamiliarity from which on an image says nothing
 
 
 @dataclass(frozen=True)
-class LikelihoodModel:
-    """How a posterior becomes a likelihood, in two factors.
-
-    Which place: log L(y) = β [min(e, c) + γ max(e − c, 0)], e(y) = log(1 + (1 − ε)/ε · p̂(y|x)/max(π(y), π_min)).
-    It is 0 where only the outlier floor is left. A network trained on its best samples only (winners take all) knows
-    which places are possible, but not how likely each is, and it errs alike on neighbouring images. So from the
-    saturation c on a place is possible, and by how much it is preferred counts little.
-
-    Where in the place: log D(y) = β_d (1 − exp(−e)) log(1 + r(y)/δ), r the posterior's density over the same one
-    smoothed to the size of a place. What the image says of a place's details is cut off from the question which place
-    it is (Plummer, "Cuts in Bayesian graphical models", 2015): see `Particles.keep_shares`.
+class PosePosterior:
+    """The distribution of camera poses for one image: places where the camera may be, each a Gaussian.
 
     Attributes:
-        prior: π, the mean of the posteriors over many images; None where it is unknown and taken as flat, π_min.
-        outlier_floor: ε of an image that says nothing, in units of the ratio p̂/π.
-        temper: β ≤ 1: neighbouring images share their errors, and samples of the network are not calibrated. (A trained
-            model brings its own, lower one.)
-        prior_floor: π_min, per m³ rad³.
-        saturation: c, in units of e; ∞ where the posterior's shares can be trusted.
-        preference: γ ≤ 1, how much of e counts beyond c.
-        detail_temper: β_d ≤ 1.
-        detail_floor: δ: how much of D is left where a place has no sample nearby.
+        means: world_from_camera of each place, batch (k,); none for an image that says nothing.
+        covariances: Of the error ξ = (v, ω) of each, metres and radians, in the tangent at the mean, (k, 6, 6).
+        shares: Of the posterior, at least 0, in all 1 at most, (k,).
+        errors: How the places err over time.
+        samples: Samples of the posterior, world_from_camera, batch (m,), to be shown; the means where there are none.
+        unfamiliarity: How unlike the images that the network was trained on this one is: 0 one of them, 1 as unlike as
+            images of the same place hardly ever are, above that foreign. A foreign image says nothing.
     """
 
-    prior: KernelDensity | None = None
-    outlier_floor: float = 0.05
-    temper: float = 0.3
-    prior_floor: float = 1e-4
-    saturation: float = np.inf
-    preference: float = 0.0
-    detail_temper: float = 0.2
-    detail_floor: float = 0.05
+    means: Poses
+    covariances: Float64[np.ndarray, "k 6 6"]
+    shares: Float64[np.ndarray, " k"]
+    errors: ErrorModel
+    samples: Poses
+    unfamiliarity: float = 0.0
 
     def __post_init__(self) -> None:
-        require_within(
-            self,
-            outlier_floor=(1e-12, 1.0 - 1e-12),
-            temper=(0.0, 1.0),
-            prior_floor=(1e-300, 1e300),
-            saturation=(0.0, np.inf),
-            preference=(0.0, 1.0),
-            detail_temper=(0.0, 1.0),
-            detail_floor=(1e-12, 1e12),
-        )
+        count = len(self.means)
+        for name, shape in (("covariances", (count, 6, 6)), ("shares", (count,))):
+            values = getattr(self, name)
+            if values.shape != shape:
+                raise VaporTrackError(f"posterior: {name} have shape {values.shape}, expected {shape}")
+            _require_finite(name, np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
+        _require_finite("means", self.means.is_finite())
+        if not (self.shares >= 0.0).all() or self.shares.sum() > 1.0 + 1e-6:
+            raise VaporTrackError(f"posterior: shares are {self.shares.tolist()}, expected at least 0 and 1 in all")
+        uneven = np.abs(self.covariances - np.swapaxes(self.covariances, 1, 2)).max(axis=(1, 2), initial=0.0)
+        if (uneven > 1e-6 * np.abs(self.covariances).max(axis=(1, 2), initial=0.0)).any():
+            raise VaporTrackError(f"posterior: covariance {int(np.argmax(uneven))} of {count} is not symmetric")
+        if not (np.linalg.eigvalsh(self.covariances) > 0.0).all():
+            raise VaporTrackError("posterior: a covariance is singular or has a negative eigenvalue")
+        if not self.unfamiliarity >= 0.0:  # NaN compares as false
+            raise VaporTrackError(f"posterior: unfamiliarity is {self.unfamiliarity}, expected 0 or more")
 
-    def log_prior(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log of max(π, π_min) at poses (n,)."""
-        log_floor = float(np.log(self.prior_floor))
-        if self.prior is None:
-            return np.full(len(poses), log_floor)
-        return np.maximum(log_floor, self.prior.log_density(poses, log_floor=log_floor))
+    @staticmethod
+    def from_samples(samples: Poses, errors: ErrorModel, *, unfamiliarity: float = 0.0) -> PosePosterior:
+        """The places among posterior samples (m,), m ≥ 1.
 
-    def log_likelihood(
-        self, log_density: Float64[np.ndarray, " n"], log_prior: Float64[np.ndarray, " n"]
-    ) -> Float64[np.ndarray, " n"]:
-        """Log L from log p̂ and log π at the same poses, (n,); 0 where only the outlier floor is left."""
-        evidence = self._evidence(log_density, log_prior)
-        beyond = np.maximum(evidence - self.saturation, 0.0)
-        return self.temper * (np.minimum(evidence, self.saturation) + self.preference * beyond)
-
-    def log_detail(
-        self,
-        log_density: Float64[np.ndarray, " n"],
-        log_place_density: Float64[np.ndarray, " n"],
-        log_prior: Float64[np.ndarray, " n"],
-    ) -> Float64[np.ndarray, " n"]:
-        """Log D from log p̂, the same smoothed to the size of a place, and log π, at the same poses, (n,)."""
-        log_ratio = log_density - log_place_density - np.log(self.detail_floor)
-        possible = -np.expm1(-self._evidence(log_place_density, log_prior))
-        return self.detail_temper * possible * np.logaddexp(log_ratio, 0.0)
-
-    def _evidence(self, log_density: np.ndarray, log_prior: np.ndarray) -> np.ndarray:
-        """e ≥ 0."""
-        ratio = np.log1p(-self.outlier_floor) - np.log(self.outlier_floor) + log_density - log_prior
-        return np.logaddexp(ratio, 0.0)
-
-
-@dataclass(frozen=True)
-class PosteriorSamples:
-    """A posterior given by samples and their density, and the likelihood it implies.
-
-    Attributes:
-        density: p̂: the kernel density over the samples, or the exact one that they were drawn from.
-        likelihood: How p̂ becomes a likelihood.
-        places: The same smoothed to the size of a place, over some of the samples: it tells places apart, and p̂ tells
-            where in a place. None where p̂ does both.
-    """
-
-    density: PoseDensity
-    likelihood: LikelihoodModel = field(default_factory=LikelihoodModel)
-    places: KernelDensity | None = None
-    _evaluated: list[tuple[Poses, np.ndarray, np.ndarray, np.ndarray]] = field(
-        init=False, default_factory=list, repr=False, compare=False
-    )
+        Raises:
+            VaporTrackError: no sample, or one that is not finite.
+        """
+        if len(samples) == 0:
+            raise VaporTrackError("a posterior needs at least one sample, got an empty batch of poses")
+        _require_finite("samples", samples.is_finite())
+        label, count = find_places(samples, errors.radius_m, errors.radius_rad)
+        own = np.flatnonzero(label >= 0)
+        means, covariances, _ = group_moments(samples[own], np.ones(len(own)), label[own], count)
+        shares = np.bincount(label[own], minlength=count) / len(samples)
+        return PosePosterior(means, errors.covariance(covariances), shares, errors, samples, unfamiliarity)
 
     @staticmethod
     def from_estimates(
         estimates: Poses,
         std_m: float | Float64[np.ndarray, " m"],
         std_rad: float | Float64[np.ndarray, " m"],
-        *,
-        outlier_share: float,
-        outlier_spread: float,
-        likelihood: LikelihoodModel,
-    ) -> PosteriorSamples:
+        errors: ErrorModel,
+    ) -> PosePosterior:
         """The posterior of an image of which some methods give one pose each: one of them is right, any as likely.
-
-        Each estimate is a kernel of its stated uncertainty and, as the errors of pose estimators have heavy tails, a
-        wide one beside it. Estimates that agree make no narrower a posterior: they see the same image.
 
         Args:
             estimates: world_from_camera, batch (m,), m ≥ 1.
             std_m: Stated standard deviation along each axis, metres; of all estimates or of each.
             std_rad: Stated standard deviation about each axis, radians; of all estimates or of each.
-            outlier_share: Share of the wide kernels, inside (0, 1).
-            outlier_spread: How many times wider they are, at least 1.
-            likelihood: How the density becomes a likelihood.
+            errors: How they err over time.
 
         Raises:
             VaporTrackError: no estimate, or a number out of its range.
         """
-        if not 0.0 < outlier_share < 1.0 or not outlier_spread >= 1.0:
-            raise VaporTrackError(
-                f"outlier share {outlier_share} and spread {outlier_spread}, expected inside (0, 1) and at least 1"
-            )
-        m = len(estimates)
+        count = len(estimates)
+        if count == 0:
+            raise VaporTrackError("no estimate, expected at least one")
         for name, std in (("std_m", std_m), ("std_rad", std_rad)):
-            if np.shape(std) not in ((), (m,)):
-                raise VaporTrackError(f"{name} has shape {np.shape(std)}, expected one number or ({m},)")
-        spread = np.repeat([1.0, outlier_spread], m)
-        weights = np.repeat([1.0 - outlier_share, outlier_share], m) / m
-        density = KernelDensity(
-            Poses.concatenate([estimates, estimates]),
-            spread * np.tile(np.broadcast_to(std_m, m), 2),
-            spread * np.tile(np.broadcast_to(std_rad, m), 2),
-            np.log(weights),
+            if np.shape(std) not in ((), (count,)):
+                raise VaporTrackError(f"{name} has shape {np.shape(std)}, expected one number or ({count},)")
+        stds = [np.broadcast_to(std, count)[:, None].repeat(3, axis=1) for std in (std_m, std_rad)]
+        variances = np.square(np.concatenate(stds, axis=1))
+        return PosePosterior(
+            estimates, variances[:, :, None] * np.eye(6), np.full(count, 1.0 / count), errors, estimates
         )
-        return PosteriorSamples(density, likelihood)
+
+    @staticmethod
+    def nothing(errors: ErrorModel | None = None, samples: Poses | None = None) -> PosePosterior:
+        """The posterior of an image that says nothing: it changes no belief."""
+        none = Poses.identity(0)
+        return PosePosterior(none, np.zeros((0, 6, 6)), np.zeros(0), errors or ErrorModel(), samples or none)
 
     @property
-    def poses(self) -> Poses:
-        """The samples themselves, world_from_camera, batch (m,)."""
-        return self.density.centres
+    def says_nothing(self) -> bool:
+        """Whether it has no place, or is of a foreign image."""
+        return len(self.shares) == 0 or self.unfamiliarity > _FOREIGN
 
-    def sample(self, num_samples: int, *, rng: np.random.Generator) -> Poses:
-        """Draw poses (num_samples,) from p̂."""
-        return self.density.sample(num_samples, rng=rng)
+    @cached_property
+    def possible(self) -> Float64[np.ndarray, " k"]:
+        """How possible each place is, in [0, 1]: its share, with the model's caution about shares."""
+        return self.shares / (self.shares + self.errors.possible_share)
 
-    def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log p̂(pose | image) of poses (n,), per m³ rad³; −∞ where it is 0 or, with `places`, next to that."""
-        return self._evaluate(poses)[0]
+    @cached_property
+    def factors(self) -> Float64[np.ndarray, "k 6 6"]:
+        """Symmetric square roots of the covariances."""
+        values, vectors = np.linalg.eigh(self.covariances)
+        return (vectors * np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
 
-    def log_likelihood(self, poses: Poses) -> Float64[np.ndarray, " n"]:
-        """Log p(image | pose) of poses (n,), which place; 0 where only the outlier floor is left."""
-        _, log_place_density, log_prior = self._evaluate(poses)
-        return self.likelihood.log_likelihood(log_place_density, log_prior)
+    def inflated(self, factor: float) -> PosePosterior:
+        """The same with errors whose variances are larger by a factor."""
+        if factor == 1.0:
+            return self
+        return replace(self, covariances=factor * self.covariances, errors=self.errors.inflated(factor))
 
-    def log_detail(self, poses: Poses) -> Float64[np.ndarray, " n"] | None:
-        """Log p(image | pose) of poses (n,), where in a place; None without `places`."""
-        return None if self.places is None else self.likelihood.log_detail(*self._evaluate(poses))
+    def seen_from(self, reference_from_camera: Poses) -> PosePosterior:
+        """The same about another frame that is fixed to the camera: world_from_reference (one pose)."""
+        carry = reference_from_camera.adjoint()
+        camera_from_reference = reference_from_camera.inverse()
+        return replace(
+            self,
+            means=self.means @ camera_from_reference,
+            covariances=carry @ self.covariances @ carry.T,
+            samples=self.samples @ camera_from_reference,
+        )
 
-    def _evaluate(self, poses: Poses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Log p̂, the same smoothed, log π; the filter asks for all at the same poses, the kernels are summed once."""
-        if not self._evaluated or self._evaluated[0][0] is not poses:
-            if self.places is None:
-                log_density = log_place_density = self.density.log_density(poses)
-            else:  # p̂ only tells where in a place, and what the image draws: far from all samples it may be nothing
-                log_density = self.density.log_density(poses, near_only=True)
-                log_place_density = self.places.log_density(poses)
-            self._evaluated[:] = [(poses, log_density, log_place_density, self.likelihood.log_prior(poses))]
-        return self._evaluated[0][1:]
+
+@runtime_checkable
+class ObservationModel(Protocol):
+    """Maps an image to its posterior: one network call per image."""
+
+    def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
+        """The posterior of one image, (H, W, 3) uint8 RGB."""
+        ...
+
+
+def find_places(samples: Poses, radius_m: float, radius_rad: float) -> tuple[Int64[np.ndarray, " m"], int]:
+    """Split samples (m,) into places.
+
+    Peaks of the density among some of the samples are taken from the highest down, none within 1.5 radii of another;
+    each then moves once to the mean of the samples within its radius, and every sample belongs to the nearest one.
+
+    Args:
+        samples: world_from_camera, m ≥ 1.
+        radius_m: Reach of a place, metres.
+        radius_rad: Reach of a place, radians.
+
+    Returns:
+        The place of every sample from 0, −1 where it belongs to none, and the number of places.
+    """
+    count = len(samples)
+    # Squared distances between these are (metres / radius)² + (2 − 2 cos angle) / radius².
+    embedded = np.concatenate(
+        [samples.translation / radius_m, samples.rotation.reshape(-1, 9) / (np.sqrt(2.0) * radius_rad)], axis=1
+    )
+    some = slice(None, None, max(1, count // _SOUGHT))
+    embedded -= np.median(embedded[some], axis=0)
+    squares = np.einsum("ij,ij->i", embedded, embedded)
+    apart = squares[some, None] + squares[some] - 2.0 * embedded[some] @ embedded[some].T
+    height = np.exp(-2.0 * np.maximum(apart, 0.0).astype(np.float32)).sum(axis=1)
+    peaks: list[int] = []
+    free = np.ones(len(height), bool)
+    least = max(1.5, _LEAST_SHARE * len(height))
+    while free.any() and len(peaks) < _MOST_PLACES:
+        peak = int(np.argmax(np.where(free, height, -1.0)))
+        if peaks and height[peak] < least:
+            break
+        peaks.append(peak)
+        free &= apart[peak] > 1.5**2
+    centres = embedded[some][peaks]
+    label = _nearest(embedded, squares, centres)
+    member = np.zeros((len(centres), count))
+    inside = np.flatnonzero(label >= 0)
+    member[label[inside], inside] = 1.0
+    size = member.sum(axis=1, keepdims=True)
+    centres = np.where(size > 0, member @ embedded / np.maximum(size, 1.0), centres)
+    label = _nearest(embedded, squares, centres)
+    sizes = np.bincount(label + 1, minlength=len(centres) + 1)[1:]
+    kept = sizes >= max(min(3, count), _LEAST_SHARE * count)
+    if not kept.any():
+        kept[np.argmax(sizes)] = True
+    renumbered = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
+    return renumbered[label].astype(np.int64), int(kept.sum())
+
+
+def _nearest(embedded: np.ndarray, squares: np.ndarray, centres: np.ndarray) -> Int64[np.ndarray, " m"]:
+    """Index of the nearest centre, −1 where none is within 1; the first one for the sample nearest to any."""
+    distance = squares[:, None] + np.einsum("ij,ij->i", centres, centres) - 2.0 * embedded @ centres.T
+    nearest = distance.argmin(axis=1)
+    least = distance[np.arange(len(nearest)), nearest]
+    inside = least <= 1.0
+    if not inside.any():
+        inside[np.argmin(least)] = True
+    return np.where(inside, nearest, -1)
+
+
+def _require_finite(name: str, finite: Bool[np.ndarray, " n"]) -> None:
+    if not finite.all():
+        raise VaporTrackError(f"posterior: {name} {int(np.argmin(finite))} of {len(finite)} is not finite")

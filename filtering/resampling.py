@@ -1,50 +1,41 @@
-"""Weights -> ancestor indices. Every scheme is unbiased: index i is drawn n·wᵢ times on average.
-
-Source: Douc, Cappé and Moulines, "Comparison of resampling schemes for particle filtering", 2005.
-"""
+"""Weights -> fewer weighted particles, without bias."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from filtering.errors import VaporTrackError
 
-Resampler = Callable[..., Int64[np.ndarray, " n"]]
-
-
-def systematic(
-    weights: Float64[np.ndarray, " m"], num_samples: int, *, rng: np.random.Generator
-) -> Int64[np.ndarray, " n"]:
-    """Ancestors at a regular grid with one random offset: each index ⌊n·w⌋ or ⌈n·w⌉ times."""
-    return _invert(weights, (np.arange(num_samples) + rng.random()) / num_samples)
-
-
-def stratified(
-    weights: Float64[np.ndarray, " m"], num_samples: int, *, rng: np.random.Generator
-) -> Int64[np.ndarray, " n"]:
-    """Ancestors at one uniform draw in each of n equal strata."""
-    return _invert(weights, (np.arange(num_samples) + rng.random(num_samples)) / num_samples)
-
-
-def multinomial(
-    weights: Float64[np.ndarray, " m"], num_samples: int, *, rng: np.random.Generator
-) -> Int64[np.ndarray, " n"]:
-    """Independent ancestors; the highest variance, for comparison."""
-    return _invert(weights, np.sort(rng.random(num_samples)))
-
-
-def _invert(weights: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Indices at which the cumulative weights pass the sorted points in [0, 1)."""
-    if not np.isfinite(weights).all() or (weights < 0).any() or weights.sum() <= 0:
-        raise VaporTrackError(
-            f"resampling weights must be finite, at least 0 and not all 0; got minimum {weights.min():.3g}, "
-            f"sum {weights.sum():.3g}"
-        )
+def systematic(weights: Float64[np.ndarray, " n"], count: int, *, rng: np.random.Generator) -> Int64[np.ndarray, " k"]:
+    """Indices (k,) drawn in proportion to weights (n,), which need not be normalised: one random number, even steps."""
     cumulative = np.cumsum(weights)
-    # Pinned so that rounding can never push a point beyond the end, nor onto a trailing zero weight.
-    cumulative[np.flatnonzero(weights)[-1] :] = cumulative[-1]
-    cumulative /= cumulative[-1]
-    return np.searchsorted(cumulative, points, side="right").astype(np.int64)
+    points = (np.arange(count) + rng.random()) * (cumulative[-1] / count)
+    return np.minimum(np.searchsorted(cumulative, points, side="right"), len(weights) - 1)
+
+
+def thin_out(
+    log_weights: Float64[np.ndarray, " n"], count: int, *, rng: np.random.Generator
+) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+    """The best choice of fewer weighted particles (Fearnhead and Clifford, 2003): no other unbiased one errs less.
+
+    Those above a threshold are kept with their weights; of the others some are drawn, each with the threshold for a
+    weight. No particle is drawn twice, and the expected weight of each is what it was.
+
+    Args:
+        log_weights: Normalised, (n,), n > count.
+        count: How many are kept, at least 1.
+        rng: Source of the draw.
+
+    Returns:
+        Indices of those kept, and their log weights, (k,).
+    """
+    order = np.argsort(-log_weights, kind="stable")
+    weights = np.exp(log_weights[order])
+    rest = np.cumsum(weights[::-1])[::-1]  # of each and all lighter ones
+    # The first number of heavy ones at which the others, spread evenly over the places left, are no heavier.
+    places = count - np.arange(count)
+    heavy = int(np.argmax(weights[:count] * places <= rest[:count] * (1.0 + 1e-12)))
+    threshold = rest[heavy] / (count - heavy)
+    drawn = heavy + systematic(weights[heavy:], count - heavy, rng=rng)
+    kept = np.concatenate([order[:heavy], order[drawn]])
+    return kept, np.concatenate([log_weights[order[:heavy]], np.full(count - heavy, np.log(threshold))])

@@ -1,28 +1,34 @@
 """Estimates and odometry -> smoothed trajectory: a GTSAM factor graph that resolves the start in hindsight.
 
 Per image the factor is a mixture over the modes of its posterior, handled as max-mixture (Olson and Agarwal, "Inference
-on networks of mixtures", 2013): the mode that fits best speaks, through a robust kernel. GTSAM's Pose3 tangent is
-rotation first; the one permutation lives here.
+on networks of mixtures", 2013): the mode that fits best speaks, with the tails of the error model. Images whose errors
+last share what they say, and the slow errors of odometry widen its noise. GTSAM's Pose3 tangent is rotation first; the
+one permutation lives here.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
+from scipy.linalg import solveh_banded
 
+from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
-from filtering.motion import Odometry
+from filtering.hypotheses import POSE, SLOW, motion_of_state
+from filtering.localizer import LocalizerConfig
+from filtering.motion import Odometry, SlowErrors
 from filtering.se3 import Poses
 
 SMOOTHED_MODES = 6
 """Of each image, the heaviest: enough for the smoother, and bounded in memory over a long sequence."""
 
+_STANDING = 1e-9  # lengths: no way is shorter, which keeps correlations regular
 _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 
 
@@ -30,36 +36,65 @@ _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 class SmoothingConfig:
     """Settings of the smoother."""
 
-    robust_scale: float = 2.0
-    """Scale of the Cauchy kernel on a mode's residual, in standard deviations."""
-    correlation: float = 5.0
-    """Neighbouring images share their errors: this many count as one independent measurement."""
     rounds: int = 3
     """How often modes are chosen anew for the trajectory found."""
+    slow_errors: SlowErrors = field(default_factory=lambda: LocalizerConfig().slow_errors)
+    """Errors of the odometry that last; the filter's."""
+    cover_s: float = 10.0
+    """The noise of odometry is widened to cover them over this time, seconds."""
 
     def __post_init__(self) -> None:
-        require_within(
-            self,
-            robust_scale=(1e-3, 1e6),
-            correlation=(1.0, 1e6),
-            rounds=(1, 1000),
-        )
+        require_within(self, rounds=(1, 1000), cover_s=(0.0, 1e9))
+
+
+def independence(ways: Float64[np.ndarray, " n"], lasting_share: float) -> Float64[np.ndarray, " n"]:
+    """How much of an independent measurement each image of a sequence is, in (0, 1].
+
+    These are the weights K⁻¹ 1 by which the images tell of one pose as precisely as can be, and their sum 1ᵀ K⁻¹ 1 is
+    how many independent images they are worth. K are the correlations of their errors, `lasting_share` · exp(−way
+    between them). Images taken standing are worth 1 / lasting_share together, and on a long way in even steps g each is
+    worth 1 / (1 − lasting_share + lasting_share · coth(g/2)).
+
+    Args:
+        ways: How far the camera came since the image before, in lengths over which the errors of images change; the
+            first is not used.
+        lasting_share: Share of the error's variance that lasts, in [0, 1).
+    """
+    n = len(ways)
+    if n < 2:
+        return np.ones(n)
+    # K = l C + (1 − l), where C⁻¹ has three diagonals: (l + (1 − l) C⁻¹) w = C⁻¹ 1.
+    steps = np.maximum(ways[1:], _STANDING)
+    kept, inverse = np.exp(-steps), -1.0 / np.expm1(-2.0 * steps)
+    diagonal, alone = np.ones(n), np.ones(n)  # of C⁻¹, and C⁻¹ 1
+    for part in (slice(1, None), slice(None, -1)):
+        diagonal[part] += inverse - 1.0
+        alone[part] += 1.0 / (1.0 + kept) - 1.0
+    banded = np.zeros((2, n))
+    banded[0, 1:] = -(1.0 - lasting_share) * kept * inverse
+    banded[1] = lasting_share + (1.0 - lasting_share) * diagonal
+    return np.clip(solveh_banded(banded, alone), 1e-9, 1.0)
 
 
 def smooth(
     image_modes: Sequence[tuple[Mode, ...]],
     odometry: Sequence[Odometry | None],
+    ways: Float64[np.ndarray, " n"],
     filtered: Poses,
     converged: Bool[np.ndarray, " n"],
+    errors: ErrorModel,
     config: SmoothingConfig | None = None,
 ) -> Poses:
     """The most likely trajectory given all images and all odometry.
 
     Args:
-        image_modes: For every image the modes of its own posterior, n of them.
+        image_modes: For every image the modes of its own posterior, n of them; none for one that says nothing.
         odometry: Motion since the previous image, n; the first is not used. None splits the trajectory.
+        ways: How far the camera came since the image before, in lengths over which the errors of images change
+            (`Estimate.way`), (n,).
         filtered: Best modes of the filter, world_from_camera, batch (n,).
         converged: Which of them the filter was sure of, (n,).
+        errors: How the images err.
         config: Settings.
 
     Returns:
@@ -69,10 +104,10 @@ def smooth(
         VaporTrackError: the lengths differ.
     """
     config = config or SmoothingConfig()
-    if not len(image_modes) == len(odometry) == len(filtered) == len(converged):
+    if not len(image_modes) == len(odometry) == len(ways) == len(filtered) == len(converged):
         raise VaporTrackError(
-            f"smoothing needs as many mode lists, odometry increments, poses and flags, got {len(image_modes)}, "
-            f"{len(odometry)}, {len(filtered)} and {len(converged)}"
+            f"smoothing needs as many mode lists, odometry increments, ways, poses and flags, got {len(image_modes)}, "
+            f"{len(odometry)}, {len(ways)}, {len(filtered)} and {len(converged)}"
         )
     if len(filtered) == 0:
         return filtered
@@ -80,7 +115,7 @@ def smooth(
     parts = []
     for start, stop in itertools.pairwise(breaks):
         steps = [odom for odom in odometry[start + 1 : stop] if odom is not None]
-        modes = _ImageModes(image_modes[start:stop], config)
+        modes = _ImageModes(image_modes[start:stop], ways[start:stop], errors)
         guesses = _initial_guesses(filtered[start:stop], steps, converged[start:stop])
         solutions = [_optimise(guess, modes, steps, config) for guess in guesses]
         parts.append(min(solutions, key=lambda solution: solution[1])[0])
@@ -112,26 +147,34 @@ def _chain(filtered: Poses, steps: Sequence[Odometry], anchored: np.ndarray) -> 
 
 
 class _ImageModes:
-    """The modes of all images as arrays, k modes in all, to choose among them in one go."""
+    """The modes of all images as arrays, k modes in all, to choose among them in one go.
 
-    def __init__(self, modes: Sequence[tuple[Mode, ...]], config: SmoothingConfig) -> None:
+    A mode's cost is the negative log density of a Student t distribution, by how independent its image is: a Cauchy
+    kernel on the residual by a covariance that is narrower than the mode's at the middle.
+    """
+
+    def __init__(self, modes: Sequence[tuple[Mode, ...]], ways: Float64[np.ndarray, " n"], errors: ErrorModel) -> None:
         flat = [mode for choices in modes for mode in choices]
         counts = np.array([len(choices) for choices in modes])
-        self.poses = Poses.stack([mode.world_from_camera for mode in flat])
-        # A tenth of a millimetre and of a milliradian keep modes of equal samples regular.
-        self.covariance = config.correlation * (np.stack([mode.covariance for mode in flat]) + 1e-8 * np.eye(6))
-        self._scale_sq = config.robust_scale**2
+        self.images = np.flatnonzero(counts)
+        since = np.diff(np.cumsum(ways)[self.images], prepend=0.0)
+        worth = np.repeat(independence(since, errors.lasting_share), counts[self.images])
         self._image = np.repeat(np.arange(len(modes)), counts)
-        self._first = np.cumsum(counts) - counts
+        self._first = (np.cumsum(counts) - counts)[self.images]
+        self.poses = Poses.stack([mode.world_from_camera for mode in flat]) if flat else Poses.identity(0)
+        # A tenth of a millimetre and of a milliradian keep modes of equal samples regular.
+        stated = np.stack([mode.covariance for mode in flat]) + 1e-8 * np.eye(6) if flat else np.zeros((0, 6, 6))
+        self.kernel = np.sqrt((errors.tail + 6.0) * worth)
+        self.covariance = stated * (errors.tail / np.square(self.kernel))[:, None, None]
         self._information = np.linalg.inv(self.covariance)
         log_weight = np.log([max(mode.weight, 1e-6) for mode in flat])
-        self._cost = (0.5 * np.linalg.slogdet(self.covariance)[1] - log_weight) / config.correlation
+        self._cost = worth * (0.5 * np.linalg.slogdet(stated)[1] - log_weight)
 
-    def choose(self, trajectory: Poses) -> tuple[Int64[np.ndarray, " n"], float]:
-        """Index of the mode that explains each image best, and what these choices cost for weight and normaliser."""
+    def choose(self, trajectory: Poses) -> tuple[Int64[np.ndarray, " c"], float]:
+        """Index of the mode that explains each of `images` best, and the cost of these for weight and normaliser."""
         residual = (self.poses.inverse() @ trajectory[self._image]).log()
         squared = np.einsum("ki,kij,kj->k", residual, self._information, residual)
-        error = 0.5 * self._scale_sq * np.log1p(squared / self._scale_sq) + self._cost
+        error = 0.5 * self.kernel**2 * np.log1p(squared / self.kernel**2) + self._cost
         chosen = np.lexsort((error, self._image))[self._first]
         return chosen, float(self._cost[chosen].sum())
 
@@ -142,14 +185,16 @@ def _optimise(
     """Alternate between choosing each image's mode and solving the graph; returns the poses and their error."""
     odometry_graph = gtsam.NonlinearFactorGraph()
     for i, step in enumerate(steps):
-        noise = _gaussian(step.covariance + 1e-8 * np.eye(6))  # exact odometry stays invertible
+        noise = _gaussian(_widened(step, config) + 1e-8 * np.eye(6))  # exact odometry stays invertible
         odometry_graph.add(gtsam.BetweenFactorPose3(i, i + 1, _to_gtsam(step.previous_from_current), noise))
-    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(config.robust_scale)
     poses, error = guess, np.inf
     for _ in range(config.rounds):
         chosen, cost = modes.choose(poses)
         graph = gtsam.NonlinearFactorGraph(odometry_graph)
-        for i, k in enumerate(chosen):
+        if len(chosen) == 0:
+            graph.add(gtsam.PriorFactorPose3(0, _to_gtsam(guess[0]), _gaussian(np.eye(6))))
+        for i, k in zip(modes.images.tolist(), chosen.tolist(), strict=True):
+            kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(float(modes.kernel[k]))
             noise = gtsam.noiseModel.Robust.Create(kernel, _gaussian(modes.covariance[k]))
             graph.add(gtsam.PriorFactorPose3(i, _to_gtsam(modes.poses[k]), noise))
         values = gtsam.Values()
@@ -162,6 +207,13 @@ def _optimise(
         if before - error < 1e-3 * abs(before):
             break
     return poses, float(error)
+
+
+def _widened(step: Odometry, config: SmoothingConfig) -> Float64[np.ndarray, "6 6"]:
+    """Covariance of white noise that adds up, over `cover_s`, to what noise and slow errors of an increment do."""
+    slow = config.slow_errors
+    errs = motion_of_state(step, slow, [])[0][POSE, SLOW] * np.array([slow.scale, *6 * [1.0]])
+    return step.covariance + config.cover_s / max(step.duration_s, 1e-9) * (errs @ errs.T)
 
 
 def _gaussian(covariance: Float64[np.ndarray, "6 6"]) -> gtsam.noiseModel.Gaussian:

@@ -1,0 +1,187 @@
+"""An image meets the belief: which hypothesis sees which of the image's places, and what each learns from it.
+
+Sources: Chen and Liu, "Mixture Kalman filters", 2000 (particles that carry Gaussians); Roth, Özkan and Gustafsson, "A
+Student's t filter for heavy tailed process and measurement noise", 2013; Plummer, "Cuts in Bayesian graphical models",
+2015 (what an image says of details is cut off from the question which place it is).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.special import gammaln
+
+from filtering.hypotheses import POSE, Hypotheses, bias, concatenate
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+
+_GATE = 36.0  # squared, in standard deviations: what is further apart is not looked at
+_PLACE = 3.0  # standard deviations of the error: details finer than that do not tell one place from another
+_LEAST = 1e-3  # share of a hypothesis that goes on as one of its own
+_FAR = 0.8  # where errors weigh less than this for their tails, they are taken to be as large as that says
+
+
+@dataclass(frozen=True)
+class Association:
+    """What an image makes of a belief.
+
+    Attributes:
+        hypotheses: Each hypothesis once for every place that it may see, corrected by it, and once as it was; their log
+            weights add up to those of the belief after the image, not normalised.
+        log_evidence: Log of how well each hypothesis of the belief fits the image, from the log of the outlier share
+            to 0, (n,).
+        agreement: The share of the belief that the image fits, in [0, 1].
+    """
+
+    hypotheses: Hypotheses
+    log_evidence: Float64[np.ndarray, " n"]
+    agreement: float
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """p pairs of a hypothesis and a place that are near each other.
+
+    Attributes:
+        hypothesis, place: Indices, (p,).
+        innovation: Difference of the place from what the hypothesis expects, (p, 6).
+        covariance: Of state and innovation, (p, d, 6).
+        information: Inverse covariance of the innovation, (p, 6, 6).
+        squared: Squared Mahalanobis distance by the ordinary error, (p,).
+        log_density: Of the place, as the hypothesis expects it, (p,).
+    """
+
+    hypothesis: Int64[np.ndarray, " p"]
+    place: Int64[np.ndarray, " p"]
+    innovation: Float64[np.ndarray, "p 6"]
+    covariance: Float64[np.ndarray, "p d 6"]
+    information: Float64[np.ndarray, "p 6 6"]
+    squared: Float64[np.ndarray, " p"]
+    log_density: Float64[np.ndarray, " p"]
+
+
+def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, novelty: float, way: float) -> Association:
+    """Weigh and correct a belief by an image that says something.
+
+    *Which place.* A hypothesis is as possible as the places near it are, where near leaves details aside; its weight
+    is multiplied by that to the power of how new the view is: an image that shows what others have shown says nothing
+    more.
+
+    *Where in the place.* A hypothesis goes on as several, one for each place that it may see and one that sees none,
+    with shares by how likely each is; each is corrected by its place like a Kalman filter, the lasting part of the
+    image's error being a part of the state. A place that differs by more than images usually err is an image that errs
+    in a way of its own: its error is taken to be as large as that says, to have nothing to do with that of the images
+    before, and to last as long as any other.
+
+    Args:
+        belief: n hypotheses.
+        posterior: Of the image.
+        camera: Which camera took it.
+        novelty: How new the view is, in [0, 1].
+        way: How far the camera came since its last image, in lengths over which the errors of its images change.
+    """
+    errors, count = posterior.errors, len(belief)
+    pairs = _near_pairs(belief, posterior, camera, way)
+    near = posterior.shares[pairs.place] * np.exp(-0.5 * pairs.squared / _PLACE**2)
+    support = np.bincount(pairs.hypothesis, near, minlength=count)
+    possible = support / (support + errors.possible_share)
+    log_evidence = np.log(errors.outlier_share + (1.0 - errors.outlier_share) * possible)
+
+    log_shares = np.log(np.maximum(posterior.shares, 1e-300))
+    log_seen = np.log1p(-errors.outlier_share) + log_shares[pairs.place] + pairs.log_density
+    log_unseen = np.log(errors.outlier_share) + errors.flat_log_density
+    table = np.full((count, len(posterior.shares) + 1), -np.inf)
+    table[:, -1] = log_unseen
+    table[pairs.hypothesis, pairs.place] = log_seen
+    log_total = np.logaddexp.reduce(table, axis=1)
+    log_weights = belief.log_weights + novelty * log_evidence
+    unseen = np.exp(log_unseen - log_total)
+    aside = np.flatnonzero(unseen > _LEAST)
+    as_they_were = belief[aside]
+    parts = [
+        Hypotheses(
+            as_they_were.poses,
+            as_they_were.mean,
+            as_they_were.covariance,
+            log_weights[aside] + np.log(unseen[aside]),
+        )
+    ]
+    log_share = log_seen - log_total[pairs.hypothesis]
+    taken = np.flatnonzero(log_share > np.log(_LEAST))
+    if len(taken):
+        parts.append(_corrected(belief, pairs, taken, log_weights[pairs.hypothesis[taken]] + log_share[taken]))
+    agreement = float(belief.weights @ possible)
+    return Association(concatenate(parts), log_evidence, agreement)
+
+
+def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: float) -> _Pairs:
+    errors, covariance = posterior.errors, belief.pose_covariance
+    variances = [
+        np.trace(covariance[:, part, part], axis1=1, axis2=2)[:, None]
+        + np.trace(posterior.covariances[:, part, part], axis1=1, axis2=2)
+        for part in (slice(0, 3), slice(3, 6))
+    ]
+    offset = belief.poses.translation[:, None] - posterior.means.translation
+    aligned = belief.poses.rotation.reshape(-1, 9) @ posterior.means.rotation.reshape(-1, 9).T
+    near = (np.square(offset).sum(axis=2) < _GATE * variances[0]) & (3.0 - aligned < _GATE * variances[1])
+    h, k = np.nonzero(near)
+    difference = (belief.poses[h].inverse() @ posterior.means[k]).log()
+    state, lasting = belief.covariance[h], belief.mean[h][:, _without_pose(camera)]
+    factor = np.sqrt(errors.lasting_share) * posterior.factors[k]
+    fresh = (1.0 - errors.lasting_share) * posterior.covariances[k]
+    innovation, joint, information, squared = _innovations(state, lasting, difference, factor, fresh, camera)
+    log_det = -np.linalg.slogdet(information)[1]
+    nu = errors.tail
+    log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
+    # However little is known about where the camera is, it is in the map.
+    log_density = np.maximum(log_peak, errors.flat_log_density) - (nu + 6) / 2 * np.log1p(squared / nu)
+    larger = (nu + squared) / (nu + 6)
+    far = np.flatnonzero(larger > 1.0 / _FAR)
+    if len(far):
+        # Errors that last over a way of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
+        error = larger[far, None, None] * max(1.0, 2.0 / max(way, 1e-6)) * posterior.covariances[k[far]]
+        innovation[far] = difference[far]
+        joint[far] = state[far][:, :, POSE]
+        information[far] = np.linalg.inv(state[far][:, POSE, POSE] + error)
+    return _Pairs(h, k, innovation, joint, information, squared, log_density)
+
+
+def _innovations(
+    state: Float64[np.ndarray, "p d d"],
+    lasting: Float64[np.ndarray, "p 6"],
+    difference: Float64[np.ndarray, "p 6"],
+    factor: Float64[np.ndarray, "p 6 6"],
+    fresh: Float64[np.ndarray, "p 6 6"],
+    camera: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Innovations, their covariance with the state, their information, and their squared distances.
+
+    What is measured is error of the pose + factor · bias + fresh noise.
+    """
+    own = bias(camera)
+    innovation = difference - np.einsum("pij,pj->pi", factor, lasting)
+    transposed = np.swapaxes(factor, 1, 2)
+    joint = state[:, :, POSE] + state[:, :, own] @ transposed
+    covariance = joint[:, POSE] + factor @ joint[:, own] + fresh
+    information = np.linalg.inv((covariance + np.swapaxes(covariance, 1, 2)) / 2)
+    squared = np.einsum("pi,pij,pj->p", innovation, information, innovation)
+    return innovation, joint, information, squared
+
+
+def _corrected(
+    belief: Hypotheses, pairs: _Pairs, taken: Int64[np.ndarray, " c"], log_weights: Float64[np.ndarray, " c"]
+) -> Hypotheses:
+    parent, joint = pairs.hypothesis[taken], pairs.covariance[taken]
+    gain = joint @ pairs.information[taken]
+    change = np.einsum("pij,pj->pi", gain, pairs.innovation[taken])
+    covariance = belief.covariance[parent] - gain @ np.swapaxes(joint, 1, 2)
+    covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
+    poses = belief.poses[parent] @ Poses.exp(change[:, POSE])
+    return Hypotheses(poses, belief.mean[parent] + change[:, 6:], covariance, log_weights)
+
+
+def _without_pose(camera: int) -> slice:
+    own = bias(camera)
+    return slice(own.start - 6, own.stop - 6)

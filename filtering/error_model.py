@@ -1,0 +1,110 @@
+"""How an image's posterior errs: how far, how heavy the tails, and for how long the same way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.errors import VaporTrackError, require_within
+
+Six = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Errors of the poses that images give, in the camera frame, fitted on held-out images or stated.
+
+    A cluster of posterior samples with covariance C stands for a place whose error has covariance Σ = spread · C +
+    diag(floor²) and the tails of a Student t distribution. Of the error's variance a share lasts while the view stays
+    the same, and fades with how far the camera moves and turns (an Ornstein-Uhlenbeck process along the way); a share
+    never fades; the rest is new with every image. So neither standing nor a higher rate buys certainty.
+
+    Tuples are (x, y, z) along and about the camera's axes, metres and radians.
+    """
+
+    radius_m: float = 0.3
+    """Samples within this distance of a peak of the posterior are one cluster, metres."""
+    radius_rad: float = 0.5
+    """And within this angle, radians."""
+    spread: float = 1.0
+    """Variance of the error over that of the cluster's samples."""
+    floor: Six = (0.05, 0.05, 0.05, 0.03, 0.03, 0.03)
+    """Standard deviations of what the samples do not show."""
+    tail: float = 6.0
+    """Degrees of freedom of the Student t distribution; the fewer, the heavier the tails."""
+    outlier_share: float = 0.05
+    """Images that say nothing about where the camera is."""
+    flat_log_density: float = -6.0
+    """Log density of poses spread evenly over the map, per m³ rad³: where the camera is when an image says nothing."""
+    possible_share: float = 0.05
+    """A place with this share of the samples counts half as possible as one with all of them: a network that learned
+    from its best samples knows which places are possible, but not how likely each is."""
+    lasting_share: float = 0.7
+    """Share of the error's variance that lasts while the view stays the same."""
+    length_m: float = 0.5
+    """Distance over which that fades to 1/e, and a view becomes a new one, metres."""
+    length_rad: float = 0.4
+    """Likewise the angle, radians."""
+    constant_share: float = 0.1
+    """Share of the typical variance below which no number of images brings the uncertainty of a pose."""
+    typical_std: Six = (0.07, 0.07, 0.07, 0.04, 0.04, 0.04)
+    """Standard deviations of the error of an ordinary image: what makes a place, a mode, a converged estimate."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            radius_m=(1e-9, 1e9),
+            radius_rad=(1e-6, 4.0),
+            spread=(0.0, 1e6),
+            tail=(1.0, 1e6),
+            outlier_share=(1e-9, 0.999999),
+            flat_log_density=(-1e3, 1e3),
+            possible_share=(1e-9, 1e9),
+            lasting_share=(0.0, 0.999),
+            length_m=(1e-9, 1e9),
+            length_rad=(1e-6, 1e3),
+            constant_share=(0.0, 1e3),
+        )
+        for name in ("floor", "typical_std"):
+            values = getattr(self, name)
+            if len(values) != 6 or not all(0.0 < value < 1e9 for value in values):
+                raise VaporTrackError(f"{name} is {values}, expected six positive numbers: metres, then radians")
+
+    def covariance(self, samples: Float64[np.ndarray, "k 6 6"]) -> Float64[np.ndarray, "k 6 6"]:
+        """Covariance Σ of the errors of clusters of samples with these covariances."""
+        return self.spread * samples + np.diag(np.square(self.floor))
+
+    @property
+    def least_covariance(self) -> Float64[np.ndarray, "6 6"]:
+        """What is added to every belief: the errors that no number of images takes away."""
+        return self.constant_share * np.diag(np.square(self.typical_std))
+
+    @property
+    def map_size_m(self) -> float:
+        """Edge of a cube that holds as much as the map, metres; orientations are taken to be all."""
+        return float(np.exp(-self.flat_log_density) / (8.0 * np.pi**2)) ** (1.0 / 3.0)
+
+    def inflated(self, factor: float) -> ErrorModel:
+        """The same with variances that are larger by a factor."""
+        root = float(np.sqrt(factor))
+        floor = tuple(root * value for value in self.floor)
+        typical = tuple(root * value for value in self.typical_std)
+        return replace(self, spread=factor * self.spread, floor=floor, typical_std=typical)
+
+    def scaled(self, factor: float) -> ErrorModel:
+        """The same in a map whose lengths are multiplied by a factor."""
+        lengths = (factor,) * 3 + (1.0,) * 3
+        floor, typical = (
+            tuple(value * length for value, length in zip(values, lengths, strict=True))
+            for values in (self.floor, self.typical_std)
+        )
+        return replace(
+            self,
+            radius_m=factor * self.radius_m,
+            floor=floor,
+            typical_std=typical,
+            length_m=factor * self.length_m,
+            flat_log_density=self.flat_log_density - 3.0 * float(np.log(factor)),
+        )

@@ -1,0 +1,279 @@
+"""The belief: Rao-Blackwellised particles, each a hypothesis with a Gaussian over all that is uncertain about it.
+
+Sources: Doucet, de Freitas, Murphy and Russell, "Rao-Blackwellised particle filtering for dynamic Bayesian networks",
+2000; Solà, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018 (error states on SE(3));
+Runnalls, "Kullback-Leibler approach to Gaussian mixture reduction", 2007.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from filtering.errors import VaporTrackError
+from filtering.motion import Odometry, SlowErrors
+from filtering.posterior import PosePosterior
+from filtering.resampling import thin_out
+from filtering.se3 import Poses
+
+POSE, SLOW = slice(0, 6), slice(6, 13)
+"""Where in a state the error of the pose is, and where the slow errors of odometry: scale, and drift of each axis."""
+
+_NEAR = 4.0  # squared, in standard deviations: further apart no two hypotheses are one
+_WIDEST_RAD = 2.0  # standard deviation: all directions
+
+
+def bias(camera: int) -> slice:
+    """Where in a state the lasting error of a camera's images is, in units of the error's own square root."""
+    return slice(13 + 6 * camera, 19 + 6 * camera)
+
+
+def log_sum(log_values: Float64[np.ndarray, " n"]) -> float:
+    """Log of the sum of exp(values) (n,), n ≥ 1."""
+    largest = float(log_values.max())
+    if not np.isfinite(largest):
+        return largest
+    return largest + float(np.log(np.exp(log_values - largest).sum()))
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """n hypotheses. A state is the error of the pose (6), slow errors of odometry (7), and of each camera the bias (6).
+
+    Attributes:
+        poses: world_from_camera, batch (n,). The true pose is `poses @ exp(ξ)`, ξ the error of the pose, of mean 0.
+        mean: Mean of the other parts of the state, (n, d − 6).
+        covariance: Of the state, (n, d, d).
+        log_weights: Log weights, normalised, (n,).
+    """
+
+    poses: Poses
+    mean: Float64[np.ndarray, "n m"]
+    covariance: Float64[np.ndarray, "n d d"]
+    log_weights: Float64[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.log_weights)
+
+    def __getitem__(self, index: slice | Int64[np.ndarray, " k"] | np.ndarray) -> Hypotheses:
+        return Hypotheses(self.poses[index], self.mean[index], self.covariance[index], self.log_weights[index])
+
+    @property
+    def weights(self) -> Float64[np.ndarray, " n"]:
+        """Normalised weights, (n,)."""
+        return np.exp(self.log_weights)
+
+    @property
+    def pose_covariance(self) -> Float64[np.ndarray, "n 6 6"]:
+        """Of ξ = (v, ω), metres and radians, in the tangent at each pose."""
+        return self.covariance[:, POSE, POSE]
+
+    def with_log_weights(self, log_weights: Float64[np.ndarray, " n"]) -> Hypotheses:
+        """The same with other weights (n,), which need not be normalised.
+
+        Raises:
+            VaporTrackError: a weight is NaN or +∞, or all are zero.
+        """
+        bad = np.isnan(log_weights) | (log_weights == np.inf)
+        if bad.any():
+            first = int(np.argmax(bad))
+            raise VaporTrackError(
+                f"log weight of hypothesis {first} is {log_weights[first]}, expected a finite number or −∞ "
+                f"({int(bad.sum())} of {len(bad)} are so)"
+            )
+        total = log_sum(log_weights)
+        if total == -np.inf:
+            raise VaporTrackError(f"all {len(log_weights)} weights are zero, expected at least one positive")
+        return replace(self, log_weights=log_weights - total)
+
+
+def concatenate(parts: Sequence[Hypotheses]) -> Hypotheses:
+    """Join hypotheses along their first axis; the weights stay as they are."""
+    return Hypotheses(
+        Poses.concatenate([part.poses for part in parts]),
+        np.concatenate([part.mean for part in parts]),
+        np.concatenate([part.covariance for part in parts]),
+        np.concatenate([part.log_weights for part in parts]),
+    )
+
+
+def born(
+    posterior: PosePosterior, camera: int, num_cameras: int, slow: SlowErrors, belief: Hypotheses | None
+) -> Hypotheses:
+    """A hypothesis for each place of a posterior, as if nothing else were known about where the camera is.
+
+    What is known of the odometry's errors comes from the heaviest hypothesis of the belief, if there is one: they do
+    not depend on where the camera is. Weights are in proportion to how possible the places are.
+    """
+    count, size = len(posterior.shares), 13 + 6 * num_cameras
+    covariance = np.zeros((count, size, size))
+    mean = np.zeros((count, size - 6))
+    diagonal = np.arange(6, size)
+    covariance[:, diagonal, diagonal] = 1.0
+    covariance[:, 6, 6] = slow.scale**2
+    if belief is not None:
+        heaviest = int(np.argmax(belief.log_weights))
+        mean[:, :7] = belief.mean[heaviest, :7]
+        covariance[:, SLOW, SLOW] = belief.covariance[heaviest, SLOW, SLOW]
+    covariance[:, POSE, POSE] = posterior.covariances
+    shared = -np.sqrt(posterior.errors.lasting_share) * posterior.factors
+    covariance[:, POSE, bias(camera)] = shared
+    covariance[:, bias(camera), POSE] = np.swapaxes(shared, 1, 2)
+    possible = np.maximum(posterior.possible, 1e-300)
+    log_weights = np.log(possible / possible.sum())
+    return Hypotheses(posterior.means, mean, covariance, log_weights)
+
+
+def with_camera(hypotheses: Hypotheses) -> Hypotheses:
+    """The same with the lasting error of one more camera, of which nothing is known, at the end of the state."""
+    count, size = hypotheses.covariance.shape[:2]
+    covariance = np.zeros((count, size + 6, size + 6))
+    covariance[:, :size, :size] = hypotheses.covariance
+    covariance[:, range(size, size + 6), range(size, size + 6)] = 1.0
+    mean = np.concatenate([hypotheses.mean, np.zeros((count, 6))], axis=1)
+    return replace(hypotheses, mean=mean, covariance=covariance)
+
+
+def motion_of_state(
+    odometry: Odometry, slow: SlowErrors, ways: Sequence[float]
+) -> tuple[Float64[np.ndarray, "d d"], Float64[np.ndarray, "d d"]]:
+    """What a motion does to the state of a hypothesis: its linear transition, and the covariance of the noise it adds.
+
+    The pose itself moves by the increment; the error of the pose that the transition gives is relative to that.
+
+    Args:
+        odometry: The motion.
+        slow: What slow errors it may have.
+        ways: How far each camera came, in lengths over which the errors of its images change.
+    """
+    size = 13 + 6 * len(ways)
+    step, duration_s = odometry.previous_from_current, odometry.duration_s
+    errs = np.zeros((6, 7))  # of the increment, by scale error and drift; what is reported too long is made shorter
+    errs[:3, 0] = -step.log()[:3]
+    if slow.drift is None:
+        drift = slow.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
+    else:
+        drift = np.asarray(slow.drift) * duration_s
+    errs[:, 1:] = -np.diag(drift)
+    kept = np.ones(size - 6)
+    kept[1:7] = np.exp(-duration_s / slow.time_s)
+    for camera, way in enumerate(ways):
+        kept[7 + 6 * camera : 13 + 6 * camera] = np.exp(-way)
+    transition = np.zeros((size, size))
+    transition[POSE, POSE] = step.inverse().adjoint()
+    transition[POSE, SLOW] = errs
+    rest = np.arange(6, size)
+    transition[rest, rest] = kept
+    noise = np.zeros((size, size))
+    noise[POSE, POSE] = odometry.covariance
+    noise[rest, rest] = 1.0 - kept**2
+    return transition, noise
+
+
+def moved(hypotheses: Hypotheses, odometry: Odometry, slow: SlowErrors, ways: Sequence[float]) -> Hypotheses:
+    """Hypotheses after a motion: poses carried on, slow errors corrected for, uncertainty grown.
+
+    Args:
+        hypotheses: Before.
+        odometry: The motion.
+        slow: What slow errors it may have.
+        ways: How far each camera came, in lengths over which the errors of its images change.
+    """
+    transition, noise = motion_of_state(odometry, slow, ways)
+    count, size = hypotheses.covariance.shape[:2]
+    step = odometry.previous_from_current
+    kept = np.diag(transition)[6:]
+    poses = hypotheses.poses @ (step @ Poses.exp(hypotheses.mean[:, :7] @ transition[POSE, SLOW].T))
+    half = (hypotheses.covariance.reshape(-1, size) @ transition.T).reshape(count, size, size)
+    covariance = (np.swapaxes(half, 1, 2).reshape(-1, size) @ transition.T).reshape(count, size, size) + noise
+    return Hypotheses(poses, hypotheses.mean * kept, covariance, hypotheses.log_weights)
+
+
+def widened(hypotheses: Hypotheses, covariance: Float64[np.ndarray, "6 6"]) -> Hypotheses:
+    """Hypotheses after a motion of which only the covariance of ξ = (v, ω) is known; all directions may be open."""
+    grown = hypotheses.covariance.copy()
+    grown[:, POSE, POSE] += covariance
+    turned = np.arange(3, 6)
+    scale = np.ones(grown.shape[:2])
+    scale[:, turned] = np.minimum(1.0, _WIDEST_RAD / np.sqrt(grown[:, turned, turned]))
+    grown *= scale[:, :, None] * scale[:, None, :]
+    return replace(hypotheses, covariance=grown)
+
+
+def reduced(
+    hypotheses: Hypotheses, *, divergence: float, least_weight: float, most: int, rng: np.random.Generator
+) -> Hypotheses:
+    """Fewer hypotheses that say the same, by falling weight.
+
+    A hypothesis is merged into a heavier one that describes its pose as well: the Kullback-Leibler divergence of its
+    Gaussian from the other's is small. Merging keeps mean and covariance. What is lighter than `least_weight` is
+    dropped; if then there are more than `most`, they are thinned out at random without bias (`thin_out`).
+
+    Args:
+        hypotheses: With normalised weights, (n,).
+        divergence: At most, nats.
+        least_weight: As a share of all.
+        most: How many at most.
+        rng: Source of the choice among the light ones.
+    """
+    order = np.argsort(-hypotheses.log_weights, kind="stable")
+    least = np.log(least_weight) if least_weight > 0.0 else -np.inf
+    order = order[hypotheses.log_weights[order] > min(least, hypotheses.log_weights[order[0]] - 1.0)]
+    h = hypotheses[order]
+    leader = _leaders(h, divergence)
+    if (leader != np.arange(len(h))).any():
+        h = _merged(h, leader)
+    if len(h) > most:
+        kept, log_weights = thin_out(h.log_weights, most, rng=rng)
+        h = replace(h[kept], log_weights=log_weights)
+    order = np.argsort(-h.log_weights, kind="stable")
+    return h[order].with_log_weights(h.log_weights[order])
+
+
+def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
+    """For every hypothesis, by falling weight, the heavier one that it is merged into, or itself."""
+    count, covariance = len(h), h.pose_covariance
+    variance = np.trace(covariance[:, :3, :3], axis1=1, axis2=2), np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2)
+    position, turned = h.poses.translation, h.poses.rotation.reshape(count, 9)
+    squares = np.einsum("ij,ij->i", position, position)
+    apart = squares[:, None] + squares - 2.0 * position @ position.T
+    near = (apart < _NEAR * variance[0][:, None]) & (3.0 - turned @ turned.T < _NEAR * variance[1][:, None])
+    heavy, light = np.nonzero(np.triu(near, 1))
+    leader = np.arange(count)
+    if len(heavy) == 0:
+        return leader
+    information = np.linalg.inv(covariance)
+    log_det = np.linalg.slogdet(covariance)[1]
+    offset = (h.poses[heavy].inverse() @ h.poses[light]).log()
+    information_heavy = information[heavy]
+    squared = np.einsum("pi,pij,pj->p", offset, information_heavy, offset)
+    trace = np.einsum("pij,pij->p", information_heavy, covariance[light])
+    close = 0.5 * (squared + trace - 6.0 + log_det[heavy] - log_det[light]) < divergence
+    described = np.zeros((count, count), bool)
+    described[heavy[close], light[close]] = True
+    free = np.ones(count, bool)
+    for i in np.flatnonzero(described.any(axis=1)):
+        if free[i]:
+            members = described[i] & free
+            leader[members] = i
+            free &= ~members
+    return leader
+
+
+def _merged(h: Hypotheses, leader: Int64[np.ndarray, " n"]) -> Hypotheses:
+    """One hypothesis for each leader, with the mean and covariance of those that it leads."""
+    leaders, group = np.unique(leader, return_inverse=True)
+    share = np.zeros((len(leaders), len(h)))
+    share[group, np.arange(len(h))] = h.weights
+    total = share.sum(axis=1)
+    share /= total[:, None]
+    offset = np.concatenate([(h.poses[leader].inverse() @ h.poses).log(), h.mean - h.mean[leader]], axis=1)
+    mean = share @ offset
+    residual = offset - mean[group]
+    spread = h.covariance + residual[:, :, None] * residual[:, None, :]
+    covariance = (share @ spread.reshape(len(h), -1)).reshape(len(leaders), *spread.shape[1:])
+    poses = h.poses[leaders] @ Poses.exp(mean[:, :6])
+    return Hypotheses(poses, h.mean[leaders] + mean[:, 6:], covariance, np.log(total))

@@ -1,0 +1,74 @@
+"""How new a view is, from the motion alone: what neighbouring images tell twice must not count twice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from filtering.se3 import Poses
+
+_REMEMBERED = 60  # views
+_STEP = 0.1  # of a length: what moves less is jitter
+
+
+@dataclass(frozen=True)
+class ViewMeter:
+    """Measures motion in lengths over which a camera's view becomes a new one.
+
+    Two things are told. `looked`: how much of what an image says was not said before. It grows with the distance from
+    the nearest of the views remembered and is spent as it grows, so that one length moved is worth one image whatever
+    the rate, and standing, trembling or pacing up and down is worth nothing. `moved`: how far the camera has come, by
+    which the errors of its images change. That counts in steps of a tenth of a length, so that jitter is no way.
+
+    Attributes:
+        length_m: Distance that makes a view a new one, metres.
+        length_rad: Angle that does, radians.
+        pose: The camera now, in the frame of the first view, by odometry.
+        views: Those remembered, batch (k,), the last one the latest.
+        spent: How new the present view was already found to be, in [0, 1].
+        anchor: Where the last step ended.
+        reached: How far from it the camera has been, in lengths.
+        unknown: How far the camera may have come since the last view without odometry, in lengths.
+        way: How far it has come since the last image, in lengths.
+    """
+
+    length_m: float
+    length_rad: float
+    pose: Poses = field(default_factory=Poses.identity)
+    views: Poses = field(default_factory=lambda: Poses.identity(1))
+    spent: float = 0.0
+    anchor: Poses = field(default_factory=Poses.identity)
+    reached: float = 0.0
+    unknown: float = 0.0
+    way: float = 0.0
+
+    def moved(self, previous_from_current: Poses) -> tuple[ViewMeter, float]:
+        """The meter after a motion (one pose), and how far the camera came, in lengths."""
+        pose = self.pose @ previous_from_current
+        distance = float(self._lengths(self.anchor, pose))
+        way = max(distance - self.reached, 0.0)
+        if distance >= _STEP:
+            return replace(self, pose=pose, anchor=pose, reached=0.0, way=self.way + way), way
+        return replace(self, pose=pose, reached=max(self.reached, distance), way=self.way + way), way
+
+    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[ViewMeter, float]:
+        """The meter after a motion of which only the likely distance and angle are known, and that way in lengths."""
+        way = float(np.hypot(distance_m / self.length_m, angle_rad / self.length_rad))
+        return replace(self, unknown=self.unknown + way, way=self.way + way), way
+
+    def looked(self) -> tuple[ViewMeter, float]:
+        """The meter after an image, and how new its view was, in [0, 1]."""
+        distance = float(self._lengths(self.views, self.pose).min()) + self.unknown
+        new = min(max(distance - self.spent, 0.0), 1.0)
+        if distance < 1.0:
+            return replace(self, spent=max(self.spent, distance), way=0.0), new
+        # What lies before a gap is nowhere in particular.
+        before = self.views if self.unknown == 0.0 else Poses.identity(0)
+        here = Poses(self.pose.rotation[None], self.pose.translation[None])
+        views = Poses.concatenate([before, here])[-_REMEMBERED:]
+        return replace(self, views=views, spent=0.0, unknown=0.0, way=0.0), new
+
+    def _lengths(self, one: Poses, other: Poses) -> np.ndarray:
+        translation_m, rotation_rad = one.distance(other)
+        return np.asarray(np.hypot(translation_m / self.length_m, rotation_rad / self.length_rad))

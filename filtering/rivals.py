@@ -1,0 +1,67 @@
+"""Filters that share all of the particle filter's models, to see what its hypotheses and its births are worth.
+
+Sources: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", 1972; Thrun, Burgard
+and Fox, "Probabilistic robotics", 2005, § 8.3.3 (augmented Monte Carlo localization).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from filtering.estimate import Estimate
+from filtering.hypotheses import Hypotheses, reduced
+from filtering.localizer import LocalizerConfig, ParticleLocalizer, View
+from filtering.posterior import ObservationModel
+
+GAUSSIANS = 15
+"""So many has the bank of the Gaussian sum."""
+
+_USUAL_S = 10.0  # time over which images usually agree with the belief as they do
+
+
+class GaussianSumLocalizer(ParticleLocalizer):
+    """A bank of Gaussians that begin at the places of the first image; none is born later.
+
+    Of more than 15 the heaviest go on. `max_hypotheses` and `kidnap_per_view` do not count.
+    """
+
+    def _share_anew(self, novelty: float) -> float:
+        return 0.0
+
+    def _reduced(self, belief: Hypotheses) -> Hypotheses:
+        c = self.config
+        merged = reduced(
+            belief,
+            divergence=c.merge_divergence,
+            least_weight=c.least_weight,
+            most=len(belief),
+            rng=self._filter_rng,
+        )
+        return merged[:GAUSSIANS].with_log_weights(merged.log_weights[:GAUSSIANS])
+
+
+class DoubtingLocalizer(ParticleLocalizer):
+    """The belief begins anew only while images agree with it less than usual, as in augmented Monte Carlo localization.
+
+    The share that does is 1 − fast/slow, fast being their agreement of the last second, slow that of the last ten.
+    """
+
+    def __init__(
+        self, model: ObservationModel | None, config: LocalizerConfig | None = None, *, rng: np.random.Generator
+    ) -> None:
+        super().__init__(model, config, rng=rng)
+        self._usual = 1.0
+
+    def _share_anew(self, novelty: float) -> float:
+        return max(0.0, 1.0 - self._agreement / max(self._usual, 1e-9))
+
+    def _look(self, views: Sequence[View]) -> Estimate:
+        unseen_s, began = self._unseen_s, self._begins(views)
+        estimate = super()._look(views)
+        if began:
+            self._usual = estimate.agreement
+        elif self._unseen_s < unseen_s:  # an image said something
+            self._usual += -np.expm1(-unseen_s / _USUAL_S) * (estimate.agreement - self._usual)
+        return estimate
