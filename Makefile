@@ -87,12 +87,12 @@ $(DATA)/ceiling.safetensors: $(DATA)/ceiling-third.safetensors $(CEILING)
 	    $(FORMER) --initial-model $< --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 \
 	    --learning-rate 2e-3 --epochs 12 --select-by log_density --no-calibrate
 
-# One sequence has five stretches of trajectory, too few to tell the settings of the filter apart.
+# Errors of images last for metres: of one sequence too few are independent.
 vapor/models/staircase.safetensors: $(DATA)/staircase.safetensors $(STAIRCASE_HELD_OUT)
-	$(BIN)/vapor-track calibrate $< $(STAIRCASE_HELD_OUT) --images 2000 --output $@
+	$(BIN)/vapor-track calibrate $< $(STAIRCASE_HELD_OUT) --training $(STAIRCASE) --images 2000 --output $@
 
 vapor/models/ceiling.safetensors: $(DATA)/ceiling.safetensors $(CEILING_HELD_OUT)
-	$(BIN)/vapor-track calibrate $< $(CEILING_HELD_OUT) --images 2000 --output $@
+	$(BIN)/vapor-track calibrate $< $(CEILING_HELD_OUT) --training $(CEILING) --images 2000 --output $@
 
 $(DATA):
 	mkdir -p $@

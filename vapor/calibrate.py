@@ -1,4 +1,4 @@
-"""Calibration of a trained network on held-out images and stretches of trajectory, by likelihood and coverage."""
+"""Calibration of a trained network on held-out images: how its posteriors err, and the odometry of its scene."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Int64
 
 from filtering.errors import VaporTrackError
-from filtering.localizer import LocalizerConfig
 from filtering.se3 import Poses
-from vapor.checkpoint import Calibration, find_model, load_checkpoint, read_safetensors, save_checkpoint, spaced
-from vapor.image_fit import Change, fit_images
+from sequences.errors import SequenceError
+from sequences.odometry_fit import LEAST_INCREMENTS, OdometryFit, fit_odometry
+from vapor.checkpoint import (
+    NETWORK,
+    Calibration,
+    Checkpoint,
+    find_model,
+    load_checkpoint,
+    read_safetensors,
+    save_checkpoint,
+    spaced,
+)
+from vapor.familiarity import EXEMPLARS, Familiarity, describe, learn_familiarity
+from vapor.image_fit import LEAST_IMAGES, Change, Way, fit_errors, fit_widths
 from vapor.network import PoseRegressor
 from vapor.observation import Device, resolve_device
-from vapor.stretches import (
-    GRIDS,
-    LEAST_STRETCHES,
-    Choice,
-    Scores,
-    Stretch,
-    belief_scores,
-    choose,
-    choose_detail,
-    find_stretches,
-    simulated_odometry,
-)
+from vapor.passes import odometry_stretches, pass_numbers, some_runs
 from vapor.threads import limited_threads
-from vapor.training_set import TrainingSet, load_training_set, open_sequences
+from vapor.training_set import TrainingSet, load_training_set, open_sequences, require_apart
 from vapor.validation import predict
 
 NUM_SAMPLES = 1000  # an image, as in use: fewer want wider kernels
-LEAST_IMAGES = 50
 
 Advance = Callable[[int, int], None]
 
@@ -46,9 +46,11 @@ class CalibrationResult:
     Attributes:
         calibration: The values.
         changes: One for each fit.
-        images: Held-out images of the fits image by image; 0 where there were too few.
-        stretches: Held-out stretches with odometry; 0 where there were too few.
-        odometry: Where that came from.
+        images: Held-out images that they are fitted on; 0 where there were too few.
+        effective_images: So many independent images are worth as much.
+        coverage: Share of these images whose true pose lies in the 50, 90 and 95 % region of the place of its posterior
+            in which it is likeliest; None where nothing was fitted.
+        odometry: Where the noise of the odometry was found: "held-out data", "training data" or "none".
         notes: What was kept, and why.
         skipped: Images and poses of the data that were left out in reading, by reason.
     """
@@ -56,7 +58,8 @@ class CalibrationResult:
     calibration: Calibration
     changes: tuple[Change, ...] = ()
     images: int = 0
-    stretches: int = 0
+    effective_images: float = 0.0
+    coverage: tuple[float, float, float] | None = None
     odometry: str = "none"
     notes: tuple[str, ...] = ()
     skipped: Mapping[str, int] = field(default_factory=dict)
@@ -72,6 +75,8 @@ def calibrate_model(
     data: Sequence[Path | str],
     output: Path,
     *,
+    training: Sequence[Path | str] = (),
+    familiarity_only: bool = False,
     max_images: int = 500,
     seed: int = 0,
     device: Device = "auto",
@@ -79,14 +84,19 @@ def calibrate_model(
 ) -> CalibrationResult:
     """Calibrate a model that was trained before, and write it with its weights untouched.
 
+    What is familiar to the network is learned from `training`; without it what the model says of that stays, but for
+    its threshold. A model that says nothing learns it from half of the held-out data, and the threshold from the rest.
+
     Args:
         model: Model file, or name of a model that ships.
         data: Held-out files and folders with true poses, as for `train`.
         output: The model file to write.
-        max_images: Held-out images of each kind of fit, at most.
-        seed: Of latent noise and filter.
+        training: Data that the model was trained on, or some of it.
+        familiarity_only: Fit nothing but that.
+        max_images: Held-out images of the fits, at most.
+        seed: Of latent noise.
         device: Where the network runs.
-        advance: Called with the number of filter runs done and of all.
+        advance: Called with the number of images seen by the network and of all.
 
     Raises:
         VaporTrackError: unusable model or data, or too little of it to calibrate anything.
@@ -96,24 +106,63 @@ def calibrate_model(
         raise VaporTrackError(f"{output}: cannot be written, expected the name of a model file in an existing folder")
     checkpoint = load_checkpoint(file)
     config = checkpoint.network
+    require_apart(training, data)
     held_out = load_training_set(open_sequences(data), config.frame_size)
+    trained_on = load_training_set(open_sequences(training), config.frame_size) if training else None
     if len(held_out) < LEAST_IMAGES:
         names = ", ".join(Path(str(entry)).name for entry in data)
         raise VaporTrackError(f"{names}: {len(held_out)} images with true poses, expected at least {LEAST_IMAGES}")
+    skipped = held_out.skipped + trained_on.skipped if trained_on else held_out.skipped
+    network = checkpoint.build_network().to(resolve_device(device))
+    familiarity = _familiarity(network, checkpoint.familiarity, trained_on, held_out, max_images)
+    if familiarity_only:
+        _save(replace(checkpoint, familiarity=familiarity), output, file)
+        return CalibrationResult(checkpoint.calibration, skipped=skipped)
     result = calibrate(
-        checkpoint.build_network().to(resolve_device(device)),
+        network,
         held_out,
         checkpoint.prior_poses,
         checkpoint.calibration,
+        training=trained_on,
         max_images=max_images,
         seed=seed,
         advance=advance,
     )
-    half = any(tensor.dtype == torch.float16 for tensor in read_safetensors(file)[1].values())
     names = {"data": [Path(str(entry)).name for entry in data]}
-    training = {**checkpoint.training, "calibration": names | result.provenance}
-    save_checkpoint(output, replace(checkpoint, calibration=result.calibration, training=training), half=half)
-    return replace(result, skipped=held_out.skipped)
+    provenance = {**checkpoint.training, "calibration": names | result.provenance}
+    fitted = replace(checkpoint, calibration=result.calibration, training=provenance, familiarity=familiarity)
+    _save(fitted, output, file)
+    return replace(result, skipped=skipped)
+
+
+def _save(checkpoint: Checkpoint, output: Path, source: Path) -> None:
+    """Write it, its network's weights as they were stored in the file that they come from."""
+    stored = read_safetensors(source)[1].items()
+    half = any(tensor.dtype == torch.float16 for name, tensor in stored if name.startswith(NETWORK))
+    save_checkpoint(output, checkpoint, half=half)
+
+
+def _familiarity(
+    network: PoseRegressor,
+    known: Familiarity | None,
+    trained_on: TrainingSet | None,
+    held_out: TrainingSet,
+    max_images: int,
+) -> Familiarity | None:
+    """What is familiar to a network, judged by held-out images; None where there are too few."""
+    if trained_on is None and known is not None:
+        return known.judged_by(describe(network, held_out.select(spaced(len(held_out), max_images))))
+    if trained_on is None:
+        first = _first_half(held_out.sequence)
+        trained_on, held_out = held_out.select(np.flatnonzero(first)), held_out.select(np.flatnonzero(~first))
+    some = trained_on.select(spaced(len(trained_on), EXEMPLARS))
+    return learn_familiarity(network, some, held_out.select(spaced(len(held_out), max_images)))
+
+
+def _first_half(sequence: Int64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Every other sequence; of a single one the first half."""
+    numbers, which = np.unique(sequence, return_inverse=True)
+    return which % 2 == 0 if len(numbers) > 1 else np.arange(len(sequence)) < len(sequence) // 2
 
 
 def calibrate(
@@ -122,95 +171,59 @@ def calibrate(
     prior_poses: Poses,
     calibration: Calibration,
     *,
+    training: TrainingSet | None = None,
     max_images: int,
     seed: int,
     advance: Advance = lambda done, total: None,
 ) -> CalibrationResult:
-    """Fit kernel widths, prior and outlier floor image by image, and β, γ and β_d with the filter on stretches.
+    """Fit kernel widths and how posteriors err, and the noise of odometry where true poses come with some.
 
     Args:
         network: With its final weights.
         held_out: Images that it was not trained on, in order of time.
-        prior_poses: Of the model, (n,).
+        prior_poses: Of the model, (n,): they outline the scene.
         calibration: Values to start from, and to keep where there is too little data.
-        max_images: Of each of the two kinds of fit, at most.
-        seed: Of latent noise and filter.
-        advance: Called with the number of filter runs done and of all.
+        training: Data with odometry, to be used where the held-out data have too little of it.
+        max_images: At most so many images are used; of the odometry all.
+        seed: Of latent noise.
+        advance: Called with the number of images seen by the network and of all.
     """
+    odometry, source = _odometry({"held-out data": held_out, "training data": training})
+    calibration = replace(calibration, odometry=odometry or calibration.odometry)
     if len(held_out) < LEAST_IMAGES:
-        note = f"{len(held_out)} held-out images, at least {LEAST_IMAGES} are needed: calibration kept as it was"
-        return CalibrationResult(calibration, notes=(note,))
-    single = spaced(len(held_out), max_images)
-    pieces = find_stretches(held_out, max_images)
-    needed = np.unique(np.concatenate([single, *pieces]))
-    samples = dict(zip(needed.tolist(), predict(network, held_out.select(needed), NUM_SAMPLES, seed), strict=True))
-    calibration, changes = fit_images(
-        [samples[i] for i in single.tolist()], held_out.poses[single], prior_poses, calibration
-    )
-    if len(pieces) < LEAST_STRETCHES:
-        note = f"{len(pieces)} held-out stretches, at least {LEAST_STRETCHES} are needed: β, γ and β_d kept"
-        return CalibrationResult(calibration, changes, len(single), notes=(note,))
-    rng = np.random.default_rng(seed)
-    stretches, simulated = [], 0
-    for piece in pieces:
-        odometry = [held_out.odometry[i] for i in piece]
-        if any(increment is None for increment in odometry[1:]):
-            odometry, simulated = simulated_odometry(held_out, piece, rng=rng), simulated + 1
-        stretches.append(Stretch([samples[i] for i in piece.tolist()], odometry, held_out.poses[piece]))
-    calibration, more = fit_stretches(stretches, prior_poses, calibration, seed=seed, advance=advance)
-    source = "recorded" if not simulated else f"simulated from true poses on {simulated} of {len(pieces)} stretches"
-    return CalibrationResult(calibration, changes + more, len(single), len(pieces), source)
-
-
-def fit_stretches(
-    stretches: Sequence[Stretch],
-    prior_poses: Poses,
-    calibration: Calibration,
-    *,
-    config: LocalizerConfig | None = None,
-    seed: int = 0,
-    advance: Advance = lambda done, total: None,
-) -> tuple[Calibration, tuple[Change, ...]]:
-    """β and γ by the log density of the filter's belief at the true poses, then β_d, if its regions hold enough."""
-    likelihoods = calibration.likelihood(prior_poses)
-    known: dict[Calibration, Scores] = {}
-    total = sum(len(grid) for grid in GRIDS.values()) - len(GRIDS) + 1
-
-    def score(candidate: Calibration) -> Scores:
-        if candidate not in known:
-            likelihood = replace(
-                likelihoods,
-                temper=candidate.temper,
-                preference=candidate.preference,
-                detail_temper=candidate.detail_temper,
-            )
-            with limited_threads(torch.get_num_threads()):
-                known[candidate] = belief_scores(
-                    stretches, candidate, likelihood, config=config or LocalizerConfig(), seed=seed
-                )
-            advance(len(known), max(total, len(known)))
-        return known[candidate]
-
-    changes: list[Change] = []
-
-    def record(what: str, names: Sequence[str], before: Calibration, choice: Choice) -> None:
-        changes.append(
-            Change(
-                what,
-                {n: getattr(before, n) for n in names},
-                {n: getattr(calibration, n) for n in names},
-                choice.gain,
-                choice.error,
-                choice.preferred if choice.preferred != choice.value else None,
-            )
+        note = (
+            f"{len(held_out)} held-out images, at least {LEAST_IMAGES} are needed: errors of images kept as they were"
         )
+        return CalibrationResult(calibration, odometry=source, notes=(note,))
+    chosen = some_runs(len(held_out), max(max_images, LEAST_IMAGES))
+    samples = []
+    for poses in predict(network, held_out.select(chosen), NUM_SAMPLES, seed):
+        samples.append(poses)
+        advance(len(samples), len(chosen))
+    truth, way = held_out.poses[chosen], Way.along(held_out.poses, pass_numbers(held_out))[chosen]
+    scene = Poses.concatenate([prior_poses, truth])
+    with limited_threads(torch.get_num_threads()):
+        before = calibration.bandwidth_translation_m, calibration.bandwidth_rotation_rad
+        widths, wider = fit_widths(samples, truth, scene, before)
+        fit = fit_errors(samples, truth, way, scene, calibration.errors)
+    return CalibrationResult(
+        Calibration(*widths, fit.errors, calibration.odometry),
+        (wider, *fit.changes),
+        len(chosen),
+        fit.effective_images,
+        fit.coverage,
+        source,
+    )
 
-    for name, what in (("temper", "tempering β"), ("preference", "preference γ")):
-        before = calibration
-        calibration, choice = choose(name, calibration, score)
-        record(what, [n for n in GRIDS if getattr(before, n) != getattr(calibration, n)] or [name], before, choice)
-    before = calibration
-    calibration, choice, coverage = choose_detail(calibration, score)
-    what = "detail β_d" if coverage is None else f"detail β_d ({100 * coverage:.0f} % in the 95 % region)"
-    record(what, ["detail_temper"], before, choice)
-    return calibration, tuple(changes)
+
+def _odometry(data: Mapping[str, TrainingSet | None]) -> tuple[OdometryFit | None, str]:
+    """How wrong odometry is on the first data that have enough of it, and the name of these."""
+    for name, images in data.items():
+        stretches = odometry_stretches(images) if images is not None else []
+        if sum(len(stretch.odometry) for stretch in stretches) < LEAST_INCREMENTS:
+            continue
+        try:
+            return fit_odometry(stretches), name
+        except SequenceError:  # of increments that take no time
+            continue
+    return None, "none"

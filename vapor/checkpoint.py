@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,23 +18,28 @@ from safetensors.torch import save
 from torch import Tensor
 
 from filtering.density import KernelDensity
+from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
-from filtering.posterior import LikelihoodModel, PoseDensity, PosteriorSamples
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
+from sequences.odometry_fit import OdometryFit
 from vapor.baselines import make_regressor
+from vapor.familiarity import Familiarity, description_size
 from vapor.network import NetworkConfig, PoseRegressor, SceneBox
+from vapor.scene_scale import default_errors
 
 FORMAT = "vapor-track model"
-VERSION = 5
-_OLDER = "4"  # is read as well
+VERSION = 6
+_BEFORE_ERRORS = ("4", "5")  # their calibrations are of another filter: all but the kernel widths is left out
+_BEFORE_SHORTCUT = "4"
 _UNSAID = {"shortcut": False}  # what networks of that version are and did not say
 MAX_PRIOR_POSES = 2000
-# Enough for kernels as wide as a place: log densities change by 0.1.
-_PLACE_SAMPLES, _PRIOR_KERNELS = 250, 500
 _SHIPPED = Path(__file__).parent / "models"
-_NETWORK = "network."
+NETWORK = "network."
+"""What the names of the network's tensors begin with in a file."""
+_FAMILIARITY = "familiarity."
 _ROTATION, _TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
+_SIX = {"floor", "typical_std"}
 _KINDS = {bool: ("true or false", {bool}), int: ("a whole number", {int}), float: ("a number", {int, float})}
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 _ORTHONORMAL_WITHIN = 1e-3
@@ -47,80 +53,23 @@ class CheckpointError(VaporTrackError):
 
 @dataclass(frozen=True)
 class Calibration:
-    """How samples become a density, and the density a likelihood; see `LikelihoodModel` for the formula."""
+    """How wrong a model's posteriors are, and the odometry of its scene; `vapor-track calibrate` fits it."""
 
     bandwidth_translation_m: float = 0.1
-    """Kernel width of the posterior samples along each axis, metres."""
+    """Kernel width of the posterior samples along each axis, metres: of their density, in figures."""
     bandwidth_rotation_rad: float = 0.1
     """Kernel width of the posterior samples about each axis, radians."""
-    outlier_floor: float = 0.05
-    """ε: how much of the likelihood is left when the image says nothing."""
-    temper: float = 0.2
-    """β: exponent of the likelihood that tells places apart, below 1 as neighbouring images share their errors."""
-    saturation: float = 4.0
-    """c: log evidence from which on a place counts as possible."""
-    preference: float = 0.06
-    """γ: share of the log evidence beyond c that counts: which of the possible places the network prefers."""
-    place_bandwidth_translation_m: float = 0.4
-    """Kernel width along each axis, metres, with which places are told apart."""
-    place_bandwidth_rotation_rad: float = 0.3
-    """Kernel width about each axis, radians, with which places are told apart."""
-    detail_temper: float = 0.2
-    """β_d: exponent of the likelihood within a place."""
-    prior_floor_quantile: float = 0.5
-    """π_min, the least density that is divided by, is this quantile of π at the poses it is made of.
-    Where no camera ever was π is almost nothing: a small floor would reward a smeared posterior for lying there."""
-    prior_bandwidth_translation_m: float = 0.6
-    """Kernel width of π along each axis, metres."""
-    prior_bandwidth_rotation_rad: float = 0.6
-    """Kernel width of π about each axis, radians."""
+    errors: ErrorModel = field(default_factory=ErrorModel)
+    """How the places among the samples err."""
+    odometry: OdometryFit | None = None
+    """How wrong odometry was on the data; None where none was at hand."""
 
     def __post_init__(self) -> None:
-        require_within(
-            self,
-            bandwidth_translation_m=(1e-6, 1e6),
-            bandwidth_rotation_rad=(1e-3, 10.0),
-            outlier_floor=(1e-9, 0.999999),
-            temper=(1e-6, 1.0),
-            saturation=(1e-6, 1e6),
-            preference=(0.0, 1.0),
-            place_bandwidth_translation_m=(1e-6, 1e6),
-            place_bandwidth_rotation_rad=(1e-3, 10.0),
-            detail_temper=(0.0, 1.0),
-            prior_floor_quantile=(0.0, 1.0),
-            prior_bandwidth_translation_m=(1e-6, 1e6),
-            prior_bandwidth_rotation_rad=(1e-3, 10.0),
-        )
+        require_within(self, bandwidth_translation_m=(1e-9, 1e9), bandwidth_rotation_rad=(1e-3, 10.0))
 
     def density(self, samples: Poses) -> KernelDensity:
         """p̂, the kernel density of posterior samples (m,)."""
         return KernelDensity(samples, self.bandwidth_translation_m, self.bandwidth_rotation_rad)
-
-    def likelihood(self, prior_poses: Poses) -> LikelihoodModel:
-        """How p̂ becomes a likelihood, π being the kernel density of the poses (n,)."""
-        prior_poses = thin_poses(prior_poses, _PRIOR_KERNELS)
-        prior = KernelDensity(prior_poses, self.prior_bandwidth_translation_m, self.prior_bandwidth_rotation_rad)
-        log_floor = np.quantile(prior.log_density(prior_poses), self.prior_floor_quantile)
-        return LikelihoodModel(
-            prior,
-            self.outlier_floor,
-            self.temper,
-            float(np.exp(log_floor)),
-            self.saturation,
-            self.preference,
-            self.detail_temper,
-        )
-
-    def posterior(
-        self, samples: Poses, likelihood: LikelihoodModel, density: PoseDensity | None = None
-    ) -> PosteriorSamples:
-        """The posterior of an image from its samples (m,), with `likelihood` of the same model.
-
-        `density` is the one that the samples were drawn from, where it is known; without it they become kernels.
-        """
-        wide = self.place_bandwidth_translation_m, self.place_bandwidth_rotation_rad
-        places = KernelDensity(samples[:_PLACE_SAMPLES], *wide)
-        return PosteriorSamples(self.density(samples) if density is None else density, likelihood, places)
 
 
 @dataclass(frozen=True)
@@ -130,11 +79,11 @@ class Checkpoint:
     Attributes:
         network: Shape of the network.
         box: Box of predicted positions.
-        calibration: Of densities and likelihoods.
-        prior_poses: A posterior sample of each of n ≤ 2000 training images, batch (n,). Their density is π, the mean of
-            the posteriors: where the network puts more than its share whatever it sees, that is divided out.
+        calibration: How wrong its posteriors are.
+        prior_poses: A posterior sample of each of n ≤ 2000 training images, batch (n,): they outline the scene.
         state_dict: Parameters and BatchNorm statistics of the `PoseRegressor`, float32 on the CPU.
         training: Where it came from (data names, seed, images seen, validation figures); any JSON.
+        familiarity: What training images look like to the network; None where that was never looked at.
     """
 
     network: NetworkConfig
@@ -143,6 +92,7 @@ class Checkpoint:
     prior_poses: Poses
     state_dict: Mapping[str, Tensor]
     training: dict[str, Any] = field(default_factory=dict)
+    familiarity: Familiarity | None = None
 
     def build_network(self) -> PoseRegressor:
         """The network with its weights, on the CPU, in evaluation mode."""
@@ -182,7 +132,9 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, half: bool = False) -
     tensors = {_ROTATION: torch.from_numpy(poses.rotation), _TRANSLATION: torch.from_numpy(poses.translation)}
     for name, value in checkpoint.state_dict.items():
         smaller = half and value.is_floating_point() and value.ndim > 1
-        tensors[_NETWORK + name] = value.to(torch.float16) if smaller else value
+        tensors[NETWORK + name] = value.to(torch.float16) if smaller else value
+    if checkpoint.familiarity is not None:
+        tensors |= _familiarity_tensors(checkpoint.familiarity)
     config = {
         "network": asdict(checkpoint.network),
         "box": asdict(checkpoint.box),
@@ -198,6 +150,9 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, half: bool = False) -
 def load_checkpoint(path: Path) -> Checkpoint:
     """Read a model file, strictly.
 
+    Of files of format 4 and 5 the calibration is that of an earlier filter: its kernel widths are taken, and for the
+    rest the errors of a model that was not calibrated (`default_errors`). Calibrating such a model anew makes it whole.
+
     Raises:
         CheckpointError: no such file, no safetensors file, another format or version, a configuration with missing,
             surplus or unusable values, tensors that are missing, surplus, misshapen, of another type or not finite, or
@@ -208,26 +163,102 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if found != FORMAT:
         raise CheckpointError(f"{path}: format is {found!r} in its metadata, expected {FORMAT!r}")
     version = metadata.get("version")
-    if version not in (str(VERSION), _OLDER):
-        raise CheckpointError(f"{path}: format version is {version!r}, expected '{VERSION}' or '{_OLDER}'")
+    if version not in (str(VERSION), *_BEFORE_ERRORS):
+        older = " or ".join(f"'{number}'" for number in _BEFORE_ERRORS)
+        raise CheckpointError(
+            f"{path}: format version is {version!r}, expected '{VERSION}', or {older} of which network and scene are"
+            " taken; train the model anew"
+        )
     config = read_json(path, metadata.get("config"))
     network = config.get("network")
-    if version == _OLDER and isinstance(network, dict):
+    if version == _BEFORE_SHORTCUT and isinstance(network, dict):
         network = network | _UNSAID
     network = parse_config(path, "network", NetworkConfig, network)
     box = parse_config(path, "box", SceneBox, _with_triples(path, config.get("box")))
-    calibration = parse_config(path, "calibration", Calibration, config.get("calibration"))
     training = config.get("training")
     if not isinstance(training, dict):
         raise CheckpointError(f"{path}: training is {type(training).__name__} in its configuration, expected an object")
 
     with torch.device("meta"):  # names and shapes only, no memory
-        expected = make_regressor(network, box).state_dict()
-    check_tensors(path, tensors, {_NETWORK + name: value for name, value in expected.items()})
-    state = {name: tensors[_NETWORK + name] for name in expected}
+        regressor = make_regressor(network, box)
+        expected = regressor.state_dict()
+        known = _familiarity_like(tensors, description_size(regressor))
+    check_tensors(path, tensors, {NETWORK + name: value for name, value in expected.items()} | known)
+    state = {name: tensors[NETWORK + name] for name in expected}
     state = {name: value.float() if value.is_floating_point() else value for name, value in state.items()}
     poses = Poses(tensors[_ROTATION].double().numpy(), tensors[_TRANSLATION].double().numpy())
-    return Checkpoint(network, box, calibration, poses, state, training)
+    parse = _calibration if version == str(VERSION) else partial(_former_calibration, prior_poses=poses)
+    calibration = parse(path, config.get("calibration"))
+    return Checkpoint(network, box, calibration, poses, state, training, _familiarity(path, tensors) if known else None)
+
+
+def _calibration(path: Path, values: Any) -> Calibration:
+    """From JSON, every field of it and of what it holds given, and no other."""
+    if not isinstance(values, dict) or "errors" not in values:
+        return parse_config(path, "calibration", Calibration, values)  # which says what is wrong
+    errors = values["errors"]
+    if isinstance(errors, dict):
+        for name in _SIX & errors.keys():
+            found = errors[name]
+            if not (isinstance(found, list) and len(found) == 6 and all(type(v) in (int, float) for v in found)):
+                raise CheckpointError(
+                    f"{path}: calibration.errors configuration has {name} {found!r}, expected six numbers"
+                )
+        errors = errors | {name: tuple(map(float, errors[name])) for name in _SIX & errors.keys()}
+    odometry = values.get("odometry")
+    if odometry is not None:
+        if not isinstance(odometry, dict):
+            raise CheckpointError(f"{path}: calibration.odometry is {odometry!r}, expected an object or null")
+        try:
+            odometry = OdometryFit.from_dict(odometry)
+        except VaporTrackError as error:
+            raise CheckpointError(f"{path}: calibration.odometry configuration: {error}") from error
+    held = {"errors": parse_config(path, "calibration.errors", ErrorModel, errors)}
+    held |= {"odometry": odometry} if "odometry" in values else {}
+    return parse_config(path, "calibration", Calibration, values | held)
+
+
+def _former_calibration(path: Path, values: Any, *, prior_poses: Poses) -> Calibration:
+    """From JSON of format 4 or 5: the kernel widths, with errors in proportion to the scene."""
+    names = ("bandwidth_translation_m", "bandwidth_rotation_rad")
+    widths = {name: values[name] for name in names if name in values} if isinstance(values, dict) else {}
+    errors = default_errors(prior_poses)
+    return parse_config(path, "calibration", Calibration, widths | {"errors": errors, "odometry": None})
+
+
+def _familiarity_tensors(familiarity: Familiarity) -> dict[str, Tensor]:
+    found = {name: torch.as_tensor(value) for name, value in vars(familiarity).items()}
+    return {
+        _FAMILIARITY + name: value.to(torch.float16 if value.ndim == 2 else torch.float32)
+        for name, value in found.items()
+    }
+
+
+def _familiarity_like(tensors: Mapping[str, Tensor], size: int) -> dict[str, Tensor]:
+    """Tensors of the shapes that they have of a network whose descriptions have this size; none if the file has none.
+
+    How many exemplars and axes there are is taken from the exemplars.
+    """
+    if not any(name.startswith(_FAMILIARITY) for name in tensors):
+        return {}
+    exemplars = tensors.get(_FAMILIARITY + "exemplars")
+    shape = exemplars.shape if exemplars is not None and exemplars.ndim == 2 else (1, 1)
+    count, axes = (max(1, number) for number in shape)
+    shapes = {
+        "centre": (size,), "scale": (size,), "axes": (size, axes), "stretch": (axes,), "exemplars": (count, axes),
+        "own_distance": (), "threshold": (),
+    }  # fmt: skip
+    return {_FAMILIARITY + name: torch.empty(shape) for name, shape in shapes.items()}
+
+
+def _familiarity(path: Path, tensors: Mapping[str, Tensor]) -> Familiarity:
+    """From tensors that were checked."""
+    found = {name: tensors[_FAMILIARITY + name].float() for name in (f.name for f in fields(Familiarity))}
+    try:
+        numbers = {name: float(found.pop(name)) for name in ("own_distance", "threshold")}
+        return Familiarity(**{name: value.numpy() for name, value in found.items()}, **numbers)  # pyright: ignore[reportArgumentType]
+    except VaporTrackError as error:
+        raise CheckpointError(f"{path}: {error}") from error
 
 
 def find_model(name_or_path: str) -> Path:
@@ -301,12 +332,12 @@ def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Conf
 
 
 def check_tensors(path: Path, tensors: Mapping[str, Tensor], network: Mapping[str, Tensor]) -> None:
-    """Check that exactly the network's tensors and the prior poses are there: shapes, types, finite, rotations.
+    """Check that exactly the expected tensors and the prior poses are there: shapes, types, finite, rotations.
 
     Args:
         path: The file, for messages.
         tensors: What was found.
-        network: Tensors of the shapes and types (floating or not) that the network has.
+        network: Tensors of the shapes and types (floating or not) that the network has, and what is familiar to it.
     """
     expected = network.keys() | {_ROTATION, _TRANSLATION}
     for what, names in (("lacks", expected - tensors.keys()), ("has surplus", tensors.keys() - expected)):

@@ -1,23 +1,44 @@
-"""Kernel widths, prior and outlier floor from single held-out images, by likelihood."""
+"""How a network's posteriors err, and how wide their kernels are: by maximum likelihood on held-out images."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
-from scipy.optimize import minimize, minimize_scalar
-from scipy.special import expit, logit
+import torch
+from jaxtyping import Bool, Float32, Float64, Int64
+from scipy.optimize import minimize
+from scipy.stats import f as fisher
+from torch import Tensor
 
 from filtering.density import KernelDensity
-from filtering.regularisation import KernelConfig
+from filtering.error_model import ErrorModel, Six
+from filtering.moments import group_moments
+from filtering.posterior import find_places
 from filtering.se3 import Poses
-from vapor.checkpoint import Calibration
+from vapor.scene_scale import LENGTH_RAD, RADIUS_RAD, flat_log_density, scene_extent
 
-_WIDEST_KERNEL = 1.0, 1.0  # metres, radians
-_WIDEST_PRIOR = 3.0, 2.0
-_FLOOR_BOUNDS = (0.01, 0.5)  # neighbouring images err alike: no outlier in 500 does not say that there are none
+LEAST_IMAGES = 50
+REGIONS = (0.5, 0.9, 0.95)
+
+_RADII = np.geomspace(0.01, 0.32, 6)  # of a place, in extents of the scene
+_AS_GOOD = 0.1  # nats an image: the widest place is taken that is no worse than the best by more
+_NEAREST = 8  # places of an image that are fitted: those nearest to the true pose
+_STARTS = (0.003, 0.02, 0.1, 0.3)  # of the floor, in extents
+_TRIES, _STEPS = 12, 80  # of the optimiser, from every start and from the best
+_LOG_SPREAD, _LOG_FLOOR, _LOG_TAIL, _LOGIT_OUTLIERS = (-5.0, 4.0), (-9.0, 0.0), (0.7, 4.0), (-5.0, 0.0)
+_PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the floor's logarithms, where the data say nothing
+_LEAST_OUTLIERS = 0.05  # neighbouring images err alike: none in 500 does not say that there are none
+_LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
+_LASTING = (0.5, 0.7)
+_LAGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
+_LEAST_PAIRS = 50
+_ALIKE = 10.0  # images that say that all axes err alike
+_UNSEEN = 5.0  # over the number of images: share of the variance that may be an error that lasts through all
+_UNSURE = 10.0  # images by which the variances of a fit to few are too small
+
+_NARROWEST, _WIDEST = (5e-4, 3e-3), (0.1, 1.0)  # kernels: extents, radians
 _BLOCK = 50  # images at a time: 50 × 2000 float32 fit the cache
 
 
@@ -29,61 +50,392 @@ class Change:
         what: In words.
         before: Values by the name of their setting.
         after: Likewise.
-        gain: Log likelihood gained, nats per held-out image.
-        error: Standard error of the gain over stretches; None where it is over single images.
-        preferred: The value of highest mean log density where another was taken, else None.
+        gain: Log likelihood gained, nats per held-out image; None where it is no likelihood that decides.
     """
 
     what: str
-    before: dict[str, float]
-    after: dict[str, float]
-    gain: float
-    error: float | None = None
-    preferred: float | None = None
+    before: dict[str, float | Six]
+    after: dict[str, float | Six]
+    gain: float | None = None
 
 
-def fit_images(
-    samples: Sequence[Poses], truth: Poses, prior_poses: Poses, calibration: Calibration
-) -> tuple[Calibration, tuple[Change, ...]]:
-    """Widths of π, widths of p̂ and the outlier floor, from posterior samples of n images and their true poses (n,)."""
-    prior_distances = _Distances.between([prior_poses], truth)
-    before = calibration.prior_bandwidth_translation_m, calibration.prior_bandwidth_rotation_rad
-    # A ratio p̂/π of a smooth density and a spiky one says little: π is never narrower than what it divides.
-    least = calibration.place_bandwidth_translation_m, calibration.place_bandwidth_rotation_rad
-    bounds = tuple((low, max(low, high)) for low, high in zip(least, _WIDEST_PRIOR, strict=True))
-    widths = _likeliest_widths(lambda w: prior_distances.log_density(w[0], w[1]).mean(), before, bounds)
-    log_prior_before, log_prior = (prior_distances.log_density(*pair) for pair in (before, widths))
-    names = "prior_bandwidth_translation_m", "prior_bandwidth_rotation_rad"
-    changes = [_change("prior π", names, before, widths, float((log_prior - log_prior_before).mean()))]
-    calibration = replace(calibration, **changes[-1].after)
+@dataclass(frozen=True)
+class Way:
+    """How far the camera came between images, and which belong to one pass.
 
+    Attributes:
+        number: Of the pass that each image is from, none of them in two parts, (n,).
+        metres: Come from the first image of its pass, (n,).
+        radians: Turned likewise, (n,).
+    """
+
+    number: Int64[np.ndarray, " n"]
+    metres: Float64[np.ndarray, " n"]
+    radians: Float64[np.ndarray, " n"]
+
+    @staticmethod
+    def along(poses: Poses, number: Int64[np.ndarray, " n"]) -> Way:
+        """The way along poses (n,) of numbered passes, each in order of time."""
+        begins = np.diff(number, prepend=number[:1] - 1) != 0
+        steps = poses[:-1].distance(poses[1:])
+        metres, radians = (np.cumsum(np.append(0.0, step)) for step in steps)
+        first = np.flatnonzero(begins)[np.cumsum(begins) - 1]
+        return Way(number, metres - metres[first], radians - radians[first])
+
+    def __getitem__(self, indices: Int64[np.ndarray, " k"]) -> Way:
+        return Way(self.number[indices], self.metres[indices], self.radians[indices])
+
+
+@dataclass(frozen=True)
+class ErrorFit:
+    """What images with true poses say of the errors of their posteriors.
+
+    Attributes:
+        errors: The model.
+        changes: What was fitted.
+        coverage: Share of the images whose true pose lies in the 50, 90 and 95 % region of the likeliest place.
+        effective_images: So many independent images are worth as much.
+    """
+
+    errors: ErrorModel
+    changes: tuple[Change, ...]
+    coverage: tuple[float, float, float]
+    effective_images: float
+
+
+def fit_errors(samples: Sequence[Poses], truth: Poses, way: Way, scene: Poses, before: ErrorModel) -> ErrorFit:
+    """Fit how the posteriors of n images err.
+
+    Places, spread, floor, tails and outliers are those of highest mean log likelihood
+
+        log[ε flat + (1 − ε) Σₖ shareₖ t(true pose; placeₖ, spread Cₖ + diag(floor²), ν)].
+
+    The wider place is taken where the likelihood hardly tells. How long errors last comes by least squares from the
+    products of normalised errors of two images, against the way between them. As neighbouring images err alike, the
+    data are worth fewer images than there are: the fewer, the more alike the axes and the larger the variances.
+
+    Args:
+        samples: Posterior samples of each image, world_from_camera, (m,) each.
+        truth: True poses, world_from_camera, (n,).
+        way: Between the images.
+        scene: Poses that outline the scene: all lengths are sought in proportion to it.
+        before: Of which the rest is kept.
+    """
+    extent = scene_extent(scene)
+    flat = flat_log_density(scene)
+    tried = []
+    parameters = None
+    for radius in _RADII * extent:
+        places = _Places.near(samples, truth, float(radius), RADIUS_RAD)
+        found = _likeliest(places, extent, flat, parameters)
+        parameters = found.parameters
+        tried.append((float(radius), places, found))
+    highest = max(found.score for _, _, found in tried)
+    radius, places, found = next(entry for entry in reversed(tried) if entry[2].score >= highest - _AS_GOOD)
+    errors = replace(
+        before,
+        radius_m=radius,
+        radius_rad=RADIUS_RAD,
+        flat_log_density=flat,
+        **found.settings(extent),
+    )
+    residual, told = places.residuals(errors)
+    lasting, length_m = _lasting(residual, told, way, extent)
+    effective = _effective_images(way, length_m)
+    errors = _cautious(errors, effective)
+    errors = replace(
+        errors,
+        outlier_share=max(errors.outlier_share, _LEAST_OUTLIERS),
+        lasting_share=lasting,
+        length_m=length_m,
+        length_rad=LENGTH_RAD,
+        typical_std=places.typical_std(errors),
+    )
+    formerly = _Places.near(samples, truth, before.radius_m, before.radius_rad)
+    gain = float((places.log_density(errors) - formerly.log_density(before)).mean())
+    names = ("radius_m", "spread", "floor", "tail", "outlier_share")
+    changes = (
+        _change("errors of an image", names, before, errors, gain),
+        _change("how long they last", ("lasting_share", "length_m"), before, errors),
+    )
+    return ErrorFit(errors, changes, places.coverage(errors), effective)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The likeliest errors for one reach of a place.
+
+    Attributes:
+        score: Mean log likelihood, with the pull of the floor.
+        parameters: Logarithms of spread and floor (in extents), logit of the outliers, logarithm of the tail, (9,).
+    """
+
+    score: float
+    parameters: Tensor
+
+    def settings(self, extent: float) -> dict[str, float | Six]:
+        spread, floor, outliers, tail = (value.numpy() for value in _unpack(self.parameters))
+        lengths = np.array([extent] * 3 + [1.0] * 3)
+        return {
+            "spread": float(spread),
+            "floor": _six(floor * lengths),
+            "outlier_share": float(1.0 / (1.0 + np.exp(-outliers))),
+            "tail": float(tail),
+        }
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Places of n images, those nearest to the true pose, by image.
+
+    Attributes:
+        residual: The true pose from each place, ξ = (v, ω), (p, 6).
+        covariance: Of the samples, (p, 6, 6).
+        share: Of the samples, (p,).
+        image: Of which each is, in increasing order, every image at least once, (p,).
+    """
+
+    residual: Float64[np.ndarray, "p 6"]
+    covariance: Float64[np.ndarray, "p 6 6"]
+    share: Float64[np.ndarray, " p"]
+    image: Int64[np.ndarray, " p"]
+
+    @staticmethod
+    def near(samples: Sequence[Poses], truth: Poses, radius_m: float, radius_rad: float) -> _Places:
+        parts = []
+        for i, poses in enumerate(samples):
+            label, count = find_places(poses, radius_m, radius_rad)
+            own = np.flatnonzero(label >= 0)
+            sizes = np.bincount(label[own], minlength=count)
+            means, covariances, _ = group_moments(poses[own], np.ones(len(own)), label[own], count)
+            residual = (means.inverse() @ truth[i]).log()
+            apart = np.linalg.norm(residual[:, :3], axis=1) / radius_m
+            apart += np.linalg.norm(residual[:, 3:], axis=1) / radius_rad
+            kept = np.argsort(apart, kind="stable")[:_NEAREST]
+            parts.append((residual[kept], covariances[kept], sizes[kept] / len(poses), np.full(len(kept), i)))
+        return _Places(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+    def log_density(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
+        """Log density of the true pose of each image, per m³ rad³."""
+        log_places = _log_sum(torch.from_numpy(self._log_terms(errors)), torch.from_numpy(self.image)).numpy()
+        outliers = errors.outlier_share
+        return np.logaddexp(np.log(outliers) + errors.flat_log_density, np.log1p(-outliers) + log_places)
+
+    def residuals(self, errors: ErrorModel) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
+        """Errors of the likeliest places in standard deviations, far ones drawn in; and who has more than a flat one.
+
+        Drawn in as an image of such errors counts: by the weight of a Student t distribution.
+        """
+        best = self._likeliest(errors)
+        covariance = errors.covariance(self.covariance[best])
+        values, vectors = np.linalg.eigh(covariance)
+        normal = np.einsum("nij,nj->ni", np.swapaxes(vectors, 1, 2), self.residual[best])
+        normal = np.einsum("nij,nj->ni", vectors, normal / np.sqrt(values))
+        weight = (errors.tail + 6.0) / (errors.tail + np.square(normal).sum(axis=1))
+        share = np.log1p(-errors.outlier_share) - np.log(errors.outlier_share)
+        terms = torch.from_numpy(self._log_terms(errors))
+        log_places = _log_sum(terms, torch.from_numpy(self.image)).numpy()
+        return normal * np.sqrt(np.minimum(weight, 1.0))[:, None], log_places + share > errors.flat_log_density
+
+    def coverage(self, errors: ErrorModel) -> tuple[float, float, float]:
+        best = self._likeliest(errors)
+        covariance = errors.covariance(self.covariance[best])
+        solved = np.linalg.solve(covariance, self.residual[best][..., None])[..., 0]
+        squared = np.einsum("ni,ni->n", self.residual[best], solved)
+        fifty, ninety, most = (float((squared <= 6.0 * fisher.ppf(q, 6, errors.tail)).mean()) for q in REGIONS)
+        return fifty, ninety, most
+
+    def typical_std(self, errors: ErrorModel) -> Six:
+        """Median over the images, of the likeliest place."""
+        variances = np.diagonal(errors.covariance(self.covariance[self._likeliest(errors)]), axis1=1, axis2=2)
+        return _six(np.sqrt(np.median(variances, axis=0)))
+
+    def _likeliest(self, errors: ErrorModel) -> Int64[np.ndarray, " n"]:
+        """Index of the place of each image in which its true pose is likeliest."""
+        order = np.lexsort([-self._log_terms(errors), self.image])
+        return order[np.flatnonzero(np.diff(self.image, prepend=-1))]
+
+    def _log_terms(self, errors: ErrorModel) -> Float64[np.ndarray, " p"]:
+        with torch.no_grad():
+            return _log_places(
+                torch.from_numpy(self.residual),
+                torch.from_numpy(self.covariance),
+                torch.from_numpy(self.share),
+                torch.tensor(errors.spread, dtype=torch.float64),
+                torch.tensor(errors.floor, dtype=torch.float64),
+                torch.tensor(errors.tail, dtype=torch.float64),
+            ).numpy()
+
+
+def _log_places(
+    residual: Tensor, covariance: Tensor, share: Tensor, spread: Tensor, floor: Tensor, tail: Tensor
+) -> Tensor:
+    """Log of share times Student t density of each residual (p, 6)."""
+    scale = spread * covariance + torch.diag(floor.square())
+    factor = torch.linalg.cholesky(scale)
+    normal = torch.linalg.solve_triangular(factor, residual[..., None], upper=False)[..., 0]
+    log_volume = torch.diagonal(factor, dim1=1, dim2=2).log().sum(dim=1)
+    log_constant = torch.lgamma((tail + 6.0) / 2.0) - torch.lgamma(tail / 2.0) - 3.0 * torch.log(tail * np.pi)
+    squared = normal.square().sum(dim=1)
+    return share.log() + log_constant - log_volume - (tail + 6.0) / 2.0 * torch.log1p(squared / tail)
+
+
+def _log_sum(terms: Tensor, image: Tensor) -> Tensor:
+    """Log of the sum of exponentials over the places of each image."""
+    count = int(image[-1]) + 1
+    top = torch.full((count,), -torch.inf, dtype=terms.dtype).scatter_reduce(0, image, terms.detach(), "amax")
+    return top + torch.zeros(count, dtype=terms.dtype).scatter_add(0, image, (terms - top[image]).exp()).log()
+
+
+def _unpack(parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Spread, floor (6,), logit of the outliers and tail."""
+    return (
+        parameters[0].clamp(*_LOG_SPREAD).exp(),
+        parameters[1:7].clamp(*_LOG_FLOOR).exp(),
+        parameters[7].clamp(*_LOGIT_OUTLIERS),
+        parameters[8].clamp(*_LOG_TAIL).exp(),
+    )
+
+
+def _likeliest(places: _Places, extent: float, flat: float, also: Tensor | None) -> _Found:
+    """Spread, floor, tail and outliers of highest likelihood, from several starts and from parameters that are near."""
+    unit = np.array([extent] * 3 + [1.0] * 3)
+    residual = torch.from_numpy(places.residual / unit)
+    covariance = torch.from_numpy(places.covariance / (unit[:, None] * unit) + 1e-12 * np.eye(6))
+    share, image = torch.from_numpy(places.share), torch.from_numpy(places.image)
+    log_unit = 3.0 * np.log(extent)
+
+    def loss(parameters: Tensor) -> Tensor:
+        spread, floor, outliers, tail = _unpack(parameters)
+        log_places = _log_sum(_log_places(residual, covariance, share, spread, floor, tail), image) - log_unit
+        out, right = torch.nn.functional.logsigmoid(outliers), torch.nn.functional.logsigmoid(-outliers)
+        pull = _PULL * (parameters[1:7] - _PULLED_TO).square().sum()
+        return pull - torch.logaddexp(out + flat, right + log_places).mean()
+
+    def search(start: Tensor, steps: int) -> tuple[float, Tensor]:
+        parameters = start.clone().requires_grad_(True)
+        optimiser = torch.optim.LBFGS(
+            [parameters], max_iter=steps, line_search_fn="strong_wolfe", tolerance_grad=1e-4, tolerance_change=1e-7
+        )
+
+        def closure() -> float:
+            optimiser.zero_grad()
+            value = loss(parameters)
+            value.backward()
+            return float(value.detach())
+
+        optimiser.step(closure)
+        found = parameters.detach()
+        with torch.no_grad():
+            value = float(loss(found))
+        return (value, found) if np.isfinite(value) and torch.isfinite(found).all() else (np.inf, start)
+
+    starts = []
+    for floor in _STARTS:
+        angle = min(max(floor, 0.02), 0.2)
+        logs = [0.0, *[np.log(floor)] * 3, *[np.log(angle)] * 3, -2.5, 1.8]
+        starts.append(torch.tensor(logs, dtype=torch.float64))
+    ends = [search(start, _TRIES) for start in (starts if also is None else [*starts, also])]
+    value, parameters = min(ends, key=lambda end: end[0])
+    better, refined = search(parameters, _STEPS)
+    return _Found(-better, refined) if better < value else _Found(-value, parameters)
+
+
+def _lasting(
+    residual: Float64[np.ndarray, "n 6"], told: Bool[np.ndarray, " n"], way: Way, extent: float
+) -> tuple[float, float]:
+    """Share of the variance that lasts, and the length over which it fades, metres."""
+    apart_m, apart_rad, product = [], [], []
+    for lag in _LAGS:
+        first = np.flatnonzero((way.number[lag:] == way.number[:-lag]) & told[lag:] & told[:-lag])
+        apart_m.append(way.metres[first + lag] - way.metres[first])
+        apart_rad.append(way.radians[first + lag] - way.radians[first])
+        product.append((residual[first + lag] * residual[first]).mean(axis=1))
+    metres, radians, products = (np.concatenate(part) for part in (apart_m, apart_rad, product))
+    if len(products) < _LEAST_PAIRS:
+        return _LASTING[1], _LENGTHS[len(_LENGTHS) // 2] * extent
+    products = products / np.square(residual[told]).mean()
+    best = (np.inf, _LASTING[1], extent)
+    for length_m in _LENGTHS * extent:
+        kernel = np.exp(-np.hypot(metres / length_m, radians / LENGTH_RAD))
+        share = float(np.clip((kernel * products).sum() / max(np.square(kernel).sum(), 1e-300), *_LASTING))
+        best = min(best, (float(np.square(products - share * kernel).mean()), share, float(length_m)))
+    return best[1], best[2]
+
+
+def _effective_images(way: Way, length_m: float) -> float:
+    """One for every pass, and one for every two lengths of its way, but no more than there are images."""
+    steps = np.hypot(np.diff(way.metres) / length_m, np.diff(way.radians) / LENGTH_RAD)
+    return 1.0 + float(np.where(np.diff(way.number) == 0, np.minimum(steps / 2.0, 1.0), 1.0).sum())
+
+
+def _cautious(errors: ErrorModel, effective: float) -> ErrorModel:
+    """Errors that were found on so many independent images, as far as that tells.
+
+    An error that lasts through all of them is not seen: the fewer they are, the larger a share may never fade.
+    """
+    variances = np.square(errors.floor).reshape(2, 3)
+    variances = (effective * variances + _ALIKE * variances.mean(axis=1, keepdims=True)) / (effective + _ALIKE)
+    larger = (effective + _UNSURE) / effective
+    return replace(
+        errors,
+        spread=larger * errors.spread,
+        floor=_six(np.sqrt(larger * variances).ravel()),
+        constant_share=min(1.0, ErrorModel().constant_share + _UNSEEN / effective),
+    )
+
+
+def _change(
+    what: str, names: Sequence[str], before: ErrorModel, after: ErrorModel, gain: float | None = None
+) -> Change:
+    values, formerly = ({name: getattr(errors, name) for name in names} for errors in (after, before))
+    return Change(what, formerly, values, gain)
+
+
+def _six(values: np.ndarray) -> Six:
+    a, b, c, d, e, f = (float(value) for value in values)
+    return a, b, c, d, e, f
+
+
+# --- kernel widths ---------------------------------------------------------------------------------
+
+
+def fit_widths(
+    samples: Sequence[Poses], truth: Poses, scene: Poses, before: tuple[float, float]
+) -> tuple[tuple[float, float], Change]:
+    """Kernel widths of the samples' density, metres and radians, of highest mean log likelihood.
+
+    Args:
+        samples: Posterior samples of each image, world_from_camera, (m,) each.
+        truth: True poses, world_from_camera, (n,).
+        scene: Poses that outline the scene.
+        before: Widths to start from.
+    """
     distances = _Distances.between(samples, truth)
+    extent, log_flat = scene_extent(scene), np.log(_LEAST_OUTLIERS) + flat_log_density(scene)
 
-    def floored(h_t: float, h_r: float) -> float:
-        return _best_floor(distances.log_density(h_t, h_r), log_prior)[1]
+    def score(widths: tuple[float, float]) -> float:
+        log_density = distances.log_density(*widths) + np.log1p(-_LEAST_OUTLIERS)
+        return float(np.logaddexp(log_flat, log_density).mean())
 
-    before = calibration.bandwidth_translation_m, calibration.bandwidth_rotation_rad
-    jitter = KernelConfig()  # details finer than the filter's own jitter are none to it
-    bounds = tuple(zip((jitter.jitter_m, jitter.jitter_rad), _WIDEST_KERNEL, strict=True))
-    widths = _likeliest_widths(lambda w: floored(w[0], w[1]), before, bounds)
+    bounds = [(low * unit, high * unit) for low, high, unit in zip(_NARROWEST, _WIDEST, (extent, 1.0), strict=True)]
+    found = minimize(
+        lambda x: -score((float(np.exp(x[0])), float(np.exp(x[1])))),
+        np.log([np.clip(value, *bound) for value, bound in zip(before, bounds, strict=True)]),
+        method="Nelder-Mead",
+        bounds=np.log(bounds),
+        options={"xatol": 0.01, "fatol": 1e-4},
+    )
+    width_m, width_rad = (float(width) for width in np.exp(found.x))
     names = "bandwidth_translation_m", "bandwidth_rotation_rad"
-    changes.append(_change("kernel widths", names, before, widths, floored(*widths) - floored(*before)))
-    calibration = replace(calibration, **changes[-1].after)
-
-    # The floor that is stored is the one of the likelihood that tells places apart.
-    likelihood = calibration.likelihood(prior_poses)
-    places = [calibration.posterior(poses, likelihood).places for poses in samples]
-    log_places = np.array([p.log_density(truth[[i]])[0] for i, p in enumerate(places) if p is not None])
-    floor, best = _best_floor(log_places, log_prior)
-    before = calibration.outlier_floor
-    gain = best - _with_floor(before, log_places, log_prior)
-    changes.append(_change("outlier floor ε", ("outlier_floor",), (before,), (floor,), gain))
-    return replace(calibration, **changes[-1].after), tuple(changes)
+    formerly: dict[str, float | Six] = dict(zip(names, before, strict=True))
+    values: dict[str, float | Six] = dict(zip(names, (width_m, width_rad), strict=True))
+    return (width_m, width_rad), Change("kernel widths", formerly, values, score((width_m, width_rad)) - score(before))
 
 
 @dataclass(frozen=True)
 class _Distances:
-    """Squared distances of true poses (n,) from kernel centres (n, m), or the same (m,) for all: computed once.
+    """Squared distances of true poses (n,) from the samples (n, m) of their images: computed once.
 
     Attributes:
         squared_m2: Of translation.
@@ -94,8 +446,8 @@ class _Distances:
     squared_chord: Float32[np.ndarray, "n m"]
 
     @staticmethod
-    def between(centres: Sequence[Poses], poses: Poses) -> _Distances:
-        apart = [centres[i if len(centres) > 1 else 0].distance(poses[i]) for i in range(len(poses))]
+    def between(samples: Sequence[Poses], truth: Poses) -> _Distances:
+        apart = [poses.distance(truth[i]) for i, poses in enumerate(samples)]
         squared_m2 = np.array([np.square(metres) for metres, _ in apart], np.float32)
         return _Distances(squared_m2, np.array([2 - 2 * np.cos(radians) for _, radians in apart], np.float32))
 
@@ -112,39 +464,3 @@ class _Distances:
             log_sum[rows] = top[:, 0] + np.log(np.exp(exponent - top).sum(axis=1), dtype=np.float64)
         kernel = KernelDensity(Poses.identity(1), width_m, width_rad)
         return log_sum - np.log(m) - kernel.log_normaliser[0]
-
-
-def _likeliest_widths(
-    mean_log: Callable[[np.ndarray], float],
-    start: tuple[float, float],
-    bounds: Sequence[tuple[float, float]],
-) -> tuple[float, float]:
-    """Widths of highest mean log likelihood."""
-    found = minimize(
-        lambda x: -mean_log(np.exp(x)),
-        np.log([np.clip(value, *bound) for value, bound in zip(start, bounds, strict=True)]),
-        method="Nelder-Mead",
-        bounds=np.log(bounds),
-        options={"xatol": 0.01, "fatol": 1e-4},
-    )
-    width_m, width_rad = np.exp(found.x)
-    return float(width_m), float(width_rad)
-
-
-def _best_floor(log_density: Float64[np.ndarray, " n"], log_prior: Float64[np.ndarray, " n"]) -> tuple[float, float]:
-    """ε of highest mean log likelihood, and that."""
-    found = minimize_scalar(
-        lambda x: -_with_floor(expit(x), log_density, log_prior), bounds=logit(_FLOOR_BOUNDS), method="bounded"
-    )
-    return float(expit(found.x)), -float(found.fun)
-
-
-def _with_floor(floor: float, log_density: Float64[np.ndarray, " n"], log_prior: Float64[np.ndarray, " n"]) -> float:
-    """Mean of log[(1 − ε) p̂ + ε π] over images: an image is an outlier with probability ε."""
-    return float(np.logaddexp(np.log1p(-floor) + log_density, np.log(floor) + log_prior).mean())
-
-
-def _change(
-    what: str, names: tuple[str, ...], before: tuple[float, ...], after: tuple[float, ...], gain: float
-) -> Change:
-    return Change(what, dict(zip(names, before, strict=True)), dict(zip(names, after, strict=True)), gain)

@@ -19,9 +19,11 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from vapor.augment import jitter_and_normalise, random_crops
 from vapor.calibrate import CalibrationResult, calibrate
-from vapor.checkpoint import MAX_PRIOR_POSES, Checkpoint, save_checkpoint, spaced
+from vapor.checkpoint import MAX_PRIOR_POSES, Calibration, Checkpoint, save_checkpoint, spaced
+from vapor.familiarity import EXEMPLARS, learn_familiarity
 from vapor.loss import training_loss
 from vapor.network import PoseRegressor, SceneBox
+from vapor.scene_scale import default_errors
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
 from vapor.training_set import (
     TrainingError,
@@ -42,8 +44,8 @@ class Progress:
 
     Attributes:
         stage: "reading" of images, then "training", then "calibrating".
-        done: Images read, steps done since the training's start, interrupted or not, or filter runs done.
-        total: Steps or runs in all; None while reading.
+        done: Images read, steps done since the training's start, interrupted or not, or held-out images seen.
+        total: Steps or images in all; None while reading.
         epoch: The current epoch, from 1.
         epochs: Of so many.
         loss: Mean training loss of this epoch so far.
@@ -218,7 +220,7 @@ def _fit(
             figures = validate(
                 kept,
                 judged,
-                config.calibration,
+                Calibration(config.bandwidth_translation_m, config.bandwidth_rotation_rad),
                 num_samples=config.loss.num_samples,
                 seed=config.seed,
                 epoch=state.epoch,
@@ -242,13 +244,17 @@ def _fit(
         "validation": asdict(best) if best else None,
     }
     prior_poses = _prior_poses(state.average, weights, training, config.seed)
-    calibrated = None
+    widths = config.bandwidth_translation_m, config.bandwidth_rotation_rad
+    calibration = Calibration(*widths, default_errors(prior_poses))
+    calibrated = familiarity = None
     if config.calibrate:
+        familiarity = learn_familiarity(state.average, training.select(spaced(len(training), EXEMPLARS)), judged)
         calibrated = calibrate(
             state.average,  # with the weights kept, as `_prior_poses` left it
             held_out,
             prior_poses,
-            config.calibration,
+            calibration,
+            training=training,
             max_images=config.validation_images,
             seed=config.seed,
             advance=lambda done, total: report(Progress("calibrating", done, total, best=best)),
@@ -257,10 +263,11 @@ def _fit(
     checkpoint = Checkpoint(
         config.network,
         state.network.box,
-        calibrated.calibration if calibrated else config.calibration,
+        calibrated.calibration if calibrated else calibration,
         prior_poses,
         weights,
         json.loads(json.dumps(provenance)),
+        familiarity,
     )
     save_checkpoint(output, checkpoint, half=config.half)
     state_path(output).unlink(missing_ok=True)

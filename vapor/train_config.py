@@ -25,10 +25,13 @@ class TrainConfig:
     """Weights of the loss."""
     augment: AugmentConfig = field(default_factory=AugmentConfig)
     """How much training images vary."""
-    calibration: Calibration = field(default_factory=Calibration)
-    """Kernel widths and likelihood; stored with the model, but for what `calibrate` fits."""
+    bandwidth_translation_m: float = 0.1
+    """Kernel width of posterior samples along each axis, metres: of the density by which epochs are judged."""
+    bandwidth_rotation_rad: float = 0.1
+    """Likewise about each axis, radians."""
     calibrate: bool = True
-    """At the end fit kernel widths, the prior's widths, outlier floor, β, γ and β_d on the held-out images."""
+    """At the end find on the held-out images how wrong posteriors are (and odometry, where it was recorded), and learn
+    what the place looks like."""
     pretrained_weights: Path | None = None
     """Weights of the backbone to start from: ImageNet's, as safetensors or a torch state dict with torchvision's names,
     or those of a model trained here. Without it a ResNet starts from random weights."""
@@ -109,6 +112,7 @@ class TrainConfig:
         for name in ("weight_decay", "encoder_weight_decay"):
             if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a number of at least 0")
+        Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # which refuses what is no width
         if self.seed < 0:
             raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
         for name in ("evolve", "average", "validation_share", "warmup"):

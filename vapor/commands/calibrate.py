@@ -10,8 +10,10 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
+from filtering.error_model import Six
 from vapor.calibrate import CalibrationResult, calibrate_model
 from vapor.commands.console import bar, parse, show, show_skipped, usage_error
+from vapor.image_fit import REGIONS
 from vapor.observation import Device
 
 
@@ -25,10 +27,15 @@ class Options:
     """MCAP files or data set folders that it was not trained on; PATH@START:STOP takes only those images."""
     output: Path
     """Model file to write (.safetensors)."""
+    training: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
+    """Data that it was trained on, or some of it: what the place looks like is learned from that, for models that do
+    not know it (`train --no-calibrate`) or are to learn it again; without it, from half of the held-out data."""
+    familiarity_only: bool = False
+    """Learn that only, and leave the rest as it is."""
     images: int = 500
-    """Held-out images that are used, at most; as many again on stretches of trajectory."""
+    """Held-out images that are used, at most."""
     seed: int = 0
-    """Of latent noise and filter."""
+    """Of latent noise."""
     device: Device = "auto"
     """Where the network runs."""
 
@@ -40,9 +47,17 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("calibrate", "no held-out data, expected at least one file or folder")
     if o.images < 1 or o.seed < 0:
         usage_error("calibrate", f"images {o.images} and seed {o.seed}, expected at least 1 and 0")
-    with bar("filter runs") as advance:
+    with bar("images") as advance:
         result = calibrate_model(
-            o.model, o.data, o.output, max_images=o.images, seed=o.seed, device=o.device, advance=advance
+            o.model,
+            o.data,
+            o.output,
+            training=o.training,
+            familiarity_only=o.familiarity_only,
+            max_images=o.images,
+            seed=o.seed,
+            device=o.device,
+            advance=advance,
         )
     show_calibration(result)
     show(str(o.output))
@@ -50,22 +65,32 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def show_calibration(result: CalibrationResult) -> None:
-    """Print what each fit changed, and what it gains."""
+    """Print what each fit changed, what it gains, and how many true poses the regions of single images hold."""
     if result.changes:
-        images = f"{result.images} held-out images, {result.stretches} stretches (odometry: {result.odometry})"
+        images = f"{result.images} held-out images, worth {result.effective_images:.0f} independent ones"
         table = Table(title=f"calibration on {images}", title_justify="left")
-        for name in ("fit", "before", "after", "gain, nats an image", "likeliest"):
+        table.add_column("setting", no_wrap=True)
+        for name in ("before", "after", "gain, nats an image"):
             table.add_column(name)
         for change in result.changes:
-            gain = f"{change.gain:+.3f}" + ("" if change.error is None else f" ± {change.error:.3f}")
-            highest = "" if change.preferred is None else f"{change.preferred:.3g}"
-            table.add_row(change.what, _numbers(change.before), _numbers(change.after), gain, highest)
+            gain = "" if change.gain is None else f"{change.gain:+.3f}"
+            for name in change.after:
+                table.add_row(name, _text(name, change.before[name]), _text(name, change.after[name]), gain)
+                gain = ""
+            table.add_section()
         show(table)
+    if result.coverage is not None:
+        found = ", ".join(f"{100 * share:.0f} %" for share in result.coverage)
+        levels = ", ".join(f"{100 * level:.0f}" for level in REGIONS)
+        show(f"true poses in the {levels} % regions of single images: {found}")
+    if result.calibration.odometry is not None and result.odometry != "none":
+        show(f"{result.odometry}: {result.calibration.odometry}")
     for note in result.notes:
         show(f"calibration: {note}")
 
 
-def _numbers(values: dict[str, float]) -> str:
-    units = {"translation_m": " m", "rotation_rad": " rad"}
-    unit = {name: next((u for end, u in units.items() if name.endswith(end)), "") for name in values}
-    return ", ".join(f"{value:.3g}{unit[name]}" for name, value in values.items())
+def _text(name: str, value: float | Six) -> str:
+    if isinstance(value, tuple):
+        metres, radians = (" ".join(f"{number:.2g}" for number in part) for part in (value[:3], value[3:]))
+        return f"{metres} m\n{radians} rad"
+    return f"{value:.3g}" + (" m" if name.endswith("_m") else " rad" if name.endswith("_rad") else "")

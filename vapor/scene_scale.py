@@ -1,0 +1,54 @@
+"""How large a scene is, and what errors to expect in one of which nothing else is known."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.error_model import ErrorModel
+from filtering.se3 import Poses
+
+_TAIL = 0.005  # of the positions, at either end of each axis: network outputs may lie anywhere
+_THINNEST, _MARGIN = 0.05, 0.02  # of the box in which cameras may be, in extents
+_TURNED = 0.15  # share of all rotations that cameras have: they are mostly upright
+_RADIUS, _FLOOR, _FLOOR_RAD, _LENGTH = 0.04, 0.02, 0.05, 0.05  # in extents, but for the angle
+RADIUS_RAD, LENGTH_RAD = 0.5, 0.4
+
+
+def scene_extent(poses: Poses) -> float:
+    """Diagonal of the box around the positions of poses (n,), metres; 1 where all are the same."""
+    extent = float(np.linalg.norm(_sides(poses)))
+    return extent if extent > 1e-9 else 1.0
+
+
+def flat_log_density(poses: Poses) -> float:
+    """Log density of poses spread evenly where these (n,) are, per m³ rad³: a box about them, and upright cameras."""
+    extent = scene_extent(poses)
+    sides = np.maximum(_sides(poses), _THINNEST * extent) + _MARGIN * extent
+    return -float(np.log(np.prod(sides) * 8.0 * np.pi**2 * _TURNED))
+
+
+def default_errors(poses: Poses) -> ErrorModel:
+    """Errors of a network that was not calibrated, lengths in proportion to the scene.
+
+    Args:
+        poses: That outline the scene, such as a model's prior poses, world_from_camera, (n,).
+    """
+    extent = scene_extent(poses)
+    floor = _FLOOR * extent, _FLOOR * extent, _FLOOR * extent, _FLOOR_RAD, _FLOOR_RAD, _FLOOR_RAD
+    typical = 1.4 * np.array(floor)  # the samples' own spread is as large, say
+    a, b, c, d, e, f = (float(value) for value in typical)
+    return ErrorModel(
+        radius_m=_RADIUS * extent,
+        radius_rad=RADIUS_RAD,
+        floor=floor,
+        flat_log_density=flat_log_density(poses),
+        length_m=_LENGTH * extent,
+        length_rad=LENGTH_RAD,
+        typical_std=(a, b, c, d, e, f),
+    )
+
+
+def _sides(poses: Poses) -> Float64[np.ndarray, "3"]:
+    low, high = np.quantile(poses.translation, [_TAIL, 1.0 - _TAIL], axis=0)
+    return high - low
