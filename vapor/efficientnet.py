@@ -82,6 +82,7 @@ class EfficientNetLite0(nn.Module):
     def __init__(self, num_classes: int | None = None) -> None:
         super().__init__()
         self.num_features = 1280
+        self.stage_channels = (24, 40, 112, 320)
         self._conv_stem = _conv(3, 32, 3, stride=2)
         self._bn0 = _norm(32)
         blocks: list[nn.Module] = []
@@ -97,6 +98,11 @@ class EfficientNetLite0(nn.Module):
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+
+    @property
+    def stages(self) -> tuple[nn.Module, ...]:
+        """Modules whose outputs are the image at four depths, with `stage_channels` channels."""
+        return tuple(self._blocks[number] for number in (2, 4, 10, 15))
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
         """Features (b, 1280) of images scaled to (pixel − 127)/128, or scores (b, num_classes)."""

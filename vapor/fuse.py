@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 
-from filtering.density import KernelDensity
+from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
-from filtering.estimate import Mode
-from filtering.posterior import LikelihoodModel, PosteriorSamples
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from filtering.smoothing import SmoothingConfig
 from sequences.estimates import EstimateOptions, EstimateSequence
-from sequences.pose_files import PoseFile
 from vapor.run import FilteringConfig, RunResult, complete_directory, localize, refuse_file, write_results
-
-_LEAST_TEMPER = 1e-3  # of a likelihood: below, a filter would follow odometry alone
-_MARGIN_M = 0.5  # around the estimates: cameras can be where none is
 
 
 @dataclass(frozen=True)
@@ -31,20 +25,16 @@ class EstimateConfig:
     """Stated standard deviation of position along each axis, metres; one for all files or one for each."""
     std_deg: tuple[float, ...] = (1.0,)
     """Stated standard deviation of rotation about each axis, degrees; one for all files or one for each."""
+    tail: float = 4.0
+    """Degrees of freedom of the Student t distribution of their errors: the fewer, the heavier the tails."""
     outlier_share: float = 0.1
-    """Share of the estimates whose errors are much larger than stated."""
-    outlier_spread: float = 8.0
-    """How many times larger."""
+    """Share of the frames in which no estimate says where the camera is."""
     independent_after_s: float = 1.0
-    """Images so far apart err independently; nearer ones count for less, in proportion."""
+    """Frames so far apart err independently, at the speed that the camera has on the whole; frames of a camera that
+    stands do not."""
 
     def __post_init__(self) -> None:
-        require_within(
-            self,
-            outlier_share=(1e-6, 0.999999),
-            outlier_spread=(1.0, 1e3),
-            independent_after_s=(0.0, 1e6),
-        )
+        require_within(self, tail=(1.0, 1e6), outlier_share=(1e-6, 0.999999), independent_after_s=(1e-6, 1e6))
         for name, high in (("std_m", 1e3), ("std_deg", 180.0)):
             for value in getattr(self, name):
                 if not 1e-4 <= value <= high:
@@ -57,22 +47,22 @@ class EstimateModel:
     Args:
         num_files: How many methods there are.
         config: How far to trust them.
-        likelihood: How their density becomes a likelihood.
+        errors: How they err over time.
 
     Raises:
         VaporTrackError: as many uncertainties are stated as neither one nor the number of files.
     """
 
-    def __init__(self, num_files: int, config: EstimateConfig, likelihood: LikelihoodModel) -> None:
+    def __init__(self, num_files: int, config: EstimateConfig, errors: ErrorModel) -> None:
         self.config = config
-        self.likelihood = likelihood
+        self.errors = errors
         for name, values in (("std_m", config.std_m), ("std_deg", config.std_deg)):
             if len(values) not in (1, num_files):
                 raise VaporTrackError(f"{name} has {len(values)} values, expected one, or one for each of {num_files}")
         self._std_m = np.broadcast_to(config.std_m, num_files).astype(float)
         self._std_rad = np.radians(np.broadcast_to(config.std_deg, num_files))
 
-    def observe(self, image: Float64[np.ndarray, "files 4 4"], *, rng: np.random.Generator) -> PosteriorSamples:
+    def observe(self, image: Float64[np.ndarray, "files 4 4"], *, rng: np.random.Generator) -> PosePosterior:
         """The posterior of one image.
 
         Args:
@@ -83,29 +73,9 @@ class EstimateModel:
             VaporTrackError: no method has an estimate.
         """
         present = np.isfinite(image).all(axis=(1, 2))
-        return PosteriorSamples.from_estimates(
-            Poses.from_matrix(image[present]),
-            self._std_m[present],
-            self._std_rad[present],
-            outlier_share=self.config.outlier_share,
-            outlier_spread=self.config.outlier_spread,
-            likelihood=self.likelihood,
+        return PosePosterior.from_estimates(
+            Poses.from_matrix(image[present]), self._std_m[present], self._std_rad[present], self.errors
         )
-
-
-def estimate_modes(posterior: PosteriorSamples, _: np.random.Generator | None = None) -> tuple[Mode, ...]:
-    """The estimates behind a posterior, each with its stated covariance, that of the highest density first."""
-    density = posterior.density
-    if not isinstance(density, KernelDensity):
-        raise TypeError(f"{type(density).__name__} is no density of estimates")
-    count = len(posterior.poses) // 2  # the other half are the wide kernels
-    estimates = posterior.poses[:count]
-    std_m = np.broadcast_to(density.bandwidth_translation_m, 2 * count)[:count]
-    std_rad = np.broadcast_to(density.bandwidth_rotation_rad, 2 * count)[:count]
-    order = np.argsort(-density.log_density(estimates), kind="stable")
-    return tuple(
-        Mode(estimates[i], np.diag(np.repeat([std_m[i] ** 2, std_rad[i] ** 2], 3)), 1.0 / count) for i in order
-    )
 
 
 def fuse(
@@ -146,17 +116,19 @@ def fuse(
         options=reading,
         seed=config.seed,
     )
-    likelihood = likelihood_of(sequence.files, trust, sequence.interval_s)
-    model = EstimateModel(len(sequence.files), trust, likelihood)
+    errors = errors_of(sequence, trust)
+    model = EstimateModel(len(sequence.files), trust, errors)
+    # Frames of another sequence are another recording, not a gap in the odometry.
+    gap = replace(config.localizer.gap, action="forget")
+    config = replace(config, localizer=replace(config.localizer, gap=gap))
     with complete_directory(output) as partial:
         record = localize(
             sequence,
             model,
             partial,
             config,
-            image_modes=estimate_modes,
+            errors,
             observed=lambda frame: frame.estimates,
-            smoothing=SmoothingConfig(correlation=1.0 / likelihood.temper),
             progress=progress,
         )
         settings = {
@@ -165,23 +137,30 @@ def fuse(
             "run": asdict(config),
             "trust": asdict(trust),
             "reading": asdict(reading),
-            "likelihood": {
-                "temper": likelihood.temper,
-                "outlier_floor": likelihood.outlier_floor,
-                "flat_prior_per_m3_rad3": likelihood.prior_floor,
-            },
+            "errors": asdict(errors),
         }
         return write_results(record, partial, settings, title=", ".join(file.path.stem for file in sequence.files))
 
 
-def likelihood_of(files: Sequence[PoseFile], trust: EstimateConfig, interval_s: float) -> LikelihoodModel:
-    """How estimates weigh a belief: against a flat prior over their bounding box and all rotations.
+def errors_of(sequence: EstimateSequence, trust: EstimateConfig) -> ErrorModel:
+    """How estimates err: as stated, alike while the camera comes as far as it does in the time stated.
 
-    The box holds the middle 98 % of the positions along each axis and half a metre more on each side. An image counts
-    as the share of an independent one that its interval is of `independent_after_s`.
+    Poses are taken to be spread evenly over a box, and all rotations. It holds the middle 98 % of the positions along
+    each axis, and a tenth of its diagonal more on each side: cameras can be where no estimate is.
     """
-    positions = np.concatenate([file.poses.translation for file in files])
+    positions = np.concatenate([file.poses.translation for file in sequence.files])
     low, high = np.percentile(positions, [1, 99], axis=0)
-    volume = float(np.prod(high - low + 2 * _MARGIN_M)) * 8 * np.pi**2
-    temper = 1.0 if interval_s >= trust.independent_after_s else interval_s / trust.independent_after_s
-    return LikelihoodModel(temper=max(temper, _LEAST_TEMPER), prior_floor=1.0 / volume)
+    std_m, std_rad = float(np.median(trust.std_m)), float(np.radians(np.median(trust.std_deg)))
+    margin = max(0.1 * float(np.linalg.norm(high - low)), std_m)
+    volume = float(np.prod(high - low + 2 * margin)) * 8 * np.pi**2
+    typical = (std_m, std_m, std_m, std_rad, std_rad, std_rad)
+    return ErrorModel(
+        radius_m=std_m,
+        floor=typical,
+        tail=trust.tail,
+        outlier_share=trust.outlier_share,
+        flat_log_density=-float(np.log(volume)),
+        length_m=max(sequence.speed_m_per_s * trust.independent_after_s, std_m),
+        constant_share=0.0,
+        typical_std=typical,
+    )

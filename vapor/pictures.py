@@ -25,6 +25,7 @@ LABELS: Mapping[str, str] = MappingProxyType(
         "single_image": "single image",
         "dead_reckoning": "dead reckoning",
         "kalman": "Kalman filter",
+        "gaussian_sum": "Gaussian sum",
         "filter": "particle filter",
         "smoothed": "smoothed",
     }
@@ -37,6 +38,7 @@ COLORS: Mapping[str, str] = MappingProxyType(
         "single_image": "#e69f00",
         "dead_reckoning": "#56b4e9",
         "kalman": "#cc79a7",
+        "gaussian_sum": "#e69f00",
         "filter": "#0072b2",
         "smoothed": "#009e73",
         "other": "#d55e00",  # hypotheses beside the best one

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
-from filtering.estimate import ModeConfig, posterior_modes
+from filtering.estimate import posterior_modes
 from filtering.moments import group_moments
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration
 from vapor.evaluate import THRESHOLDS
@@ -23,20 +24,16 @@ def posterior_metrics(
     calibration: Calibration,
     *,
     gamma: float = 0.1,
-    modes: ModeConfig | None = None,
     exact_log_density: Float64[np.ndarray, " n"] | None = None,
-    rng: np.random.Generator,
 ) -> dict[str, Any]:
     """Figures over the images of a test set.
 
     Args:
         posteriors: Posterior samples of each image, world_from_camera, (m,).
         truth: True poses, world_from_camera, (n,).
-        calibration: Kernel widths of the density.
+        calibration: Kernel widths of the density, and how far a place reaches.
         gamma: Share of an image's samples that must be near its true pose for the posterior to count as right.
-        modes: What counts as one mode.
         exact_log_density: Log density of each image's own posterior at its true pose, per m³ rad³, where it is known.
-        rng: Source of the draws by which modes are found.
 
     Returns:
         `images`; `recall`, `mode_recall` and `oracle_recall`, for each of `THRESHOLDS` the share of the images of which
@@ -45,21 +42,20 @@ def posterior_metrics(
         of the best mode, `translation_m` and `rotation_deg`; `negative_log_density`, the mean of
         −log(p̂ + 10⁻⁴ per m³ rad³) at the true pose, nats, so that no single image decides, p̂ being the kernel density
         of the samples; `exact_negative_log_density`, the same of the exact density, None where there is none; `modes`,
-        the mean number of modes.
+        the mean number of modes, the places among the samples.
 
     Raises:
         VaporTrackError: γ outside (0, 1], no image, or not as many posteriors as true poses.
     """
     if not 0.0 < gamma <= 1.0:
         raise VaporTrackError(f"gamma is {gamma}, expected it in (0, 1]")
-    config = modes or ModeConfig()
     inside: list[list[np.ndarray]] = []
     errors, densities, counts = [], [], []
     for index, samples in enumerate(posteriors):
         if index >= len(truth):
             raise VaporTrackError(f"more posteriors than the {len(truth)} true poses, expected one for each")
         true_pose = truth[[index]]
-        found = posterior_modes(samples, config, rng=rng)
+        found = posterior_modes(PosePosterior.from_samples(samples, calibration.errors))
         equal, together = np.full(len(samples), 1.0 / len(samples)), np.zeros(len(samples), np.int64)
         mean, _, _ = group_moments(samples, equal, together, 1)
         points = Poses.concatenate([samples, mean, Poses.stack([found[0].world_from_camera])])

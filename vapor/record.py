@@ -27,7 +27,7 @@ class Moment:
     Attributes:
         time_ns: Header stamp of the image.
         thumbnail: The image, its longer side at most 320 pixels, RGB; empty where there is none.
-        cloud: At most 300 equally weighted particles, world_from_camera.
+        cloud: 300 poses that stand for the belief, equally weighted, world_from_camera.
         modes: The hypotheses, the reported one first.
         status: The filter's own verdict.
         world_from_camera: True pose, one pose, or None.
@@ -57,13 +57,15 @@ class RunRecord:
         best_weight: Weight of the reported hypothesis, (n,).
         num_particles: Number of particles, (n,).
         effective_sample_size: In particles, (n,).
-        log_evidence: Log of the mean likelihood of each image under the predicted belief, (n,).
+        agreement: Share of the belief that the images of the last second fitted, (n,).
+        unfamiliarity: How unlike the training data each image was, see `PosePosterior`, (n,).
         step_ms: Wall-clock milliseconds of each step, (n,).
         dead_reckoning: Poses from odometry alone, (n,), started at the first true pose, or at the first estimate
             where that is unknown, and anew where there is no odometry; None for a sequence without any.
         truth: True poses of the images that have one; None if none has.
         smoothed: Smoothed trajectory, if any.
         kalman: Trajectory of the single-hypothesis baseline, if any.
+        gaussian_sum: Trajectory of the baseline to which no hypothesis is added after the first image, if any.
         moments: A few moments in order of time, the first and last image among them.
         skipped: Number of images skipped, by reason.
         peak_rss_mb: Peak resident memory of the process, MiB; None if not measured.
@@ -78,12 +80,14 @@ class RunRecord:
     best_weight: Float64[np.ndarray, " n"]
     num_particles: Int64[np.ndarray, " n"]
     effective_sample_size: Float64[np.ndarray, " n"]
-    log_evidence: Float64[np.ndarray, " n"]
+    agreement: Float64[np.ndarray, " n"]
+    unfamiliarity: Float64[np.ndarray, " n"]
     step_ms: Float64[np.ndarray, " n"]
     dead_reckoning: Poses | None
     truth: Trajectory | None
     smoothed: Trajectory | None
     kalman: Trajectory | None
+    gaussian_sum: Trajectory | None
     moments: tuple[Moment, ...]
     skipped: Mapping[str, int]
     peak_rss_mb: float | None
@@ -95,6 +99,7 @@ class RunRecord:
             "single_image": Trajectory(self.times_ns, self.single_image),
             "dead_reckoning": None if self.dead_reckoning is None else Trajectory(self.times_ns, self.dead_reckoning),
             "kalman": self.kalman,
+            "gaussian_sum": self.gaussian_sum,
             "filter": Trajectory(self.times_ns, self.filter),
             "smoothed": self.smoothed,
         }
@@ -114,7 +119,7 @@ class RunRecorder:
         self._truth: list[Poses] = []
         self._covariance: list[np.ndarray] = []
         self._status: list[Status] = []
-        self._numbers: list[tuple[int, float, int, float, float, float]] = []
+        self._numbers: list[tuple[int, float, int, float, float, float, float]] = []
         self._moments: list[Moment] = []
 
     def __len__(self) -> int:
@@ -150,7 +155,8 @@ class RunRecorder:
                 best.weight,
                 len(estimate.particles),
                 estimate.effective_sample_size,
-                estimate.log_evidence,
+                estimate.agreement,
+                estimate.unfamiliarity,
                 step_ms,
             )
         )
@@ -164,6 +170,7 @@ class RunRecorder:
         skipped: Mapping[str, int] | None = None,
         smoothed: Trajectory | None = None,
         kalman: Trajectory | None = None,
+        gaussian_sum: Trajectory | None = None,
         peak_rss_mb: float | None = None,
     ) -> RunRecord:
         """The record of all images added.
@@ -173,7 +180,9 @@ class RunRecorder:
         """
         if not self._times_ns:
             raise VaporTrackError(f"no image was localized, {sum((skipped or {}).values())} were skipped")
-        num_modes, best_weight, num_particles, sample_size, log_evidence, step_ms = np.array(self._numbers, float).T
+        num_modes, best_weight, num_particles, sample_size, agreement, unfamiliarity, step_ms = np.array(
+            self._numbers, float
+        ).T
         truth = Trajectory(np.array(self._truth_ns, np.int64), Poses.stack(self._truth)) if self._truth else None
         return RunRecord(
             times_ns=np.array(self._times_ns, np.int64),
@@ -185,12 +194,14 @@ class RunRecorder:
             best_weight=best_weight,
             num_particles=num_particles.astype(np.int64),
             effective_sample_size=sample_size,
-            log_evidence=log_evidence,
+            agreement=agreement,
+            unfamiliarity=unfamiliarity,
             step_ms=step_ms,
             dead_reckoning=Poses.stack(self._dead_reckoning) if self._has_odometry else None,
             truth=truth,
             smoothed=smoothed,
             kalman=kalman,
+            gaussian_sum=gaussian_sum,
             moments=tuple(self._moments),
             skipped=dict(sorted(Counter(skipped or {}).items())),
             peak_rss_mb=peak_rss_mb,
@@ -220,16 +231,8 @@ def telling_moments(moments: list[Moment], count: int) -> list[Moment]:
     return moments
 
 
-def thin(poses: Poses, log_weights: Float64[np.ndarray, " n"], count: int) -> Poses:
-    """At most `count` poses that stand for the weighted ones (n,) with equal weight: systematic, no randomness."""
-    count = min(count, len(poses))
-    cumulative = np.cumsum(np.exp(log_weights - log_weights.max()))
-    index = np.searchsorted(cumulative, (np.arange(count) + 0.5) / count * cumulative[-1])
-    return poses[np.minimum(index, len(poses) - 1)]
-
-
 def _moment(frame: Frame, estimate: Estimate) -> Moment:
-    cloud = thin(estimate.particles, estimate.log_weights, _CLOUD_SIZE)
+    cloud = estimate.cloud(_CLOUD_SIZE)
     return Moment(
         time_ns=frame.time_ns,
         thumbnail=_thumbnail(frame.image),

@@ -21,7 +21,7 @@ from filtering.se3 import Poses
 from sequences.reader import SequenceReader
 from sequences.render import sees_cue
 from sequences.route import Cues
-from sequences.synthesize import SYNTHESIS, SyntheticSequence, synthesize, write_synthetic
+from sequences.synthesize import SYNTHESIS, Stand, SyntheticSequence, synthesize, write_synthetic
 from vapor.checkpoint import Checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.threads import limited_threads
@@ -31,7 +31,10 @@ _SETTINGS, _PATH, _SAMPLES = "settings.json", "path.npz", "samples.npy"
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """Everything that a recording depends on."""
+    """Everything that a recording depends on.
+
+    `stand`: the image at which the camera stops, and for how many seconds it stands; None for a camera that does not.
+    """
 
     scene: str
     seed: int
@@ -41,13 +44,29 @@ class RecordingSettings:
     height: int
     network_sha256: str
     num_samples: int
+    rate_hz: float = 10.0
+    stand: tuple[int, float] | None = None
     synthesis: int = SYNTHESIS
     package: str = field(default_factory=lambda: importlib.metadata.version("vapor-track"))
 
     @property
     def name(self) -> str:
         """Of its folder: recordings of other settings lie beside it."""
-        return f"{self.scene}-{self.cues}-{self.seed}-{digest(asdict(self))}"
+        return f"{self.scene}-{self.cues}-{self.seed}-{digest(self.told)}"
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """All of it by name; what is as it is in most recordings is not said."""
+        content = asdict(self)
+        for name, ordinary in (("rate_hz", 10.0), ("stand", None)):
+            if content[name] == ordinary:
+                del content[name]
+        return json.loads(json.dumps(content))
+
+    @property
+    def num_images(self) -> int:
+        """Of the recording: those before the camera stops, and those while it stands."""
+        return self.frames if self.stand is None else self.stand[0] + round(self.stand[1] * self.rate_hz)
 
 
 @dataclass(frozen=True)
@@ -74,6 +93,7 @@ class Recording:
         odometry_covariance: Of ξ = (v, ω), (n, 6, 6).
         samples: Posterior samples, rotation matrix by rows and translation, (n, m, 12); on disk until they are asked
             for.
+        unfamiliarity: Of each image, see `PosePosterior`, (n,).
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -81,14 +101,16 @@ class Recording:
     odometry: Poses
     odometry_covariance: Float64[np.ndarray, "n 6 6"]
     samples: Float32[np.ndarray, "n m 12"]
+    unfamiliarity: Float64[np.ndarray, " n"]
 
     def posterior_poses(self, image: int) -> Poses:
         """Posterior samples (m,) of an image, the same bits that the network gave."""
         return from_rows(np.asarray(self.samples[image], np.float64))
 
     def motion(self, image: int) -> Odometry:
-        """Camera motion from the image before to this one."""
-        return Odometry(self.odometry[image], self.odometry_covariance[image])
+        """Camera motion from the image before to this one; of the first, none in no time."""
+        duration_s = float(self.times_ns[image] - self.times_ns[max(image - 1, 0)]) * 1e-9
+        return Odometry(self.odometry[image], self.odometry_covariance[image], duration_s)
 
 
 def make_recording(settings: RecordingSettings, checkpoint: Checkpoint, directory: Path) -> None:
@@ -107,7 +129,7 @@ def make_recording(settings: RecordingSettings, checkpoint: Checkpoint, director
         partial.mkdir(parents=True)
         with limited_threads(1):
             _record(settings, checkpoint, partial)
-        (partial / _SETTINGS).write_text(json.dumps(asdict(settings), indent=2) + "\n", encoding="utf-8")
+        (partial / _SETTINGS).write_text(json.dumps(settings.told, indent=2) + "\n", encoding="utf-8")
         if not folder.is_dir():  # another process may have been faster
             partial.rename(folder)
     except OSError as error:
@@ -132,6 +154,7 @@ def load_recording(settings: RecordingSettings, directory: Path) -> Recording:
         from_rows(stored["odometry"]),
         stored["odometry_covariance"],
         np.load(folder / _SAMPLES, mmap_mode="r"),
+        stored.get("unfamiliarity", np.zeros(len(stored["times_ns"]))),
     )
 
 
@@ -164,6 +187,8 @@ def _sequence(settings: RecordingSettings) -> SyntheticSequence:
         cues=settings.cues,
         width=settings.width,
         height=settings.height,
+        rate_hz=settings.rate_hz,
+        stand=None if settings.stand is None else Stand(*settings.stand),
     )
 
 
@@ -174,16 +199,18 @@ def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -
     write_synthetic(sequence, file)
     model = VaporObservationModel(checkpoint, num_samples=settings.num_samples, device="cpu")
     rng = np.random.default_rng([settings.seed, settings.num_samples])
-    n = settings.frames
+    n = settings.num_images
     samples = np.lib.format.open_memmap(folder / _SAMPLES, "w+", np.float32, (n, settings.num_samples, 12))
     times_ns, odometry, covariance, truth = np.empty(n, np.int64), [Poses.identity()], np.zeros((n, 6, 6)), []
+    unfamiliarity = np.zeros(n)
     count = 0
     for i, frame in enumerate(SequenceReader(file)):
         if i >= n or frame.world_from_camera is None or (i > 0 and frame.odometry is None):
             raise VaporTrackError(
                 f"{file}: image {i} at {frame.time_ns} ns has no odometry or no true pose, or is one too many"
             )
-        samples[i] = to_rows(model.observe(frame.image, rng=rng).poses)
+        posterior = model.observe(frame.image, rng=rng)
+        samples[i], unfamiliarity[i] = to_rows(posterior.samples), posterior.unfamiliarity
         times_ns[i] = frame.time_ns
         truth.append(frame.world_from_camera)
         if i > 0 and frame.odometry is not None:
@@ -200,6 +227,7 @@ def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -
         sees_cue=seen,
         odometry=to_rows(Poses.stack(odometry)),
         odometry_covariance=covariance,
+        unfamiliarity=unfamiliarity,
     )
     file.unlink()
 
@@ -214,11 +242,11 @@ def _checked(settings: RecordingSettings, folder: Path) -> Mapping[str, np.ndarr
         raise VaporTrackError(
             f"{folder}: cannot be read ({error}), expected a recording; remove it to make it anew"
         ) from error
-    expected = asdict(settings)
-    for name in expected:
-        if found.get(name) != expected[name]:
+    expected = settings.told
+    for name in expected | found:
+        if found.get(name) != expected.get(name):
             raise VaporTrackError(
-                f"{folder}: recorded with {name} {found.get(name)!r}, expected {expected[name]!r};"
+                f"{folder}: recorded with {name} {found.get(name)!r}, expected {expected.get(name)!r};"
                 " remove it to make it anew"
             )
     return content

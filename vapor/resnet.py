@@ -39,6 +39,7 @@ class ResNet18(nn.Module):
     def __init__(self, width: int = 64, num_classes: int | None = None) -> None:
         super().__init__()
         self.num_features = 8 * width
+        self.stage_channels = (width, 2 * width, 4 * width, 8 * width)
         self.conv1 = nn.Conv2d(3, width, 7, stride=2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(width)
         self.maxpool = nn.MaxPool2d(3, stride=2, padding=1)
@@ -50,6 +51,11 @@ class ResNet18(nn.Module):
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+
+    @property
+    def stages(self) -> tuple[nn.Module, ...]:
+        """Modules whose outputs are the image at four depths, with `stage_channels` channels."""
+        return self.layer1, self.layer2, self.layer3, self.layer4
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
         """Features (b, 8 width) of ImageNet-normalised images, or scores (b, num_classes)."""

@@ -13,30 +13,33 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.estimate import Mode, posterior_modes
-from filtering.kalman import KalmanLocalizer
+from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
-from filtering.posterior import ObservationModel, PosteriorSamples
+from filtering.posterior import ObservationModel
+from filtering.rivals import GaussianSumLocalizer
 from filtering.se3 import Poses
 from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth
 from sequences.estimates import EstimateSequence
 from sequences.frame import Trajectory
+from sequences.odometry_fit import OdometryFit
 from sequences.reader import SequenceOptions, SequenceReader
 from sequences.tum import write_tum
 from sequences.writer import EstimateWriter
 from vapor.checkpoint import find_model
 from vapor.evaluate import FILES
 from vapor.observation import VaporObservationModel
-from vapor.record import RunRecord, RunRecorder, thin
+from vapor.record import RunRecord, RunRecorder
 from vapor.report import build_report, write_pictures, write_report
 from vapor.threads import limited_threads
 from vapor.view import NullViewer, RerunViewer
@@ -74,6 +77,9 @@ class RunConfig(FilteringConfig):
     """Where the network runs."""
     threads: int = 1
     """Processor threads of the network. More pay for a large network on an idle machine; on a busy one they cost."""
+    fitted_odometry: bool = True
+    """Take the noise of the odometry from the model's calibration, where that had odometry to fit it from; else as the
+    sequence states it."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -127,11 +133,12 @@ def run(
         str(checkpoint), num_samples=config.num_samples, device=config.device
     )
 
-    def image_modes(posterior: PosteriorSamples, rng: np.random.Generator) -> tuple[Mode, ...]:
-        return posterior_modes(posterior.poses, config.localizer.modes, rng=rng)
-
     with complete_directory(output) as partial, limited_threads(config.threads):
-        record = localize(reader, observation_model, partial, config, image_modes=image_modes, progress=progress)
+        calibration = observation_model.checkpoint.calibration
+        fit = calibration.odometry if config.fitted_odometry else None
+        record = localize(
+            reader, observation_model, partial, config, calibration.errors, odometry_fit=fit, progress=progress
+        )
         device = str(observation_model.device)
         settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
         settings = {
@@ -150,13 +157,13 @@ def refuse_file(output: Path) -> None:
 
 def localize(
     source: SequenceReader | EstimateSequence,
-    model: ObservationModel[PosteriorSamples],
+    model: ObservationModel,
     directory: Path,
     config: FilteringConfig,
+    errors: ErrorModel,
     *,
-    image_modes: Callable[[PosteriorSamples, np.random.Generator], tuple[Mode, ...]],
     observed: Callable[[Any], np.ndarray] = attrgetter("image"),
-    smoothing: SmoothingConfig | None = None,
+    odometry_fit: OdometryFit | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunRecord:
     """Frame by frame: observe, update, show, write; then smooth.
@@ -166,50 +173,77 @@ def localize(
         model: Maps what was observed to its posterior.
         directory: Where `estimate.mcap` and `recording.rrd` go.
         config: Settings.
-        image_modes: The hypotheses of one posterior alone, the best one first.
+        errors: How the model's posteriors err.
         observed: What the model takes of a frame.
-        smoothing: Settings of the smoother.
+        odometry_fit: How wrong the odometry is; None for what the frames state and the settings assume.
         progress: Called after every frame with the number done and an upper bound of all.
 
     Raises:
         VaporTrackError: unusable frames, or none.
     """
-    filter_rng, mode_rng = np.random.default_rng(config.seed).spawn(2)
-    localizer = ParticleLocalizer(model, config.localizer, rng=filter_rng)
-    kalman = KalmanLocalizer()
+    settings = config.localizer
+    if odometry_fit is not None:
+        settings = replace(settings, slow_errors=odometry_fit.slow_errors)
+    localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
+    kalman = KalmanLocalizer(KalmanConfig(slow_errors=settings.slow_errors, gap=settings.gap))
+    gaussian_sum = GaussianSumLocalizer(None, settings, rng=np.random.default_rng(config.seed))
     recorder = RunRecorder()
     modes_of_images: list[tuple[Mode, ...]] = []
     odometry: list[Odometry | None] = []
-    kalman_modes: list[Mode] = []
+    ways: list[float] = []
+    kalman_poses: list[Poses] = []
+    gaussian_sum_poses: list[Poses] = []
+    single: Poses | None = None
+    previous_ns: int | None = None
     recording = directory / "recording.rrd" if config.recording else None
     viewer = RerunViewer(recording, spawn=config.view) if recording or config.view else NullViewer()
     with viewer, EstimateWriter(directory / "estimate.mcap") as writer:
         for frame in source:
+            elapsed_s = 0.0 if previous_ns is None else max(frame.time_ns - previous_ns, 0) * 1e-9
+            previous_ns = frame.time_ns
+            if frame.odometry is not None and odometry_fit is not None:
+                frame = replace(frame, odometry=odometry_fit.restated(frame.odometry))
             begin = time.perf_counter()
             try:
                 posterior = localizer.observe(observed(frame))
-                estimate = localizer.update(posterior, frame.odometry)
+                estimate = localizer.update(posterior, frame.odometry, elapsed_s=elapsed_s)
             except VaporTrackError as error:
                 raise VaporTrackError(f"{source.path}: image at {frame.time_ns} ns: {error}") from error
             step_ms = 1e3 * (time.perf_counter() - begin)
-            alone = image_modes(posterior, mode_rng)
-            modes_of_images.append(alone[:SMOOTHED_MODES])
+            alone = posterior_modes(posterior)
+            if alone:
+                single = alone[0].world_from_camera
+            elif single is None:
+                single = estimate.modes[0].world_from_camera
+            modes_of_images.append(() if posterior.says_nothing else alone[:SMOOTHED_MODES])
             odometry.append(frame.odometry)
-            kalman_modes.append(kalman.update(alone[0], frame.odometry))
-            recorder.add(frame, alone[0].world_from_camera, estimate, step_ms)
+            ways.append(estimate.way)
+            following = kalman.update(posterior, frame.odometry, elapsed_s=elapsed_s)
+            kalman_poses.append(following.world_from_camera)
+            bank = gaussian_sum.update(posterior, frame.odometry, elapsed_s=elapsed_s)
+            gaussian_sum_poses.append(bank.modes[0].world_from_camera)
+            recorder.add(frame, single, estimate, step_ms)
             modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
-            cloud = thin(estimate.particles, estimate.log_weights, _PUBLISHED_PARTICLES)
-            writer.write(frame.time_ns, modes, cloud)
-            viewer.log(frame, estimate, posterior.poses)
+            writer.write(frame.time_ns, modes, estimate.cloud(_PUBLISHED_PARTICLES))
+            viewer.log(frame, estimate, posterior.samples)
             if progress is not None:
                 progress(len(recorder), source.num_images)
     record = recorder.finish(skipped=source.skipped)
     sure = np.array([status == "converged" for status in record.status])
-    smoothed = smooth(modes_of_images, odometry, record.filter, sure, smoothing)
+    smoothed = smooth(
+        modes_of_images,
+        odometry,
+        np.array(ways),
+        record.filter,
+        sure,
+        errors,
+        SmoothingConfig(slow_errors=settings.slow_errors),
+    )
     return recorder.finish(
         skipped=source.skipped,
         smoothed=Trajectory(record.times_ns, smoothed),
-        kalman=Trajectory(record.times_ns, Poses.stack([mode.world_from_camera for mode in kalman_modes])),
+        kalman=Trajectory(record.times_ns, Poses.stack(kalman_poses)),
+        gaussian_sum=Trajectory(record.times_ns, Poses.stack(gaussian_sum_poses)),
         peak_rss_mb=peak_rss_mb(),
     )
 

@@ -32,13 +32,13 @@ def summarise(results: Results) -> dict[str, dict[str, dict[str, Any]]]:
 def failed(result: Mapping[str, Any]) -> bool:
     """Whether a run is one to look at.
 
-    With something unique on its way: it did not find itself. Without: it was sure of a wrong place in at least 5 % of
-    its images. Carried off: it did not recover within 50 images.
+    With something unique on its way: it did not find itself. Without, or standing: it was sure of a wrong place in at
+    least 5 % of its images. Carried off: it did not recover within 50 images.
     """
-    if result["kind"] == "cue":
+    if result["kind"] == "cue" or result["kind"].startswith("rate-"):
         return not result["methods"]["filter"]["success"]
     belief = result["belief"]["filter"]
-    if result["kind"] == "no-cue":
+    if result["kind"] in ("no-cue", "standing"):
         return _wrong_share(belief) >= OFTEN
     return not _recovered(belief)
 
@@ -50,7 +50,7 @@ def _aggregate(results: Results) -> dict[str, Any]:
         "methods": {name: _method([result["methods"][name] for result in results]) for name in FILES},
         "belief": {
             name: _belief([result["belief"][name] for result in results], [result["images"] for result in results])
-            for name in ("kalman", "filter")
+            for name in ("kalman", "gaussian_sum", "filter")
         },
         "image_truth_among_modes": _mean([result["image_truth_among_modes"] for result in results]),
         "particles": float(np.median([result["particles"] for result in results])),
@@ -117,7 +117,7 @@ def _consistency(parts: Results) -> dict[str, Any]:
 
 
 def _wrong_share(belief: Mapping[str, Any]) -> float:
-    """Share of all images of a run that say `converged` and are more than 0.5 m off."""
+    """Share of all images of a run that say `converged` and are wrong."""
     return belief["status"]["converged"] * (belief["said_converged"]["wrong"] or 0.0)
 
 

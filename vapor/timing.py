@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -11,6 +11,7 @@ import numpy as np
 
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.messages import decode_image_bytes
 from vapor.baselines import make_regressor
@@ -36,13 +37,13 @@ class Timing:
     p95_ms: float
 
 
-def time_step(model: VaporObservationModel, *, repetitions: int, particles: Sequence[int], seed: int) -> list[Timing]:
+def time_step(model: VaporObservationModel, *, repetitions: int, hypotheses: Sequence[int], seed: int) -> list[Timing]:
     """Time decoding, network and filter one by one, on an image of noise and odometry at walking pace.
 
     Args:
         model: The network and its number of posterior samples.
         repetitions: Of every part, after three that do not count.
-        particles: Sizes of the filter to time.
+        hypotheses: Sizes of the filter to time; finding the places among the samples is a part of its step.
         seed: Of the image and all draws.
     """
     rng = np.random.default_rng(seed)
@@ -53,13 +54,18 @@ def time_step(model: VaporObservationModel, *, repetitions: int, particles: Sequ
         _time("decode a JPEG image of 320 × 240", lambda: decode_image_bytes(encoded), repetitions),
         _time(f"network, {model.num_samples} samples", lambda: model.observe(blurred, rng=rng), repetitions),
     ]
-    step = Odometry(Poses.exp(np.array([0.05, 0, 0, 0, 0, 0.01])), np.diag([0.005**2] * 3 + [0.003**2] * 3))
-    for count in particles:
-        localizer = ParticleLocalizer(model, LocalizerConfig(num_particles=count), rng=rng)
+    step = Odometry(Poses.exp(np.array([0.05, 0, 0, 0, 0, 0.01])), np.diag([0.005**2] * 3 + [0.003**2] * 3), 0.1)
+    for count in hypotheses:
+        localizer = ParticleLocalizer(model, LocalizerConfig(max_hypotheses=count), rng=rng)
         localizer.step(blurred, None)
-        posteriors = iter([model.observe(blurred, rng=rng) for _ in range(repetitions + 3)])
-        label = f"filter, {count} particles and {model.num_samples} samples"
-        timings.append(_time(label, lambda loc=localizer, p=posteriors: loc.update(next(p), step), repetitions))
+        seen = iter([model.observe(blurred, rng=rng) for _ in range(repetitions + 3)])
+        label = f"filter, {count} hypotheses at most"
+
+        def update(localizer: ParticleLocalizer = localizer, seen: Iterator[PosePosterior] = seen) -> None:
+            posterior = next(seen)
+            localizer.update(PosePosterior.from_samples(posterior.samples, posterior.errors), step)
+
+        timings.append(_time(label, update, repetitions))
     return timings
 
 

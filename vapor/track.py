@@ -20,7 +20,7 @@ COMMANDS = {
     "posterior": "draw the posterior of one image",
     "evaluate": "measure the trajectories of a run against true poses",
     "experiment": "train many networks: methods side by side, recall over α, weight decay, schedules",
-    "benchmark": "time the parts of a step, or localize many synthetic sequences",
+    "benchmark": "time the parts of a step, localize many synthetic sequences, or count foreign images noticed",
 }
 """Name -> what it does; each is a module of `vapor.commands`, imported only when it is called."""
 

@@ -9,33 +9,34 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Float64, Int64
 
 import filtering
-from filtering.estimate import posterior_modes
-from filtering.kalman import KalmanLocalizer
+from filtering.estimate import Mode, posterior_modes
+from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import LocalizerConfig
 from filtering.motion import Odometry
-from filtering.posterior import LikelihoodModel
+from filtering.posterior import PosePosterior
+from filtering.rivals import GaussianSumLocalizer
 from filtering.se3 import Poses
-from filtering.smoothing import SMOOTHED_MODES, smooth
+from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth
 from sequences.atomic import atomic_output
 from sequences.frame import Trajectory
 from vapor import checkpoint, evaluate, recordings, variants, verdicts
-from vapor.checkpoint import Calibration, Checkpoint, load_checkpoint
+from vapor.checkpoint import Checkpoint, load_checkpoint
 from vapor.evaluate import FILES, TRACKING, dead_reckoning, evaluate_trajectory
 from vapor.recordings import Recording, RecordingSettings, digest, load_recording
 from vapor.threads import limited_threads
 from vapor.variants import VARIANTS
 from vapor.verdicts import Belief, judge_belief, mode_status, truth_among_modes
-from vapor.windows import CUES, Kind, Trial, recording_frames
+from vapor.windows import CUES, FASTEST_HZ, STAND_AFTER, STAND_S, STRIDES, Kind, Trial, recording_frames
 
-_STREAMS = {"cue": 0, "no-cue": 1, "kidnap": 2}
+_STREAMS = {"cue": 0, "no-cue": 1, "kidnap": 2, "standing": 3, "rate-3": 4, "rate-10": 4, "rate-30": 4}
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Setup:
         width, height: Image size in pixels.
         num_samples: Posterior samples per image.
         localizer: Settings of the filter.
-        calibration: What replaces the model's own calibration, by name.
+        errors: What replaces numbers of the model's own error model, by name.
         variant: Which of `VARIANTS` of the filter.
     """
 
@@ -62,20 +63,29 @@ class Setup:
     height: int
     num_samples: int
     localizer: LocalizerConfig
-    calibration: Mapping[str, float]
+    errors: Mapping[str, Any]
     variant: str = "full"
 
     def recording(self, scene: str, kind: Kind, seed: int) -> RecordingSettings:
         """The recording with a seed that trials of a kind are cut from."""
-        frames = recording_frames(kind, self.frames)
         return RecordingSettings(
-            scene, seed, CUES[kind], frames, self.width, self.height, self.network_sha256, self.num_samples
+            scene,
+            seed,
+            CUES[kind],
+            recording_frames(kind, self.frames),
+            self.width,
+            self.height,
+            self.network_sha256,
+            self.num_samples,
+            rate_hz=FASTEST_HZ if kind in STRIDES else 10.0,
+            stand=(STAND_AFTER, STAND_S) if kind == "standing" else None,
         )
 
     def checkpoint(self) -> Checkpoint:
-        """The model with the calibration asked for."""
+        """The model with the error model asked for."""
         loaded = _load(self.model, self.model_sha256)
-        return replace(loaded, calibration=replace(loaded.calibration, **self.calibration))
+        errors = replace(loaded.calibration.errors, **self.errors)
+        return replace(loaded, calibration=replace(loaded.calibration, errors=errors))
 
 
 @dataclass(frozen=True)
@@ -87,6 +97,7 @@ class Replay:
         odometry: Camera motion since the image before, (n,).
         truth: True poses, batch (n,).
         posterior_poses: Posterior samples of an image, by its number.
+        unfamiliarity: Of each image, (n,).
         cue_images: Number of images that show something unique.
     """
 
@@ -94,6 +105,7 @@ class Replay:
     odometry: tuple[Odometry, ...]
     truth: Poses
     posterior_poses: Callable[[int], Poses]
+    unfamiliarity: Float64[np.ndarray, " n"]
     cue_images: int
 
 
@@ -110,12 +122,19 @@ def assemble(trial: Trial, recording: Callable[[int], Recording]) -> Replay:
         carried = position > 0 and since_start == 0
         odometry.append(first.motion(begin + position) if carried else source.motion(image))
     step_ns = int(first.times_ns[1] - first.times_ns[0]) if len(first.times_ns) > 1 else 0
+    seen = range(0, len(images), trial.stride)
+    parts = [[odometry[k] for k in range(max(position - trial.stride, 0) + 1, position + 1)] for position in seen]
+    parts[0] = [odometry[0]]
+    truth = Poses.concatenate([s.path.world_from_camera[p.start : p.start + p.length] for s, p in sources])
+    unfamiliarity = np.concatenate([s.unfamiliarity[p.start : p.start + p.length] for s, p in sources])
+    sees_cue = np.concatenate([s.path.sees_cue[p.start : p.start + p.length] for s, p in sources])
     return Replay(
-        first.times_ns[begin] + step_ns * np.arange(len(images), dtype=np.int64),
-        tuple(odometry),
-        Poses.concatenate([s.path.world_from_camera[p.start : p.start + p.length] for s, p in sources]),
-        lambda position: images[position][0].posterior_poses(images[position][1]),
-        sum(int(s.path.sees_cue[p.start : p.start + p.length].sum()) for s, p in sources),
+        first.times_ns[begin] + step_ns * np.array(seen, dtype=np.int64),
+        tuple(reduce(Odometry.then, part) for part in parts),
+        truth[np.array(seen)],
+        lambda position: images[seen[position]][0].posterior_poses(images[seen[position]][1]),
+        unfamiliarity[np.array(seen)],
+        int(sees_cue[np.array(seen)].sum()),
     )
 
 
@@ -153,39 +172,54 @@ def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
 
 
 def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
-    model = setup.checkpoint()
+    calibration = setup.checkpoint().calibration
     variant = VARIANTS[setup.variant]
-    likelihood = variant.likelihood(_likelihood(setup.model, setup.model_sha256, model.calibration), model.prior_poses)
-    config = variant.localizer(setup.localizer)
-    seed = [trial.pieces[0].seed, trial.pieces[0].start, _STREAMS[trial.kind]]
-    filter_rng, mode_rng = np.random.default_rng(seed).spawn(2)
-    localizer, kalman = variant.kind(None, config, rng=filter_rng), KalmanLocalizer()
-    image_modes, estimates, kalman_modes, step_ms = [], [], [], []
+    errors, config = variant.errors(calibration.errors), variant.localizer(setup.localizer)
+    fit = calibration.odometry
+    if fit is not None:
+        config = replace(config, slow_errors=fit.slow_errors)
+    rng = np.random.default_rng([trial.pieces[0].seed, trial.pieces[0].start, _STREAMS[trial.kind]])
+    localizer = variant.kind(None, config, rng=rng)
+    following = KalmanConfig(slow_errors=config.slow_errors, gap=config.gap)
+    kalman, bank = KalmanLocalizer(following), GaussianSumLocalizer(None, config, rng=rng)
+    modes: dict[str, list[tuple[Mode, ...]]] = {"kalman": [], "gaussian_sum": []}
+    image_modes, estimates, step_ms = [], [], []
     for i, motion in enumerate(replay.odometry):
-        poses = replay.posterior_poses(i)
-        begin = time.perf_counter()
-        posterior = model.calibration.posterior(poses, likelihood)
+        samples = replay.posterior_poses(i)
+        odometry = motion if fit is None else fit.restated(motion)
         told = variant.told_of_kidnap and i == trial.seam
-        estimate = localizer.update(posterior, None if told else motion)
+        begin = time.perf_counter()
+        posterior = PosePosterior.from_samples(samples, errors, unfamiliarity=float(replay.unfamiliarity[i]))
+        if told:
+            localizer = variant.kind(None, config, rng=rng)
+        estimates.append(localizer.update(posterior, None if told else odometry))
         step_ms.append(1e3 * (time.perf_counter() - begin))
-        estimates.append((estimate.modes, estimate.status, len(estimate.particles)))
-        image_modes.append(posterior_modes(poses, setup.localizer.modes, rng=mode_rng))
-        kalman_modes.append(kalman.update(image_modes[-1][0], motion))
+        image_modes.append(posterior_modes(posterior))
+        modes["kalman"].append((kalman.update(posterior, odometry),))
+        modes["gaussian_sum"].append(bank.update(posterior, odometry).modes)
+    widest = config.widest_std_m(errors)
     beliefs = {
-        "kalman": Belief(
-            [(mode,) for mode in kalman_modes],
-            [mode_status(mode, setup.localizer.converged_std_m) for mode in kalman_modes],
-        ),
-        "filter": Belief([modes for modes, _, _ in estimates], [status for _, status, _ in estimates]),
+        name: Belief(found, [mode_status(each[0], widest, config.converged_weight) for each in found])
+        for name, found in modes.items()
     }
+    beliefs["filter"] = Belief([each.modes for each in estimates], [each.status for each in estimates])
     sure = np.array([status == "converged" for status in beliefs["filter"].status])
-    few_modes = [modes[:SMOOTHED_MODES] for modes in image_modes]
+    told_modes = [
+        () if replay.unfamiliarity[i] > 1.0 else found[:SMOOTHED_MODES] for i, found in enumerate(image_modes)
+    ]
     poses = {
-        "single_image": Poses.stack([modes[0].world_from_camera for modes in image_modes]),
+        "single_image": Poses.stack([found[0].world_from_camera for found in image_modes]),
         "dead_reckoning": dead_reckoning(replay.truth[0], replay.odometry),
-        "kalman": beliefs["kalman"].best,
-        "filter": beliefs["filter"].best,
-        "smoothed": smooth(few_modes, replay.odometry, beliefs["filter"].best, sure),
+        **{name: belief.best for name, belief in beliefs.items()},
+        "smoothed": smooth(
+            told_modes,
+            replay.odometry,
+            np.array([each.way for each in estimates]),
+            beliefs["filter"].best,
+            sure,
+            errors,
+            SmoothingConfig(slow_errors=config.slow_errors),
+        ),
     }
     truth = Trajectory(replay.times_ns, replay.truth)
     # Whoever is carried off has no one moment from which on all is right.
@@ -213,7 +247,7 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
             for name, belief in beliefs.items()
         },
         "image_truth_among_modes": truth_among_modes(image_modes, replay.truth),
-        "particles": int(np.median([particles for _, _, particles in estimates])),
+        "particles": int(np.median([len(each.particles) for each in estimates])),
         "step_ms": float(np.median(step_ms)),
     }
 
@@ -240,8 +274,3 @@ def _code() -> str:
 @cache
 def _load(model: Path, sha256: str) -> Checkpoint:
     return load_checkpoint(model)
-
-
-@cache
-def _likelihood(model: Path, sha256: str, calibration: Calibration) -> LikelihoodModel:
-    return calibration.likelihood(_load(model, sha256).prior_poses)

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float64, Int64
 from filtering.estimate import Mode, Status
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
-from vapor.evaluate import RIGHT, SURE, THRESHOLDS, evaluate_consistency
+from vapor.evaluate import SURE, evaluate_consistency, is_right
 
 JUMP_M = 1.0
 """A false recovery takes the best mode at least this far from the truth."""
@@ -80,13 +80,6 @@ def judge_belief(
     }
 
 
-def is_right(poses: Poses, truth: Poses) -> Bool[np.ndarray, "*n"]:
-    """Which poses are within 0.3 m and 20° of the truth."""
-    limit_m, limit_deg = THRESHOLDS[RIGHT]
-    translation_m, rotation_rad = poses.distance(truth)
-    return (translation_m <= limit_m) & (np.degrees(rotation_rad) <= limit_deg)
-
-
 def truth_among_modes(modes: Sequence[tuple[Mode, ...]], truth: Poses) -> float:
     """Share of the images with any mode, however light, within 0.3 m and 20° of the true pose."""
     found = [
@@ -130,6 +123,7 @@ def recovery_images(right: Bool[np.ndarray, " n"], *, seam: int) -> int | None:
     return int(candidates[0]) + 1 if len(candidates) else None
 
 
-def mode_status(mode: Mode, converged_std_m: float) -> Status:
-    """The verdict of a method with one hypothesis, by what of the filter's rule it has: sure while its position is."""
-    return "converged" if mode.widest_std_m <= converged_std_m else "ambiguous"
+def mode_status(mode: Mode, converged_std_m: float, converged_weight: float) -> Status:
+    """The verdict of a baseline, by what of the filter's rule it has: the weight of its best mode, and its position."""
+    sure = mode.widest_std_m <= converged_std_m and mode.weight >= converged_weight
+    return "converged" if sure else "ambiguous"

@@ -15,7 +15,6 @@ from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from sequences.frame import Camera, Frame
 from vapor.pictures import COLORS
-from vapor.record import thin
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -167,7 +166,7 @@ class RerunViewer:
     def _log_belief(self, estimate: Estimate, posterior_poses: Poses | None) -> None:
         import rerun as rr
 
-        points = thin(estimate.particles, estimate.log_weights, _CLOUD_SIZE).translation
+        points = estimate.cloud(_CLOUD_SIZE).translation
         modes = Poses.stack([mode.world_from_camera for mode in estimate.modes])
         weights = np.array([mode.weight for mode in estimate.modes])
         nearest = np.linalg.norm(points[:, None] - modes.translation, axis=-1).argmin(axis=1)
@@ -182,11 +181,10 @@ class RerunViewer:
             labels=[f"{100 * weight:.0f} %" for weight in weights],
         )
         self._stream.log("world/modes", ellipsoids)
-        if posterior_poses is not None:
-            count = len(posterior_poses)
-            samples = thin(posterior_poses, np.zeros(count), _CLOUD_SIZE).translation.astype(np.float32)
+        if posterior_poses is not None and len(posterior_poses):
+            samples = _some(posterior_poses, _CLOUD_SIZE).translation.astype(np.float32)
             self._stream.log("world/posterior", rr.Points3D(samples))
-            some = thin(posterior_poses, np.zeros(count), _FRUSTA)
+            some = _some(posterior_poses, _FRUSTA)
             self._stream.log("world/posterior/cameras", rr.LineStrips3D(frusta(some)))
 
     def _log_plots(self, frame: Frame, estimate: Estimate) -> None:
@@ -194,7 +192,7 @@ class RerunViewer:
 
         log = self._stream.log
         log("belief/best_weight", rr.Scalars(estimate.modes[0].weight))
-        log("belief/sample_size", rr.Scalars(estimate.effective_sample_size / len(estimate.particles)))
+        log("belief/agreement", rr.Scalars(estimate.agreement))
         log("belief/status", rr.Scalars(_STATUS_LEVEL[estimate.status]))
         if frame.world_from_camera is not None:
             translation_m, rotation_rad = estimate.modes[0].world_from_camera.distance(frame.world_from_camera)
@@ -209,6 +207,11 @@ class RerunViewer:
             output, self._output = self._output, None
             failed = None if keep else VaporTrackError("the run failed")
             output.__exit__(failed and type(failed), failed, None)
+
+
+def _some(poses: Poses, count: int) -> Poses:
+    """At most `count` of the poses (n,), evenly spaced in their order."""
+    return poses[np.linspace(0, len(poses) - 1, min(count, len(poses))).round().astype(np.int64)]
 
 
 def _log_styles(stream: rr.RecordingStream) -> None:
@@ -227,7 +230,7 @@ def _log_styles(stream: rr.RecordingStream) -> None:
         stream.log(f"world/path/{name}", rr.LineStrips3D.from_fields(radii=[radius], colors=[color]), static=True)
     for entity, name, color in (
         ("belief/best_weight", "weight of the best hypothesis", _rgb("filter")),
-        ("belief/sample_size", "effective sample size / particles", _rgb("smoothed")),
+        ("belief/agreement", "agreement of the images", _rgb("smoothed")),
         ("belief/status", "0 lost · ½ ambiguous · 1 converged", _rgb("kalman")),
         ("error/translation_m", "translation error [m]", _rgb("filter")),
         ("error/rotation_deg", "rotation error [°]", _rgb("filter")),

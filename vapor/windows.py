@@ -14,12 +14,30 @@ from filtering.errors import VaporTrackError
 from sequences.route import Cues
 from vapor.recordings import CameraPath
 
-Kind = Literal["cue", "no-cue", "kidnap"]
+Kind = Literal["cue", "no-cue", "kidnap", "standing", "rate-3", "rate-10", "rate-30"]
 """A run that passes something unique in its first half, one that never does, one whose camera is carried off to where
-it soon sees something unique."""
+it soon sees something unique, one whose camera stops and stands for minutes, and the same walks as of "cue" at three
+rates, each a selection of the images of the fastest."""
 
-CUES: dict[Kind, Cues] = {"cue": "early", "no-cue": "none", "kidnap": "early"}
+CUES: dict[Kind, Cues] = {
+    "cue": "early",
+    "no-cue": "none",
+    "kidnap": "early",
+    "standing": "none",
+    "rate-3": "early",
+    "rate-10": "early",
+    "rate-30": "early",
+}
 """The paths that the trials of a kind are cut from."""
+
+FASTEST_HZ = 30.0
+"""Images a second of the recordings that runs of several rates are cut from."""
+
+STRIDES: dict[Kind, int] = {"rate-3": 10, "rate-10": 3, "rate-30": 1}
+"""Every so many of their images are seen."""
+
+STAND_AFTER, STAND_S = 50, 300.0
+"""The image at which the camera stops, and for how many seconds it stands."""
 
 _LEAST_CUE_IMAGES = 5  # half a second
 _PER_RECORDING = 4  # windows at most
@@ -45,11 +63,13 @@ class Trial:
         scene: Name of the scene.
         kind: What happens.
         pieces: What the camera sees, one after the other: two where it is carried off, else one.
+        stride: Every so many of the images are seen; odometry between them adds up.
     """
 
     scene: str
     kind: Kind
     pieces: tuple[Piece, ...]
+    stride: int = 1
 
     @property
     def name(self) -> str:
@@ -64,6 +84,10 @@ class Trial:
 
 def recording_frames(kind: Kind, frames: int) -> int:
     """Images of a recording from which trials of so many images are cut."""
+    if kind == "standing":
+        return STAND_AFTER + 1
+    if kind in STRIDES:
+        return round(frames * FASTEST_HZ / 10.0)
     return frames if kind == "no-cue" else 2 * frames
 
 
@@ -75,9 +99,10 @@ def choose_trials(
     Args:
         scene: Name of the scene.
         kind: "cue" windows begin at a random image and see something unique in at least five images of their first
-            half. "no-cue" takes whole recordings. "kidnap" is two thirds of a window that sees something unique in at
-            least five images of its own first half, then a stretch of the next seed's recording: more than 2 m away,
-            and with something unique in at least five of its first tenth of the whole's images.
+            half. "no-cue", "standing" and the rates take whole recordings. "kidnap" is two thirds of a window that sees
+            something unique in at least five images of its own first half, then a stretch of the next seed's
+            recording: more than 2 m away, and with something unique in at least five of its first tenth of the whole's
+            images.
         runs: Number of trials.
         first_seed: Where seeds count up from.
         frames: Images of a trial.
@@ -86,9 +111,10 @@ def choose_trials(
     Raises:
         VaporTrackError: seed after seed has no window.
     """
-    if kind == "no-cue":
+    if kind in ("no-cue", "standing") or kind in STRIDES:
+        length = STAND_AFTER + round(10.0 * STAND_S) if kind == "standing" else recording_frames(kind, frames)
         seeds = range(first_seed, first_seed + runs)
-        return [Trial(scene, kind, (Piece(seed, 0, frames),)) for seed in seeds]
+        return [Trial(scene, kind, (Piece(seed, 0, length),), STRIDES.get(kind, 1)) for seed in seeds]
     trials: list[Trial] = []
     last_fertile = first_seed
     seed = first_seed

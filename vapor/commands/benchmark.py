@@ -7,15 +7,17 @@ from dataclasses import asdict, dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
+import numpy as np
 import tyro
 from rich.table import Table
 
+from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from vapor.benchmark import Benchmark, BenchmarkConfig
-from vapor.checkpoint import Calibration
 from vapor.commands.benchmark_tables import failures, tables
 from vapor.commands.console import bar, parse, show, usage_error
-from vapor.observation import VaporObservationModel
+from vapor.familiarity_benchmark import IN_A_ROW, judge
+from vapor.observation import Device, VaporObservationModel
 from vapor.presets import PRESETS
 from vapor.report import write_report
 from vapor.summary import summarise
@@ -35,8 +37,8 @@ class StepOptions:
     """Time the network of this preset of `train` instead, with random weights; the filter is left out."""
     num_samples: int = 1000
     """Posterior samples per image."""
-    particles: tuple[int, ...] = (1000, 10000)
-    """Sizes of the filter."""
+    hypotheses: tuple[int, ...] = (100,)
+    """Sizes of the filter: hypotheses at most."""
     threads: int = 1
     """Processor threads of the network."""
     repetitions: int = 50
@@ -50,19 +52,19 @@ class StepOptions:
         )
         if self.preset is not None and self.preset not in PRESETS:
             raise VaporTrackError(f"unknown preset {self.preset!r}, expected one of {', '.join(PRESETS)}")
-        if not self.particles or min(self.particles) < 1:
-            raise VaporTrackError(f"particles are {self.particles}, expected numbers of at least 1")
+        if not self.hypotheses or min(self.hypotheses) < 1:
+            raise VaporTrackError(f"hypotheses are {self.hypotheses}, expected numbers of at least 1")
 
 
 _Override = make_dataclass(
-    "CalibrationOverride",
+    "ErrorsOverride",
     [
         (name, Annotated[kind | None, tyro.conf.arg(help="As the model says where not given.")], None)
-        for name, kind in get_type_hints(Calibration).items()
+        for name, kind in get_type_hints(ErrorModel).items()
     ],
     frozen=True,
 )
-"""A calibration of which anything may be left to the model."""
+"""An error model of which anything may be left to the model file."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +80,8 @@ class LocalizationOptions:
     models: tuple[str, ...] = ()
     """Model file, or name of a model that ships, for each scene. Default: the scenes' names."""
     config: Annotated[BenchmarkConfig, tyro.conf.arg(name="")] = field(default_factory=BenchmarkConfig)
-    calibration: Annotated[Any, tyro.conf.arg(constructor=_Override)] = field(default_factory=_Override)
-    """What replaces the calibration of the models."""
+    errors: Annotated[Any, tyro.conf.arg(constructor=_Override)] = field(default_factory=_Override)
+    """What replaces numbers of the models' own error models."""
 
     def __post_init__(self) -> None:
         if not self.scenes or len(set(self.scenes)) < len(self.scenes):
@@ -88,14 +90,37 @@ class LocalizationOptions:
             raise VaporTrackError(f"{len(self.models)} models for {len(self.scenes)} scenes, expected one for each")
 
 
-_OPTIONS = {"step": StepOptions, "localization": LocalizationOptions}
+@dataclass(frozen=True)
+class FamiliarityOptions:
+    """Count images of a place that are called foreign, and foreign ones that are not."""
+
+    model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
+    """Model file, or name of a model that ships."""
+    familiar: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")]
+    """MCAP files or data set folders of its place that it was not trained on; PATH@START:STOP takes a part of it."""
+    foreign: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
+    """The same of other places."""
+    every: int = 1
+    """Take every so many images."""
+    seed: int = 0
+    """Of noise."""
+    device: Device = "auto"
+    """Where the network runs."""
+
+    def __post_init__(self) -> None:
+        require_within(self, every=(1, 10**6), seed=(0, _MAX_SEED))
+        if not self.familiar:
+            raise VaporTrackError("no familiar data, expected at least one file or folder")
+
+
+_OPTIONS = {"step": StepOptions, "localization": LocalizationOptions, "familiarity": FamiliarityOptions}
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    kinds = {"step": _step, "localization": _localization}
+    kinds = {"step": _step, "localization": _localization, "familiarity": _familiarity}
     if arguments[:1] in (["-h"], ["--help"]):
-        show("usage: vapor-track benchmark step|localization ...\n\nMeasure; each of the two has its own --help.\n")
+        show(f"usage: vapor-track benchmark {'|'.join(kinds)} ...\n\nMeasure; each has its own --help.\n")
         show("\n".join(f"  {kind:<13} {options.__doc__}" for kind, options in _OPTIONS.items()))
         return
     if not arguments or arguments[0] not in kinds:
@@ -107,20 +132,32 @@ def _step(arguments: Sequence[str]) -> None:
     o = parse("benchmark step", StepOptions, arguments)
     network = o.model if o.preset is None else untrained(PRESETS[o.preset].network)
     model = VaporObservationModel.from_checkpoint(network, num_samples=o.num_samples)
-    particles = o.particles if o.preset is None else ()
+    hypotheses = o.hypotheses if o.preset is None else ()
     table = Table("part of a step", "median ms", "95 % ms")
     with limited_threads(o.threads):
-        timings = time_step(model, repetitions=o.repetitions, particles=particles, seed=o.seed)
+        timings = time_step(model, repetitions=o.repetitions, hypotheses=hypotheses, seed=o.seed)
     for timing in timings:
         table.add_row(timing.part, f"{timing.median_ms:.2f}", f"{timing.p95_ms:.2f}")
+    show(table)
+
+
+def _familiarity(arguments: Sequence[str]) -> None:
+    o = parse("benchmark familiarity", FamiliarityOptions, arguments)
+    model = VaporObservationModel.from_checkpoint(o.model, num_samples=1, device=o.device)
+    table = Table("images", "how many", "median score", "flagged", f"flagged, median of {IN_A_ROW}")
+    with bar("judging") as advance:
+        rows = judge(model, o.familiar, o.foreign, every=o.every, seed=o.seed, advance=advance)
+    for row in rows:
+        in_a_row = "" if np.isnan(row.share_in_a_row) else f"{100 * row.share_in_a_row:.1f} %"
+        table.add_row(row.kind, str(row.images), f"{row.median:.2f}", f"{100 * row.share:.1f} %", in_a_row)
     show(table)
 
 
 def _localization(arguments: Sequence[str]) -> None:
     o = parse("benchmark localization", LocalizationOptions, arguments)
     scenes: dict[str, str] = dict(zip(o.scenes, o.models or o.scenes, strict=True))
-    calibration = {name: value for name, value in asdict(o.calibration).items() if value is not None}
-    benchmark = Benchmark(scenes, o.output, o.config, calibration)
+    errors = {name: value for name, value in asdict(o.errors).items() if value is not None}
+    benchmark = Benchmark(scenes, o.output, o.config, errors)
     o.output.mkdir(parents=True, exist_ok=True)
     with bar("choosing runs") as advance:
         trials = benchmark.choose(advance)
@@ -134,7 +171,7 @@ def _localization(arguments: Sequence[str]) -> None:
             advance(len(results), len(trials) * len(o.config.variants))
     results.sort(key=lambda result: (result["variant"], result["name"]))
     summary = summarise(results)
-    settings = asdict(o.config) | {"models": scenes, "calibration": calibration}
+    settings = asdict(o.config) | {"models": scenes, "errors": errors}
     write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "runs": results})
     for table in tables(summary):
         show(table)

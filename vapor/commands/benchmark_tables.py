@@ -14,9 +14,17 @@ from vapor.summary import OFTEN, WITHIN_IMAGES
 Aggregate = Mapping[str, Any]
 Summary = Mapping[str, Mapping[str, Mapping[str, Aggregate]]]
 
-_KINDS = {"cue": "something unique in the first half", "no-cue": "nothing unique", "kidnap": "carried off"}
+_KINDS = {
+    "cue": "something unique in the first half",
+    "no-cue": "nothing unique",
+    "kidnap": "carried off",
+    "standing": "standing for five minutes where nothing is unique",
+    "rate-3": "3 images a second",
+    "rate-10": "10 images a second",
+    "rate-30": "30 images a second",
+}
 _STATES = ("converged", "ambiguous", "lost")
-_BELIEVERS = ("filter", "kalman")
+_BELIEVERS = ("filter", "kalman", "gaussian_sum")
 _OWN = {
     "cue": ("success", "conv.\nat"),
     "no-cue": ("wrong\nruns", "often\nwrong"),
@@ -68,7 +76,7 @@ def _methods_table(title: str, total: Aggregate) -> Table:
 def _honesty_table(total: Aggregate) -> Table:
     """Twice two rows: over the images that say "converged", and over those from when on the method was right."""
     regions = [f"in {region.replace('%', ' %')}\nregion" for region in REGIONS]
-    table = _table(None, "over the images", "number", "wrong by\n0.5 m", *regions, "median\nNEES (5.3)")
+    table = _table(None, "over the images", "number", "wrong", *regions, "median\nNEES (5.3)")
     caption = []
     for method in _BELIEVERS:
         belief = total["belief"][method]
@@ -108,7 +116,7 @@ def _recovery_table(total: Aggregate) -> Table:
 def _variants_table(kind: str, variants: Mapping[str, Aggregate]) -> Table:
     table = Table(
         "variant",
-        *_OWN[kind],
+        *_OWN[_like(kind)],
         "recall\n0.3 m",
         "conv./amb./\nlost, %",
         "and\nwrong",
@@ -142,11 +150,17 @@ def _variants_table(kind: str, variants: Mapping[str, Aggregate]) -> Table:
 def _own_figures(kind: str, total: Aggregate) -> tuple[str, str]:
     """The two figures that a kind of run is about, as headed by `_OWN`."""
     belief, method = total["belief"]["filter"], total["methods"]["filter"]
+    kind = _like(kind)
     if kind == "cue":
         return str(method["successes"]), _number(method["converged_at_s"], ".1f", " s")
     if kind == "no-cue":
         return str(belief["runs_wrongly_converged"]), str(belief["runs_wrongly_converged_often"])
     return str(belief["kidnap"]["recovered_in_time"]), _number(belief["kidnap"]["median_images"], ".0f")
+
+
+def _like(kind: str) -> str:
+    """The kind of run whose figures tell of this one."""
+    return {"standing": "no-cue"}.get(kind, "cue" if kind.startswith("rate-") else kind)
 
 
 def _table(title: str | None, *columns: str) -> Table:

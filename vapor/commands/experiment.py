@@ -99,7 +99,7 @@ class ScheduleOptions:
 
     output: Path
     """Directory for images, results, schedule.json and the picture; trainings that are done are not done again."""
-    scene: Literal["staircase", "ceiling", "round-table", "dinner-table"] = "staircase"
+    scene: Literal["staircase", "ceiling", "round-table", "dinner-table", "corridor"] = "staircase"
     """What the camera moves through."""
     preset: Preset = "demo"
     """Named settings of our training, of which the options below change single ones."""

@@ -55,12 +55,11 @@ def main(arguments: Sequence[str]) -> None:
     frame = next(posed_frames(o.data, frames=slice(o.image, o.image + 1)))
     truth = frame.world_from_camera
     assert truth is not None  # `posed_frames` yields no other
-    samples = model.observe(frame.image, rng=np.random.default_rng(o.seed)).poses
+    samples = model.observe(frame.image, rng=np.random.default_rng(o.seed)).samples
     title = f"{o.data.name}, image {o.image} at {frame.time_ns / 1e9:.3f} s"
     surroundings = model.checkpoint.prior_poses.translation
     draw_posterior(o.output, samples, image=frame.image, surroundings=surroundings, truth=truth, title=title)
-    calibration, rng = model.checkpoint.calibration, np.random.default_rng(o.seed)
-    figures = posterior_metrics([samples], Poses.stack([truth]), calibration, gamma=o.gamma, rng=rng)
+    figures = posterior_metrics([samples], Poses.stack([truth]), model.checkpoint.calibration, gamma=o.gamma)
     near = [t for t in THRESHOLDS if figures["recall"][t]]
     best = figures["mode"]
     share = f"{o.gamma:.0%} of the samples within"

@@ -26,7 +26,15 @@ from vapor.train_config import TrainConfig
 
 DEFAULT, PAPER = SCHEDULES = "default", "paper"
 _START = "network", "pretrained_weights", "pretrained", "initial_model", "initial_log_variance"
-_SHARED = *_START, "calibration", "calibrate", "validation_images", "seed", "device"
+_SHARED = (
+    *_START,
+    "bandwidth_translation_m",
+    "bandwidth_rotation_rad",
+    "calibrate",
+    "validation_images",
+    "seed",
+    "device",
+)
 
 
 @dataclass(frozen=True)

@@ -265,7 +265,6 @@ def _test(training: Training, directory: Path, model: Path, folder: Path) -> dic
             checkpoint.calibration,
             gamma=training.gamma,
             exact_log_density=exact_log_density(network, images),
-            rng=np.random.default_rng(seed),
         )
 
     size = training.config.network.frame_size
