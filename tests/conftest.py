@@ -1,7 +1,9 @@
 """Shapes and types in annotations are executed while the tests run."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
+import jaxtyping
 import pytest
 from jaxtyping import install_import_hook
 
@@ -31,3 +33,11 @@ def walk_of_25(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from tests.sequence_files import Walk
 
     return Walk(25).write(tmp_path_factory.mktemp("walk") / "walk.mcap", {"odometry": "exact, for tests"})
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """Checks no shapes during a test that takes thousands of steps; others check those of the same calls."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)

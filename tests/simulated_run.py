@@ -32,7 +32,7 @@ def simulated_steps(count=200, *, seed=0, with_truth=True, with_odometry=True, s
         odometry = None
         if with_odometry and i:
             drift = np.array([0.0, 0.002, 0.006, 0.0, 0.006, 0.0]) + 0.004 * rng.standard_normal(6)
-            odometry = Odometry(truth[i - 1].inverse() @ truth[i] @ Poses.exp(drift), np.diag([1e-4] * 6))
+            odometry = Odometry(truth[i - 1].inverse() @ truth[i] @ Poses.exp(drift), np.diag([1e-4] * 6), 0.1)
         image = np.stack([120 + 80 * np.sin((u + 3 * i) / 9), 110 + 70 * np.cos(v / 7), 90 + v], -1).astype(np.uint8)
         frame = Frame(start_ns + i * 100_000_000, image, odometry, truth[i] if with_truth else None, CAMERA)
         belief = max(0.0, 1.0 - i / (0.33 * count))
@@ -51,7 +51,9 @@ def simulated_steps(count=200, *, seed=0, with_truth=True, with_odometry=True, s
         )
         status = "converged" if weights.max() > 0.8 else "lost" if i < 6 else "ambiguous"
         log_weights = np.full(500, -np.log(500))
-        estimate = Estimate(modes, status, particles, log_weights, 300.0 + rng.random(), -1.0)
+        covariances = np.broadcast_to(np.diag([1e-6] * 6), (500, 6, 6))
+        agreement, unfamiliarity = 1.0 - 0.5 * belief, 0.1 * rng.random()
+        estimate = Estimate(modes, status, particles, covariances, log_weights, agreement, 0.1, 0.1, unfamiliarity)
         yield frame, single, estimate, 20.0 + rng.random()
 
 

@@ -1,17 +1,55 @@
-"""A simulated climb past identical floors, with an oracle for a posterior: the filter without a network."""
+"""Simulated walks with posteriors whose errors follow the error model: the filter without a network."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from filtering.density import KernelDensity
+from filtering.error_model import ErrorModel
 from filtering.motion import Odometry
-from filtering.posterior import PosteriorSamples
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
 FLOOR_HEIGHT_M = 3.0
 ODOMETRY_STD = np.array([0.005] * 3 + [0.003] * 3)
 POSTERIOR_STD = np.array([0.15] * 3 + [0.1] * 3)
+ERRORS = ErrorModel()
+STD = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05])
+STILL = Poses.identity()
+
+
+def motion(*tangent, std=ODOMETRY_STD, duration_s=0.1):
+    """Odometry of a motion ξ with independent noise of each axis."""
+    return Odometry(Poses.exp(np.array(tangent, np.float64)), np.diag(np.square(std)), duration_s)
+
+
+def lifted(pose, heights_m):
+    """The same pose at several heights above it, batch (k,)."""
+    lift = np.asarray(heights_m, np.float64)[:, None] * np.array([0.0, 0, 1])
+    return Poses(np.repeat(pose.rotation[None], len(lift), 0), pose.translation + lift)
+
+
+def seen_at(means, shares=(1.0,), *, std=STD, errors=ERRORS, unfamiliarity=0.0):
+    """The posterior whose places are at these poses (k,), each with the same standard deviations."""
+    means = Poses(means.rotation.reshape(-1, 3, 3), means.translation.reshape(-1, 3))
+    covariances = np.repeat(np.diag(np.square(std))[None], len(means), 0)
+    return PosePosterior(means, covariances, np.array(shares, np.float64), errors, means, unfamiliarity)
+
+
+def wandering(ways, size, *, rng):
+    """An Ornstein-Uhlenbeck process (n, size) of unit variance along a way, n − 1 steps apart."""
+    values = [rng.standard_normal(size)]
+    for way in ways:
+        kept = np.exp(-way)
+        values.append(kept * values[-1] + np.sqrt(1.0 - kept**2) * rng.standard_normal(size))
+    return np.array(values)
+
+
+def image_errors(ways, errors, *, std=STD, rng):
+    """Errors ξ (n, 6) of images taken along a way, the steps of which are told in lengths: lasting and fresh ones."""
+    lasting = wandering(ways, 6, rng=rng)
+    fresh = rng.standard_normal((len(ways) + 1, 6))
+    share = errors.lasting_share
+    return std * (np.sqrt(share) * lasting + np.sqrt(1.0 - share) * fresh)
 
 
 @dataclass(frozen=True)
@@ -31,7 +69,8 @@ class Oracle:
         samples = self.truth[index] @ Poses.exp(rng.standard_normal((500, 6)) * POSTERIOR_STD)
         lift = np.zeros((500, 3))
         lift[:, 2] = FLOOR_HEIGHT_M * rng.choice(floors, 500)
-        return PosteriorSamples(KernelDensity(Poses(samples.rotation, samples.translation + lift), 0.1, 0.1))
+        errors = replace(ERRORS, radius_m=1.0, radius_rad=0.8)
+        return PosePosterior.from_samples(Poses(samples.rotation, samples.translation + lift), errors)
 
 
 def image_of(index):
@@ -47,5 +86,5 @@ def climb(num_frames, *, rng):
         delta = Poses.exp(np.array([0.08, 0, 0.03, 0, 0, 0.02 * np.sin(i / 10)]))
         truth.append(truth[-1] @ delta)
         measured = delta @ Poses.exp(rng.standard_normal(6) * ODOMETRY_STD)
-        odometry.append(Odometry(measured, np.diag(ODOMETRY_STD**2)))
+        odometry.append(Odometry(measured, np.diag(ODOMETRY_STD**2), 0.1))
     return Poses.stack(truth), odometry

@@ -226,7 +226,7 @@ def test_every_method_learns_where_images_are_and_drives_a_posterior(method, tmp
     model = VaporObservationModel.from_checkpoint(load_checkpoint(path), num_samples=200, device="cpu")
     errors = []
     for i, frame in enumerate(frames):
-        samples = model.observe(frame.image, rng=np.random.default_rng(i)).poses
+        samples = model.observe(frame.image, rng=np.random.default_rng(i)).samples
         errors.append(np.median(samples.distance(pose(frame))[0]))
     spread = np.std([pose(frame).translation for frame in frames], axis=0)
     assert np.mean(errors) < 0.5 * np.linalg.norm(spread)

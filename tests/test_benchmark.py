@@ -2,24 +2,29 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 
 from filtering.localizer import ParticleLocalizer
-from vapor import recordings, trials
+from vapor import recordings, trials, windows
+from vapor.checkpoint import load_checkpoint
 from vapor.summary import failed, summarise
 from vapor.track import main
 
 OPTIONS = [
     "--runs", "1", "--frames", "50", "--width", "32", "--height", "24", "--num-samples", "40", "--workers", "1",
-    "--first-seed", "700", "--localizer.num-particles", "80",
+    "--first-seed", "700", "--localizer.max-hypotheses", "30",
 ]  # fmt: skip
 KINDS = ["cue", "no-cue", "kidnap"]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("benchmark")
+def folder(tmp_path_factory, tiny_model):
+    """Of a benchmark that is done: the tests go on from there, each on its own and in any order."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    assert run(folder, tiny_model) == 0
+    return folder
 
 
 @pytest.fixture
@@ -48,31 +53,31 @@ def run(folder, tiny_model, *more: str) -> int:
     return main([*words, *OPTIONS, *more])
 
 
-def test_an_interrupted_benchmark_goes_on_and_a_finished_one_computes_nothing(folder, tiny_model, calls, capsys):
+def test_an_interrupted_benchmark_goes_on_and_a_finished_one_computes_nothing(tmp_path, tiny_model, calls, capsys):
     calls.interrupt_at.update(_record=2)
-    assert run(folder, tiny_model) == 130
+    assert run(tmp_path, tiny_model) == 130
     assert calls == {"_record": 2}  # one of them done
     calls.interrupt_at.clear()
     calls.interrupt_at.update(_localize=3)
-    assert run(folder, tiny_model) == 130
-    needed = len(list((folder / "recordings").iterdir()))
+    assert run(tmp_path, tiny_model) == 130
+    needed = len(list((tmp_path / "recordings").iterdir()))
     assert calls == {"_record": 1 + needed, "_localize": 3}
-    assert not (folder / "summary.json").exists()
+    assert not (tmp_path / "summary.json").exists()
     calls.interrupt_at.clear()
     capsys.readouterr()
-    assert run(folder, tiny_model) == 0
+    assert run(tmp_path, tiny_model) == 0
     assert calls == {"_record": 1 + needed, "_localize": 3 + 3 - 2}
-    printed, summary = capsys.readouterr().out, (folder / "summary.json").read_bytes()
-    assert run(folder, tiny_model) == 0
+    printed, summary = capsys.readouterr().out, (tmp_path / "summary.json").read_bytes()
+    assert run(tmp_path, tiny_model) == 0
     assert calls == {"_record": 1 + needed, "_localize": 3 + 3 - 2}
-    assert (capsys.readouterr().out, (folder / "summary.json").read_bytes()) == (printed, summary)
+    assert (capsys.readouterr().out, (tmp_path / "summary.json").read_bytes()) == (printed, summary)
 
 
 def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model, capsys):
     assert run(folder, tiny_model) == 0
     out = capsys.readouterr().out
     summary = json.loads((folder / "summary.json").read_text())
-    assert summary["settings"]["localizer"]["num_particles"] == 80
+    assert summary["settings"]["localizer"]["max_hypotheses"] == 30
     assert summary["summary"].keys() == {"ceiling"}
     assert summary["summary"]["ceiling"].keys() == set(KINDS)
     runs = summary["runs"]
@@ -90,7 +95,7 @@ def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model,
 @pytest.mark.parametrize(
     ("more", "again"),
     [
-        (("--calibration.temper", "0.5"), "_localize"),
+        (("--errors.tail", "30"), "_localize"),
         (("--localizer.switch-ratio", "2"), "_localize"),
         (("--num-samples", "41"), "_record"),
     ],
@@ -102,19 +107,59 @@ def test_other_settings_use_no_result_of_these(more, again, folder, tiny_model, 
 
 
 def test_variants_are_compared_in_a_table_of_their_own(folder, tiny_model, calls, capsys):
-    assert run(folder, tiny_model, "--kinds", "no-cue", "--variants", "full", "no-recovery") == 0
+    assert run(folder, tiny_model, "--kinds", "no-cue", "--variants", "full", "no-tails") == 0
     assert calls == {"_localize": 1}  # the full one is there
     out = capsys.readouterr().out
-    assert len([line for line in out.splitlines() if line.split()[:1] in (["full"], ["no-recovery"])]) == 2
+    assert len([line for line in out.splitlines() if line.split()[:1] in (["full"], ["no-tails"])]) == 2
     summary = json.loads((folder / "summary.json").read_text())["summary"]["ceiling"]["no-cue"]
-    assert summary.keys() == {"full", "no-recovery"}
+    assert summary.keys() == {"full", "no-tails"}
+
+
+def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_model, monkeypatch, capsys):
+    told = []
+    update = ParticleLocalizer.update
+
+    def watched(localizer, posterior, odometry):
+        told.append(posterior.errors)
+        return update(localizer, posterior, odometry)
+
+    monkeypatch.setattr(ParticleLocalizer, "update", watched)
+    monkeypatch.setattr(trials, "_code", lambda: "of errors")
+    floor = ["0.01", "0.02", "0.03", "0.04", "0.05", "0.06"]
+    more = ["--kinds", "no-cue", "--errors.outlier-share", "0.25", "--errors.floor", *floor]
+    assert run(folder, tiny_model, *more) == 0
+    own = load_checkpoint(tiny_model).calibration.errors
+    assert set(told) == {replace(own, outlier_share=0.25, floor=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06))}
+    settings = json.loads((folder / "summary.json").read_text())["settings"]
+    assert settings["errors"] == {"outlier_share": 0.25, "floor": [float(value) for value in floor]}
+    assert run(folder, tiny_model, "--kinds", "no-cue", "--errors.outlier-share", "2") == 1
+    assert "outlier_share is 2" in capsys.readouterr().err
+
+
+def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, calls, capsys):
+    assert run(tmp_path, tiny_model, "--kinds", "rate-3", "rate-10", "rate-30") == 0
+    assert calls == {"_record": 1, "_localize": 3}
+    assert "ceiling, 3 images a second: 1 runs" in capsys.readouterr().out
+    runs = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    assert {each["kind"]: each["images"] for each in runs} == {"rate-3": 15, "rate-10": 50, "rate-30": 150}
+
+
+def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path, monkeypatch, capsys):
+    for module in (windows, trials):
+        monkeypatch.setattr(module, "STAND_S", 3.0)
+        monkeypatch.setattr(module, "STAND_AFTER", 10)
+    assert run(tmp_path, tiny_model, "--kinds", "standing", "--variants", "full", "no-tails") == 0
+    assert "standing for five minutes where nothing is unique: 1 runs" in capsys.readouterr().out
+    runs = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    assert [(each["images"], each["cue_images"]) for each in runs] == [(40, 0)] * 2
 
 
 def test_only_a_filter_that_is_told_of_a_kidnap_starts_anew_there(folder, tiny_model, monkeypatch):
     anew, update = [], ParticleLocalizer.update
 
     def watched(localizer, posterior, odometry):
-        anew.append(odometry is None)
+        if type(localizer) is ParticleLocalizer:  # the Gaussian sum is told nothing
+            anew.append(odometry is None)
         return update(localizer, posterior, odometry)
 
     monkeypatch.setattr(ParticleLocalizer, "update", watched)
@@ -182,10 +227,10 @@ def result(kind: str, *, converged: float, wrong: float, success: bool = True, r
         "kidnap": {"right_before": True, "images": recovered} if kind == "kidnap" else None,
     }
     methods = dict.fromkeys(("single_image", "dead_reckoning"), metrics)
-    methods |= dict.fromkeys(("kalman", "filter", "smoothed"), tracked)
+    methods |= dict.fromkeys(("kalman", "gaussian_sum", "filter", "smoothed"), tracked)
     return {
         "name": f"ceiling-{kind}-{converged}", "scene": "ceiling", "kind": kind, "variant": "full", "images": 100,
-        "cue_images": 3, "methods": methods, "belief": {"filter": belief, "kalman": belief},
+        "cue_images": 3, "methods": methods, "belief": dict.fromkeys(("filter", "kalman", "gaussian_sum"), belief),
         "image_truth_among_modes": 0.8, "particles": 100, "step_ms": 4.0,
     }  # fmt: skip
 

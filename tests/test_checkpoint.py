@@ -6,7 +6,9 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
+from sequences.odometry_fit import OdometryFit
 from vapor import checkpoint as checkpoint_module
 from vapor.checkpoint import (
     Calibration,
@@ -19,6 +21,7 @@ from vapor.checkpoint import (
     thin_poses,
 )
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.scene_scale import default_errors
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.1))
 SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
@@ -28,7 +31,12 @@ def make_checkpoint(config: NetworkConfig = SMALL, num_poses: int = 30) -> Check
     torch.manual_seed(0)
     poses = Poses.exp(np.random.default_rng(0).standard_normal((num_poses, 6)))
     state = VariationalPoseRegressor(config, BOX).state_dict()
-    return Checkpoint(config, BOX, Calibration(temper=0.25), poses, state, {"data": ["a.mcap"], "seed": 3})
+    calibration = Calibration(0.2, 0.1, replace(ErrorModel(), tail=3.5, floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03)))
+    return Checkpoint(config, BOX, calibration, poses, state, {"data": ["a.mcap"], "seed": 3})
+
+
+SIX = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+ODOMETRY = OdometryFit(SIX, (0.0,) * 6, SIX, 30.0, -0.01, 0.02, SIX, SIX, SIX, 0.1, 500, 2, 50.0, 40.0, 3)
 
 
 def test_a_model_file_gives_back_exactly_what_was_saved(tmp_path):
@@ -41,6 +49,12 @@ def test_a_model_file_gives_back_exactly_what_was_saved(tmp_path):
     assert loaded.state_dict.keys() == saved.state_dict.keys()
     assert all(torch.equal(loaded.state_dict[k], v) for k, v in saved.state_dict.items())
     assert list(tmp_path.iterdir()) == [tmp_path / "m.safetensors"]
+
+
+def test_a_fit_of_odometry_comes_back_as_well(tmp_path):
+    path, plain = tmp_path / "m.safetensors", make_checkpoint()
+    save_checkpoint(path, replace(plain, calibration=replace(plain.calibration, odometry=ODOMETRY)))
+    assert load_checkpoint(path).calibration.odometry == ODOMETRY
 
 
 def test_a_half_precision_demo_model_fits_in_eight_megabytes_and_predicts_the_same_to_millimetres(tmp_path):
@@ -85,11 +99,15 @@ def _edit_config(metadata, change):
     return {**metadata, "config": json.dumps(config)}
 
 
+def _edit_errors(metadata, change):
+    return _edit_config(metadata, lambda config: change(config["calibration"]["errors"]))
+
+
 HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, None), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '5' or '4'"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '6', or '4' or '5' of"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "not JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
@@ -105,7 +123,29 @@ MALFORMED = {
     "missing setting": (lambda t, m: (t, _edit_config(m, lambda c: c["network"].pop("latent_dim"))), "latent_dim"),
     "surplus setting": (lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(x=1))), r"surplus \['x'\]"),
     "setting that is no number": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(temper="much"))), "temper 'much'"
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(bandwidth_rotation_rad="much"))),
+        "bandwidth_rotation_rad 'much', expected a number",
+    ),
+    "missing errors": (lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].pop("errors"))), r"lacks \['errors"),
+    "errors that are none": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(errors=[1.0]))), "calibration.errors config"
+    ),
+    "missing part of errors": (lambda t, m: (t, _edit_errors(m, lambda e: e.pop("tail"))), r"lacks \['tail'\]"),
+    "surplus part of errors": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(a=1))), r"surplus \['a'\]"),
+    "tail that is no number": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(tail="6"))), "tail '6', expect"),
+    "tail of NaN": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(tail=float("nan")))), "tail is nan"),
+    "floor of five": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=[0.1] * 5))), "expected six num"),
+    "floor of words": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=["a"] * 6))), "expected six numbers"),
+    "floor of zeros": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=[0.0] * 6))), "six positive numbers"),
+    "no word of odometry": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].pop("odometry"))), r"lacks \['odometry'\]"
+    ),
+    "odometry that is none": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(odometry=3))), "calibration.odometry is 3"
+    ),
+    "part of a fit of odometry": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(odometry={"scale": 0.1}))),
+        "calibration.odometry configuration: fit of odometry with",
     ),
     "unknown backbone": (
         lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(backbone="vgg"))), "network configuration"
@@ -122,15 +162,6 @@ MALFORMED = {
     "bandwidth of zero": (
         lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(bandwidth_rotation_rad=0.0))),
         "bandwidth_rotation_rad is 0.0",
-    ),
-    "floor above one": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(outlier_floor=1.0))), "outlier_floor is 1.0"
-    ),
-    "exponent of NaN": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(temper=float("nan")))), "temper is nan"
-    ),
-    "quantile above one": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(prior_floor_quantile=2.0))), "is 2.0"
     ),
     "box turned inside out": (
         lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(lower=[2, 0, 2]))), "box from"
@@ -165,13 +196,55 @@ def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(tmp_path, 
         load_checkpoint(bad)
 
 
+def _as_before(path, version, change=lambda config: None):
+    """Turn a model file into one of an earlier format."""
+    metadata, tensors = read_safetensors(path)
+
+    def former(config):
+        config["calibration"] = {"bandwidth_translation_m": 0.2, "bandwidth_rotation_rad": 0.1, "temper": 0.3}
+        change(config)
+
+    save_file(tensors, path, _edit_config({**metadata, "version": version}, former))
+
+
+@pytest.mark.parametrize("version", ["4", "5"])
+def test_of_models_of_an_earlier_filter_the_kernel_widths_stay_and_errors_follow_from_the_scene(version, tmp_path):
+    path, again = tmp_path / "m.safetensors", tmp_path / "again.safetensors"
+    saved = make_checkpoint(replace(SMALL, shortcut=False))
+    save_checkpoint(path, saved)
+    _as_before(path, version, lambda c: c["network"].pop("shortcut") if version == "4" else None)
+    loaded = load_checkpoint(path)
+    assert loaded.calibration == Calibration(0.2, 0.1, default_errors(saved.prior_poses))
+    assert loaded.network_sha256() == saved.network_sha256()
+    save_checkpoint(again, loaded)
+    assert load_checkpoint(again).calibration == loaded.calibration
+
+
+@pytest.mark.parametrize("calibration", [None, {"bandwidth_translation_m": 0.2}])
+def test_a_model_of_an_earlier_filter_without_kernel_widths_is_refused(calibration, tmp_path):
+    save_checkpoint(tmp_path / "m.safetensors", make_checkpoint())
+    _as_before(tmp_path / "m.safetensors", "5", lambda c: c.update(calibration=calibration))
+    with pytest.raises(CheckpointError, match=r"m\.safetensors: calibration configuration lacks"):
+        load_checkpoint(tmp_path / "m.safetensors")
+
+
+def test_errors_of_an_uncalibrated_model_are_in_proportion_to_the_scene():
+    rng = np.random.default_rng(0)
+    poses = Poses.exp(rng.standard_normal((200, 6)))
+    small, large = default_errors(poses), default_errors(Poses(poses.rotation, 30.0 * poses.translation))
+    expected = small.scaled(30.0)
+    assert large.length_m == pytest.approx(expected.length_m)
+    assert large.flat_log_density == pytest.approx(expected.flat_log_density)
+    np.testing.assert_allclose([large.floor, large.typical_std], [expected.floor, expected.typical_std])
+    assert 0.1 < small.radius_m < 1.0  # of about nine metres
+    assert default_errors(Poses.identity(5)).radius_m > 0  # a camera that only turns, or stands
+
+
 def test_models_from_before_the_shortcut_have_none(tmp_path):
-    new, old = tmp_path / "new.safetensors", tmp_path / "old.safetensors"
+    old = tmp_path / "old.safetensors"
     without = make_checkpoint(replace(SMALL, shortcut=False))
-    save_checkpoint(new, without)
-    metadata, tensors = read_safetensors(new)
-    metadata = _edit_config({**metadata, "version": "4"}, lambda c: c["network"].pop("shortcut"))
-    save_file(tensors, old, metadata)
+    save_checkpoint(old, without)
+    _as_before(old, "4", lambda config: config["network"].pop("shortcut"))
     loaded = load_checkpoint(old)
     assert loaded.network == without.network
     assert not loaded.network.shortcut

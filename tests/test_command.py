@@ -237,7 +237,7 @@ HEAD = "network.latent_mean.weight"
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda t, m: m.update(version="1"), "format version is '1', expected '5' or '4'"),
+        (lambda t, m: m.update(version="1"), "format version is '1', expected '6', or '4' or '5' of which"),
         (lambda t, m: m.update(format="other"), "format is 'other'"),
         (lambda t, m: t.pop(HEAD), f"lacks tensor {HEAD} (1 such), expected exactly the"),
         (lambda t, m: t.update({"network.more": torch.zeros(1)}), "has surplus tensor network.more"),
@@ -279,7 +279,7 @@ def test_an_output_that_is_or_lies_in_a_file_is_refused(walk_of_25, tiny_model, 
 def test_an_interrupted_run_leaves_nothing_and_ends_with_130(walk_of_25, tiny_model, earlier, capsys, monkeypatch):
     before = contents(earlier)
 
-    def interrupt(*_: object) -> None:
+    def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("vapor.run.smooth", interrupt)
@@ -340,13 +340,16 @@ WRONG = {
     "unknown command": (["localise"], "unknown command 'localise', expected one of run, demo"),
     "unknown option": (["run", "a.mcap", "--model", "m", "--output", "o", "--nonsense", "1"], "nonsense"),
     "misspelt option": (
-        ["run", "a.mcap", "--model", "m", "--output", "o", "--localizer.num-partcles", "9"],
-        "partcles",
+        ["run", "a.mcap", "--model", "m", "--output", "o", "--localizer.max-hypthoses", "9"],
+        "hypthoses",
     ),
     "missing model": (["run", "a.mcap", "--output", "o"], "--model"),
     "missing sequence": (["run", "--model", "m", "--output", "o"], "MCAP file or rosbag2"),
     "value that is no number": (["run", "a.mcap", "--model", "m", "--output", "o", "--seed", "one"], "one"),
-    "no particles": (["run", "a.mcap", "--model", "m", "--output", "o", "--localizer.num-particles", "0"], "particles"),
+    "no hypotheses": (
+        ["run", "a.mcap", "--model", "m", "--output", "o", "--localizer.max-hypotheses", "0"],
+        "max_hypotheses is 0",
+    ),
     "no samples": (["run", "a.mcap", "--model", "m", "--output", "o", "--num-samples", "0"], "num_samples is 0"),
     "negative seed": (["run", "a.mcap", "--model", "m", "--output", "o", "--seed", "-1"], "seed is -1"),
     "no threads": (["run", "a.mcap", "--model", "m", "--output", "o", "--threads", "0"], "threads is 0"),
@@ -366,6 +369,7 @@ WRONG = {
     ),
     "unknown scene": (["synthesize", "attic", "s.mcap"], "attic"),
     "unknown cues": (["synthesize", "ceiling", "s.mcap", "--cues", "some"], "some"),
+    "no such rate": (["synthesize", "staircase", "s.mcap", "--rate", "0"], "0 images a second"),
     "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),
     "negative seed of a scene": (["synthesize", "staircase", "s.mcap", "--seed", "-1"], "seed -1"),
     "demo of no frames": (["demo", "--frames", "0"], "0 frames"),
@@ -396,7 +400,7 @@ WRONG = {
         "2 models for 1 scenes, expected one for each",
     ),
     "no repetitions": (["benchmark", "step", "--repetitions", "0"], "repetitions is 0"),
-    "a filter of no particles": (["benchmark", "step", "--particles", "10", "0"], "particles are (10, 0)"),
+    "a filter of no hypotheses": (["benchmark", "step", "--hypotheses", "10", "0"], "hypotheses are (10, 0)"),
     "a network of no preset": (
         ["benchmark", "step", "--preset", "fast"],
         "unknown preset 'fast', expected one of demo",
@@ -452,6 +456,14 @@ def test_the_network_of_a_preset_is_timed_without_a_model_and_without_the_filter
     out = capsys.readouterr().out
     assert "network, 10 samples" in out
     assert "filter" not in out
+
+
+def test_the_filter_is_timed_at_every_size_asked_for(tiny_model, capsys):
+    words = ["benchmark", "step", "--model", str(tiny_model), "--repetitions", "1", "--num-samples", "10"]
+    assert main([*words, "--hypotheses", "7", "20"]) == 0
+    out = capsys.readouterr().out
+    assert "filter, 7 hypotheses at most" in out
+    assert "filter, 20 hypotheses at most" in out
 
 
 def test_the_help_of_train_lists_the_presets(capsys):
@@ -600,6 +612,15 @@ def test_a_synthetic_sequence_appears_and_can_be_run(tiny_model, tmp_path, capsy
     assert err == ""
     assert {path.name for path in tmp_path.iterdir()} == {"ceiling.mcap"}
     assert skipped_in_run(output, tiny_model, tmp_path / "out") == (8, {})
+
+
+def test_a_synthetic_sequence_can_have_thirty_images_a_second(tmp_path, capsys):
+    output = tmp_path / "ceiling.mcap"
+    words = ["--frames", "7", "--rate", "30", "--width", "16", "--height", "16"]
+    assert main(["synthesize", "ceiling", str(output), *words]) == 0
+    assert "7 images" in capsys.readouterr().out
+    times_ns = [frame.time_ns for frame in SequenceReader(output)]
+    assert times_ns[6] - times_ns[0] == 200_000_000
 
 
 def test_a_folder_that_cannot_be_written_to_is_named(tmp_path, capsys):

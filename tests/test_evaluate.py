@@ -212,7 +212,8 @@ def test_errors_drawn_from_the_stated_covariance_are_consistent_and_from_a_wider
         best = Trajectory(truth.times_ns, truth.poses @ Poses.exp(-scale * error))
         figures[scale] = evaluate_consistency(best, covariance, np.ones(4000, bool), truth)
     assert figures[1.0]["images"] == 4000
-    assert figures[1.0]["wrong"] == 0.0
+    beyond = (np.linalg.norm(Poses.exp(-error).translation, axis=1) > 0.3).mean()  # none turned by 20 degrees
+    assert 0.0 < figures[1.0]["wrong"] == pytest.approx(beyond, abs=1e-12)
     assert figures[1.0]["coverage"] == pytest.approx({"50%": 0.5, "90%": 0.9, "95%": 0.95}, abs=0.03)
     assert figures[1.0]["median_nees"] == pytest.approx(5.35, abs=0.3)
     assert figures[2.0]["coverage"]["95%"] < 0.6
@@ -232,13 +233,17 @@ def test_consistency_counts_only_images_that_are_said_to_be_converged():
         "coverage": {"50%": 0.5, "90%": 0.5, "95%": 0.5},
         "median_nees": pytest.approx(18.0),
     }
+    near = shifted(truth, np.where(np.arange(10) < 8, 0.31, 0.29), np.zeros(10))
+    assert evaluate_consistency(near, covariance, converged, truth)["wrong"] == 0.5
+    turned = shifted(truth, np.zeros(10), np.where(np.arange(10) < 9, 21.0, 19.0))
+    assert evaluate_consistency(turned, covariance, converged, truth)["wrong"] == 0.75
     nothing = evaluate_consistency(estimate, covariance, np.zeros(10, bool), truth)
     assert nothing == {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
 
 
 def test_dead_reckoning_with_perfect_odometry_is_the_truth():
     truth = true_walk(50)
-    steps = [Odometry(truth[i - 1].inverse() @ truth[i], np.eye(6)) for i in range(1, 50)]
+    steps = [Odometry(truth[i - 1].inverse() @ truth[i], np.eye(6), 0.1) for i in range(1, 50)]
     poses = dead_reckoning(truth[0], [None, *steps])
     assert np.allclose(poses.as_matrix(), truth.as_matrix(), atol=1e-9)
 

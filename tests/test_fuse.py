@@ -10,21 +10,21 @@ import pytest
 from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
-from filtering.posterior import LikelihoodModel, PosteriorSamples
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.estimates import EstimateOptions, EstimateSequence
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
-from sequences.pose_files import read_poses
 from sequences.tum import read_tum, write_tum
 from tests.pose_text import FRAMES, moved, noisy, walk, write_named
-from vapor.fuse import EstimateConfig, EstimateModel, estimate_modes, likelihood_of
+from tests.simulation import ERRORS
+from vapor.evaluate import FILES
+from vapor.fuse import EstimateConfig, EstimateModel, errors_of
 from vapor.track import main
 
 BACK = EstimateOptions(direction="world-to-camera")
 EXACT = OdometryNoise(0.0, 0.0, 0.0, 30.0, 0.0, 0.0)
-SMALL = ["--localizer.num-particles", "300", "--no-recording"]
+SMALL = ["--localizer.max-hypotheses", "60", "--no-recording"]
 
 
 @pytest.fixture
@@ -104,68 +104,55 @@ def test_what_contradicts_itself_is_refused(tmp_path, truth):
 # --- the observation model -----------------------------------------------------------------------------
 
 
-def test_the_posterior_of_estimates_is_their_mixture_of_narrow_and_wide_kernels():
-    """At an estimate far from the others: Gaussian densities in six dimensions, each with its weight."""
-    poses = Poses.exp(np.array([[0.3, -0.2, 0.1, 0.4, 0.5, -0.6], [30.0, 0, 0, 0, 0, 0], [0, 60.0, 0, 0, 0, 0]]))
-    std_m, std_rad, share, spread = np.array([0.05, 0.1, 0.2]), np.array([0.02, 0.01, 0.03]), 0.2, 4.0
-    posterior = PosteriorSamples.from_estimates(
-        poses, std_m, std_rad, outlier_share=share, outlier_spread=spread, likelihood=LikelihoodModel()
-    )
-    peak = 1 / (3 * (2 * np.pi) ** 3 * std_m**3 * std_rad**3)
-    expected = (1 - share) * peak + share * peak / spread**6
-    np.testing.assert_allclose(np.exp(posterior.log_density(poses)), expected, rtol=0.01)
-    drawn = posterior.sample(20_000, rng=np.random.default_rng(0))
-    distance_m = drawn.distance(poses[0])[0]
-    near = distance_m < 5.0
-    assert near.mean() == pytest.approx(1 / 3, abs=0.02)
-    assert np.sqrt(np.mean(distance_m[near] ** 2) / 3) == pytest.approx(0.05 * np.sqrt(0.8 + 0.2 * 16), rel=0.1)
-    assert np.median(distance_m[near]) < 0.1
-    with pytest.raises(VaporTrackError, match="at least one centre"):
-        PosteriorSamples.from_estimates(
-            Poses.identity(0), 0.1, 0.1, outlier_share=0.1, outlier_spread=2.0, likelihood=LikelihoodModel()
-        )
-    with pytest.raises(VaporTrackError, match="outlier share 1"):
-        PosteriorSamples.from_estimates(
-            poses, 0.1, 0.1, outlier_share=1.0, outlier_spread=2.0, likelihood=LikelihoodModel()
-        )
-
-
-def test_the_likelihood_is_relative_to_a_flat_prior_over_the_scene(tmp_path):
-    """Estimates over 3 × 2 × 1 m: the prior is one over their box with its margin, times 8π²; L is 1 far away."""
+def test_how_estimates_err_follows_from_what_is_stated_and_where_they_are(tmp_path):
+    """Estimates over 3 × 2 × 1 m: poses are spread over their box with its margin, and all rotations."""
     corners = np.stack(np.meshgrid([0.0, 3.0], [0.0, 2.0], [0.0, 1.0]), -1).reshape(-1, 3)
-    path = file_of(
-        tmp_path / "corners.txt", {f"frame-{i}.png": Poses(np.eye(3), corner) for i, corner in enumerate(corners)}
-    )
-    likelihood = likelihood_of([read_poses(path, "world-to-camera")], EstimateConfig(), interval_s=0.1)
-    assert 1 / likelihood.prior_floor == pytest.approx(4 * 3 * 2 * 8 * np.pi**2, rel=0.01)
-    assert likelihood.temper == pytest.approx(0.1)
-    model = EstimateModel(1, EstimateConfig(std_m=(0.1,), std_deg=(5.0,)), likelihood)
-    posterior = model.observe(np.eye(4)[None], rng=np.random.default_rng(0))
-    here, far = posterior.log_likelihood(Poses.stack([Poses.identity(), moved(Poses.identity(), 50.0)]))
-    assert far == pytest.approx(0.0, abs=1e-9)
-    density = float(np.exp(posterior.log_density(Poses.identity(1))[0]))
-    assert here == pytest.approx(0.1 * np.log(0.95 * density / likelihood.prior_floor / 0.05 + 1), rel=1e-6)
+    names = [f"frame-{i}.png" for i in range(len(corners))]
+    path = file_of(tmp_path / "corners.txt", {n: Poses(np.eye(3), c) for n, c in zip(names, corners, strict=True)})
+    path_of = {n: Poses(np.eye(3), np.array([0.1 * i, 0, 0])) for i, n in enumerate(names)}
+    motion = file_of(tmp_path / "motion.txt", path_of)  # 0.1 m in a thirtieth of a second
+    sequence = EstimateSequence([path], odometry=motion, options=BACK)
+    trust = EstimateConfig(std_m=(0.1,), std_deg=(5.0,), tail=3.0, outlier_share=0.2, independent_after_s=0.5)
+    errors = errors_of(sequence, trust)
+    margin = 0.2 * np.sqrt(3**2 + 2**2 + 1)
+    volume = np.prod(np.array([3, 2, 1]) + margin) * 8 * np.pi**2
+    assert errors.flat_log_density == pytest.approx(-np.log(volume), rel=0.01)
+    assert errors.typical_std == pytest.approx([0.1] * 3 + [np.radians(5.0)] * 3)
+    assert (errors.tail, errors.outlier_share, errors.constant_share) == (3.0, 0.2, 0.0)
+    assert errors.length_m == pytest.approx(0.5 * 3.0, rel=1e-6)
+    still = file_of(tmp_path / "still.txt", dict.fromkeys(names, Poses.identity()))
+    assert errors_of(EstimateSequence([path], odometry=still, options=BACK), trust).length_m == 0.1
 
 
 def test_the_model_leaves_out_methods_without_an_estimate_and_drives_the_filter_itself():
     matrices = np.stack([np.full((4, 4), np.nan), np.eye(4), moved(Poses.identity(), 0.02).as_matrix()])
-    model = EstimateModel(3, EstimateConfig(std_m=(0.9, 0.05, 0.05)), LikelihoodModel(temper=0.5))
+    model = EstimateModel(3, EstimateConfig(std_m=(0.9, 0.05, 0.1)), ERRORS)
     posterior = model.observe(matrices, rng=np.random.default_rng(0))
-    modes = estimate_modes(posterior)
-    assert len(modes) == 2
-    assert {round(float(mode.world_from_camera.translation[0]), 6) for mode in modes} == {0.0, 0.02}
-    np.testing.assert_allclose(np.diag(modes[0].covariance), [0.05**2] * 3 + [np.radians(1.0) ** 2] * 3)
+    assert posterior.errors == ERRORS
+    assert posterior.shares.tolist() == [0.5, 0.5]
+    assert posterior.means.translation[:, 0].tolist() == [0.0, 0.02]
+    for covariance, std_m in zip(posterior.covariances, (0.05, 0.1), strict=True):
+        np.testing.assert_allclose(np.diag(covariance), [std_m**2] * 3 + [np.radians(1.0) ** 2] * 3)
     localizer = ParticleLocalizer(model, rng=np.random.default_rng(0))
-    still = Odometry(Poses.identity(), np.diag([1e-6] * 6))
+    still = Odometry(Poses.identity(), np.diag([1e-6] * 6), 0.1)
     for odometry in (None, *[still] * 5):
         estimate = localizer.step(matrices, odometry)
     assert np.linalg.norm(estimate.modes[0].world_from_camera.translation - [0.01, 0, 0]) < 0.03
-    with pytest.raises(VaporTrackError, match="at least one centre"):
+    with pytest.raises(VaporTrackError, match="no estimate, expected at least one"):
         model.observe(np.full((3, 4, 4), np.nan), rng=np.random.default_rng(0))
     with pytest.raises(VaporTrackError, match="std_m has 2 values, expected one, or one for each of 3"):
-        EstimateModel(3, EstimateConfig(std_m=(0.1, 0.2)), LikelihoodModel())
-    with pytest.raises(VaporTrackError, match="std_deg is 0"):
-        EstimateConfig(std_deg=(0.0,))
+        EstimateModel(3, EstimateConfig(std_m=(0.1, 0.2)), ERRORS)
+    for wrong in ({"std_deg": (0.0,)}, {"tail": 0.5}, {"outlier_share": 1.0}, {"independent_after_s": 0.0}):
+        with pytest.raises(VaporTrackError, match=f"{next(iter(wrong))} is "):
+            EstimateConfig(**wrong)
+
+
+def test_estimates_that_come_twice_are_no_camera_that_froze():
+    """A method that looks up the nearest picture gives the pose of the same one for several frames."""
+    model = EstimateModel(1, EstimateConfig(), ERRORS)
+    localizer = ParticleLocalizer(model, rng=np.random.default_rng(0))
+    for _ in range(2):
+        assert not localizer.observe(np.eye(4)[None]).says_nothing
 
 
 # --- the command ---------------------------------------------------------------------------------------
@@ -194,14 +181,34 @@ def test_the_command_bridges_a_run_of_wrong_estimates(tmp_path, truth, capsys):
     assert config["odometry"].endswith(", seed 0")
     assert config["trust"]["std_m"] == [0.03, 0.04]
     assert config["estimates"] == [{"name": "one.txt", "frames": 120}, {"name": "two.txt", "frames": 110}]
-    assert config["likelihood"]["temper"] == pytest.approx(1 / 30)
+    assert config["trust"]["tail"] == 4.0
+    assert config["errors"]["radius_m"] == pytest.approx(0.035)
+    assert config["errors"]["outlier_share"] == 0.1
     assert len(read_tum(output / "trajectory.tum")) == 2 * FRAMES
     written = {path.name for path in output.iterdir()}
-    assert written >= {"smoothed.tum", "kalman.tum", "single_image.tum", "dead_reckoning.tum", "ground_truth.tum",
-                       "estimate.mcap", "trajectory.png", "particles.png", "errors.png"}  # fmt: skip
+    assert written >= {*FILES.values(), "ground_truth.tum"}
+    assert written >= {"estimate.mcap", "trajectory.png", "particles.png", "errors.png"}
     before = (output / "trajectory.tum").read_bytes()
     assert main([*words, *SMALL, "--std-m", "0.03", "0.04"]) == 0
     assert (output / "trajectory.tum").read_bytes() == before
+
+
+def test_another_sequence_starts_anew_however_much_the_first_one_said(tmp_path, truth):
+    """The second one begins with an estimate that is 0.6 m off: nothing of the first one corrects it."""
+    poses = walk()
+    names = list(poses)
+    first = noisy(poses, 0.02, 0.01, 1)
+    first[names[FRAMES]] = moved(poses[names[FRAMES]], 0.6)
+    words = ["fuse", str(file_of(tmp_path / "one.txt", first)), "--simulate-odometry", str(truth)]
+    words += ["--direction", "world-to-camera", "--output", str(tmp_path / "result"), *SMALL]
+    assert main(words) == 0
+    trajectory = read_tum(tmp_path / "result" / "trajectory.tum")
+    given = Poses.stack([first[name] for name in names])
+    distance_m, _ = trajectory.poses.distance(given)
+    assert distance_m[FRAMES] < 1e-6
+    assert np.median(distance_m[1:FRAMES]) > 0.01
+    config = json.loads((tmp_path / "result" / "config.json").read_text())
+    assert config["run"]["localizer"]["gap"]["action"] == "forget"
 
 
 def test_tum_trajectories_with_recorded_odometry_and_no_true_poses(tmp_path, capsys):

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from filtering.density import KernelDensity
+from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.checkpoint import Calibration, Checkpoint, CheckpointError, save_checkpoint
 from vapor.images import prepare
@@ -34,8 +35,8 @@ def observe(image, seed=0, model=MODEL):
 
 def test_the_same_generator_gives_the_same_bits_and_another_one_others():
     first, again, other = observe(IMAGE), observe(IMAGE), observe(IMAGE, seed=1)
-    np.testing.assert_array_equal(first.poses.as_matrix(), again.poses.as_matrix())
-    assert np.abs(first.poses.translation - other.poses.translation).max() > 1e-4
+    np.testing.assert_array_equal(first.samples.as_matrix(), again.samples.as_matrix())
+    assert np.abs(first.samples.translation - other.samples.translation).max() > 1e-4
 
 
 def test_observing_draws_from_no_global_generator():
@@ -46,7 +47,7 @@ def test_observing_draws_from_no_global_generator():
 
 
 def test_samples_are_rigid_transforms_inside_the_scene_box():
-    poses = observe(IMAGE).poses
+    poses = observe(IMAGE).samples
     assert poses.batch_shape == (50,)
     assert poses.translation.dtype == np.float64
     np.testing.assert_allclose(
@@ -63,7 +64,7 @@ def test_samples_are_those_of_the_network_for_the_same_noise():
     with torch.inference_mode():
         pixels = network.normalise(torch.full((1, 32, 32, 3), 90, dtype=torch.uint8))
         translation, _ = network(pixels, torch.from_numpy(noise)[None])
-    np.testing.assert_allclose(observe(small).poses.translation, translation[0].numpy(), atol=1e-5)
+    np.testing.assert_allclose(observe(small).samples.translation, translation[0].numpy(), atol=1e-5)
 
 
 def test_a_network_of_the_camera_s_aspect_sees_all_but_the_margin():
@@ -80,14 +81,14 @@ def test_only_the_centre_of_the_image_matters():
     other = wide.copy()
     other[:, :40] = 255
     other[:, 80:] = 17
-    np.testing.assert_array_equal(observe(wide).poses.translation, observe(other).poses.translation)
+    np.testing.assert_array_equal(observe(wide).samples.translation, observe(other).samples.translation)
     other[20, 60] = 255 - other[20, 60]
-    assert (observe(wide).poses.translation != observe(other).poses.translation).any()
+    assert (observe(wide).samples.translation != observe(other).samples.translation).any()
 
 
 @pytest.mark.parametrize("shape", [(30, 45, 3), (480, 640, 3), (64, 48, 3)])
 def test_images_of_any_size_and_aspect_are_taken(shape):
-    assert observe(np.full(shape, 128, np.uint8)).poses.is_finite().all()
+    assert observe(np.full(shape, 128, np.uint8)).samples.is_finite().all()
 
 
 @pytest.mark.parametrize(
@@ -99,43 +100,20 @@ def test_what_is_no_rgb_image_is_refused(shape, dtype):
         observe(np.zeros(shape, dtype))
 
 
-def test_the_calibration_shapes_density_and_likelihood():
-    calibration = Calibration(
-        0.2,
-        0.3,
-        outlier_floor=0.1,
-        temper=0.5,
-        saturation=1.0,
-        preference=0.1,
-        place_bandwidth_translation_m=0.4,
-        place_bandwidth_rotation_rad=0.6,
-        detail_temper=0.7,
-        prior_floor_quantile=0.2,
-        prior_bandwidth_translation_m=0.3,
-        prior_bandwidth_rotation_rad=0.5,
-    )
-    model = VaporObservationModel(replace(make_checkpoint(), calibration=calibration), num_samples=50, device="cpu")
-    posterior = observe(IMAGE, model=model)
-    assert (posterior.density.bandwidth_translation_m, posterior.density.bandwidth_rotation_rad) == (0.2, 0.3)
-    poses = posterior.poses[:5]
-    prior_poses = make_checkpoint().prior_poses
-    density = KernelDensity(prior_poses, 0.3, 0.5)
-    floor = np.quantile(density.log_density(prior_poses), 0.2)
-    prior = np.exp(np.maximum(density.log_density(poses), floor))
-    place = np.exp(KernelDensity(posterior.poses, 0.4, 0.6).log_density(poses))
-    evidence = np.log((0.9 * place / prior + 0.1) / 0.1)
-    assert evidence.min() < 1.0 < evidence.max()  # on both sides of the saturation
-    likelihood = 0.5 * (np.minimum(evidence, 1.0) + 0.1 * np.maximum(evidence - 1.0, 0.0))
-    np.testing.assert_allclose(posterior.log_likelihood(poses), likelihood, rtol=1e-5)
-    ratio = np.exp(posterior.log_density(poses)) / place
-    detail = 0.7 * (1 - np.exp(-evidence)) * np.log(1 + ratio / 0.05)
-    np.testing.assert_allclose(posterior.log_detail(poses), detail, rtol=1e-5)
+def test_the_calibration_says_what_is_a_place_and_how_it_errs():
+    errors = ErrorModel(radius_m=0.8, radius_rad=0.6, spread=1.5, floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
+    checkpoint = replace(make_checkpoint(), calibration=Calibration(errors=errors))
+    posterior = observe(IMAGE, model=VaporObservationModel(checkpoint, num_samples=50, device="cpu"))
+    expected = PosePosterior.from_samples(observe(IMAGE).samples, errors)
+    np.testing.assert_array_equal(posterior.means.as_matrix(), expected.means.as_matrix())
+    np.testing.assert_array_equal(posterior.covariances, expected.covariances)
+    assert (posterior.errors, posterior.unfamiliarity) == (errors, 0.0)
 
 
 def test_a_model_file_observes_as_the_checkpoint_it_was_saved_from(tmp_path):
     save_checkpoint(tmp_path / "m.safetensors", make_checkpoint())
     model = VaporObservationModel.from_checkpoint(str(tmp_path / "m.safetensors"), num_samples=50, device="cpu")
-    np.testing.assert_array_equal(observe(IMAGE, model=model).poses.translation, observe(IMAGE).poses.translation)
+    np.testing.assert_array_equal(observe(IMAGE, model=model).samples.translation, observe(IMAGE).samples.translation)
 
 
 def test_unknown_models_and_absent_devices_are_refused():
@@ -150,20 +128,20 @@ def test_unknown_models_and_absent_devices_are_refused():
 
 def test_a_step_whose_image_is_refused_leaves_the_localizer_as_it_was():
     localizer, untouched = (
-        ParticleLocalizer(MODEL, LocalizerConfig(num_particles=50), rng=np.random.default_rng(3)) for _ in range(2)
+        ParticleLocalizer(MODEL, LocalizerConfig(max_hypotheses=50), rng=np.random.default_rng(3)) for _ in range(2)
     )
-    still = Odometry(Poses.identity(), 1e-4 * np.eye(6))
+    still = Odometry(Poses.identity(), 1e-4 * np.eye(6), 0.1)
     for both in (localizer, untouched):
         both.step(IMAGE, None)
     with pytest.raises(VaporTrackError, match=r"shape \(60, 80\) and type uint8, expected \(H, W, 3\)"):
         localizer.step(IMAGE[..., 0], still)
     with pytest.raises(VaporTrackError, match="not finite"):
-        localizer.step(IMAGE, Odometry(Poses.identity(), np.full((6, 6), np.nan)))  # the network has drawn by then
+        localizer.step(IMAGE, Odometry(Poses.identity(), np.full((6, 6), np.nan), 0.1))  # the network has drawn by then
     after, expected = localizer.step(IMAGE, still), untouched.step(IMAGE, still)
     np.testing.assert_array_equal(after.particles.translation, expected.particles.translation)
     np.testing.assert_array_equal(after.log_weights, expected.log_weights)
     larger = localizer.step(np.kron(IMAGE, np.ones((3, 3, 1), np.uint8)), still)
-    assert np.isfinite(larger.log_evidence)
+    assert np.isfinite(larger.log_weights).all()
 
 
 def test_a_network_that_yields_nan_is_an_error_and_no_estimate():
@@ -172,5 +150,5 @@ def test_a_network_that_yields_nan_is_an_error_and_no_estimate():
              for name, value in checkpoint.state_dict.items()}  # fmt: skip
     model = VaporObservationModel(replace(checkpoint, state_dict=state), num_samples=50, device="cpu")
     localizer = ParticleLocalizer(model, rng=np.random.default_rng(0))
-    with pytest.raises(VaporTrackError, match="kernel centre 0 of 50 is not finite"):
+    with pytest.raises(VaporTrackError, match="samples 0 of 50 is not finite"):
         localizer.step(IMAGE, None)

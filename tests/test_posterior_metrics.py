@@ -19,7 +19,7 @@ def at(*places: tuple[float, float, int]) -> Poses:
 
 def figures(*posteriors: Poses, **options):
     truth = Poses.identity(len(posteriors))
-    return posterior_metrics(posteriors, truth, CALIBRATION, rng=np.random.default_rng(0), **options)
+    return posterior_metrics(posteriors, truth, CALIBRATION, **options)
 
 
 def test_the_paper_s_recall_asks_for_a_share_of_the_samples_within_both_limits():
@@ -61,4 +61,4 @@ def test_as_many_posteriors_as_true_poses_are_expected():
     posteriors = [at((0.0, 0.0, 10))] * 2
     for n in (1, 3, 0):
         with pytest.raises(VaporTrackError, match="expected one for each"):
-            posterior_metrics(posteriors, Poses.identity(n), CALIBRATION, rng=np.random.default_rng(0))
+            posterior_metrics(posteriors, Poses.identity(n), CALIBRATION)

@@ -1,6 +1,7 @@
 """Recordings of a benchmark: the user's own path through a file, kept exactly, once, and for nothing else."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,7 +45,7 @@ def test_a_recording_holds_what_reading_and_observing_the_file_gives(directory, 
     for i, frame in enumerate(frames):
         assert recording.times_ns[i] == frame.time_ns
         np.testing.assert_array_equal(
-            recording.posterior_poses(i).as_matrix(), model.observe(frame.image, rng=rng).poses.as_matrix()
+            recording.posterior_poses(i).as_matrix(), model.observe(frame.image, rng=rng).samples.as_matrix()
         )
         np.testing.assert_array_equal(
             recording.path.world_from_camera[i].as_matrix(), frame.world_from_camera.as_matrix()
@@ -82,7 +83,8 @@ def test_an_interrupted_recording_leaves_nothing(checkpoint, tmp_path, monkeypat
 
 OTHER = {
     "scene": "staircase", "seed": 4, "cues": "none", "frames": 13, "width": 50, "height": 40,
-    "network_sha256": "1" * 64, "num_samples": 31, "synthesis": 99, "package": "9.9",
+    "network_sha256": "1" * 64, "num_samples": 31, "rate_hz": 30.0, "stand": (3, 1.0), "synthesis": 99,
+    "package": "9.9",
 }  # fmt: skip
 
 
@@ -99,6 +101,22 @@ def test_a_recording_is_used_for_its_own_settings_only(name, directory, tmp_path
         (target / file.name).write_bytes(file.read_bytes())
     with pytest.raises(VaporTrackError, match=f"recorded with {name} .*; remove it to make it anew"):
         load_recording(other, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["rate_hz", "stand"])
+def test_an_ordinary_recording_is_none_of_another_rate_or_with_a_stand(name, directory, tmp_path):
+    target = tmp_path / SETTINGS.name
+    shutil.copytree(directory / SETTINGS.name, target)
+    told = replace(SETTINGS, **{name: OTHER[name]}).told
+    (target / "settings.json").write_text(json.dumps(told))
+    with pytest.raises(VaporTrackError, match=f"recorded with {name} .*, expected None"):
+        load_recording(SETTINGS, tmp_path)
+
+
+def test_what_is_as_in_most_recordings_changes_no_name():
+    assert not {"rate_hz", "stand"} & SETTINGS.told.keys()
+    assert replace(SETTINGS, rate_hz=10.0, stand=None).name == SETTINGS.name
+    assert replace(SETTINGS, rate_hz=30.0).name != SETTINGS.name != replace(SETTINGS, stand=(3, 1.0)).name
 
 
 def test_every_setting_of_a_recording_is_checked():
@@ -121,3 +139,57 @@ def test_a_kidnap_jumps_in_what_is_seen_but_not_in_time_or_odometry(directory):
         )
         np.testing.assert_array_equal(replay.odometry[i].covariance, moving.covariance)
     assert replay.cue_images == first.path.sees_cue[2:8].sum() + second.path.sees_cue[3:7].sum()
+
+
+def test_of_a_faster_recording_every_third_image_is_seen_and_the_motions_between_add_up(checkpoint, tmp_path):
+    fast = replace(SETTINGS, frames=13, rate_hz=30.0)
+    make_recording(fast, checkpoint, tmp_path)
+    recording = load_recording(fast, tmp_path)
+    assert np.diff(recording.times_ns) == pytest.approx([1e9 / 30] * 12, abs=2)
+    replay = assemble(Trial("ceiling", "rate-10", (Piece(5, 0, 13),), 3), lambda seed: recording)
+    assert len(replay.odometry) == len(replay.truth) == len(replay.times_ns) == len(replay.unfamiliarity) == 5
+    assert replay.times_ns[0] == recording.times_ns[0]
+    np.testing.assert_allclose(np.diff(replay.times_ns), 1e8, atol=10)
+    np.testing.assert_array_equal(replay.truth.as_matrix(), recording.path.world_from_camera[::3].as_matrix())
+    assert replay.cue_images == recording.path.sees_cue[::3].sum()
+    for i in range(5):
+        np.testing.assert_array_equal(
+            replay.posterior_poses(i).as_matrix(), recording.posterior_poses(3 * i).as_matrix()
+        )
+    for i in range(1, 5):
+        together = recording.motion(3 * i - 2).then(recording.motion(3 * i - 1)).then(recording.motion(3 * i))
+        np.testing.assert_array_equal(
+            replay.odometry[i].previous_from_current.as_matrix(), together.previous_from_current.as_matrix()
+        )
+        np.testing.assert_array_equal(replay.odometry[i].covariance, together.covariance)
+        assert replay.odometry[i].duration_s == pytest.approx(0.1, abs=1e-6)
+
+
+def test_a_recording_of_a_stand_goes_on_where_the_camera_rests(checkpoint, tmp_path):
+    standing = replace(SETTINGS, frames=6, stand=(5, 1.0))
+    make_recording(standing, checkpoint, tmp_path)
+    recording = load_recording(standing, tmp_path)
+    assert standing.num_images == len(recording.times_ns) == len(recording.samples) == 15
+    assert len(recording.path.sees_cue) == 15
+    moved_m, _ = recording.path.world_from_camera[5:].distance(recording.path.world_from_camera[14])
+    assert moved_m.max() < 1e-6
+    assert recording.path.world_from_camera[:5].distance(recording.path.world_from_camera[14])[0].min() > 0.0
+    before = camera_path(standing, tmp_path / "nowhere")
+    np.testing.assert_allclose(
+        before.world_from_camera.as_matrix(), recording.path.world_from_camera.as_matrix(), atol=1e-9
+    )
+
+
+def test_how_unfamiliar_images_are_is_recorded(checkpoint, tmp_path, monkeypatch):
+    told = iter(np.linspace(0.0, 2.2, 12))
+    observe = VaporObservationModel.observe
+    monkeypatch.setattr(
+        VaporObservationModel,
+        "observe",
+        lambda model, image, *, rng: replace(observe(model, image, rng=rng), unfamiliarity=float(next(told))),
+    )
+    make_recording(SETTINGS, checkpoint, tmp_path)
+    recording = load_recording(SETTINGS, tmp_path)
+    np.testing.assert_array_equal(recording.unfamiliarity, np.linspace(0.0, 2.2, 12))
+    replay = assemble(Trial("ceiling", "cue", (Piece(5, 2, 6),)), lambda seed: recording)
+    np.testing.assert_array_equal(replay.unfamiliarity, recording.unfamiliarity[2:8])

@@ -8,11 +8,10 @@ import pytest
 from rich.console import Console
 
 from filtering.errors import VaporTrackError
-from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from tests.simulated_run import simulated_record, simulated_steps
 from vapor.evaluate import dead_reckoning
-from vapor.record import RunRecorder, telling_moments, thin
+from vapor.record import RunRecorder, telling_moments
 from vapor.report import build_report, format_table, write_pictures, write_report
 
 
@@ -38,6 +37,8 @@ def test_the_record_holds_every_image_in_order(record):
     assert record.status == tuple(estimate.status for estimate in estimates)
     assert record.num_modes.tolist() == [len(estimate.modes) for estimate in estimates]
     assert record.step_ms.tolist() == list(step_ms)
+    for name in ("agreement", "unfamiliarity", "effective_sample_size"):
+        assert getattr(record, name).tolist() == [getattr(estimate, name) for estimate in estimates]
     expected = dead_reckoning(frames[0].world_from_camera, [frame.odometry for frame in frames])
     assert np.allclose(record.dead_reckoning.as_matrix(), expected.as_matrix(), atol=1e-12)
 
@@ -57,7 +58,7 @@ def test_however_long_the_run_few_moments_are_kept_with_the_first_and_last_among
     assert len(record.moments) == 24
     assert record.moments[0].time_ns == record.times_ns[0]
     assert record.moments[-1].time_ns == record.times_ns[-1]
-    assert all(len(moment.cloud) <= 300 for moment in record.moments)
+    assert all(len(moment.cloud) == 300 for moment in record.moments)
 
 
 def test_telling_moments_show_the_ambiguous_belief_and_the_resolved_one(record):
@@ -67,14 +68,6 @@ def test_telling_moments_show_the_ambiguous_belief_and_the_resolved_one(record):
     collapse_ns = record.times_ns[next(i for i, s in enumerate(record.status) if s == "converged")]
     before = [moment for moment in chosen if moment.time_ns < collapse_ns]
     assert 2 <= len(before) <= 4
-
-
-def test_thinning_draws_in_proportion_to_weight_and_never_a_weightless_particle():
-    poses = Poses(np.tile(np.eye(3), (4, 1, 1)), np.arange(4.0)[:, None] * np.eye(3)[0])
-    with np.errstate(divide="ignore"):
-        log_weights = np.log(np.repeat([0.1, 0.0, 0.3, 0.6], 250) / 250)
-    many = poses[np.repeat(np.arange(4), 250)]
-    assert np.bincount(thin(many, log_weights, 100).translation[:, 0].astype(int)).tolist() == [10, 0, 30, 60]
 
 
 def test_thumbnails_are_small_and_do_not_share_the_frames_buffer():
@@ -113,15 +106,21 @@ def test_the_report_has_the_keys_of_its_specification(record):
     assert "smoothed" not in report
 
 
-def test_smoothed_and_kalman_are_judged_where_they_exist():
+def test_smoothed_kalman_and_gaussian_sum_are_judged_where_they_exist():
     recorder = RunRecorder()
     for frame, single, estimate, step_ms in simulated_steps(40):
         recorder.add(frame, single, estimate, step_ms)
     plain = recorder.finish()
-    report = build_report(recorder.finish(smoothed=plain.truth, kalman=Trajectory(plain.times_ns, plain.single_image)))
+    single = Trajectory(plain.times_ns, plain.single_image)
+    finished = recorder.finish(smoothed=plain.truth, kalman=single, gaussian_sum=single)
+    report = build_report(finished)
     assert report["smoothed"]["converged_at_s"] == 0.0
     assert report["kalman"]["ape_rmse_m"] == report["single_image"]["ape_rmse_m"]
-    assert [key for key in report if key in ("kalman", "filter", "smoothed")] == ["kalman", "filter", "smoothed"]
+    assert report["gaussian_sum"] == report["kalman"]
+    tracking = ["kalman", "gaussian_sum", "filter", "smoothed"]
+    assert list(finished.methods) == ["single_image", "dead_reckoning", *tracking]
+    assert [key for key in report if key in tracking] == tracking
+    assert "Gaussian sum" in rendered(report)
 
 
 def test_without_true_poses_no_method_is_judged():

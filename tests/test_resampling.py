@@ -1,42 +1,10 @@
 import numpy as np
 import pytest
 from filterpy.monte_carlo import systematic_resample
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from filtering.errors import VaporTrackError
-from filtering.particles import Particles
-from filtering.resampling import multinomial, stratified, systematic
-from filtering.se3 import Poses
-
-SCHEMES = [systematic, stratified, multinomial]
-
-
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_every_scheme_is_unbiased(scheme):
-    rng = np.random.default_rng(0)
-    weights = rng.dirichlet(np.ones(7))
-    counts = sum(np.bincount(scheme(weights, 20, rng=rng), minlength=7) for _ in range(4000)) / 4000
-    np.testing.assert_allclose(counts, 20 * weights, atol=0.12)  # at most 4 standard errors of multinomial draws
-
-
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_zero_weight_particles_are_never_drawn(scheme):
-    weights = np.array([0.0, 0.3, 0.0, 0.7, 0.0])
-    drawn = np.concatenate([scheme(weights, 50, rng=np.random.default_rng(s)) for s in range(200)])
-    assert set(drawn) == {1, 3}
-
-
-def test_systematic_gives_each_index_its_share_rounded_down_or_up():
-    weights = np.random.default_rng(1).dirichlet(np.ones(30))
-    counts = np.bincount(systematic(weights, 100, rng=np.random.default_rng(2)), minlength=30)
-    assert (np.abs(counts - 100 * weights) < 1).all()
-
-
-def test_systematic_agrees_with_filterpy_for_the_same_offset(monkeypatch):
-    weights = np.random.default_rng(3).dirichlet(np.ones(64))
-    monkeypatch.setattr("filterpy.monte_carlo.resampling.random", lambda: np.random.default_rng(4).random())
-    theirs = systematic_resample(weights)
-    np.testing.assert_array_equal(systematic(weights, 64, rng=np.random.default_rng(4)), theirs)
-
+from filtering.resampling import systematic, thin_out
 
 WEIGHTS = [
     np.random.default_rng(5).dirichlet(np.ones(8)),
@@ -47,57 +15,90 @@ WEIGHTS = [
 ]
 
 
+def log(weights):
+    with np.errstate(divide="ignore"):
+        return np.log(weights)
+
+
+# --- systematic -------------------------------------------------------------------------------------
+
+
+def test_systematic_draws_are_unbiased():
+    rng = np.random.default_rng(0)
+    weights = rng.dirichlet(np.ones(7))
+    counts = sum(np.bincount(systematic(weights, 20, rng=rng), minlength=7) for _ in range(4000)) / 4000
+    np.testing.assert_allclose(counts, 20 * weights, atol=0.04)  # at most 4 standard errors of 0.5/√4000
+
+
+def test_zero_weight_particles_are_never_drawn():
+    weights = np.array([0.0, 0.3, 0.0, 0.7, 0.0])
+    drawn = np.concatenate([systematic(weights, 50, rng=np.random.default_rng(s)) for s in range(200)])
+    assert set(drawn) == {1, 3}
+
+
 @pytest.mark.parametrize("weights", WEIGHTS)
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_counts_have_the_mean_of_filterpys_systematic_ones_and_no_scheme_but_the_independent_a_larger_variance(
-    scheme, weights, monkeypatch
-):
-    """filterpy's draws from the same number of offsets: means agree within 4 standard errors of the binomial, for the
-    systematic scheme every count is ⌊nw⌋ or ⌈nw⌉ and has filterpy's variance too."""
-    n, repeats, rng = len(weights), 4000, np.random.default_rng(7)
-    monkeypatch.setattr("filterpy.monte_carlo.resampling.random", lambda: rng.random())
-    theirs = np.array([np.bincount(systematic_resample(weights), minlength=n) for _ in range(repeats)])
-    counts = np.array([np.bincount(scheme(weights, n, rng=rng), minlength=n) for _ in range(repeats)])
-    binomial = n * weights * (1 - weights)
-    error = 4 * np.sqrt(2 * np.maximum(binomial, 0.0) / repeats) + 1e-3
-    assert (np.abs(counts.mean(axis=0) - theirs.mean(axis=0)) < error).all()
-    assert (counts.sum(axis=1) == n).all()
-    fraction = n * weights % 1
-    least_variance = fraction * (1 - fraction)
-    if scheme is systematic:
-        assert (np.abs(counts - n * weights) < 1 + 1e-9).all()
-        for drawn in (counts, theirs):
-            np.testing.assert_allclose(drawn.var(axis=0), least_variance, atol=0.02)
-    elif scheme is multinomial:
-        np.testing.assert_allclose(counts.var(axis=0), binomial, rtol=0.15, atol=0.02)
-    else:
-        assert (counts.var(axis=0) <= 1.15 * binomial + 0.02).all()
+def test_systematic_gives_each_index_its_share_rounded_down_or_up_whatever_the_weights_add_up_to(weights):
+    for total in (1.0, 1e-9, 7.0):
+        counts = np.bincount(systematic(total * weights, 100, rng=np.random.default_rng(2)), minlength=8)
+        assert (np.abs(counts - 100 * weights) < 1 + 1e-9).all()
 
 
-@pytest.mark.parametrize("weights", [[np.nan, 1.0], [-0.1, 1.1], [0.0, 0.0], [np.inf, 1.0]])
-def test_weights_that_are_none_are_refused(weights):
-    with pytest.raises(VaporTrackError, match="resampling weights"):
-        systematic(np.array(weights), 5, rng=np.random.default_rng(0))
+def test_systematic_agrees_with_filterpy_for_the_same_offset(monkeypatch):
+    weights = np.random.default_rng(3).dirichlet(np.ones(64))
+    monkeypatch.setattr("filterpy.monte_carlo.resampling.random", lambda: np.random.default_rng(4).random())
+    theirs = systematic_resample(weights)
+    np.testing.assert_array_equal(systematic(weights, 64, rng=np.random.default_rng(4)), theirs)
 
 
-def test_effective_sample_size_spans_one_to_n():
-    equal, _ = Particles.from_unnormalised(Poses.identity(8), np.zeros(8))
-    assert equal.effective_sample_size == pytest.approx(8.0)
-    one = np.full(8, -np.inf)
-    one[3] = 5.0
-    single, evidence = Particles.from_unnormalised(Poses.identity(8), one)
-    assert single.effective_sample_size == pytest.approx(1.0)
-    assert evidence == pytest.approx(5.0 - np.log(8))
+# --- thinning out -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("bad", "message"), [(np.nan, "particle 2 is nan"), (np.inf, "particle 2 is inf")])
-def test_weights_that_are_not_finite_are_refused_and_named(bad, message):
-    log_weights = np.zeros(5)
-    log_weights[2] = bad
-    with pytest.raises(VaporTrackError, match=message):
-        Particles.from_unnormalised(Poses.identity(5), log_weights)
+@settings(max_examples=200, deadline=None)
+@given(
+    size=st.integers(2, 60),
+    kept=st.floats(0.0, 1.0),
+    concentration=st.sampled_from([0.02, 0.1, 1.0, 100.0]),
+    seed=st.integers(0, 10_000),
+)
+def test_thinning_out_keeps_exactly_as_many_as_asked_each_once_and_the_sum_of_weights(size, kept, concentration, seed):
+    rng = np.random.default_rng(seed)
+    count = 1 + int(kept * (size - 2))
+    weights = rng.dirichlet(np.full(size, concentration)) + 1e-12
+    weights /= weights.sum()
+    index, log_weights = thin_out(np.log(weights), count, rng=rng)
+    assert len(index) == len(log_weights) == count
+    assert len(set(index)) == count
+    assert np.exp(log_weights).sum() == pytest.approx(1.0)
+    lightest = np.exp(log_weights.min())
+    heavy = np.flatnonzero(weights > lightest * (1 + 1e-9))
+    assert set(heavy) <= set(index)  # what is above the threshold is kept,
+    own = np.isin(index, heavy)
+    np.testing.assert_allclose(np.exp(log_weights[own]), weights[index[own]])  # with its weight,
+    np.testing.assert_allclose(np.exp(log_weights[~own]), lightest)  # and the others all weigh the same
 
 
-def test_all_zero_weights_are_refused():
-    with pytest.raises(VaporTrackError, match="all 4 particle weights are zero"):
-        Particles.from_unnormalised(Poses.identity(4), np.full(4, -np.inf))
+@pytest.mark.parametrize("weights", [*WEIGHTS[:3], np.array([0.4, 0.3, 0.1, 0.1, 0.05, 0.03, 0.015, 0.005])])
+@pytest.mark.parametrize("count", [1, 3, 7])
+def test_the_expected_weight_of_each_is_what_it_was(weights, count):
+    rng, repeats = np.random.default_rng(7), 4000
+    after = np.zeros((repeats, len(weights)))
+    for row in after:
+        index, log_weights = thin_out(np.log(weights), count, rng=rng)
+        row[index] = np.exp(log_weights)
+    error = 4 * after.std(axis=0) / np.sqrt(repeats) + 1e-3 * weights.max()
+    assert (np.abs(after.mean(axis=0) - weights) <= error + 1e-12).all()
+
+
+def test_the_heavy_are_never_up_for_the_draw():
+    weights = np.array([0.5, 0.3] + [0.2 / 50] * 50)
+    for seed in range(50):
+        index, log_weights = thin_out(np.log(weights), 10, rng=np.random.default_rng(seed))
+        assert {0, 1} <= set(index)
+        np.testing.assert_allclose(np.exp(log_weights), [0.5, 0.3, *[0.2 / 8] * 8])
+
+
+def test_what_weighs_nothing_is_never_kept_while_enough_else_is_there():
+    weights = np.array([0.0, 0.6, 0.0, 0.3, 0.1])
+    for seed in range(50):
+        index, _ = thin_out(log(weights), 2, rng=np.random.default_rng(seed))
+        assert set(index) <= {1, 3, 4}

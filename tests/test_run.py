@@ -3,32 +3,46 @@
 import json
 import re
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import StringIO
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from filtering.error_model import ErrorModel
 from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
+from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
+from sequences.odometry_fit import OdometryFit
 from sequences.reader import SequenceReader
 from sequences.synthesize import synthesize, write_synthetic
 from sequences.tum import read_tum, write_tum
-from tests.sequence_files import Walk, as_split_folder, rewrite
-from tests.tiny_model import SMALL
+from tests.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
+from tests.simulation import ERRORS, lifted, seen_at
+from tests.tiny_model import NETWORK, SMALL
+from vapor.checkpoint import load_checkpoint, save_checkpoint
+from vapor.familiarity import learn_familiarity
+from vapor.observation import VaporObservationModel
+from vapor.record import RunRecord
+from vapor.run import FilteringConfig, localize
 from vapor.track import main
+from vapor.training_set import load_training_set
 
 README = Path(__file__).parents[1] / "README.md"
-TRAJECTORIES = {"trajectory.tum", "smoothed.tum", "single_image.tum", "dead_reckoning.tum", "kalman.tum"}
+TRAJECTORIES = {
+    "trajectory.tum", "smoothed.tum", "single_image.tum", "dead_reckoning.tum", "kalman.tum", "gaussian_sum.tum",
+}  # fmt: skip
 WITH_TRUTH = {"ground_truth.tum", "errors.png"}
 FILES = TRAJECTORIES | {"estimate.mcap", "config.json", "report.json", "trajectory.png", "particles.png"}
+ROUGH = ErrorModel(radius_m=1.0)
 METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "worse_than"}
-METHODS = {"single_image", "dead_reckoning", "kalman", "filter", "smoothed"}
+METHODS = {"single_image", "dead_reckoning", "kalman", "gaussian_sum", "filter", "smoothed"}
 
 
 def run(sequence: Path, model: Path, output: Path, *words: str) -> int:
@@ -74,7 +88,7 @@ def test_a_run_writes_everything_and_leaves_nothing_else(finished):
 
 
 def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
-    for words in ("single image", "dead reckoning", "Kalman filter", "particle filter", "smoothed"):
+    for words in ("single image", "dead reckoning", "Kalman filter", "Gaussian sum", "particle filter", "smoothed"):
         assert words in finished.printed
     for name in ("report.json", "recording.rrd", "particles.png"):
         assert str(finished.directory / name) in finished.printed
@@ -92,7 +106,7 @@ def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     assert 0 < report["step_ms"]["p50"] <= report["step_ms"]["p95"]
     assert report["peak_rss_mb"] > 50
     for method in METHODS:
-        tracks = method in ("kalman", "filter", "smoothed")
+        tracks = method in ("kalman", "gaussian_sum", "filter", "smoothed")
         tracking = {"converged_at_s", "success", "after_convergence"} if tracks else set()
         assert set(report[method]) == METRICS | tracking
         assert set(report[method]["recall"]) == {"0.1m/10deg", "0.2m/15deg", "0.3m/20deg"}
@@ -129,7 +143,7 @@ def test_the_estimate_can_be_read_back_with_the_poses_of_the_trajectory(finished
     assert trajectory.poses.distance(read)[1].max() < 1e-7
     assert all(np.linalg.eigvalsh(np.reshape(p.pose.covariance, (6, 6)))[0] >= -1e-9 for p in poses)
     clouds = by_topic["/estimate/particles geometry_msgs/msg/PoseArray"]
-    assert {len(cloud.poses) for cloud in clouds} == {150}
+    assert {len(cloud.poses) for cloud in clouds} == {500}
 
 
 def test_the_configuration_tells_every_setting_as_it_was_used(finished):
@@ -137,7 +151,7 @@ def test_the_configuration_tells_every_setting_as_it_was_used(finished):
     assert config["sequence"] == {"name": "walk.mcap", "images": 25, "odometry": "exact, for tests"}
     assert config["model"]["name"] == "tiny.safetensors"
     assert (config["run"]["seed"], config["run"]["num_samples"], config["run"]["device"]) == (0, 60, "cpu")
-    assert config["run"]["localizer"]["num_particles"] == 150
+    assert config["run"]["localizer"]["max_hypotheses"] == 40
     assert config["reading"]["image_topic"] == "/camera/image/compressed"
     assert config["reading"]["odometry_topic"] == "/odom"
     assert len(config["reading"]["base_from_camera"]) == 7
@@ -220,38 +234,121 @@ def test_options_choose_the_stretch_and_leave_out_topics(tiny_model, walk_of_25,
     assert (report["frames"], report["duration_s"], report["frames_with_true_pose"]) == (11, 1.0, 0)
 
 
-# --- the Python API ----------------------------------------------------------------------------------
+# --- what happens on the way --------------------------------------------------------------------------
+
+
+class Floors:
+    """Says where the camera is, and from some image on the same a floor higher as well: one image after the other."""
+
+    def __init__(self, truth: Poses, *, alone: int, unfamiliar: range = range(0)) -> None:
+        self.truth, self.alone, self.unfamiliar = truth, alone, unfamiliar
+        self.count = -1
+
+    def observe(self, image, *, rng):
+        self.count += 1
+        floors = [0.0] if self.count < self.alone else [0.0, 6.0]
+        share = 1.0 / len(floors)
+        unfamiliarity = 3.0 if self.count in self.unfamiliar else 0.2
+        return seen_at(lifted(self.truth[self.count], floors), [share] * len(floors), unfamiliarity=unfamiliarity)
+
+
+def floors_of(sequence: Path, **options) -> Floors:
+    return Floors(Poses.stack([frame.world_from_camera for frame in SequenceReader(sequence)]), **options)
+
+
+def follow(sequence: Path, directory: Path, model: ObservationModel) -> RunRecord:
+    directory.mkdir()
+    return localize(SequenceReader(sequence), model, directory, FilteringConfig(recording=False), ERRORS)
+
+
+def test_a_gap_in_the_odometry_widens_the_belief_but_does_not_forget_it(walk_of_25, tmp_path):
+    begins, ends = BEGIN_NS + 1_020_000_000, BEGIN_NS + 1_780_000_000
+    gappy = rewrite(walk_of_25, tmp_path / "g.mcap", keep=lambda topic, t: topic != "/odom" or not begins < t < ends)
+    record = follow(gappy, tmp_path / "out", floors_of(gappy, alone=8))
+    assert record.skipped["odometry does not cover"] > 3
+    (after,) = np.flatnonzero(np.diff(record.times_ns) > 300_000_000) + 1
+    assert 8 < after < len(record.times_ns) - 5  # two floors are possible by then, if the belief began anew
+    std = np.sqrt(record.covariance[:, 0, 0])
+    assert std[after] > 1.1 * std[after - 1]
+    assert record.best_weight[after:].min() > 0.9
+    assert record.filter.distance(record.truth.poses)[0].max() < 0.2
+
+
+def test_foreign_images_make_a_run_lost_and_it_recovers(tmp_path):
+    sequence = Walk(60).write(tmp_path / "walk.mcap")
+    record = follow(sequence, tmp_path / "out", floors_of(sequence, alone=60, unfamiliar=range(20, 40)))
+    assert record.unfamiliarity.tolist() == [3.0 if 20 <= i < 40 else 0.2 for i in range(60)]
+    assert set(record.status[10:20]) == {"converged"}
+    assert record.status[39] == "lost"
+    assert record.status[59] == "converged"
+    assert record.agreement[39] < 0.3 < 0.7 < record.agreement[59]
 
 
 @dataclass(frozen=True)
-class Nearby:
-    """A user's posterior: Gaussian in position about a point, any rotation near one; nothing of ours inherited."""
+class Judged:
+    """Posteriors of one model, with the unfamiliarity of another."""
 
-    centre: np.ndarray
-    std_m: float = 0.2
+    says: Floors
+    judges: VaporObservationModel
 
-    def sample(self, num_samples, *, rng):
-        tangent = rng.standard_normal((num_samples, 6)) * [*[self.std_m] * 3, 0.1, 0.1, 0.1]
-        moved = Poses.exp(tangent)
-        return Poses(moved.rotation, self.centre + tangent[:, :3])
+    def observe(self, image, *, rng):
+        unfamiliarity = self.judges.observe(image, rng=rng).unfamiliarity
+        return replace(self.says.observe(image, rng=rng), unfamiliarity=unfamiliarity)
 
-    def log_density(self, poses):
-        far = np.sum((poses.translation - self.centre) ** 2, axis=1) / self.std_m**2
-        turned = poses.distance(Poses.identity())[1] / 0.1
-        return -0.5 * (far + turned**2) - 3 * np.log(2 * np.pi * self.std_m * 0.1)
 
-    def log_likelihood(self, poses):
-        return np.logaddexp(self.log_density(poses) + np.log(1000.0 * 8 * np.pi**2), 0.0)
+def test_black_frames_are_lost_where_the_model_knows_what_is_familiar(tiny_model, tmp_path):
+    """They are equal, pixel by pixel: a camera that freezes on a picture of the place is not lost."""
+    walk = Walk(60)
+    black = cv2.imencode(".png", np.zeros((32, 48, 3), np.uint8))[1].tobytes()
+    walk.images = [(time_ns, data if i < 30 else black) for i, (time_ns, data) in enumerate(walk.images)]
+    sequence = walk.write(tmp_path / "black.mcap")
+    checkpoint = load_checkpoint(tiny_model)
+    images = load_training_set({"walk": list(SequenceReader(sequence))[:30] * 3}, NETWORK.frame_size)
+    knowing = replace(checkpoint, familiarity=learn_familiarity(checkpoint.build_network(), images, images))
+    status = {}
+    for name, judge in (("knowing", knowing), ("unknowing", checkpoint)):
+        model = Judged(floors_of(sequence, alone=60), VaporObservationModel(judge, num_samples=1, device="cpu"))
+        status[name] = follow(sequence, tmp_path / name, model).status
+    assert status["knowing"][10:30] == status["unknowing"][10:30] == ("converged",) * 20
+    assert status["knowing"][50:] == ("lost",) * 10
+    assert "lost" not in status["unknowing"]
+
+
+def test_the_noise_of_odometry_is_that_of_the_calibration_unless_it_is_told_not_to(tiny_model, walk_of_25, tmp_path):
+    six = (0.01,) * 6
+    fit = OdometryFit(six, six, six, 30.0, 0.0, 0.1, six, six, six, 0.1, 100, 1, 10.0, 10.0, 0)
+    checkpoint = load_checkpoint(tiny_model)
+    calibration = replace(checkpoint.calibration, odometry=fit)
+    model = tmp_path / "fitted.safetensors"
+    save_checkpoint(model, replace(checkpoint, calibration=calibration), half=True)
+    assert run(walk_of_25, model, tmp_path / "fitted", "--no-recording", "--fitted-odometry") == 0
+    assert run(walk_of_25, model, tmp_path / "stated", "--no-recording", "--no-fitted-odometry") == 0
+    assert run(walk_of_25, tiny_model, tmp_path / "plain", "--no-recording") == 0
+    fitted, stated, plain = (
+        {name: (tmp_path / folder / name).read_bytes() for name in ("kalman.tum", "trajectory.tum")}
+        for folder in ("fitted", "stated", "plain")
+    )
+    assert fitted["kalman.tum"] != stated["kalman.tum"]
+    assert stated == plain
+    config = json.loads((tmp_path / "stated" / "config.json").read_text())
+    assert config["run"]["fitted_odometry"] is False
+
+
+# --- the Python API ----------------------------------------------------------------------------------
 
 
 class UsersModel:
+    """A user's posterior: Gaussian in position about a point, any rotation near one; nothing of ours inherited."""
+
     def observe(self, image, *, rng):
-        return Nearby(np.array([image[0, 0, 0] / 10.0, 2.0, 1.5]))
+        tangent = rng.standard_normal((300, 6)) * [0.2, 0.2, 0.2, 0.1, 0.1, 0.1]
+        centre = np.array([image[0, 0, 0] / 10.0, 2.0, 1.5])
+        return PosePosterior.from_samples(Poses(Poses.exp(tangent).rotation, centre + tangent[:, :3]), ROUGH)
 
 
 def test_a_users_own_observation_model_drives_the_filter():
-    localizer = ParticleLocalizer(UsersModel(), LocalizerConfig(num_particles=400), rng=np.random.default_rng(0))
-    odom = Odometry(Poses.exp(np.array([0.1, 0, 0, 0, 0, 0])), np.diag([1e-4] * 6))
+    localizer = ParticleLocalizer(UsersModel(), LocalizerConfig(), rng=np.random.default_rng(0))
+    odom = Odometry(Poses.exp(np.array([0.1, 0, 0, 0, 0, 0])), np.diag([1e-4] * 6), 0.1)
     for i in range(15):
         estimate = localizer.step(np.full((4, 6, 3), i, np.uint8), odom if i else None)
         best = estimate.modes[0]

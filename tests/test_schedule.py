@@ -9,7 +9,6 @@ import cv2
 import pytest
 
 from filtering.errors import VaporTrackError
-from vapor.checkpoint import Calibration
 from vapor.experiments import schedule as schedule_module
 from vapor.experiments.schedule import DEFAULT, PAPER, Point, ScheduleConfig, _Clock, summary
 from vapor.loss import LossConfig
@@ -27,7 +26,8 @@ TINY = ScheduleConfig(
     train=TrainConfig(
         network=NetworkConfig(image_width=32, image_height=32, shortest_edge=34, feature_dim=16, latent_dim=4),
         loss=LossConfig(alpha=0.3),
-        calibration=Calibration(2.0, 2.0),
+        bandwidth_translation_m=2.0,
+        bandwidth_rotation_rad=2.0,
         epochs=2,
         batch_size=16,
         calibrate=False,

@@ -36,7 +36,8 @@ TINY = TrainConfig(
         hidden_layers=2,
     ),
     loss=LossConfig(num_samples=64, position_unit="metre"),
-    calibration=Calibration(1.0, 1.0),  # wide, so that a few steps move the held-out density
+    bandwidth_translation_m=1.0,
+    bandwidth_rotation_rad=1.0,  # wide, so that a few steps move the held-out density
     learning_rate=1e-3,
     select_by="log_density",  # moves from the first epoch on, when no sample is near yet
     epochs=4,
@@ -83,7 +84,7 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
     result = train_on({"two places": frames * 120}, tmp_path / "m.safetensors", config)
     model = VaporObservationModel.from_checkpoint(result.checkpoint, num_samples=400, device="cpu")
     for i in range(3):
-        samples = model.observe(frames[i].image, rng=np.random.default_rng(i)).poses
+        samples = model.observe(frames[i].image, rng=np.random.default_rng(i)).samples
         near = [samples.distance(pose(frames[j]))[0] < 0.5 for j in (i, i + 3)]
         assert near[0].mean() > 0.15
         assert near[1].mean() > 0.15
@@ -405,8 +406,8 @@ def test_paper_presets_have_the_papers_numbers(name, lambda_r, batch, epochs, n,
         (LossConfig, {"num_samples": 0}),
         (AugmentConfig, {"brightness": -0.1}),
         (AugmentConfig, {"blur_probability": 1.5}),
-        (Calibration, {"outlier_floor": 0.0}),
-        (Calibration, {"bandwidth_translation_m": -1.0}),
+        (Calibration, {"bandwidth_rotation_rad": 0.0}),
+        (TrainConfig, {"bandwidth_translation_m": -1.0}),
     ],
 )
 def test_settings_out_of_range_are_refused(kind, change):

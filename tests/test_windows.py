@@ -6,7 +6,7 @@ import pytest
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from vapor.recordings import CameraPath
-from vapor.windows import Piece, Trial, choose_trials, cue_starts, recording_frames, spread_starts
+from vapor.windows import CUES, STRIDES, Piece, Trial, choose_trials, cue_starts, recording_frames, spread_starts
 
 FRAMES = 60
 
@@ -58,7 +58,7 @@ def test_every_cue_run_sees_something_unique_in_its_first_half():
     assert trials[0].name == f"ceiling-cue-7-{trials[0].pieces[0].start}"
 
 
-@pytest.mark.parametrize("kind", ["cue", "no-cue", "kidnap"])
+@pytest.mark.parametrize("kind", CUES)
 def test_fewer_runs_are_the_first_of_more_and_the_same_every_time(kind):
     assert chosen(kind, runs=3) == chosen(kind, runs=9)[:3]
     assert chosen(kind, runs=3, first_seed=8) != chosen(kind, runs=3)
@@ -74,6 +74,19 @@ def test_seeds_without_anything_unique_are_passed_over_and_in_the_end_given_up()
 def test_runs_without_anything_unique_are_whole_recordings():
     assert chosen("no-cue", runs=2) == [Trial("ceiling", "no-cue", (Piece(s, 0, FRAMES),)) for s in (7, 8)]
     assert recording_frames("no-cue", FRAMES) == FRAMES
+
+
+def test_runs_at_a_rate_are_the_same_recordings_of_which_some_images_are_seen():
+    count = recording_frames("rate-30", FRAMES)
+    assert count == 3 * FRAMES
+    for kind, stride in (("rate-3", 10), ("rate-10", 3), ("rate-30", 1)):
+        assert STRIDES[kind] == stride
+        assert chosen(kind, runs=2) == [Trial("ceiling", kind, (Piece(s, 0, count),), stride) for s in (7, 8)]
+
+
+def test_a_standing_camera_walks_for_five_seconds_and_stands_for_five_minutes():
+    assert chosen("standing", runs=1) == [Trial("ceiling", "standing", (Piece(7, 0, 3050),))]
+    assert recording_frames("standing", FRAMES) == 51  # while it stands, the path does not go on
 
 
 def test_a_kidnap_goes_far_and_lands_where_something_unique_is_soon_seen():

@@ -8,6 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from filtering.motion import accumulated
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
@@ -57,7 +58,9 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     y, x = np.mgrid[0:48, 0:64]
     expected = np.stack([4 * x, 5 * y, 255 - 2 * x - 2 * y], axis=-1)
     assert np.abs(frames[0].image - expected.astype(float)).mean() < 4  # JPEG; swapped channels would be 80 off
-    increment = Poses.exp(np.array([0.1, 0.2, 0.0, 0.0, 0.0, 0.3]))
+    tangent = np.array([0.1, 0.2, 0.0, 0.0, 0.0, 0.3])
+    increment = Poses.exp(tangent)
+    covariance = accumulated(tangent, np.eye(6) * 0.01 * 0.1**2)  # of the base; it comes evenly along the way
     base_from_camera = Poses.exp(np.arange(6) * 0.2)
     camera_increment = base_from_camera.inverse() @ increment @ base_from_camera
     carry = base_from_camera.inverse().adjoint()
@@ -69,7 +72,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
             assert frame.odometry is not None
             found = frame.odometry.previous_from_current.as_matrix()
             np.testing.assert_allclose(found, camera_increment.as_matrix(), atol=1e-12)
-            np.testing.assert_allclose(frame.odometry.covariance, carry @ carry.T * 0.01 * 0.1**2, atol=1e-15)
+            np.testing.assert_allclose(frame.odometry.covariance, carry @ covariance @ carry.T, atol=1e-15)
 
 
 def test_messages_are_as_ros_has_them(tmp_path: Path) -> None:

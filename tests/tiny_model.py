@@ -13,7 +13,7 @@ from vapor.checkpoint import Calibration, Checkpoint, save_checkpoint
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 
 NETWORK = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
-SMALL = ["--num-samples", "60", "--localizer.num-particles", "150"]
+SMALL = ["--num-samples", "60", "--localizer.max-hypotheses", "40"]
 """Options of `vapor-track run` that make a step cheap."""
 
 Tensors = dict[str, torch.Tensor]

@@ -1,0 +1,68 @@
+"""A walk whose images and odometry err exactly as the error model says, past copies of the true place."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filtering.error_model import ErrorModel
+from filtering.motion import Odometry, SlowErrors
+from filtering.novelty import ViewMeter
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+
+ERRORS = ErrorModel(
+    floor=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05),
+    typical_std=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05),
+    tail=1e6,
+    constant_share=1e-9,
+    outlier_share=1e-3,
+)
+SLOW = SlowErrors(scale=0.03, relative_drift=1.0)
+ODOMETRY_STD = np.array([0.004] * 3 + [0.002] * 3)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What was, what odometry and images said of it, and how far each image was from the one before, in lengths."""
+
+    truth: Poses
+    odometry: list[Odometry | None]
+    posteriors: list[PosePosterior]
+    ways: np.ndarray
+
+
+def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=SLOW, speed_m=0.05, unit=1.0):
+    """A walk along a wavy line. `lifts` of an image: heights of equally possible places above the true one, metres.
+
+    Lengths are in metres times `unit`; the same generator gives the same walk in any unit.
+    """
+    errors, lengths = errors.scaled(unit), np.array([unit] * 3 + [1.0] * 3)
+    std = np.asarray(errors.floor)
+    scale, drift = slow.scale * rng.standard_normal(), rng.standard_normal(6)
+    bias, meter = rng.standard_normal(6), ViewMeter(errors.length_m, errors.length_rad)
+    truth, odometry, posteriors, ways = [Poses.identity()], [None], [], [0.0]
+    step_s = 0.1
+    for i in range(num_images):
+        if i:
+            step = lengths * np.array([speed_m, 0, 0.2 * speed_m, 0, 0, 0.4 * speed_m * np.sin(i / 15)])
+            kept = np.exp(-step_s / slow.time_s)
+            drift = kept * drift + np.sqrt(1 - kept**2) * rng.standard_normal(6)
+            noise = lengths * ODOMETRY_STD
+            wrong = slow.relative_drift * noise * np.sqrt(step_s) * drift + noise * rng.standard_normal(6)
+            wrong[:3] += scale * step[:3]
+            reported = Poses.exp(step) @ Poses.exp(wrong)
+            truth.append(truth[-1] @ Poses.exp(step))
+            odometry.append(Odometry(reported, np.diag(noise**2), step_s))
+            meter, way = meter.moved(reported)
+            ways.append(way)
+            bias = np.exp(-way) * bias + np.sqrt(-np.expm1(-2 * way)) * rng.standard_normal(6)
+        fresh = rng.standard_normal(6)
+        error = std * (np.sqrt(errors.lasting_share) * bias + np.sqrt(1 - errors.lasting_share) * fresh)
+        seen = truth[-1] @ Poses.exp(error)
+        heights = unit * np.asarray(lifts(i))
+        lift = heights[:, None] * np.array([0.0, 0.0, 1.0])
+        means = Poses(np.repeat(seen.rotation[None], len(heights), 0), seen.translation + lift)
+        covariances = np.repeat(np.diag(std**2)[None], len(heights), 0)
+        shares = np.full(len(heights), 1.0 / max(len(heights), 1))
+        posteriors.append(PosePosterior(means, covariances, shares, errors, means))
+    return Walk(Poses.stack(truth), odometry, posteriors, np.array(ways))

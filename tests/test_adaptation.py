@@ -1,0 +1,306 @@
+"""Whether images err more than modelled is told from odometry, and told to the filter and to the baseline."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from filtering.adaptation import ErrorScale
+from filtering.kalman import KalmanConfig, KalmanLocalizer
+from filtering.localizer import GapConfig, LocalizerConfig, ParticleLocalizer, View
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from tests.modelled_walk import ERRORS, SLOW, walk
+from tests.simulation import lifted, motion, seen_at
+
+AHEAD = motion(0.5, 0, 0, 0, 0, 0)  # a length
+STAY = motion(0, 0, 0, 0, 0, 0)
+THERE = Poses.identity(1)
+UP = np.array([0.0, 0.0, 9.0])
+
+
+@cache
+def simulated(seed, num_images=250, per_image=1):
+    """A walk whose errors follow the model; `per_image` times the images a second."""
+    return walk(num_images * per_image, rng=np.random.default_rng(seed), speed_m=0.05 / per_image)
+
+
+def understated(path, factor):
+    """The same walk, the variance of the errors `factor` times what the posteriors say."""
+    return replace(path, posteriors=[posterior.inflated(1.0 / factor) for posterior in path.posteriors])
+
+
+def scale_along(path, scale=None):
+    scale = scale or ErrorScale()
+    for posterior, odometry, way in zip(path.posteriors, path.odometry, path.ways, strict=True):
+        scale = scale if odometry is None else scale.moved(odometry, way)
+        scale = scale.looked(posterior)
+    return scale
+
+
+def shifted(posterior, offset):
+    means = Poses(posterior.means.rotation, posterior.means.translation + offset)
+    return replace(posterior, means=means, samples=means)
+
+
+def compared(difference, *, errors=ERRORS, way=1.0, start=None):
+    """The scale after two images a length apart, the second of which is so many standard deviations off along x."""
+    scale = (start or ErrorScale()).looked(seen_at(THERE, errors=errors)).moved(AHEAD, way)
+    pose = THERE @ AHEAD.previous_from_current @ Poses.exp(np.array([0.1 * difference, 0, 0, 0, 0, 0]))
+    return scale.looked(seen_at(pose, errors=errors))
+
+
+# --- how much larger --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("per_image", [1, 3])
+def test_errors_that_follow_the_model_are_taken_as_they_are(per_image):
+    factors = [scale_along(simulated(seed, per_image=per_image)).factor for seed in range(3)]
+    assert max(factors) < 1.25
+    assert np.mean(factors) < 1.1
+
+
+def test_errors_smaller_than_modelled_are_taken_as_modelled():
+    assert scale_along(understated(simulated(0), 0.25)).factor == 1.0
+
+
+@pytest.mark.parametrize("per_image", [1, 3])
+def test_errors_of_four_times_the_variance_are_found_out_at_any_rate(per_image):
+    factors = [scale_along(understated(simulated(seed, per_image=per_image), 4.0)).factor for seed in range(3)]
+    assert np.mean(factors) == pytest.approx(4.0, rel=0.2)
+    assert min(factors) > 2.5
+
+
+def test_errors_that_become_as_modelled_again_are_taken_so_in_time():
+    larger = scale_along(understated(simulated(0), 4.0))
+    scale = replace(larger, place=None)
+    for seed in (1, 2, 0, 1):
+        scale = replace(scale_along(simulated(seed), scale), place=None)
+    assert larger.factor > 3.0
+    assert scale.factor < 1.4
+
+
+# --- what is compared -------------------------------------------------------------------------------
+
+
+def test_standing_changes_nothing_however_the_images_differ():
+    rng = np.random.default_rng(0)
+    localizer = ParticleLocalizer(None, rng=rng)
+    scale = compared(3.0)
+    factor = scale.factor
+    assert factor > 1.0
+    for _ in range(100):
+        seen = seen_at(Poses.exp(0.3 * rng.standard_normal((1, 6))))
+        scale = scale.moved(STAY, 0.0).looked(seen)
+        estimate = localizer.update(seen, STAY)
+    assert scale.factor == factor
+    assert estimate.modes[0].widest_std_m < 0.2
+
+
+def test_images_less_than_half_a_length_apart_are_not_compared():
+    near, far = compared(3.0, way=0.45), compared(3.0, way=0.55)
+    assert near.count == ErrorScale().count
+    assert far.count == ErrorScale().count + 1.0
+    assert far.factor > near.factor == 1.0
+
+
+def test_the_first_image_after_the_way_is_compared_and_the_next_ones_with_it():
+    scale = compared(3.0)
+    again = scale.looked(seen_at(THERE))  # at once, so no comparison
+    assert again == scale
+    assert scale.place.translation[0] == pytest.approx(0.8)
+    assert scale.way == 0.0
+    assert scale.since is None
+
+
+@pytest.mark.parametrize("off", [0.0, 12.0, 100.0, 1e6])
+def test_outliers_and_other_places_do_not_raise_it(off):
+    start = compared(3.0)
+    assert compared(off, start=replace(start, place=None)).factor <= start.factor
+
+
+def test_an_image_of_another_place_is_where_the_next_comparison_begins():
+    scale = compared(90.0)
+    assert scale.place.translation[0] == pytest.approx(9.5)
+    following = Poses(scale.place.rotation[None], scale.place.translation[None]) @ AHEAD.previous_from_current
+    later = scale.moved(AHEAD, 1.0).looked(seen_at(following))
+    assert later.count == ErrorScale().count + 1.0
+    assert later.factor == 1.0
+
+
+def test_a_scatter_of_outliers_among_errors_that_follow_the_model_does_not_raise_it():
+    path, rng = simulated(1), np.random.default_rng(1)
+    scattered = [shifted(p, 9.0 * rng.standard_normal(3)) if rng.random() < 0.2 else p for p in path.posteriors]
+    assert scale_along(replace(path, posteriors=scattered)).factor < 1.25
+
+
+@pytest.mark.parametrize("tail", [3.0, 6.0, 1e6])
+def test_heavy_tails_that_are_modelled_are_no_larger_errors(tail):
+    errors = replace(ERRORS, tail=tail, lasting_share=0.0)
+    rng, scale, pose, factors = np.random.default_rng(2), ErrorScale(), THERE, []
+    exact = motion(0.5, 0, 0, 0, 0, 0, std=np.zeros(6))
+    for _ in range(400):
+        pose = pose @ exact.previous_from_current
+        error = np.array([0.1] * 3 + [0.05] * 3) * rng.standard_normal(6) / np.sqrt(rng.chisquare(tail) / tail)
+        scale = scale.moved(exact, 1.0).looked(seen_at(pose @ Poses.exp(error), errors=errors))
+        factors.append(scale.factor)
+    assert np.mean(factors) < 1.2
+
+
+def test_of_several_places_the_one_nearest_to_what_odometry_expects_is_compared():
+    scale = ErrorScale().looked(seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.4, 0.6)))
+    assert scale.place.translation[2] == pytest.approx(3.0)  # the heaviest begins
+    ahead = AHEAD.previous_from_current
+    scale = scale.moved(AHEAD, 1.0).looked(seen_at(lifted(ahead, (0.0, 3.1, 6.0)), (0.8, 0.1, 0.1)))
+    assert scale.count == ErrorScale().count + 1.0
+    assert scale.place.translation[2] == pytest.approx(3.1)
+    assert scale.factor == 1.0
+
+
+def test_places_a_floor_apart_tell_of_the_errors_as_one_place_does():
+    alone = understated(simulated(2), 4.0)
+    copies = [
+        replace(
+            posterior,
+            means=lifted(posterior.means[0], (-3.0, 0.0, 3.0)),
+            covariances=np.repeat(posterior.covariances, 3, axis=0),
+            shares=np.array([0.1, 0.7, 0.2]),
+        )
+        for posterior in alone.posteriors
+    ]
+    assert scale_along(replace(alone, posteriors=copies)).factor == pytest.approx(scale_along(alone).factor, rel=0.05)
+
+
+def test_odometry_that_knows_little_of_the_way_tells_nothing():
+    vague = motion(0.5, 0, 0, 0, 0, 0, std=np.full(6, 3.0))
+    scale = ErrorScale().looked(seen_at(THERE)).moved(vague, 1.0)
+    assert scale.looked(seen_at(THERE @ Poses.exp(np.array([0.9, 0, 0, 0, 0, 0])))).factor == 1.0
+
+
+def test_a_motion_in_parts_is_compared_as_the_whole_is():
+    half = motion(0.25, 0, 0, 0, 0, 0, std=np.zeros(6))
+    whole = motion(0.5, 0, 0, 0, 0, 0, std=np.zeros(6))
+    start, end = ErrorScale().looked(seen_at(THERE)), seen_at(THERE)
+    assert start.moved(half, 0.5).moved(half, 0.5).looked(end).factor == pytest.approx(
+        start.moved(whole, 1.0).looked(end).factor
+    )
+
+
+# --- in the filter and the baseline -----------------------------------------------------------------
+
+NEVER_CARRIED_OFF = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, slow_errors=SLOW)
+
+
+def filtered(path):
+    localizer = ParticleLocalizer(None, NEVER_CARRIED_OFF, rng=np.random.default_rng(0))
+    return [
+        localizer.update(posterior, odometry).modes[0]
+        for posterior, odometry in zip(path.posteriors, path.odometry, strict=True)
+    ]
+
+
+def followed(path):
+    kalman = KalmanLocalizer(KalmanConfig(slow_errors=SLOW))
+    return [
+        kalman.update(posterior, odometry) for posterior, odometry in zip(path.posteriors, path.odometry, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("localize", [filtered, followed])
+def test_regions_grow_with_the_errors_and_hold_the_truth_more_often(localize, monkeypatch):
+    held, widths = {True: [], False: []}, {True: [], False: []}
+    for adapts in (True, False):
+        if not adapts:
+            monkeypatch.setattr(ErrorScale, "factor", 1.0)
+        for seed in range(2):
+            path = understated(simulated(seed), 4.0)
+            modes = localize(path)[150::5]
+            truth = path.truth[150::5]
+            error = (Poses.stack([mode.world_from_camera for mode in modes]).inverse() @ truth).log()
+            covariances = np.stack([mode.covariance for mode in modes])
+            squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariances), error)
+            held[adapts] += list(squared < chi2.ppf(0.9, 6))
+            widths[adapts] += [mode.widest_std_m for mode in modes]
+    assert np.mean(held[True]) > 0.75
+    assert np.mean(held[False]) < np.mean(held[True]) - 0.2
+    assert np.mean(widths[True]) > 1.3 * np.mean(widths[False])
+
+
+@pytest.mark.parametrize("localize", [filtered, followed])
+def test_errors_that_follow_the_model_leave_the_estimate_as_it_is_without(localize, monkeypatch):
+    path = simulated(0)
+    widths = []
+    for adapts in (True, False):
+        if not adapts:
+            monkeypatch.setattr(ErrorScale, "factor", 1.0)
+        widths.append(localize(path)[-1].widest_std_m)
+    assert widths[0] == pytest.approx(widths[1], rel=0.1)
+
+
+def test_a_gap_forgets_the_place_compared_with_and_keeps_what_was_found():
+    path = understated(simulated(0), 4.0)
+    gap = GapConfig(speed_m_per_s=0.0, turn_rad_per_s=0.0)
+    localizer = ParticleLocalizer(None, replace(NEVER_CARRIED_OFF, gap=gap), rng=np.random.default_rng(0))
+    for posterior, odometry in zip(path.posteriors, path.odometry, strict=True):
+        estimate = localizer.update(posterior, odometry)
+    nothing = PosePosterior.nothing(path.posteriors[0].errors)
+    after = localizer.update(nothing, None, elapsed_s=0.0)
+    np.testing.assert_allclose(after.covariances, estimate.covariances, rtol=1e-9)
+    scale = scale_along(path)
+    forgotten = replace(scale, place=None).moved(AHEAD, 1.0).looked(path.posteriors[0])
+    assert (forgotten.total, forgotten.count) == (scale.total, scale.count)
+    assert forgotten.place.translation == pytest.approx(path.posteriors[0].means.translation[0])
+
+
+def test_images_that_say_nothing_are_not_compared():
+    path = understated(simulated(0), 4.0)
+    every_third = [
+        posterior if i % 3 == 0 else replace(shifted(posterior, UP), unfamiliarity=2.0)
+        for i, posterior in enumerate(path.posteriors)
+    ]
+    widths = []
+    for posteriors in (every_third, [p if i % 3 == 0 else PosePosterior.nothing() for i, p in enumerate(every_third)]):
+        widths.append(filtered(replace(path, posteriors=posteriors))[-1].covariance)
+    np.testing.assert_allclose(widths[0], widths[1])
+
+
+def test_each_camera_of_a_rig_has_its_own():
+    """One of two errs nine times more than it says: the rig is localized about as if it said so, and knew the other."""
+    one, other = simulated(0, 120), simulated(1, 120)
+    seen = {"stated": other, "understated": understated(other, 9.0)}
+    widths = {}
+    for name, back in seen.items():
+        localizer = ParticleLocalizer(None, NEVER_CARRIED_OFF, rng=np.random.default_rng(0))
+        for here, there, odometry in zip(one.posteriors, back.posteriors, one.odometry, strict=True):
+            views = [View(here, Poses.identity(), "front"), View(there, Poses.identity(), "back")]
+            estimate = localizer.update(views, odometry)
+        widths[name] = estimate.modes[0].widest_std_m
+    assert widths["understated"] == pytest.approx(widths["stated"], rel=0.15)
+
+
+# --- variances multiplied ---------------------------------------------------------------------------
+
+
+def test_an_inflated_model_errs_by_so_much_more_variance_and_as_long():
+    errors = replace(ERRORS, spread=1.7)
+    inflated, samples = errors.inflated(4.0), np.diag([0.3, 0.2, 0.1, 0.1, 0.2, 0.3])[None]
+    np.testing.assert_allclose(inflated.covariance(samples), 4.0 * errors.covariance(samples))
+    np.testing.assert_allclose(inflated.least_covariance, 4.0 * errors.least_covariance)
+    np.testing.assert_allclose(inflated.typical_std, 2.0 * np.array(errors.typical_std))
+    same = {"spread": errors.spread, "floor": errors.floor, "typical_std": errors.typical_std}
+    assert replace(inflated, **same) == errors
+
+
+def test_an_inflated_posterior_has_the_same_places_of_larger_errors():
+    posterior = seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.3, 0.7), unfamiliarity=0.4)
+    inflated = posterior.inflated(4.0)
+    np.testing.assert_allclose(inflated.covariances, 4.0 * posterior.covariances)
+    np.testing.assert_allclose(inflated.factors, 2.0 * posterior.factors)
+    assert inflated.errors == posterior.errors.inflated(4.0)
+    assert inflated.means is posterior.means
+    assert inflated.samples is posterior.samples
+    assert (inflated.shares == posterior.shares).all()
+    assert inflated.unfamiliarity == 0.4
+    assert posterior.inflated(1.0) is posterior

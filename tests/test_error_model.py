@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+
+from filtering.error_model import ErrorModel
+from filtering.errors import VaporTrackError
+
+
+def test_an_error_is_as_wide_as_the_samples_times_the_spread_and_the_floor_together():
+    model = ErrorModel(spread=4.0, floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
+    samples = np.diag([0.25, 0.5, 0.0, 1.0, 0.0, 0.0])[None]
+    samples[0, 0, 1] = samples[0, 1, 0] = 0.1
+    covariance = model.covariance(samples)[0]
+    np.testing.assert_allclose(np.diag(covariance), [1.01, 2.04, 0.09, 4.0001, 0.0004, 0.0009])
+    assert covariance[0, 1] == pytest.approx(0.4)
+
+
+def test_what_no_number_of_images_takes_away_is_a_share_of_an_ordinary_images_error():
+    model = ErrorModel(constant_share=0.25, typical_std=(0.1, 0.2, 0.4, 0.01, 0.02, 0.04))
+    np.testing.assert_allclose(np.sqrt(np.diag(model.least_covariance)), [0.05, 0.1, 0.2, 0.005, 0.01, 0.02])
+
+
+def test_scaling_lengths_scales_lengths_and_the_flat_density_and_nothing_else():
+    model, factor = ErrorModel(), 30.0
+    scaled = model.scaled(factor)
+    assert (scaled.radius_m, scaled.length_m) == (pytest.approx(9.0), pytest.approx(15.0))
+    np.testing.assert_allclose(scaled.floor, [1.5] * 3 + [0.03] * 3)
+    np.testing.assert_allclose(scaled.typical_std, [2.1] * 3 + [0.04] * 3)
+    # One cubic metre holds 1/30³ of what it did.
+    assert np.exp(scaled.flat_log_density) == pytest.approx(np.exp(model.flat_log_density) / factor**3)
+    same = ("radius_rad", "spread", "tail", "outlier_share", "possible_share", "lasting_share", "length_rad")
+    assert all(getattr(scaled, name) == getattr(model, name) for name in (*same, "constant_share"))
+
+
+def test_scaling_there_and_back_is_the_model_itself():
+    model = ErrorModel()
+    back = model.scaled(1000.0).scaled(1e-3)
+    for name in vars(model):
+        np.testing.assert_allclose(getattr(back, name), getattr(model, name), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"radius_m": 0.0},
+        {"radius_rad": 5.0},
+        {"spread": -1.0},
+        {"tail": 0.5},
+        {"outlier_share": 0.0},
+        {"outlier_share": 1.0},
+        {"flat_log_density": float("inf")},
+        {"possible_share": 0.0},
+        {"lasting_share": 1.0},
+        {"length_m": float("nan")},
+        {"length_rad": -0.1},
+        {"constant_share": -0.1},
+    ],
+)
+def test_numbers_out_of_range_are_refused_by_name_and_value(change):
+    ((name, value),) = change.items()
+    with pytest.raises(VaporTrackError, match=rf"^{name} is {value}, expected between "):
+        ErrorModel(**change)
+
+
+@pytest.mark.parametrize("name", ["floor", "typical_std"])
+@pytest.mark.parametrize("bad", [0.0, -0.1, float("nan"), float("inf")])
+def test_standard_deviations_that_are_none_are_refused(name, bad):
+    with pytest.raises(VaporTrackError, match=rf"^{name} is .*, expected six positive numbers"):
+        ErrorModel(**{name: (0.1, 0.1, bad, 0.1, 0.1, 0.1)})

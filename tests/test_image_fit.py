@@ -1,0 +1,242 @@
+"""The fit of an ErrorModel, on posteriors that err as one says."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from filtering.error_model import ErrorModel
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from vapor.image_fit import Way, fit_errors, fit_widths
+from vapor.scene_scale import default_errors, flat_log_density, scene_extent
+
+ROOM = np.array([10.0, 6.0, 2.0])
+TRUE = ErrorModel(spread=2.0, floor=(0.05, 0.1, 0.03, 0.02, 0.03, 0.02), tail=5.0, outlier_share=0.1)
+UNIT = np.repeat([1.0, 0.5], 3)
+
+
+def anywhere(count: int, *, rng: np.random.Generator) -> Poses:
+    turned = rng.uniform(-1, 1, (count, 6)) * [0, 0, 0, 0.3, 0.3, 3.0]
+    return Poses(Poses.exp(turned).rotation, rng.uniform(0, 1, (count, 3)) * ROOM)
+
+
+def apart(count: int) -> Way:
+    """The way between images of a pass each."""
+    return Way(np.arange(count), np.zeros(count), np.zeros(count))
+
+
+def posteriors(
+    truth: Poses, errors: ErrorModel, normal: np.ndarray, *, rng: np.random.Generator, num_samples: int = 80
+):
+    """Samples of each image whose places are off by these errors (n, 6) in standard deviations."""
+    samples = []
+    for i, own in enumerate(normal):
+        spread = 0.06 * UNIT * np.exp(rng.normal(0.0, 0.8))  # of the samples
+        xi = np.sqrt(errors.spread * np.square(spread) + np.square(errors.floor)) * own
+        centre = anywhere(1, rng=rng)[0] if rng.random() < errors.outlier_share else truth[i] @ Poses.exp(-xi)
+        samples.append(centre @ Poses.exp(spread * rng.standard_normal((num_samples, 6))))
+    return samples
+
+
+def student(count: int, tail: float, *, rng: np.random.Generator) -> np.ndarray:
+    return rng.standard_normal((count, 6)) * np.sqrt(tail / rng.chisquare(tail, (count, 1)))
+
+
+@cache
+def simulated(count: int = 400):
+    rng = np.random.default_rng(0)
+    truth = anywhere(count, rng=rng)
+    return posteriors(truth, TRUE, student(count, TRUE.tail, rng=rng), rng=rng), truth
+
+
+def fit(samples, truth, way=None, before=None):
+    return fit_errors(samples, truth, way or apart(len(truth)), truth, before or default_errors(truth))
+
+
+@cache
+def fitted():
+    return fit(*simulated())
+
+
+def test_spread_floor_tail_and_outliers_of_known_errors_are_found():
+    errors = fitted().errors
+    assert errors.spread == pytest.approx(TRUE.spread, rel=0.35)
+    np.testing.assert_allclose(errors.floor, TRUE.floor, rtol=0.3)
+    assert 3.0 < errors.tail < 10.0
+    assert errors.outlier_share == pytest.approx(TRUE.outlier_share, abs=0.05)  # three standard deviations
+    spread = 0.06 * UNIT * np.sqrt(TRUE.spread)
+    np.testing.assert_allclose(errors.typical_std, np.hypot(spread, TRUE.floor), rtol=0.25)
+    assert errors.flat_log_density == flat_log_density(simulated()[1])
+    assert errors.possible_share == 0.05
+    assert 0.1 < errors.constant_share < 0.2  # a little more than by default: the images are many
+    assert fitted().effective_images == len(simulated()[1])
+
+
+def test_regions_of_single_images_hold_as_many_true_poses_as_they_say_but_for_outliers():
+    right = np.array([0.5, 0.9, 0.95]) * (1 - TRUE.outlier_share)
+    np.testing.assert_allclose(fitted().coverage, right, atol=0.08)
+
+
+def test_what_changed_is_told_with_its_gain():
+    image, lasting = fitted().changes
+    assert image.after == {
+        n: getattr(fitted().errors, n) for n in ("radius_m", "spread", "floor", "tail", "outlier_share")
+    }
+    assert image.before["tail"] == ErrorModel().tail
+    assert image.gain is not None
+    assert image.gain > 0.5
+    assert (set(lasting.after), lasting.gain) == ({"lasting_share", "length_m"}, None)
+    again = fit(*simulated(), before=fitted().errors).changes[0]
+    assert again.gain == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_fit_is_the_same_in_a_scene_thirty_times_as_large():
+    samples, truth = simulated()
+    larger = [Poses(poses.rotation, 30.0 * poses.translation) for poses in (*samples, truth)]
+    found, expected = fit(larger[:-1], larger[-1]).errors, fitted().errors.scaled(30.0)
+    for name in ("radius_m", "spread", "tail", "outlier_share", "length_m", "lasting_share", "flat_log_density"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=0.02), name
+    np.testing.assert_allclose(found.floor, expected.floor, rtol=0.02)
+    np.testing.assert_allclose(found.typical_std, expected.typical_std, rtol=0.02)
+
+
+def test_a_posterior_that_cannot_decide_between_two_places_is_judged_by_the_right_one():
+    samples, truth = simulated()
+    elsewhere = Poses.exp(np.array([4.0, 1.0, 0.0, 0.0, 0.0, 1.5]))
+    half = len(samples[0]) // 2
+    both = [Poses.concatenate([poses[:half], (elsewhere @ poses)[half:]]) for poses in samples]
+    found = fit(both, truth)
+    np.testing.assert_allclose(found.errors.floor, fitted().errors.floor, rtol=0.2)
+    assert found.errors.outlier_share == pytest.approx(TRUE.outlier_share, abs=0.05)
+    np.testing.assert_allclose(found.coverage, fitted().coverage, atol=0.04)
+
+
+# --- errors that last ------------------------------------------------------------------------------
+
+
+def walk(count: int, step_m: float, *, rng: np.random.Generator) -> Poses:
+    """A straight walk through a long corridor."""
+    x = np.arange(count) * step_m
+    side = np.cumsum(rng.normal(0, 0.01, (count, 2)), axis=0)
+    return Poses(np.tile(np.eye(3), (count, 1, 1)), np.column_stack([x, side]))
+
+
+@pytest.mark.parametrize(("length_m", "share"), [(0.5, 0.75), (2.0, 0.6)])
+def test_how_long_errors_last_is_found(length_m, share):
+    rng = np.random.default_rng(1)
+    count, step = 500, 0.1
+    truth = walk(count, step, rng=rng)
+    fade = np.exp(-step / length_m)
+    lasting = np.empty((count, 6))
+    lasting[0] = rng.standard_normal(6)
+    for i in range(1, count):
+        lasting[i] = fade * lasting[i - 1] + np.sqrt(1 - fade**2) * rng.standard_normal(6)
+    normal = np.sqrt(share) * lasting + np.sqrt(1 - share) * rng.standard_normal((count, 6))
+    samples = posteriors(truth, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
+    found = fit(samples, truth, Way.along(truth, np.zeros(count, np.int64)))
+    assert length_m / 2 < found.errors.length_m < length_m * 2
+    assert found.errors.lasting_share == pytest.approx(share, abs=0.12)
+    expected = 1 + step * count / (2 * found.errors.length_m)
+    assert found.effective_images == pytest.approx(expected, rel=0.05)
+    assert found.errors.outlier_share == 0.05
+
+
+def test_errors_of_independent_images_last_no_longer_than_they_must():
+    rng = np.random.default_rng(2)
+    truth = walk(300, 0.1, rng=rng)
+    samples = posteriors(truth, replace(TRUE, outlier_share=1e-9), rng.standard_normal((300, 6)), rng=rng)
+    found = fit(samples, truth, Way.along(truth, np.zeros(300, np.int64))).errors
+    assert (found.lasting_share, found.length_m) == (0.5, pytest.approx(0.003 * scene_extent(truth)))
+
+
+def test_a_way_counts_metres_and_radians_from_the_beginning_of_each_pass():
+    turned = Poses.exp(np.array([[0, 0, 0, 0, 0, a] for a in (0.0, 0.1, 0.3, 0.3, 0.4)]))
+    poses = Poses(turned.rotation, np.array([[0.0, 0, 0], [1, 0, 0], [1, 2, 0], [9, 9, 9], [9, 9, 8]]))
+    way = Way.along(poses, np.array([3, 3, 3, 4, 4]))
+    np.testing.assert_allclose(way.metres, [0, 1, 3, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(way.radians, [0, 0.1, 0.3, 0, 0.1], atol=1e-6)
+    some = way[np.array([1, 4])]
+    np.testing.assert_allclose(some.metres, [1, 1])
+
+
+# --- little, flat and bad data ---------------------------------------------------------------------
+
+
+def usable(errors: ErrorModel, samples) -> bool:
+    posterior = PosePosterior.from_samples(samples, errors)
+    return bool(np.isfinite(posterior.covariances).all()) and len(posterior.shares) > 0
+
+
+def test_sixty_images_of_one_pass_are_worth_few_and_the_fit_is_cautious():
+    rng = np.random.default_rng(3)
+    truth = walk(60, 0.05, rng=rng)
+    errors = replace(TRUE, outlier_share=1e-9, floor=(0.05, 0.2, 0.05, 0.02, 0.02, 0.02))
+    samples = posteriors(truth, errors, np.tile(rng.standard_normal(6), (60, 1)), rng=rng)
+    scene = Poses.concatenate([truth, anywhere(100, rng=rng)])
+    found = fit_errors(samples, truth, Way.along(truth, np.zeros(60, np.int64)), scene, default_errors(scene))
+    assert found.effective_images < 10
+    lengths, angles = np.array(found.errors.floor[:3]), np.array(found.errors.floor[3:])
+    assert lengths.max() < 3 * lengths.min()
+    assert angles.max() < 3 * angles.min()
+    assert usable(found.errors, samples[0])
+
+
+def test_images_that_are_all_wrong_leave_nothing_to_be_believed():
+    rng = np.random.default_rng(4)
+    truth = anywhere(100, rng=rng)
+    samples = posteriors(truth, replace(TRUE, outlier_share=0.999999), rng.standard_normal((100, 6)), rng=rng)
+    found = fit(samples, truth).errors
+    assert found.outlier_share > 0.4 or min(found.typical_std[:3]) > 0.05 * scene_extent(truth)
+    assert usable(found, samples[0])
+
+
+@pytest.mark.parametrize("num_samples", [150, 1])
+def test_cameras_that_move_in_a_plane_get_positive_covariances(num_samples):
+    rng = np.random.default_rng(5)
+    turned = np.zeros((80, 6))
+    turned[:, 5] = rng.uniform(-3, 3, 80)
+    truth = Poses(Poses.exp(turned).rotation, rng.uniform(0, 1, (80, 3)) * [10, 6, 0])
+    flat = np.array([0.1, 0.1, 0, 0, 0, 0.05])
+    offsets = truth @ Poses.exp(rng.standard_normal((80, 6)) * flat)
+    samples = [offsets[i] @ Poses.exp(rng.standard_normal((num_samples, 6)) * flat) for i in range(80)]
+    found = fit(samples, truth).errors
+    assert usable(found, samples[0])
+    assert 0.0 < found.floor[2] < 0.2
+    assert 0.05 < found.typical_std[0] < 0.3
+
+
+def test_cameras_that_all_stand_at_one_place_are_no_division_by_zero():
+    truth = Poses.identity(60)
+    samples = [Poses.identity(20)] * 60
+    assert usable(fit(samples, truth).errors, samples[0])
+
+
+# --- kernel widths ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("spread_m", "spread_rad"), [(0.2, 0.05), (0.05, 0.15)])
+def test_the_scale_of_the_kernels_is_found_from_samples_of_known_spread(spread_m, spread_rad):
+    rng = np.random.default_rng(0)
+    std = np.repeat([spread_m, spread_rad], 3)
+    truth = anywhere(300, rng=rng)
+    # As of a calibrated posterior: the truth lies in the samples as any other draw would.
+    centres = truth @ Poses.exp(rng.standard_normal((300, 6)) * std)
+    samples = [centres[i] @ Poses.exp(rng.standard_normal((200, 6)) * std) for i in range(300)]
+    (width_m, width_rad), change = fit_widths(samples, truth, truth, (0.1, 0.1))
+    # Of 200 samples in six dimensions the best kernel is narrower than the posterior: Silverman's factor is 0.55.
+    assert 0.35 * spread_m < width_m < 0.9 * spread_m
+    assert 0.35 * spread_rad < width_rad < 0.9 * spread_rad
+    assert change.after == {"bandwidth_translation_m": width_m, "bandwidth_rotation_rad": width_rad}
+    assert change.gain is not None
+    assert change.gain >= -1e-4
+
+
+def test_kernels_of_a_single_sample_get_exactly_the_spread_of_its_error():
+    rng = np.random.default_rng(1)
+    truth = anywhere(500, rng=rng)
+    samples = [truth[[i]] @ Poses.exp(rng.standard_normal((1, 6)) * np.repeat([0.1, 0.04], 3)) for i in range(500)]
+    width_m, width_rad = fit_widths(samples, truth, truth, (0.1, 0.1))[0]
+    assert width_m == pytest.approx(0.1, rel=0.08)
+    assert width_rad == pytest.approx(0.04, rel=0.08)
