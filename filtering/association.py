@@ -20,7 +20,8 @@ from filtering.se3 import Poses
 _GATE = 36.0  # squared, in standard deviations: what is further apart is not looked at
 _PLACE = 3.0  # standard deviations of the error: details finer than that do not tell one place from another
 _LEAST = 1e-3  # share of a hypothesis that goes on as one of its own
-_FAR = 0.8  # where errors weigh less than this for their tails, they are taken to be as large as that says
+UNUSUAL = 1.25
+"""An image whose error has a variance by so much larger than an ordinary one errs in a way of its own."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: 
     # However little is known about where the camera is, it is in the map.
     log_density = np.maximum(log_peak, errors.flat_log_density) - (nu + 6) / 2 * np.log1p(squared / nu)
     larger = (nu + squared) / (nu + 6)
-    far = np.flatnonzero(larger > 1.0 / _FAR)
+    far = np.flatnonzero(larger > UNUSUAL)
     if len(far):
         # Errors that last over a way of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
         error = larger[far, None, None] * max(1.0, 2.0 / max(way, 1e-6)) * posterior.covariances[k[far]]

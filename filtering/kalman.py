@@ -14,6 +14,7 @@ from jaxtyping import Float64
 from scipy.stats import f as fisher
 
 from filtering.adaptation import ErrorScale
+from filtering.association import UNUSUAL
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
 from filtering.hypotheses import POSE, Hypotheses, bias, born, motion_of_state, widened
@@ -22,8 +23,6 @@ from filtering.motion import Odometry, SlowErrors, require_duration, require_odo
 from filtering.novelty import ViewMeter
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-
-_FAR = 1.25  # a variance of the error by so much larger than an ordinary one is taken for that
 
 
 @dataclass(frozen=True)
@@ -150,7 +149,7 @@ class KalmanLocalizer:
             return False
         error = fresh[k]
         larger = (errors.tail + squared[k]) / (errors.tail + 6.0)
-        if larger > _FAR:
+        if larger > UNUSUAL:
             # An image that errs in a way of its own, which lasts: over a way of 2 it is worth one image.
             shows[k, :, bias(0)] = 0.0
             error = larger * max(1.0, 2.0 / max(self._way, 1e-6)) * posterior.covariances[k]

@@ -294,7 +294,7 @@ class ParticleLocalizer:
     def _look(self, views: Sequence[View]) -> Estimate:
         """Weigh and correct the belief by what is seen, and let a little of it begin anew there."""
         told = [view for view in views if not view.posterior.says_nothing]
-        foreign = [view for view in views if view.posterior.unfamiliarity > 1.0]
+        foreign = [view for view in views if view.posterior.is_foreign]
         novelty = 0.0
         if self._begins(views):
             self._start(told or foreign, provisional=not told)

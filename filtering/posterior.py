@@ -112,9 +112,14 @@ class PosePosterior:
         return PosePosterior(none, np.zeros((0, 6, 6)), np.zeros(0), errors or ErrorModel(), samples or none)
 
     @property
+    def is_foreign(self) -> bool:
+        """Whether the image is of another place than those the network was trained on."""
+        return self.unfamiliarity > _FOREIGN
+
+    @property
     def says_nothing(self) -> bool:
         """Whether it has no place, or is of a foreign image."""
-        return len(self.shares) == 0 or self.unfamiliarity > _FOREIGN
+        return len(self.shares) == 0 or self.is_foreign
 
     @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:

@@ -38,7 +38,7 @@ COLORS: Mapping[str, str] = MappingProxyType(
         "single_image": "#e69f00",
         "dead_reckoning": "#56b4e9",
         "kalman": "#cc79a7",
-        "gaussian_sum": "#e69f00",
+        "gaussian_sum": "#8c564b",
         "filter": "#0072b2",
         "smoothed": "#009e73",
         "other": "#d55e00",  # hypotheses beside the best one

@@ -183,7 +183,7 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
     following = KalmanConfig(slow_errors=config.slow_errors, gap=config.gap)
     kalman, bank = KalmanLocalizer(following), GaussianSumLocalizer(None, config, rng=rng)
     modes: dict[str, list[tuple[Mode, ...]]] = {"kalman": [], "gaussian_sum": []}
-    image_modes, estimates, step_ms = [], [], []
+    image_modes, told_modes, estimates, step_ms = [], [], [], []
     for i, motion in enumerate(replay.odometry):
         samples = replay.posterior_poses(i)
         odometry = motion if fit is None else fit.restated(motion)
@@ -195,6 +195,7 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
         estimates.append(localizer.update(posterior, None if told else odometry))
         step_ms.append(1e3 * (time.perf_counter() - begin))
         image_modes.append(posterior_modes(posterior))
+        told_modes.append(() if posterior.says_nothing else image_modes[-1][:SMOOTHED_MODES])
         modes["kalman"].append((kalman.update(posterior, odometry),))
         modes["gaussian_sum"].append(bank.update(posterior, odometry).modes)
     widest = config.widest_std_m(errors)
@@ -204,9 +205,6 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
     }
     beliefs["filter"] = Belief([each.modes for each in estimates], [each.status for each in estimates])
     sure = np.array([status == "converged" for status in beliefs["filter"].status])
-    told_modes = [
-        () if replay.unfamiliarity[i] > 1.0 else found[:SMOOTHED_MODES] for i, found in enumerate(image_modes)
-    ]
     poses = {
         "single_image": Poses.stack([found[0].world_from_camera for found in image_modes]),
         "dead_reckoning": dead_reckoning(replay.truth[0], replay.odometry),
