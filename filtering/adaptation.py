@@ -1,8 +1,9 @@
-"""Whether images err more than their model says: told from odometry while the camera moves.
+"""Whether images err more or less than their model says: told from odometry while the camera moves.
 
 Two images some way apart say how the camera moved between them, and odometry says it better. Where the two differ by
 more than the errors of images allow, the errors are larger: in a part of the map that the held-out images did not show,
-or in another light (innovation-based adaptive estimation; Mehra, 1970).
+or in another light; where they differ by less, smaller (innovation-based adaptive estimation; Mehra, 1970). An error
+that all images share does not show so.
 """
 
 from __future__ import annotations
@@ -12,42 +13,55 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.stats import f as fisher
 
+from filtering.error_model import ErrorModel
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
-_APART = 0.5  # way between two images that are compared, lengths: nearer ones err alike
+_APART = 2.0  # way between two images that are compared, lengths: nearer ones err alike
+_LEAST = 0.1  # of the variance
+_DRAWS = 20_000
 _OUTLIER = 6.0  # times the variance expected: further off is another place, or an image that errs in a way of its own
 _BELIEVED = 5.0  # comparisons that the model is worth before the first one
 _REMEMBERED = 50.0  # comparisons
+_LATELY = 5.0  # way that a belief's information comes from, lengths
 
 
 @dataclass(frozen=True)
 class ErrorScale:
-    """How much larger than modelled the variance of a camera's errors is.
+    """How much larger or smaller than modelled the variance of a camera's errors is.
 
     Attributes:
+        adapts: Whether odometry may say so.
         place: world_from_camera by the image that the next one is compared with, one pose; None where there is none.
         covariance: Of its error, (6, 6).
         since: Motion of the camera since.
         way: How far that is, in lengths over which the errors of images change.
         total: Sum of the squared differences found, each over what the model expects of it.
         count: Their number; old ones are forgotten.
+        information: What an image told lately, over what one tells whose errors are as large as modelled: more where
+            images are like those of the training.
     """
 
+    adapts: bool = True
     place: Poses | None = None
     covariance: Float64[np.ndarray, "6 6"] | None = None
     since: Odometry | None = None
     way: float = 0.0
     total: float = _BELIEVED
     count: float = _BELIEVED
+    information: float = 1.0
 
     @property
     def factor(self) -> float:
-        """Of the variance, at least 1: images that seem to err less than modelled may all err alike."""
-        return max(1.0, self.total / self.count)
+        """Of the variance."""
+        return max(_LEAST, self.total / self.count) if self.adapts else 1.0
+
+    def applied(self, errors: ErrorModel) -> ErrorModel:
+        """The model as it is here, the least errors in proportion to those of the images lately."""
+        constant = errors.constant_share / max(self.information, 1e-3)
+        return replace(errors, constant_share=min(constant, 1e3)).inflated(self.factor)
 
     def moved(self, camera_motion: Odometry, way: float) -> ErrorScale:
         """After a motion of the camera, and its way in lengths."""
@@ -56,8 +70,13 @@ class ErrorScale:
         since = camera_motion if self.since is None else self.since.then(camera_motion)
         return replace(self, since=since, way=self.way + way)
 
-    def looked(self, posterior: PosePosterior) -> ErrorScale:
-        """After an image of the camera that says something."""
+    def looked(self, posterior: PosePosterior, way: float) -> ErrorScale:
+        """After an image of the camera that says something; `way` since the last one, in lengths."""
+        follow = -np.expm1(-way / _LATELY)
+        information = self.information + follow * (1.0 / posterior.growth - self.information)
+        return replace(self, information=float(information))._compared(posterior)
+
+    def _compared(self, posterior: PosePosterior) -> ErrorScale:
         heaviest = int(np.argmax(posterior.shares))
         if self.place is None or self.covariance is None:
             return self._from(posterior, heaviest)
@@ -67,14 +86,17 @@ class ErrorScale:
         difference = (expected.inverse() @ posterior.means).log()
         carry = self.since.previous_from_current.inverse().adjoint()
         new = 1.0 - posterior.errors.lasting_share * np.exp(-self.way)
-        spread = new * (carry @ self.covariance @ carry.T + posterior.covariances) + self.since.covariance
-        squared = np.einsum("ki,ki->k", difference, np.linalg.solve(spread, difference[..., None])[..., 0]) / 6.0
+        of_images = new * (carry @ self.covariance @ carry.T + posterior.covariances)
+        information = np.linalg.inv(of_images + self.since.covariance)
+        squared = np.einsum("ki,kij,kj->k", difference, information, difference) / 6.0
         nearest = int(np.argmin(squared))
-        if squared[nearest] > _OUTLIER * self.factor:
+        if squared[nearest] > _OUTLIER * max(1.0, self.factor):
             return self._from(posterior, heaviest)
-        kept = min(1.0, _REMEMBERED / (self.count + 1.0))
-        found = float(squared[nearest]) / _usual(posterior.errors.tail)
-        scale = replace(self, total=kept * (self.total + found), count=kept * (self.count + 1.0))
+        # Where odometry says less than images, a difference tells of odometry.
+        worth = float(np.trace(information[nearest] @ of_images[nearest])) / 6.0
+        kept = min(1.0, _REMEMBERED / (self.count + worth))
+        found = worth * float(squared[nearest]) / _usual(posterior.errors.tail)
+        scale = replace(self, total=kept * (self.total + found), count=kept * (self.count + worth))
         return scale._from(posterior, nearest)
 
     def _from(self, posterior: PosePosterior, place: int) -> ErrorScale:
@@ -84,6 +106,8 @@ class ErrorScale:
 
 @cache
 def _usual(tail: float) -> float:
-    """Usual where the model is true: mean of min(F, 6), F of Fisher's distribution with 6 and `tail`."""
-    values = np.linspace(0.0, _OUTLIER, 601)
-    return float(np.trapezoid(fisher.sf(values, 6, tail), values))
+    """Usual where the model is true: mean of what is no outlier, of differences of two errors with such tails."""
+    rng = np.random.default_rng(0)
+    errors = rng.standard_normal((2, _DRAWS, 6)) / np.sqrt(rng.chisquare(tail, (2, _DRAWS, 1)) / tail)
+    squared = np.square(errors[0] - errors[1]).sum(axis=1) / 12.0
+    return float(squared[squared < _OUTLIER].mean())

@@ -11,6 +11,8 @@ from filtering.errors import VaporTrackError, require_within
 
 Six = tuple[float, float, float, float, float, float]
 
+_LEAST_SCORE, _FOREIGN = 0.05, 1.0  # of an image: nothing is known of errors below the one, and above the other
+
 
 @dataclass(frozen=True)
 class ErrorModel:
@@ -49,6 +51,11 @@ class ErrorModel:
     """Likewise the angle, radians."""
     constant_share: float = 0.1
     """Share of the typical variance below which no number of images brings the uncertainty of a pose."""
+    unfamiliar_power: float = 0.0
+    """How errors grow with how unlike its training data an image is: standard deviations with this power of its score
+    (`PosePosterior.unfamiliarity`)."""
+    unfamiliar_score: float = 0.5
+    """The score of an image whose errors are as large as said here."""
     typical_std: Six = (0.07, 0.07, 0.07, 0.04, 0.04, 0.04)
     """Standard deviations of the error of an ordinary image: what makes a place, a mode, a converged estimate."""
 
@@ -66,6 +73,8 @@ class ErrorModel:
             length_m=(1e-9, 1e9),
             length_rad=(1e-6, 1e3),
             constant_share=(0.0, 1e3),
+            unfamiliar_power=(0.0, 3.0),
+            unfamiliar_score=(0.01, 1.0),
         )
         for name in ("floor", "typical_std"):
             values = getattr(self, name)
@@ -75,6 +84,13 @@ class ErrorModel:
     def covariance(self, samples: Float64[np.ndarray, "k 6 6"]) -> Float64[np.ndarray, "k 6 6"]:
         """Covariance Σ of the errors of clusters of samples with these covariances."""
         return self.spread * samples + np.diag(np.square(self.floor))
+
+    def growth(self, unfamiliarity: float) -> float:
+        """How much larger the variances of an image with this score are than those of the model; 0 is no score."""
+        if unfamiliarity == 0.0:
+            return 1.0
+        score = min(max(unfamiliarity, _LEAST_SCORE), _FOREIGN)
+        return float((score / self.unfamiliar_score) ** (2.0 * self.unfamiliar_power))
 
     @property
     def least_covariance(self) -> Float64[np.ndarray, "6 6"]:

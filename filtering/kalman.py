@@ -56,7 +56,7 @@ class KalmanLocalizer:
         self._pose: Poses | None = None
         self._filter = KalmanFilter(dim_x=19, dim_z=6)
         self._meter = ViewMeter(1.0, 1.0)
-        self._scale = ErrorScale()
+        self._scale = ErrorScale(self.config.adapt_errors)
         self._way = 0.0  # since the last image that says something, in lengths
         self._least_covariance = np.zeros((6, 6))
         self._provisional = False  # the next image that says something is where it starts anew
@@ -90,10 +90,9 @@ class KalmanLocalizer:
         else:
             self._predict(self._pose, odom, elapsed_s)
             if not posterior.says_nothing:
-                if self.config.adapt_errors:
-                    self._scale = self._scale.looked(posterior)
+                self._scale = self._scale.looked(posterior, self._way)
+                self._least_covariance = self._scale.applied(posterior.errors).least_covariance
                 posterior = posterior.inflated(self._scale.factor)
-                self._least_covariance = posterior.errors.least_covariance
                 if not self._correct(posterior):
                     self._reject(posterior, elapsed_s if odom is None else odom.duration_s)
                 self._way = 0.0
@@ -113,7 +112,9 @@ class KalmanLocalizer:
         self._filter.x = np.concatenate([np.zeros(6), places.mean[heaviest]])[:, None]
         self._filter.P = places.covariance[heaviest].copy()
         self._meter = ViewMeter(posterior.errors.length_m, posterior.errors.length_rad)
-        self._least_covariance = posterior.errors.least_covariance
+        self._least_covariance = self._scale.applied(posterior.errors).least_covariance
+        self._scale = replace(self._scale, place=None, since=None, way=0.0)
+        self._way = 0.0
         self._provisional = posterior.says_nothing
         self._rejected_s = None
 

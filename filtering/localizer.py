@@ -53,7 +53,7 @@ class LocalizerConfig:
     """The chance that the camera was carried elsewhere unnoticed, for every new view that fits the belief: so much of
     the belief an image draws anew."""
     max_kidnap_per_view: float = 0.1
-    """The same where no image of the last second fits; between the two in equal ratios. 0 for both: never."""
+    """The same for one that does not fit at all; between the two in equal ratios. 0 for both: never."""
     adapt_errors: bool = True
     """Take images to err more than their model says where odometry shows it."""
     merge_divergence: float = 0.5
@@ -134,7 +134,7 @@ class _Camera:
     errors: ErrorModel
     meter: ViewMeter
     reference_from_camera: Poses
-    scale: ErrorScale = field(default_factory=ErrorScale)
+    scale: ErrorScale
 
     def seen_through(self, reference_from_camera: Poses) -> _Camera:
         """The same on its mount of now; where that was turned, no image of before is compared with those that come."""
@@ -300,33 +300,31 @@ class ParticleLocalizer:
             self._start(told or foreign, provisional=not told)
             novelty, told = 1.0, told[1:]
         belief = self._known(told)
-        agreements = [0.0] * len(foreign)
-        newborn: list[Hypotheses] = []
+        fits: list[float] = []
+        seen_by: list[tuple[PosePosterior, int]] = []
         looks = {view.camera: self._cameras[view.camera].meter.looked() for view in told}
         novelty = max([novelty, *(new for _, new in looks.values())])
-        kidnapped = self._share_anew(novelty)
         for view in told:
             camera, (meter, new) = self._cameras[view.camera], looks[view.camera]
             camera = camera.seen_through(view.reference_from_camera)
             way = camera.meter.way
-            scale = camera.scale.looked(view.posterior) if self.config.adapt_errors else camera.scale
+            scale = camera.scale.looked(view.posterior, way)
             self._cameras = self._cameras | {view.camera: replace(camera, meter=meter, scale=scale)}
             posterior = view.posterior.inflated(scale.factor).seen_from(view.reference_from_camera)
             seen = associate(belief, posterior, camera.number, novelty=new, way=way)
-            if kidnapped > 0.0:
-                births = born(posterior, camera.number, len(self._cameras), self.config.slow_errors, belief)
-                newborn.append(replace(births, log_weights=births.log_weights + _log(kidnapped / len(told))))
+            seen_by.append((posterior, camera.number))
             belief = seen.hypotheses.with_log_weights(seen.hypotheses.log_weights)
-            agreements.append(seen.agreement)
-        if newborn:
+            fits.append(seen.agreement)
+        kidnapped = self._share_anew(novelty, float(np.mean(fits))) if fits else 0.0
+        if kidnapped > 0.0:
             carried = replace(belief, log_weights=belief.log_weights + _log(1.0 - kidnapped))
-            belief = concatenate([carried, *newborn])
+            belief = concatenate([carried, *self._born(seen_by, belief, kidnapped)])
         if told or novelty > 0.0:
             belief = self._reduced(belief)
         self._belief = belief
-        if agreements:
+        if fits or foreign:
             follow = -np.expm1(-self._unseen_s / self.config.agreement_s)
-            self._agreement += follow * (float(np.mean(agreements)) - self._agreement)
+            self._agreement += follow * (sum(fits) / (len(fits) + len(foreign)) - self._agreement)
             self._unseen_s = 0.0
         return self._estimate(belief, novelty, max((v.posterior.unfamiliarity for v in views), default=0.0))
 
@@ -334,11 +332,18 @@ class ParticleLocalizer:
         """Whether the belief is what these say, and nothing else."""
         return self._belief is None or (self._provisional and not all(view.posterior.says_nothing for view in views))
 
-    def _share_anew(self, novelty: float) -> float:
-        """The share of the belief that begins anew where the images say: how likely the camera was carried off."""
-        doubt = 1.0 - min(1.0, self._agreement / self.config.converged_agreement)
+    def _share_anew(self, novelty: float, agreement: float) -> float:
+        """The share of the belief that begins anew where images say that fit so much of it: how likely the camera was
+        carried off."""
+        doubt = 1.0 - min(1.0, agreement / self.config.converged_agreement)
         per_view = self.config.kidnap_per_view ** (1.0 - doubt) * self.config.max_kidnap_per_view**doubt
         return float(-np.expm1(-per_view * novelty))
+
+    def _born(self, seen_by: Sequence[tuple[PosePosterior, int]], belief: Hypotheses, share: float) -> list[Hypotheses]:
+        """What the views of cameras say, as if nothing else were known, with that share of the belief in all."""
+        slow, log_share = self.config.slow_errors, _log(share / len(seen_by))
+        births = [born(posterior, number, len(self._cameras), slow, belief) for posterior, number in seen_by]
+        return [replace(each, log_weights=each.log_weights + log_share) for each in births]
 
     def _reduced(self, belief: Hypotheses) -> Hypotheses:
         c = self.config
@@ -375,12 +380,13 @@ class ParticleLocalizer:
         errors = view.posterior.errors
         # The first image of a camera is all new: it looks from a length away.
         meter = ViewMeter(errors.length_m, errors.length_rad, unknown=0.0 if self._belief is None else 1.0)
-        camera = _Camera(len(self._cameras), errors, meter, view.reference_from_camera)
+        scale = ErrorScale(self.config.adapt_errors)
+        camera = _Camera(len(self._cameras), errors, meter, view.reference_from_camera, scale)
         self._cameras = self._cameras | {view.camera: camera}
 
     def _estimate(self, belief: Hypotheses, novelty: float, unfamiliarity: float) -> Estimate:
         camera = next(iter(self._cameras.values()))
-        errors = camera.errors.inflated(camera.scale.factor)
+        errors = camera.scale.applied(camera.errors)
         modes = self._order(describe_modes(belief, errors, self.config.modes), errors)
         self._best = modes[0].world_from_camera
         return Estimate(

@@ -32,6 +32,7 @@ class PosePosterior:
         samples: Samples of the posterior, world_from_camera, batch (m,), to be shown; the means where there are none.
         unfamiliarity: How unlike the images that the network was trained on this one is: 0 one of them, 1 as unlike as
             images of the same place hardly ever are, above that foreign. A foreign image says nothing.
+        growth: How much larger the variances are for that than those of the error model.
     """
 
     means: Poses
@@ -40,6 +41,7 @@ class PosePosterior:
     errors: ErrorModel
     samples: Poses
     unfamiliarity: float = 0.0
+    growth: float = 1.0
 
     def __post_init__(self) -> None:
         count = len(self.means)
@@ -73,7 +75,9 @@ class PosePosterior:
         own = np.flatnonzero(label >= 0)
         means, covariances, _ = group_moments(samples[own], np.ones(len(own)), label[own], count)
         shares = np.bincount(label[own], minlength=count) / len(samples)
-        return PosePosterior(means, errors.covariance(covariances), shares, errors, samples, unfamiliarity)
+        growth = errors.growth(unfamiliarity)
+        covariances = growth * errors.covariance(covariances)
+        return PosePosterior(means, covariances, shares, errors, samples, unfamiliarity, growth)
 
     @staticmethod
     def from_estimates(
@@ -128,9 +132,10 @@ class PosePosterior:
 
     @cached_property
     def factors(self) -> Float64[np.ndarray, "k 6 6"]:
-        """Symmetric square roots of the covariances."""
-        values, vectors = np.linalg.eigh(self.covariances)
-        return (vectors * np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+        """Square roots of the covariances, symmetric in units of an ordinary image's error: the same in any unit."""
+        unit = np.asarray(self.errors.typical_std)
+        values, vectors = np.linalg.eigh(self.covariances / np.multiply.outer(unit, unit))
+        return unit[:, None] * ((vectors * np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
     def inflated(self, factor: float) -> PosePosterior:
         """The same with errors whose variances are larger by a factor."""

@@ -27,7 +27,7 @@ class GaussianSumLocalizer(ParticleLocalizer):
     Of more than 15 the heaviest go on. `max_hypotheses` and `kidnap_per_view` do not count.
     """
 
-    def _share_anew(self, novelty: float) -> float:
+    def _share_anew(self, novelty: float, agreement: float) -> float:
         return 0.0
 
     def _reduced(self, belief: Hypotheses) -> Hypotheses:
@@ -54,7 +54,7 @@ class DoubtingLocalizer(ParticleLocalizer):
         super().__init__(model, config, rng=rng)
         self._usual = 1.0
 
-    def _share_anew(self, novelty: float) -> float:
+    def _share_anew(self, novelty: float, agreement: float) -> float:
         return max(0.0, 1.0 - self._agreement / max(self._usual, 1e-9))
 
     def _look(self, views: Sequence[View]) -> Estimate:

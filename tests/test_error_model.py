@@ -19,6 +19,21 @@ def test_what_no_number_of_images_takes_away_is_a_share_of_an_ordinary_images_er
     np.testing.assert_allclose(np.sqrt(np.diag(model.least_covariance)), [0.05, 0.1, 0.2, 0.005, 0.01, 0.02])
 
 
+def test_the_variances_of_an_image_grow_with_twice_the_power_of_its_score():
+    model = ErrorModel(unfamiliar_power=1.5, unfamiliar_score=0.4)
+    assert model.growth(0.4) == 1.0
+    assert model.growth(0.8) == pytest.approx(8.0)
+    assert model.growth(0.2) == pytest.approx(1 / 8)
+    assert model.growth(0.01) == model.growth(0.05) > 0.0
+    assert model.growth(0.0) == 1.0  # no score
+    assert model.growth(np.inf) == model.growth(2.0) == model.growth(1.0)
+
+
+@pytest.mark.parametrize("score", [0.0, 0.3, 1.0, 50.0])
+def test_without_a_power_every_image_errs_alike(score):
+    assert ErrorModel(unfamiliar_score=0.3).growth(score) == 1.0
+
+
 def test_scaling_lengths_scales_lengths_and_the_flat_density_and_nothing_else():
     model, factor = ErrorModel(), 30.0
     scaled = model.scaled(factor)
@@ -28,7 +43,8 @@ def test_scaling_lengths_scales_lengths_and_the_flat_density_and_nothing_else():
     # One cubic metre holds 1/30³ of what it did.
     assert np.exp(scaled.flat_log_density) == pytest.approx(np.exp(model.flat_log_density) / factor**3)
     same = ("radius_rad", "spread", "tail", "outlier_share", "possible_share", "lasting_share", "length_rad")
-    assert all(getattr(scaled, name) == getattr(model, name) for name in (*same, "constant_share"))
+    same = (*same, "constant_share", "unfamiliar_power", "unfamiliar_score")
+    assert all(getattr(scaled, name) == getattr(model, name) for name in same)
 
 
 def test_scaling_there_and_back_is_the_model_itself():
@@ -53,6 +69,9 @@ def test_scaling_there_and_back_is_the_model_itself():
         {"length_m": float("nan")},
         {"length_rad": -0.1},
         {"constant_share": -0.1},
+        {"unfamiliar_power": -0.5},
+        {"unfamiliar_power": 11.0},
+        {"unfamiliar_score": 0.0},
     ],
 )
 def test_numbers_out_of_range_are_refused_by_name_and_value(change):

@@ -165,12 +165,55 @@ def test_a_place_with_few_samples_is_nearly_as_possible_as_one_with_many():
     np.testing.assert_allclose(posterior.possible, [0.9 / 0.95, 0.5, 0.0])
 
 
-def test_factors_are_square_roots_of_the_covariances():
-    root = np.random.default_rng(0).normal(size=(4, 6, 6))
-    covariances = root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(6)
-    posterior = PosePosterior(Poses.identity(4), covariances, np.full(4, 0.25), ERRORS, Poses.identity(4))
-    np.testing.assert_allclose(posterior.factors @ posterior.factors, covariances, atol=1e-9)
-    np.testing.assert_allclose(posterior.factors, np.swapaxes(posterior.factors, 1, 2), atol=1e-9)
+def any_covariances(count=4):
+    root = np.random.default_rng(0).normal(size=(count, 6, 6))
+    return root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(6)
+
+
+def with_covariances(covariances, errors=ERRORS):
+    means = Poses.identity(len(covariances))
+    return PosePosterior(means, covariances, np.full(len(covariances), 1.0 / len(covariances)), errors, means)
+
+
+def test_factors_are_square_roots_of_the_covariances_symmetric_in_ordinary_errors():
+    covariances, unit = any_covariances(), np.asarray(ERRORS.typical_std)
+    factors = with_covariances(covariances).factors
+    np.testing.assert_allclose(factors @ np.swapaxes(factors, 1, 2), covariances, atol=1e-9)
+    relative = factors / unit[:, None]
+    np.testing.assert_allclose(relative, np.swapaxes(relative, 1, 2), atol=1e-9)
+    diagonal = np.diag(np.square(STD))[None]
+    np.testing.assert_allclose(with_covariances(diagonal).factors[0], np.diag(STD / unit) * unit, atol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 30.0])
+def test_factors_do_not_depend_on_the_unit_of_length(factor):
+    """What lasts of an error is told in these units: it must be the same error in any map."""
+    lengths = np.repeat([factor, 1.0], 3)
+    covariances = any_covariances()
+    scaled = with_covariances(covariances * np.multiply.outer(lengths, lengths), ERRORS.scaled(factor))
+    np.testing.assert_allclose(scaled.factors, lengths[:, None] * with_covariances(covariances).factors, rtol=1e-7)
+
+
+# --- images unlike the training ---------------------------------------------------------------------
+
+GROWING = replace(ERRORS, unfamiliar_power=1.0, unfamiliar_score=0.5)
+
+
+def test_an_image_unlike_the_training_has_larger_errors_at_the_same_places():
+    samples, _ = two_clusters()
+    plain, grown = (PosePosterior.from_samples(samples, errors, unfamiliarity=0.9) for errors in (ERRORS, GROWING))
+    assert (plain.growth, grown.growth) == (1.0, pytest.approx(3.24))
+    np.testing.assert_allclose(grown.covariances, 3.24 * plain.covariances)
+    np.testing.assert_allclose(grown.shares, plain.shares)
+    assert grown.errors == GROWING
+    assert PosePosterior.from_samples(samples, GROWING, unfamiliarity=0.1).growth == pytest.approx(0.04)
+    assert PosePosterior.from_samples(samples, GROWING).growth == 1.0  # no score
+
+
+def test_growth_of_variances_outlasts_another_frame_and_larger_errors():
+    posterior = PosePosterior.from_samples(two_clusters()[0], GROWING, unfamiliarity=0.9)
+    assert posterior.inflated(4.0).growth == posterior.growth
+    assert posterior.seen_from(Poses.exp(np.array([0.1, 0, 0, 0, 0, 0.3]))).growth == posterior.growth
 
 
 def test_errors_seen_from_another_frame_are_the_same_errors():

@@ -75,6 +75,6 @@ def test_without_doubt_nothing_begins_anew_and_with_it_much_does():
     shares = []
     for i, (seen, motion) in enumerate(zip(carried_off(path, 8.0, 40), path.odometry, strict=True)):
         localizer.update(PosePosterior.nothing(seen.errors) if 20 <= i < 30 else seen, motion)
-        shares.append(localizer._share_anew(1.0))
+        shares.append(localizer._share_anew(1.0, 1.0))
     assert max(shares[:40]) < 0.05
     assert max(shares[40:50]) > 0.2
