@@ -107,7 +107,7 @@ HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, None), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '6', or '4' or '5' of"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '7' or '6', or '4'"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "not JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
@@ -218,6 +218,29 @@ def test_of_models_of_an_earlier_filter_the_kernel_widths_stay_and_errors_follow
     assert loaded.network_sha256() == saved.network_sha256()
     save_checkpoint(again, loaded)
     assert load_checkpoint(again).calibration == loaded.calibration
+
+
+def test_in_models_from_before_growth_errors_do_not_depend_on_the_score(tmp_path):
+    path, saved = tmp_path / "m.safetensors", make_checkpoint()
+    grown = replace(saved.calibration.errors, unfamiliar_power=0.75, unfamiliar_score=0.3)
+    save_checkpoint(path, replace(saved, calibration=replace(saved.calibration, errors=grown, odometry=ODOMETRY)))
+    metadata, tensors = read_safetensors(path)
+    assert metadata["version"] == "7"
+    assert load_checkpoint(path).calibration.errors == grown
+
+    def former(config):
+        for name in ("unfamiliar_power", "unfamiliar_score"):
+            config["calibration"]["errors"].pop(name)
+
+    save_file(tensors, path, _edit_config({**metadata, "version": "6"}, former))
+    loaded = load_checkpoint(path)
+    assert loaded.calibration.errors == replace(grown, unfamiliar_power=0.0, unfamiliar_score=0.5)
+    assert (loaded.calibration.odometry, loaded.network_sha256()) == (ODOMETRY, saved.network_sha256())
+    save_checkpoint(path, loaded)
+    assert load_checkpoint(path).calibration == loaded.calibration
+    save_file(tensors, path, _edit_config(metadata, former))  # of format 7 both are expected
+    with pytest.raises(CheckpointError, match=r"lacks .*unfamiliar_power"):
+        load_checkpoint(path)
 
 
 @pytest.mark.parametrize("calibration", [None, {"bandwidth_translation_m": 0.2}])

@@ -9,7 +9,7 @@ import pytest
 from filtering.error_model import ErrorModel
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.image_fit import Way, fit_errors, fit_widths
+from vapor.image_fit import Seen, Way, fit_errors, fit_widths
 from vapor.scene_scale import default_errors, flat_log_density, scene_extent
 
 ROOM = np.array([10.0, 6.0, 2.0])
@@ -51,8 +51,9 @@ def simulated(count: int = 400):
     return posteriors(truth, TRUE, student(count, TRUE.tail, rng=rng), rng=rng), truth
 
 
-def fit(samples, truth, way=None, before=None):
-    return fit_errors(samples, truth, way or apart(len(truth)), truth, before or default_errors(truth))
+def fit(samples, truth, way=None, before=None, *, score=None, trained=None):
+    before = before or default_errors(truth)
+    return fit_errors(Seen(samples, truth, score), way or apart(len(truth)), truth, before, trained=trained)
 
 
 @cache
@@ -81,9 +82,8 @@ def test_regions_of_single_images_hold_as_many_true_poses_as_they_say_but_for_ou
 
 def test_what_changed_is_told_with_its_gain():
     image, lasting = fitted().changes
-    assert image.after == {
-        n: getattr(fitted().errors, n) for n in ("radius_m", "spread", "floor", "tail", "outlier_share")
-    }
+    names = ("radius_m", "spread", "floor", "tail", "outlier_share", "unfamiliar_power")
+    assert image.after == {name: getattr(fitted().errors, name) for name in names}
     assert image.before["tail"] == ErrorModel().tail
     assert image.gain is not None
     assert image.gain > 0.5
@@ -113,6 +113,63 @@ def test_a_posterior_that_cannot_decide_between_two_places_is_judged_by_the_righ
     np.testing.assert_allclose(found.coverage, fitted().coverage, atol=0.04)
 
 
+# --- errors that grow with how unfamiliar an image is ----------------------------------------------
+
+
+@cache
+def graded(power: float, count: int = 240):
+    """Held-out images of scores .1 to .9 and some trained on at .1: standard deviations go with a power of the score.
+
+    At a score of a half they are those of `TRUE`.
+    """
+    rng = np.random.default_rng(6)
+    score = rng.uniform(0.1, 0.9, count)
+    of_trained = np.full(count // 2, 0.1)
+    seen = []
+    for scores in (score, of_trained):
+        truth = anywhere(len(scores), rng=rng)
+        normal = student(len(scores), TRUE.tail, rng=rng) * ((scores / 0.5) ** power)[:, None]
+        seen.append(Seen(posteriors(truth, TRUE, normal, rng=rng, num_samples=40), truth, scores))
+    return seen
+
+
+AT_A_HALF = np.hypot(0.06 * UNIT * np.sqrt(TRUE.spread), TRUE.floor)
+
+
+def fit_graded(power: float, trained: bool = True, before: ErrorModel | None = None) -> ErrorModel:
+    held_out, trained_on = graded(power)
+    return fit(
+        held_out.samples,
+        held_out.truth,
+        before=before,
+        score=held_out.score,
+        trained=trained_on if trained else None,
+    ).errors
+
+
+def test_errors_that_grow_with_the_score_are_found_to_with_their_size_at_its_median():
+    errors = fit_graded(1.0)
+    assert errors.unfamiliar_power == pytest.approx(1.0, abs=0.25)
+    assert errors.unfamiliar_score == pytest.approx(np.median(graded(1.0)[0].score))
+    np.testing.assert_allclose(errors.typical_std, AT_A_HALF, rtol=0.25)
+
+
+def test_errors_that_do_not_depend_on_the_score_do_not_grow():
+    assert fit_graded(0.0).unfamiliar_power <= 0.125
+
+
+def test_without_images_trained_on_the_power_stays_and_the_errors_follow_it():
+    before = replace(default_errors(graded(1.0)[0].truth), unfamiliar_power=1.0, unfamiliar_score=0.25)
+    errors = fit_graded(1.0, trained=False, before=before)
+    assert (errors.unfamiliar_power, errors.unfamiliar_score) == (1.0, 0.25)
+    np.testing.assert_allclose(errors.typical_std, 0.5 * AT_A_HALF, rtol=0.25)
+
+
+def test_where_nobody_knows_how_unfamiliar_images_are_nothing_grows():
+    held_out, trained = (replace(seen, score=None) for seen in graded(0.0))
+    assert fit(held_out.samples, held_out.truth, trained=trained).errors.unfamiliar_power == 0.0
+
+
 # --- errors that last ------------------------------------------------------------------------------
 
 
@@ -123,24 +180,56 @@ def walk(count: int, step_m: float, *, rng: np.random.Generator) -> Poses:
     return Poses(np.tile(np.eye(3), (count, 1, 1)), np.column_stack([x, side]))
 
 
-@pytest.mark.parametrize(("length_m", "share"), [(0.5, 0.75), (2.0, 0.6)])
+STEP = 0.1
+
+
+def lasting(count: int, length_m: float, share: float, *, rng: np.random.Generator) -> np.ndarray:
+    """Errors (n, 6) in standard deviations of images along a walk, of which this share of the variance lasts."""
+    fade = np.exp(-STEP / length_m)
+    kept = rng.standard_normal((count, 6))
+    for i in range(1, count):
+        kept[i] = fade * kept[i - 1] + np.sqrt(1 - fade**2) * kept[i]
+    return np.sqrt(share) * kept + np.sqrt(1 - share) * rng.standard_normal((count, 6))
+
+
+def fit_walk(normal: np.ndarray, *, rng: np.random.Generator):
+    """The fit of images along a straight walk with these errors (n, 6)."""
+    truth = walk(len(normal), STEP, rng=rng)
+    samples = posteriors(truth, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
+    return fit(samples, truth, Way.along(truth, np.zeros(len(normal), np.int64)))
+
+
+@pytest.mark.parametrize(("length_m", "share"), [(0.5, 0.65), (2.0, 0.6)])
 def test_how_long_errors_last_is_found(length_m, share):
     rng = np.random.default_rng(1)
-    count, step = 500, 0.1
-    truth = walk(count, step, rng=rng)
-    fade = np.exp(-step / length_m)
-    lasting = np.empty((count, 6))
-    lasting[0] = rng.standard_normal(6)
-    for i in range(1, count):
-        lasting[i] = fade * lasting[i - 1] + np.sqrt(1 - fade**2) * rng.standard_normal(6)
-    normal = np.sqrt(share) * lasting + np.sqrt(1 - share) * rng.standard_normal((count, 6))
-    samples = posteriors(truth, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
-    found = fit(samples, truth, Way.along(truth, np.zeros(count, np.int64)))
+    found = fit_walk(lasting(500, length_m, share, rng=rng), rng=rng)
     assert length_m / 2 < found.errors.length_m < length_m * 2
     assert found.errors.lasting_share == pytest.approx(share, abs=0.12)
-    expected = 1 + step * count / (2 * found.errors.length_m)
+    expected = 1 + STEP * 500 / (2 * found.errors.length_m)
     assert found.effective_images == pytest.approx(expected, rel=0.05)
     assert found.errors.outlier_share == 0.05
+
+
+@pytest.mark.parametrize(("share", "taken"), [(1.0, 0.7), (0.3, 0.5)])
+def test_a_share_that_lasts_wholly_or_hardly_is_taken_as_seven_or_five_tenths_and_its_length_is_found(share, taken):
+    rng = np.random.default_rng(7)
+    found = fit_walk(lasting(250, 1.0, share, rng=rng), rng=rng).errors
+    assert found.lasting_share == taken
+    assert 0.4 < found.length_m < 2.5
+
+
+def test_a_stretch_of_larger_errors_does_not_lengthen_how_long_they_last():
+    """Images err more in one part of the scene than in another: that lasts, but is no error that does."""
+    found = []
+    for larger in (1.0, 5.0):
+        rng = np.random.default_rng(8)
+        normal = lasting(180, 0.5, 0.6, rng=rng)
+        normal[60:120] *= larger
+        found.append(fit_walk(normal, rng=rng).errors)
+    step_of_the_search = 50 ** (1 / 9)
+    assert found[1].length_m <= 1.01 * step_of_the_search * found[0].length_m
+    assert found[1].length_m < 1.0
+    assert max(found[1].floor) > 1.1 * max(found[0].floor)
 
 
 def test_errors_of_independent_images_last_no_longer_than_they_must():
@@ -175,7 +264,8 @@ def test_sixty_images_of_one_pass_are_worth_few_and_the_fit_is_cautious():
     errors = replace(TRUE, outlier_share=1e-9, floor=(0.05, 0.2, 0.05, 0.02, 0.02, 0.02))
     samples = posteriors(truth, errors, np.tile(rng.standard_normal(6), (60, 1)), rng=rng)
     scene = Poses.concatenate([truth, anywhere(100, rng=rng)])
-    found = fit_errors(samples, truth, Way.along(truth, np.zeros(60, np.int64)), scene, default_errors(scene))
+    way = Way.along(truth, np.zeros(60, np.int64))
+    found = fit_errors(Seen(samples, truth), way, scene, default_errors(scene))
     assert found.effective_images < 10
     lengths, angles = np.array(found.errors.floor[:3]), np.array(found.errors.floor[3:])
     assert lengths.max() < 3 * lengths.min()

@@ -284,7 +284,7 @@ def test_the_epoch_that_is_best_on_held_out_images_is_kept(tmp_path, select_by):
     assert [figures.epoch for figures in result.history] == [1, 2, 3, 4, 5]
     figures = [getattr(v, select_by) for v in result.history]
     assert result.best is not None
-    assert result.best is result.history[int(np.argmax(figures))]
+    assert result.best is result.history[::-1][int(np.argmax(figures[::-1]))]  # the last of equally good ones
     stored = load_checkpoint(tmp_path / "m.safetensors").training
     assert stored["validation"]["epoch"] == result.best.epoch
     assert stored["selected_by"] == select_by

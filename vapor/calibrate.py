@@ -26,7 +26,7 @@ from vapor.checkpoint import (
     spaced,
 )
 from vapor.familiarity import EXEMPLARS, Familiarity, describe, learn_familiarity
-from vapor.image_fit import LEAST_IMAGES, Change, Way, fit_errors, fit_widths
+from vapor.image_fit import LEAST_IMAGES, Change, Seen, Way, fit_errors, fit_widths, ordinary_score
 from vapor.network import PoseRegressor
 from vapor.observation import Device, resolve_device
 from vapor.passes import odometry_stretches, pass_numbers, some_runs
@@ -115,15 +115,26 @@ def calibrate_model(
     skipped = held_out.skipped + trained_on.skipped if trained_on else held_out.skipped
     network = checkpoint.build_network().to(resolve_device(device))
     familiarity = _familiarity(network, checkpoint.familiarity, trained_on, held_out, max_images)
+    calibration, known = checkpoint.calibration, checkpoint.familiarity
+    if familiarity is not None and known is not None:
+        # Scores are other ones now; an ordinary image is as ordinary as before.
+        if trained_on is None:
+            score = calibration.errors.unfamiliar_score * known.threshold / familiarity.threshold
+        else:
+            judged = describe(network, held_out.select(spaced(len(held_out), max_images)))
+            score = ordinary_score(familiarity.unfamiliarity(judged))
+        errors = replace(calibration.errors, unfamiliar_score=float(np.clip(score, 0.05, 1.0)))
+        calibration = replace(calibration, errors=errors)
     if familiarity_only:
-        _save(replace(checkpoint, familiarity=familiarity), output, file)
-        return CalibrationResult(checkpoint.calibration, skipped=skipped)
+        _save(replace(checkpoint, familiarity=familiarity, calibration=calibration), output, file)
+        return CalibrationResult(calibration, skipped=skipped)
     result = calibrate(
         network,
         held_out,
         checkpoint.prior_poses,
-        checkpoint.calibration,
+        calibration,
         training=trained_on,
+        familiarity=familiarity,
         max_images=max_images,
         seed=seed,
         advance=advance,
@@ -172,6 +183,7 @@ def calibrate(
     calibration: Calibration,
     *,
     training: TrainingSet | None = None,
+    familiarity: Familiarity | None = None,
     max_images: int,
     seed: int,
     advance: Advance = lambda done, total: None,
@@ -183,7 +195,8 @@ def calibrate(
         held_out: Images that it was not trained on, in order of time.
         prior_poses: Of the model, (n,): they outline the scene.
         calibration: Values to start from, and to keep where there is too little data.
-        training: Data with odometry, to be used where the held-out data have too little of it.
+        training: Data that it was trained on: their odometry is used where the held-out data have too little of it.
+        familiarity: What is familiar to it: unfamiliar images err more, as held-out and trained ones tell together.
         max_images: At most so many images are used; of the odometry all.
         seed: Of latent noise.
         advance: Called with the number of images seen by the network and of all.
@@ -196,16 +209,27 @@ def calibrate(
         )
         return CalibrationResult(calibration, odometry=source, notes=(note,))
     chosen = some_runs(len(held_out), max(max_images, LEAST_IMAGES))
-    samples = []
-    for poses in predict(network, held_out.select(chosen), NUM_SAMPLES, seed):
-        samples.append(poses)
-        advance(len(samples), len(chosen))
-    truth, way = held_out.poses[chosen], Way.along(held_out.poses, pass_numbers(held_out))[chosen]
+    looked = [held_out.select(chosen)]
+    if training is not None and familiarity is not None:
+        exemplars = spaced(len(training), EXEMPLARS)
+        looked.append(training.select(exemplars[spaced(len(exemplars), len(chosen))]))
+    total, done, seen = sum(len(images) for images in looked), 0, []
+    for images in looked:
+        samples = []
+        for poses in predict(network, images, NUM_SAMPLES, seed):
+            samples.append(poses)
+            advance(done + len(samples), total)
+        done += len(samples)
+        score = familiarity.unfamiliarity(describe(network, images)) if familiarity is not None else None
+        seen.append(Seen(samples, images.poses, score))
+    samples, truth = seen[0].samples, seen[0].truth
+    way = Way.along(held_out.poses, pass_numbers(held_out))[chosen]
     scene = Poses.concatenate([prior_poses, truth])
     with limited_threads(torch.get_num_threads()):
         before = calibration.bandwidth_translation_m, calibration.bandwidth_rotation_rad
         widths, wider = fit_widths(samples, truth, scene, before)
-        fit = fit_errors(samples, truth, way, scene, calibration.errors)
+        trained = seen[1] if len(seen) > 1 else None
+        fit = fit_errors(seen[0], way, scene, calibration.errors, trained=trained)
     return CalibrationResult(
         Calibration(*widths, fit.errors, calibration.odometry),
         (wider, *fit.changes),

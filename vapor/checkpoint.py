@@ -29,7 +29,9 @@ from vapor.network import NetworkConfig, PoseRegressor, SceneBox
 from vapor.scene_scale import default_errors
 
 FORMAT = "vapor-track model"
-VERSION = 6
+VERSION = 7
+_BEFORE_GROWTH = "6"  # images of all scores were taken to err alike
+_EVEN = {"unfamiliar_power": 0.0, "unfamiliar_score": 0.5}  # what error models of that version are and did not say
 _BEFORE_ERRORS = ("4", "5")  # their calibrations are of another filter: all but the kernel widths is left out
 _BEFORE_SHORTCUT = "4"
 _UNSAID = {"shortcut": False}  # what networks of that version are and did not say
@@ -109,6 +111,13 @@ class Checkpoint:
             digest.update(self.state_dict[name].numpy().tobytes())
         return digest.hexdigest()
 
+    def seen_sha256(self) -> str:
+        """What the network says of an image depends on it: samples, and how unlike the training images it is."""
+        seen = hashlib.sha256(self.network_sha256().encode())
+        for name, value in vars(self.familiarity).items() if self.familiarity else ():
+            seen.update(name.encode() + np.asarray(value).tobytes())
+        return seen.hexdigest()
+
 
 def thin_poses(poses: Poses, limit: int = MAX_PRIOR_POSES) -> Poses:
     """At most `limit` of the poses (n,), evenly spaced in their order."""
@@ -152,6 +161,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
     Of files of format 4 and 5 the calibration is that of an earlier filter: its kernel widths are taken, and for the
     rest the errors of a model that was not calibrated (`default_errors`). Calibrating such a model anew makes it whole.
+    In files of format 6 errors do not grow with how unfamiliar an image is.
 
     Raises:
         CheckpointError: no such file, no safetensors file, another format or version, a configuration with missing,
@@ -163,11 +173,11 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if found != FORMAT:
         raise CheckpointError(f"{path}: format is {found!r} in its metadata, expected {FORMAT!r}")
     version = metadata.get("version")
-    if version not in (str(VERSION), *_BEFORE_ERRORS):
+    if version not in (str(VERSION), _BEFORE_GROWTH, *_BEFORE_ERRORS):
         older = " or ".join(f"'{number}'" for number in _BEFORE_ERRORS)
         raise CheckpointError(
-            f"{path}: format version is {version!r}, expected '{VERSION}', or {older} of which network and scene are"
-            " taken; train the model anew"
+            f"{path}: format version is {version!r}, expected '{VERSION}' or '{_BEFORE_GROWTH}', or {older} of which"
+            " network and scene are taken; train the model anew"
         )
     config = read_json(path, metadata.get("config"))
     network = config.get("network")
@@ -187,13 +197,16 @@ def load_checkpoint(path: Path) -> Checkpoint:
     state = {name: tensors[NETWORK + name] for name in expected}
     state = {name: value.float() if value.is_floating_point() else value for name, value in state.items()}
     poses = Poses(tensors[_ROTATION].double().numpy(), tensors[_TRANSLATION].double().numpy())
-    parse = _calibration if version == str(VERSION) else partial(_former_calibration, prior_poses=poses)
+    if version in _BEFORE_ERRORS:
+        parse = partial(_former_calibration, prior_poses=poses)
+    else:
+        parse = partial(_calibration, unsaid=_EVEN if version == _BEFORE_GROWTH else {})
     calibration = parse(path, config.get("calibration"))
     return Checkpoint(network, box, calibration, poses, state, training, _familiarity(path, tensors) if known else None)
 
 
-def _calibration(path: Path, values: Any) -> Calibration:
-    """From JSON, every field of it and of what it holds given, and no other."""
+def _calibration(path: Path, values: Any, *, unsaid: Mapping[str, float]) -> Calibration:
+    """From JSON, every field of it and of what it holds given, and no other; but for what error models left unsaid."""
     if not isinstance(values, dict) or "errors" not in values:
         return parse_config(path, "calibration", Calibration, values)  # which says what is wrong
     errors = values["errors"]
@@ -204,7 +217,7 @@ def _calibration(path: Path, values: Any) -> Calibration:
                 raise CheckpointError(
                     f"{path}: calibration.errors configuration has {name} {found!r}, expected six numbers"
                 )
-        errors = errors | {name: tuple(map(float, errors[name])) for name in _SIX & errors.keys()}
+        errors = errors | {name: tuple(map(float, errors[name])) for name in _SIX & errors.keys()} | dict(unsaid)
     odometry = values.get("odometry")
     if odometry is not None:
         if not isinstance(odometry, dict):

@@ -19,7 +19,7 @@ from filtering.posterior import find_places
 from filtering.se3 import Poses
 from vapor.scene_scale import LENGTH_RAD, RADIUS_RAD, flat_log_density, scene_extent
 
-LEAST_IMAGES = 50
+LEAST_IMAGES = 20
 REGIONS = (0.5, 0.9, 0.95)
 
 _RADII = np.geomspace(0.01, 0.32, 6)  # of a place, in extents of the scene
@@ -30,12 +30,13 @@ _TRIES, _STEPS = 12, 80  # of the optimiser, from every start and from the best
 _LOG_SPREAD, _LOG_FLOOR, _LOG_TAIL, _LOGIT_OUTLIERS = (-5.0, 4.0), (-9.0, 0.0), (0.7, 4.0), (-5.0, 0.0)
 _PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the floor's logarithms, where the data say nothing
 _LEAST_OUTLIERS = 0.05  # neighbouring images err alike: none in 500 does not say that there are none
+_POWERS = np.linspace(0.0, 1.5, 13)  # by which errors grow with the score
 _LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
 _LASTING = (0.5, 0.7)
 _LAGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 _LEAST_PAIRS = 50
 _ALIKE = 10.0  # images that say that all axes err alike
-_UNSEEN = 5.0  # over the number of images: share of the variance that may be an error that lasts through all
+_UNSEEN = 2.0  # over the number of images: share of the variance that may be an error that lasts through all
 _UNSURE = 10.0  # images by which the variances of a fit to few are too small
 
 _NARROWEST, _WIDEST = (5e-4, 3e-3), (0.1, 1.0)  # kernels: extents, radians
@@ -87,6 +88,21 @@ class Way:
 
 
 @dataclass(frozen=True)
+class Seen:
+    """Images that the network has looked at.
+
+    Attributes:
+        samples: Posterior samples of each, world_from_camera, (m,) each.
+        truth: True poses, world_from_camera, (n,).
+        score: How unlike those of the training it is (`PosePosterior.unfamiliarity`), (n,); None where nobody knows.
+    """
+
+    samples: Sequence[Poses]
+    truth: Poses
+    score: Float64[np.ndarray, " n"] | None = None
+
+
+@dataclass(frozen=True)
 class ErrorFit:
     """What images with true poses say of the errors of their posteriors.
 
@@ -103,24 +119,27 @@ class ErrorFit:
     effective_images: float
 
 
-def fit_errors(samples: Sequence[Poses], truth: Poses, way: Way, scene: Poses, before: ErrorModel) -> ErrorFit:
+def fit_errors(seen: Seen, way: Way, scene: Poses, before: ErrorModel, *, trained: Seen | None = None) -> ErrorFit:
     """Fit how the posteriors of n images err.
 
     Places, spread, floor, tails and outliers are those of highest mean log likelihood
 
         log[ε flat + (1 − ε) Σₖ shareₖ t(true pose; placeₖ, spread Cₖ + diag(floor²), ν)].
 
-    The wider place is taken where the likelihood hardly tells. How long errors last comes by least squares from the
-    products of normalised errors of two images, against the way between them. As neighbouring images err alike, the
-    data are worth fewer images than there are: the fewer, the more alike the axes and the larger the variances.
+    The wider place is taken where the likelihood hardly tells. By how much more unfamiliar images err comes from images
+    that were trained on: the power of the score of highest likelihood. How long errors last comes by least squares from
+    the products of the directions of normalised errors of two images, against the way between them. As neighbouring
+    images err alike, the data are worth fewer images than there are: the fewer, the more alike the axes and the larger
+    the variances.
 
     Args:
-        samples: Posterior samples of each image, world_from_camera, (m,) each.
-        truth: True poses, world_from_camera, (n,).
-        way: Between the images.
+        seen: Held-out images, n.
+        way: Between them.
         scene: Poses that outline the scene: all lengths are sought in proportion to it.
         before: Of which the rest is kept.
+        trained: Images that were trained on, best those that others are compared with.
     """
+    samples, truth = seen.samples, seen.truth
     extent = scene_extent(scene)
     flat = flat_log_density(scene)
     tried = []
@@ -139,6 +158,13 @@ def fit_errors(samples: Sequence[Poses], truth: Poses, way: Way, scene: Poses, b
         flat_log_density=flat,
         **found.settings(extent),
     )
+    if seen.score is not None:
+        if trained is not None and trained.score is not None:
+            errors = _growing(errors, places, seen.score, trained, trained.score)
+        places = places.grown(errors, seen.score)
+        errors = replace(errors, **_likeliest(places, extent, flat, found.parameters).settings(extent))
+    else:
+        errors = replace(errors, unfamiliar_power=0.0)
     residual, told = places.residuals(errors)
     lasting, length_m = _lasting(residual, told, way, extent)
     effective = _effective_images(way, length_m)
@@ -152,8 +178,10 @@ def fit_errors(samples: Sequence[Poses], truth: Poses, way: Way, scene: Poses, b
         typical_std=places.typical_std(errors),
     )
     formerly = _Places.near(samples, truth, before.radius_m, before.radius_rad)
+    if seen.score is not None:
+        formerly = formerly.grown(before, seen.score)
     gain = float((places.log_density(errors) - formerly.log_density(before)).mean())
-    names = ("radius_m", "spread", "floor", "tail", "outlier_share")
+    names = ("radius_m", "spread", "floor", "tail", "outlier_share", "unfamiliar_power")
     changes = (
         _change("errors of an image", names, before, errors, gain),
         _change("how long they last", ("lasting_share", "length_m"), before, errors),
@@ -215,6 +243,11 @@ class _Places:
             parts.append((residual[kept], covariances[kept], sizes[kept] / len(poses), np.full(len(kept), i)))
         return _Places(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
+    def grown(self, errors: ErrorModel, score: Float64[np.ndarray, " n"]) -> _Places:
+        """The same as if every image were as familiar as those that the model is about: g⁻³ t(ξ/√g; Σ) is t(ξ; g Σ)."""
+        growth = np.array([errors.growth(float(value)) for value in score])[self.image]
+        return replace(self, residual=self.residual / np.sqrt(growth)[:, None], share=self.share / growth**3)
+
     def log_density(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
         """Log density of the true pose of each image, per m³ rad³."""
         log_places = _log_sum(torch.from_numpy(self._log_terms(errors)), torch.from_numpy(self.image)).numpy()
@@ -227,9 +260,10 @@ class _Places:
         Drawn in as an image of such errors counts: by the weight of a Student t distribution.
         """
         best = self._likeliest(errors)
-        covariance = errors.covariance(self.covariance[best])
+        unit = np.asarray(self.typical_std(errors))
+        covariance = errors.covariance(self.covariance[best]) / np.multiply.outer(unit, unit)
         values, vectors = np.linalg.eigh(covariance)
-        normal = np.einsum("nij,nj->ni", np.swapaxes(vectors, 1, 2), self.residual[best])
+        normal = np.einsum("nij,nj->ni", np.swapaxes(vectors, 1, 2), self.residual[best] / unit)
         normal = np.einsum("nij,nj->ni", vectors, normal / np.sqrt(values))
         weight = (errors.tail + 6.0) / (errors.tail + np.square(normal).sum(axis=1))
         share = np.log1p(-errors.outlier_share) - np.log(errors.outlier_share)
@@ -341,26 +375,50 @@ def _likeliest(places: _Places, extent: float, flat: float, also: Tensor | None)
     return _Found(-better, refined) if better < value else _Found(-value, parameters)
 
 
+def _growing(
+    errors: ErrorModel,
+    places: _Places,
+    score: Float64[np.ndarray, " n"],
+    trained: Seen,
+    trained_score: Float64[np.ndarray, " k"],
+) -> ErrorModel:
+    """The model with errors that grow with the score, as images held out and images trained on say together."""
+    errors = replace(errors, unfamiliar_score=ordinary_score(score))
+    known = _Places.near(trained.samples, trained.truth, errors.radius_m, errors.radius_rad)
+
+    def likelihood(grown: ErrorModel) -> float:
+        held_out = places.grown(grown, score).log_density(grown).mean()
+        return float(held_out + known.grown(grown, trained_score).log_density(grown).mean())
+
+    return max((replace(errors, unfamiliar_power=float(power)) for power in _POWERS), key=likelihood)
+
+
+def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
+    """The score of an ordinary image among n that are not foreign."""
+    return float(np.clip(np.median(score), 0.05, 1.0))
+
+
 def _lasting(
     residual: Float64[np.ndarray, "n 6"], told: Bool[np.ndarray, " n"], way: Way, extent: float
 ) -> tuple[float, float]:
     """Share of the variance that lasts, and the length over which it fades, metres."""
+    # Of their directions: images err more in one part of the scene than in another, which is not an error that lasts.
+    direction = residual / np.maximum(np.linalg.norm(residual, axis=1, keepdims=True), 1e-300)
     apart_m, apart_rad, product = [], [], []
     for lag in _LAGS:
         first = np.flatnonzero((way.number[lag:] == way.number[:-lag]) & told[lag:] & told[:-lag])
         apart_m.append(way.metres[first + lag] - way.metres[first])
         apart_rad.append(way.radians[first + lag] - way.radians[first])
-        product.append((residual[first + lag] * residual[first]).mean(axis=1))
+        product.append((direction[first + lag] * direction[first]).sum(axis=1))
     metres, radians, products = (np.concatenate(part) for part in (apart_m, apart_rad, product))
     if len(products) < _LEAST_PAIRS:
         return _LASTING[1], _LENGTHS[len(_LENGTHS) // 2] * extent
-    products = products / np.square(residual[told]).mean()
     best = (np.inf, _LASTING[1], extent)
     for length_m in _LENGTHS * extent:
         kernel = np.exp(-np.hypot(metres / length_m, radians / LENGTH_RAD))
-        share = float(np.clip((kernel * products).sum() / max(np.square(kernel).sum(), 1e-300), *_LASTING))
+        share = float(np.clip((kernel * products).sum() / max(np.square(kernel).sum(), 1e-300), 0.0, 1.0))
         best = min(best, (float(np.square(products - share * kernel).mean()), share, float(length_m)))
-    return best[1], best[2]
+    return float(np.clip(best[1], *_LASTING)), best[2]
 
 
 def _effective_images(way: Way, length_m: float) -> float:

@@ -255,6 +255,7 @@ def _fit(
             prior_poses,
             calibration,
             training=training,
+            familiarity=familiarity,
             max_images=config.validation_images,
             seed=config.seed,
             advance=lambda done, total: report(Progress("calibrating", done, total, best=best)),
@@ -390,7 +391,8 @@ def _update_average(state: TrainingState, decay: float, step: int) -> None:
 
 
 def _best(history: Sequence[Validation], config: TrainConfig) -> Validation | None:
-    return max(history, key=lambda figures: getattr(figures, config.select_by), default=None)
+    """The best epoch so far, of equally good ones the last: at first none may be good at all."""
+    return max(reversed(history), key=lambda figures: getattr(figures, config.select_by), default=None)
 
 
 def _prior_poses(network: PoseRegressor, weights: dict[str, torch.Tensor], training: TrainingSet, seed: int) -> Poses:
