@@ -3,14 +3,29 @@
 import json
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from filtering.localizer import ParticleLocalizer
+from filtering.estimate import Mode
+from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+from sequences.odometry_fit import OdometryFit
 from vapor import recordings, trials, windows
-from vapor.checkpoint import load_checkpoint
+from vapor.checkpoint import Calibration, load_checkpoint
+from vapor.commands import console
+from vapor.commands.benchmark_tables import tables
+from vapor.commands.console import show
+from vapor.evaluate import FILES
+from vapor.floors import FLOOR_HEIGHT_M
+from vapor.lengths import scaled_calibration, scaled_localizer, scaled_odometry
+from vapor.methods import Comparison
 from vapor.summary import failed, summarise
 from vapor.track import main
+from vapor.verdicts import Belief
+from vapor.windows import Piece, Trial
 
 OPTIONS = [
     "--runs", "1", "--frames", "50", "--width", "32", "--height", "24", "--num-samples", "40", "--workers", "1",
@@ -53,6 +68,7 @@ def run(folder, tiny_model, *more: str) -> int:
     return main([*words, *OPTIONS, *more])
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_an_interrupted_benchmark_goes_on_and_a_finished_one_computes_nothing(tmp_path, tiny_model, calls, capsys):
     calls.interrupt_at.update(_record=2)
     assert run(tmp_path, tiny_model) == 130
@@ -119,9 +135,9 @@ def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_m
     told = []
     update = ParticleLocalizer.update
 
-    def watched(localizer, posterior, odometry):
+    def watched(localizer, posterior, odometry, **timing):
         told.append(posterior.errors)
-        return update(localizer, posterior, odometry)
+        return update(localizer, posterior, odometry, **timing)
 
     monkeypatch.setattr(ParticleLocalizer, "update", watched)
     monkeypatch.setattr(trials, "_code", lambda: "of errors")
@@ -136,6 +152,7 @@ def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_m
     assert "outlier_share is 2" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, calls, capsys):
     assert run(tmp_path, tiny_model, "--kinds", "rate-3", "rate-10", "rate-30") == 0
     assert calls == {"_record": 1, "_localize": 3}
@@ -144,23 +161,106 @@ def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, 
     assert {each["kind"]: each["images"] for each in runs} == {"rate-3": 15, "rate-10": 50, "rate-30": 150}
 
 
+@pytest.mark.usefixtures("unchecked")
+def test_walks_where_floors_look_alike_are_judged_but_for_the_floor_and_once_on_it(tiny_model, tmp_path, capsys):
+    words = ["benchmark", "localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
+    assert main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "0.02"]) == 0
+    out = capsys.readouterr().out
+    assert "corridor, whole walks, something unique early: 1 runs" in out
+    assert "once on its" in out
+    (each,) = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    assert each["images"] == 50
+    for name, judged in each["methods"].items():
+        assert judged["floor"]["settled_images"] <= 50
+        if name in each["belief"]:
+            assert each["belief"][name]["on_floor"]["images"] == judged["floor"]["settled_images"]
+    (settings,) = (tmp_path / "recordings").glob("*/settings.json")
+    assert json.loads(settings.read_text())["odometry_scale"] == 0.02
+    with pytest.raises(SystemExit):
+        main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "-2"])
+    assert "odometry_scale is -2" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("unchecked")
 def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path, monkeypatch, capsys):
     for module in (windows, trials):
         monkeypatch.setattr(module, "STAND_S", 3.0)
-        monkeypatch.setattr(module, "STAND_AFTER", 10)
-    assert run(tmp_path, tiny_model, "--kinds", "standing", "--variants", "full", "no-tails") == 0
-    assert "standing for five minutes where nothing is unique: 1 runs" in capsys.readouterr().out
+    monkeypatch.setattr(windows, "STAND_AFTER", 10)
+    assert run(tmp_path, tiny_model, "--kinds", "standing", "standing-cue", "--variants", "full", "no-tails") == 0
+    out = capsys.readouterr().out
+    assert "ceiling, standing where nothing is unique: 1 runs" in out
+    assert "ceiling, standing before something unique: 1 runs" in out
     runs = json.loads((tmp_path / "summary.json").read_text())["runs"]
-    assert [(each["images"], each["cue_images"]) for each in runs] == [(40, 0)] * 2
+    for each in runs:
+        if each["kind"] == "standing":
+            assert (each["images"], each["cue_images"]) == (40, 0)
+        else:
+            assert each["images"] >= 40
+            assert each["cue_images"] >= 30
 
 
+@pytest.mark.usefixtures("unchecked")
+def test_a_run_at_another_scale_has_the_results_of_the_unscaled_one(folder, tiny_model, calls, capsys):
+    scaled = ("scale-0.1", "scale-30")
+    assert run(folder, tiny_model, "--kinds", "cue", *scaled) == 0
+    assert calls == {"_localize": 2}  # no recording is made
+    assert "the filter by kind of run" in capsys.readouterr().out
+    runs = {each["kind"]: each for each in json.loads((folder / "summary.json").read_text())["runs"]}
+    assert load_checkpoint(tiny_model).calibration.odometry is None
+    for kind in scaled:
+        for name in FILES:
+            ours, theirs = runs[kind]["methods"][name], runs["cue"]["methods"][name]
+            same = pytest.approx(theirs["median_translation_m"], rel=1e-4 if name == "smoothed" else 1e-6)
+            assert ours["median_translation_m"] == same
+            assert ours["recall"] == theirs["recall"]
+        assert runs[kind]["belief"]["filter"]["status"] == runs["cue"]["belief"]["filter"]["status"]
+
+
+def test_a_calibration_is_scaled_with_the_odometry_that_it_found():
+    fit = OdometryFit(
+        (1e-4,) * 6,
+        (2e-4,) * 6,
+        (0.01,) * 6,
+        20.0,
+        0.01,
+        0.02,
+        (1e-3,) * 6,
+        (0.1,) * 6,
+        (0.1,) * 6,
+        0.1,
+        500,
+        2,
+        50.0,
+        9.0,
+        0,
+    )
+    motion = Odometry(Poses.exp(np.array([0.3, -0.1, 0.2, 0.1, 0.2, -0.3])), np.eye(6), 0.5)
+    calibration = Calibration(odometry=fit)
+    scaled = scaled_calibration(calibration, 30.0)
+    expected = scaled_odometry(fit.restated(motion), 30.0)
+    found = scaled.odometry.restated(scaled_odometry(motion, 30.0))
+    np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-15)
+    assert scaled.odometry.slow_errors.drift == pytest.approx((0.3, 0.3, 0.3, 0.01, 0.01, 0.01))
+    assert scaled.odometry.slow_errors.scale == fit.slow_errors.scale
+    assert scaled.errors == calibration.errors.scaled(30.0)
+    assert scaled_calibration(calibration, 1.0) == calibration
+
+
+def test_settings_of_the_filter_that_are_lengths_are_scaled():
+    assert scaled_localizer(LocalizerConfig(), 1.0) == LocalizerConfig()
+    scaled = scaled_localizer(LocalizerConfig(converged_std_m=0.2), 30.0)
+    assert scaled.converged_std_m == pytest.approx(6.0)
+    assert scaled.gap.speed_m_per_s == pytest.approx(30.0 * LocalizerConfig().gap.speed_m_per_s)
+
+
+@pytest.mark.usefixtures("unchecked")
 def test_only_a_filter_that_is_told_of_a_kidnap_starts_anew_there(folder, tiny_model, monkeypatch):
     anew, update = [], ParticleLocalizer.update
 
-    def watched(localizer, posterior, odometry):
+    def watched(localizer, posterior, odometry, **timing):
         if type(localizer) is ParticleLocalizer:  # the Gaussian sum is told nothing
             anew.append(odometry is None)
-        return update(localizer, posterior, odometry)
+        return update(localizer, posterior, odometry, **timing)
 
     monkeypatch.setattr(ParticleLocalizer, "update", watched)
     monkeypatch.setattr(trials, "_code", lambda: "watched")
@@ -175,6 +275,7 @@ def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, mon
     assert calls == {"_localize": 1}
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_processes_give_the_results_of_one(folder, tiny_model, tmp_path):
     assert run(folder, tiny_model, "--kinds", "cue", "--runs", "3") == 0
     alone = json.loads((folder / "summary.json").read_text())["runs"]
@@ -209,7 +310,9 @@ def consistency(images: int, wrong: float = 0.0) -> dict:
     }
 
 
-def result(kind: str, *, converged: float, wrong: float, success: bool = True, recovered: int | None = None) -> dict:
+def result(
+    kind: str, *, converged: float, wrong: float, success: bool = True, recovered: int | None = None, walk: int = 0
+) -> dict:
     """Of a run of 100 images."""
     recall = {"0.1m/10deg": 0.2, "0.2m/15deg": 0.4, "0.3m/20deg": 0.6}
     metrics = {"median_translation_m": 0.1, "median_rotation_deg": 2.0, "ape_rmse_m": 0.3, "recall": recall}
@@ -223,14 +326,16 @@ def result(kind: str, *, converged: float, wrong: float, success: bool = True, r
         "said_converged": consistency(round(100 * converged), wrong),
         "after_convergence": consistency(70 if success else 0),
         "truth_among_modes": 0.9,
+        "longest_wrong_s": 10 * converged * wrong,
         "false_recoveries": 1,
         "kidnap": {"right_before": True, "images": recovered} if kind == "kidnap" else None,
     }
     methods = dict.fromkeys(("single_image", "dead_reckoning"), metrics)
     methods |= dict.fromkeys(("kalman", "gaussian_sum", "filter", "smoothed"), tracked)
     return {
-        "name": f"ceiling-{kind}-{converged}", "scene": "ceiling", "kind": kind, "variant": "full", "images": 100,
-        "cue_images": 3, "methods": methods, "belief": dict.fromkeys(("filter", "kalman", "gaussian_sum"), belief),
+        "name": f"ceiling-{kind}-{converged}", "scene": "ceiling", "kind": kind, "walk": walk, "variant": "full",
+        "images": 100, "cue_images": 3, "methods": methods,
+        "belief": dict.fromkeys(("filter", "kalman", "gaussian_sum"), belief),
         "image_truth_among_modes": 0.8, "particles": 100, "step_ms": 4.0,
     }  # fmt: skip
 
@@ -259,6 +364,8 @@ def test_a_wrong_place_counts_in_any_image_and_in_a_twentieth_of_them():
     total = summarise(runs)["ceiling"]["no-cue"]["full"]
     assert total["belief"]["filter"]["runs_wrongly_converged"] == 4
     assert total["belief"]["filter"]["runs_wrongly_converged_often"] == 2
+    assert total["belief"]["filter"]["longest_wrong_s"] == pytest.approx(1.5)
+    assert total["belief"]["filter"]["rightly_converged"] == pytest.approx(0.0625)
     assert total["failed"] == ["ceiling-no-cue-0.1", "ceiling-no-cue-0.3"]
 
 
@@ -268,5 +375,104 @@ def test_recovery_counts_up_to_the_fiftieth_image():
         for share, images in ((0.1, 1), (0.2, 50), (0.3, 51), (0.4, None))
     ]
     kidnap = summarise(runs)["ceiling"]["kidnap"]["full"]["belief"]["filter"]["kidnap"]
+    intervals = kidnap.pop("intervals")
     assert kidnap == {"right_before": 4, "recovered_in_time": 2, "recovered": 3, "median_images": 50.0}
+    assert intervals == {"recovered_in_time": None}  # of one walk
     assert [each["name"] for each in runs if failed(each)] == ["ceiling-kidnap-0.3", "ceiling-kidnap-0.4"]
+
+
+def test_intervals_of_alike_runs_have_no_width_and_those_of_others_hold_the_figure():
+    runs = [
+        result("cue", converged=0.5 + 0.01 * walk, wrong=0.02 * walk, success=walk < 8, walk=walk)
+        for walk in range(10)
+        for _ in range(3)
+    ]
+    total = summarise(runs)["ceiling"]["cue"]["full"]
+    method, said = total["methods"]["filter"], total["belief"]["filter"]["said_converged"]
+    assert (total["runs"], total["walks"]) == (30, 10)
+    assert method["intervals"]["median_translation_m"] == (0.1, 0.1)
+    for interval, figure in (
+        (method["intervals"]["successes"], method["successes"]),
+        (said["intervals"]["wrong"], said["wrong"]),
+        (said["intervals"]["coverage"]["95%"], said["coverage"]["95%"]),
+        (total["belief"]["filter"]["intervals"]["rightly_converged"], total["belief"]["filter"]["rightly_converged"]),
+    ):
+        assert interval[0] < figure < interval[1]
+
+
+def on_floor(each: dict, right: float) -> dict:
+    """A result of where floors look alike: as many images once on it are right as are said."""
+    floor = {"but_for_it": right, "settled_images": 90, "settled_right": right}
+    methods = {name: method | {"floor": floor} for name, method in each["methods"].items()}
+    belief = {name: found | {"on_floor": consistency(90, 1.0 - right)} for name, found in each["belief"].items()}
+    return each | {"methods": methods, "belief": belief}
+
+
+def test_floors_are_summed_up_over_the_images_on_them_with_intervals():
+    runs = [
+        on_floor(result("walk", converged=0.5 + 0.01 * walk, wrong=0.0, walk=walk), 0.5 + 0.04 * walk)
+        for walk in range(10)
+    ]
+    never = on_floor(result("walk", converged=0.9, wrong=0.0, walk=10), 0.1)
+    nowhere = {"but_for_it": 0.1, "settled_images": 0, "settled_right": None}
+    never["methods"] = {name: method | {"floor": nowhere} for name, method in never["methods"].items()}
+    never["belief"] = {name: found | {"on_floor": consistency(0)} for name, found in never["belief"].items()}
+    total = summarise([*runs, never])["ceiling"]["walk"]["full"]
+    floor, belief = total["methods"]["smoothed"]["floor"], total["belief"]["filter"]["on_floor"]
+    assert (floor["settled_images"], belief["images"]) == (900, 900)
+    assert floor["settled_right"] == pytest.approx(0.68)
+    assert belief["wrong"] == pytest.approx(0.32)
+    assert floor["but_for_it"] == pytest.approx((6.8 + 0.1) / 11)
+    for name in ("but_for_it", "settled_right"):
+        low, high = floor["intervals"][name]
+        assert low < floor[name] < high
+    elsewhere = summarise([result("walk", converged=0.5, wrong=0.0)])["ceiling"]["walk"]["full"]
+    assert "floor" not in elsewhere["methods"]["filter"]
+    assert "on_floor" not in elsewhere["belief"]["filter"]
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("scale", [1.0, 30.0])
+def test_floors_are_judged_in_the_lengths_of_the_scene(scale, monkeypatch):
+    """At another scale the poses are scaled back before whole floors are counted."""
+    height = FLOOR_HEIGHT_M["corridor"]
+    truth = Poses(np.tile(np.eye(3), (4, 1, 1)), np.array([[x, 0.0, 0.0] for x in range(4)]))
+    off = Poses(truth.rotation, truth.translation + np.array([[0.0, 0.0, height * up] for up in (1.05, 1, 0, 0)]))
+    modes = tuple((Mode(off[i], 0.01 * np.eye(6), 1.0),) for i in range(4))
+    beliefs = dict.fromkeys(("kalman", "gaussian_sum", "filter"), Belief(modes, ["ambiguous"] * 4))
+    compared = Comparison(10**8 * np.arange(4), truth, dict.fromkeys(FILES, off), beliefs, modes, 1, 1.0)
+    followed = SimpleNamespace(compared=lambda: compared.scaled(scale))
+    monkeypatch.setattr(trials, "follow_trial", lambda trial, setup, replay: followed)
+    given = SimpleNamespace(variant="full", cue_images=0)
+    for scene in ("corridor", "ceiling"):
+        trial = Trial(scene, "walk", (Piece(0, 0, 4),), scale=scale)
+        found = trials._localize(trial, given, given)  # pyright: ignore[reportArgumentType]
+        told, belief = found["methods"]["smoothed"], found["belief"]["filter"]
+        if scene == "corridor":
+            assert told["floor"] == {"but_for_it": 1.0, "settled_images": 2, "settled_right": 1.0}
+            assert belief["on_floor"]["images"] == 2
+        else:
+            assert "floor" not in told
+            assert "on_floor" not in belief
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_the_tables_fit_a_terminal(width, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setattr(console, "_MIN_WIDTH", width)
+    rates = [
+        result(
+            kind, converged=0.5 + 0.04 * walk, wrong=0.01 * walk, success=walk < 9, recovered=40 + 2 * walk, walk=walk
+        )
+        for kind in ("rate-3", "rate-10", "rate-30", "kidnap", "standing", "standing-30")
+        for walk in range(10)
+    ]
+    rates = [on_floor(each, 0.9 + 0.01 * each["walk"]) for each in rates]
+    for table in tables(summarise(rates)):
+        show(table)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    for kind in ("rate-3", "rate-10", "rate-30"):
+        row = next(line for line in lines if line.split()[:1] == [kind])
+        assert row.split()[1] == "9/10"
+    assert not [line for line in lines if "…" in line]

@@ -83,8 +83,8 @@ def test_an_interrupted_recording_leaves_nothing(checkpoint, tmp_path, monkeypat
 
 OTHER = {
     "scene": "staircase", "seed": 4, "cues": "none", "frames": 13, "width": 50, "height": 40,
-    "network_sha256": "1" * 64, "num_samples": 31, "rate_hz": 30.0, "stand": (3, 1.0), "synthesis": 99,
-    "package": "9.9",
+    "network_sha256": "1" * 64, "num_samples": 31, "rate_hz": 30.0, "stand": (3, 1.0), "part": (2, 4),
+    "change": "black", "odometry_scale": 0.02, "synthesis": 99, "package": "9.9",
 }  # fmt: skip
 
 
@@ -103,8 +103,8 @@ def test_a_recording_is_used_for_its_own_settings_only(name, directory, tmp_path
         load_recording(other, tmp_path)
 
 
-@pytest.mark.parametrize("name", ["rate_hz", "stand"])
-def test_an_ordinary_recording_is_none_of_another_rate_or_with_a_stand(name, directory, tmp_path):
+@pytest.mark.parametrize("name", ["rate_hz", "stand", "part", "change", "odometry_scale"])
+def test_an_ordinary_recording_is_none_of_another_kind(name, directory, tmp_path):
     target = tmp_path / SETTINGS.name
     shutil.copytree(directory / SETTINGS.name, target)
     told = replace(SETTINGS, **{name: OTHER[name]}).told
@@ -114,8 +114,8 @@ def test_an_ordinary_recording_is_none_of_another_rate_or_with_a_stand(name, dir
 
 
 def test_what_is_as_in_most_recordings_changes_no_name():
-    assert not {"rate_hz", "stand"} & SETTINGS.told.keys()
-    assert replace(SETTINGS, rate_hz=10.0, stand=None).name == SETTINGS.name
+    assert not {"rate_hz", "stand", "part", "change", "odometry_scale"} & SETTINGS.told.keys()
+    assert replace(SETTINGS, rate_hz=10.0, stand=None, odometry_scale=None).name == SETTINGS.name
     assert replace(SETTINGS, rate_hz=30.0).name != SETTINGS.name != replace(SETTINGS, stand=(3, 1.0)).name
 
 
@@ -126,7 +126,7 @@ def test_every_setting_of_a_recording_is_checked():
 def test_a_kidnap_jumps_in_what_is_seen_but_not_in_time_or_odometry(directory):
     first, second = (load_recording(replace(SETTINGS, seed=seed), directory) for seed in (5, 6))
     trial = Trial("ceiling", "kidnap", (Piece(5, 2, 6), Piece(6, 3, 4)))
-    replay = assemble(trial, {5: first, 6: second}.__getitem__)
+    replay = assemble(trial, lambda piece: {5: first, 6: second}[piece.seed])
     assert len(replay.odometry) == len(replay.truth) == len(replay.times_ns) == 10
     assert set(np.diff(replay.times_ns)) == {100_000_000}
     for i in range(10):
@@ -146,7 +146,7 @@ def test_of_a_faster_recording_every_third_image_is_seen_and_the_motions_between
     make_recording(fast, checkpoint, tmp_path)
     recording = load_recording(fast, tmp_path)
     assert np.diff(recording.times_ns) == pytest.approx([1e9 / 30] * 12, abs=2)
-    replay = assemble(Trial("ceiling", "rate-10", (Piece(5, 0, 13),), 3), lambda seed: recording)
+    replay = assemble(Trial("ceiling", "rate-10", (Piece(5, 0, 13),), 3), lambda piece: recording)
     assert len(replay.odometry) == len(replay.truth) == len(replay.times_ns) == len(replay.unfamiliarity) == 5
     assert replay.times_ns[0] == recording.times_ns[0]
     np.testing.assert_allclose(np.diff(replay.times_ns), 1e8, atol=10)
@@ -169,7 +169,7 @@ def test_a_recording_of_a_stand_goes_on_where_the_camera_rests(checkpoint, tmp_p
     standing = replace(SETTINGS, frames=6, stand=(5, 1.0))
     make_recording(standing, checkpoint, tmp_path)
     recording = load_recording(standing, tmp_path)
-    assert standing.num_images == len(recording.times_ns) == len(recording.samples) == 15
+    assert len(recording.times_ns) == len(recording.samples) == 15
     assert len(recording.path.sees_cue) == 15
     moved_m, _ = recording.path.world_from_camera[5:].distance(recording.path.world_from_camera[14])
     assert moved_m.max() < 1e-6
@@ -191,5 +191,34 @@ def test_how_unfamiliar_images_are_is_recorded(checkpoint, tmp_path, monkeypatch
     make_recording(SETTINGS, checkpoint, tmp_path)
     recording = load_recording(SETTINGS, tmp_path)
     np.testing.assert_array_equal(recording.unfamiliarity, np.linspace(0.0, 2.2, 12))
-    replay = assemble(Trial("ceiling", "cue", (Piece(5, 2, 6),)), lambda seed: recording)
+    replay = assemble(Trial("ceiling", "cue", (Piece(5, 2, 6),)), lambda piece: recording)
     np.testing.assert_array_equal(replay.unfamiliarity, recording.unfamiliarity[2:8])
+
+
+def test_a_part_of_a_recording_is_of_the_same_walk(directory, checkpoint, tmp_path):
+    part = replace(SETTINGS, part=(3, 5))
+    make_recording(part, checkpoint, tmp_path)
+    recording, whole = load_recording(part, tmp_path), load_recording(SETTINGS, directory)
+    assert len(recording.times_ns) == len(recording.samples) == 5
+    np.testing.assert_array_equal(recording.times_ns, whole.times_ns[3:8])
+    np.testing.assert_array_equal(recording.path.sees_cue, whole.path.sees_cue[3:8])
+    for image in range(1, 5):
+        np.testing.assert_array_equal(recording.odometry[image].as_matrix(), whole.odometry[3 + image].as_matrix())
+        np.testing.assert_array_equal(
+            recording.path.world_from_camera[image].as_matrix(), whole.path.world_from_camera[3 + image].as_matrix()
+        )
+
+
+def test_images_are_changed_before_the_network_sees_them(checkpoint, tmp_path, monkeypatch):
+    images = []
+    observe = VaporObservationModel.observe
+    monkeypatch.setattr(
+        VaporObservationModel,
+        "observe",
+        lambda model, image, *, rng: images.append(image) or observe(model, image, rng=rng),
+    )
+    for change in (None, "upside down", "black"):
+        make_recording(replace(SETTINGS, frames=2, change=change), checkpoint, tmp_path)
+    np.testing.assert_array_equal(images[2:4], np.array(images[:2])[:, ::-1, ::-1])
+    assert np.std(images[0]) > 1.0
+    assert np.max(images[4:]) == 0

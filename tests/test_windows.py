@@ -1,12 +1,25 @@
 """Which runs a benchmark consists of: decided by what the camera comes by, and by nothing else."""
 
+from dataclasses import replace
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from vapor.recordings import CameraPath
-from vapor.windows import CUES, STRIDES, Piece, Trial, choose_trials, cue_starts, recording_frames, spread_starts
+from vapor.windows import (
+    KINDS,
+    Kind,
+    Piece,
+    Trial,
+    choose_trials,
+    cue_starts,
+    recorded_images,
+    spread_starts,
+    walk_frames,
+)
 
 FRAMES = 60
 
@@ -53,12 +66,16 @@ def test_every_cue_run_sees_something_unique_in_its_first_half():
         (piece,) = trial.pieces
         assert piece.length == FRAMES
         assert wide_apart(piece.seed).sees_cue[piece.start : piece.start + FRAMES // 2].sum() >= 5
-        assert piece.start + FRAMES <= recording_frames("cue", FRAMES)
+        assert piece.start + FRAMES <= walk_frames("cue", FRAMES)
     assert len({trial.name for trial in trials}) == 5
     assert trials[0].name == f"ceiling-cue-7-{trials[0].pieces[0].start}"
 
 
-@pytest.mark.parametrize("kind", CUES)
+def test_every_kind_has_a_name_that_can_be_asked_for():
+    assert set(KINDS) == set(get_args(Kind))
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_fewer_runs_are_the_first_of_more_and_the_same_every_time(kind):
     assert chosen(kind, runs=3) == chosen(kind, runs=9)[:3]
     assert chosen(kind, runs=3, first_seed=8) != chosen(kind, runs=3)
@@ -73,20 +90,44 @@ def test_seeds_without_anything_unique_are_passed_over_and_in_the_end_given_up()
 
 def test_runs_without_anything_unique_are_whole_recordings():
     assert chosen("no-cue", runs=2) == [Trial("ceiling", "no-cue", (Piece(s, 0, FRAMES),)) for s in (7, 8)]
-    assert recording_frames("no-cue", FRAMES) == FRAMES
+    assert walk_frames("no-cue", FRAMES) == FRAMES
+
+
+def test_walks_are_whole_recordings_that_pass_something_unique_early():
+    assert chosen("walk", runs=2) == [Trial("ceiling", "walk", (Piece(s, 0, FRAMES),)) for s in (7, 8)]
+    assert walk_frames("walk", FRAMES) == recorded_images("walk", FRAMES) == FRAMES
+    assert KINDS["walk"].cues == "early"
 
 
 def test_runs_at_a_rate_are_the_same_recordings_of_which_some_images_are_seen():
-    count = recording_frames("rate-30", FRAMES)
-    assert count == 3 * FRAMES
     for kind, stride in (("rate-3", 10), ("rate-10", 3), ("rate-30", 1)):
-        assert STRIDES[kind] == stride
-        assert chosen(kind, runs=2) == [Trial("ceiling", kind, (Piece(s, 0, count),), stride) for s in (7, 8)]
+        assert recorded_images(kind, walk_frames(kind, FRAMES)) == 3 * FRAMES
+        assert chosen(kind, runs=2) == [Trial("ceiling", kind, (Piece(s, 0, 3 * FRAMES),), stride) for s in (7, 8)]
 
 
-def test_a_standing_camera_walks_for_five_seconds_and_stands_for_five_minutes():
-    assert chosen("standing", runs=1) == [Trial("ceiling", "standing", (Piece(7, 0, 3050),))]
-    assert recording_frames("standing", FRAMES) == 51  # while it stands, the path does not go on
+@pytest.mark.parametrize("kind", ["scale-0.1", "scale-30"])
+def test_runs_at_another_scale_are_those_of_cue(kind):
+    of_cue = chosen("cue", runs=5)
+    assert chosen(kind, runs=5) == [replace(trial, kind=kind, scale=KINDS[kind].scale) for trial in of_cue]
+    assert walk_frames(kind, FRAMES) == walk_frames("cue", FRAMES)
+
+
+@pytest.mark.parametrize(("kind", "rate"), [("standing", 1), ("standing-30", 3)])
+def test_a_standing_camera_walks_for_five_seconds_and_stands_for_five_minutes(kind, rate):
+    assert chosen(kind, runs=1) == [Trial("ceiling", kind, (Piece(7, 0, rate * 3050, rate * 50),))]
+    assert walk_frames(kind, FRAMES) == 51  # while it stands, the path does not go on
+
+
+@pytest.mark.parametrize(("kind", "rate"), [("standing-cue", 1), ("standing-cue-30", 3)])
+def test_a_camera_stops_before_something_unique_where_there_is_any_after_five_seconds(kind, rate):
+    seen = [*range(20, 30), *range(60, 64), *range(70, 90)]  # too early, and too short
+    (trial,) = chosen(kind, runs=1, path=lambda seed: path_seeing(seen if seed > 8 else range(50)))
+    assert trial.pieces == (Piece(9, 0, rate * 3074, rate * 74),)
+
+
+def test_where_nothing_unique_is_ever_seen_no_camera_can_stand_before_it():
+    with pytest.raises(VaporTrackError, match="0 standing-cue trials"):
+        chosen("standing-cue", runs=1, path=lambda seed: path_seeing([]))
 
 
 def test_a_kidnap_goes_far_and_lands_where_something_unique_is_soon_seen():

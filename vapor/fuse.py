@@ -11,6 +11,7 @@ from jaxtyping import Float64
 
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
+from filtering.localizer import LocalizerConfig
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.estimates import EstimateOptions, EstimateSequence
@@ -118,9 +119,7 @@ def fuse(
     )
     errors = errors_of(sequence, trust)
     model = EstimateModel(len(sequence.files), trust, errors)
-    # Frames of another sequence are another recording, not a gap in the odometry.
-    gap = replace(config.localizer.gap, action="forget")
-    config = replace(config, localizer=replace(config.localizer, gap=gap))
+    config = replace(config, localizer=over_sequences(config.localizer))
     with complete_directory(output) as partial:
         record = localize(
             sequence,
@@ -140,6 +139,11 @@ def fuse(
             "errors": asdict(errors),
         }
         return write_results(record, partial, settings, title=", ".join(file.path.stem for file in sequence.files))
+
+
+def over_sequences(config: LocalizerConfig) -> LocalizerConfig:
+    """Settings under which the frames of another sequence are another recording, not a gap in the odometry."""
+    return replace(config, gap=replace(config.gap, action="forget"))
 
 
 def errors_of(sequence: EstimateSequence, trust: EstimateConfig) -> ErrorModel:

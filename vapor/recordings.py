@@ -1,4 +1,4 @@
-"""Synthetic sequences as a benchmark keeps them: rendered once, looked at by the network once, replayed often."""
+"""Sequences as a benchmark keeps them: rendered or converted once, seen by the network once, replayed often."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import importlib.metadata
 import json
 import secrets
 import shutil
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,13 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from sequences.odometry import OdometryNoise
 from sequences.reader import SequenceReader
 from sequences.render import sees_cue
 from sequences.route import Cues
 from sequences.synthesize import SYNTHESIS, Stand, SyntheticSequence, synthesize, write_synthetic
 from vapor.checkpoint import Checkpoint
+from vapor.familiarity_benchmark import FOREIGN, Image
 from vapor.observation import VaporObservationModel
 from vapor.threads import limited_threads
 
@@ -34,6 +36,9 @@ class RecordingSettings:
     """Everything that a recording depends on.
 
     `stand`: the image at which the camera stops, and for how many seconds it stands; None for a camera that does not.
+    `part`: the first of the images that are recorded, and how many; None for all. `change`: what is done to every image
+    before the network sees it, one of `FOREIGN`; None for nothing. `odometry_scale`: the error of the odometry's
+    distances, as a share of them; None for a random one.
     """
 
     scene: str
@@ -46,6 +51,9 @@ class RecordingSettings:
     num_samples: int
     rate_hz: float = 10.0
     stand: tuple[int, float] | None = None
+    part: tuple[int, int] | None = None
+    change: str | None = None
+    odometry_scale: float | None = None
     synthesis: int = SYNTHESIS
     package: str = field(default_factory=lambda: importlib.metadata.version("vapor-track"))
 
@@ -58,15 +66,40 @@ class RecordingSettings:
     def told(self) -> dict[str, Any]:
         """All of it by name; what is as it is in most recordings is not said."""
         content = asdict(self)
-        for name, ordinary in (("rate_hz", 10.0), ("stand", None)):
+        unusual = ("stand", "part", "change", "odometry_scale")
+        for name, ordinary in (("rate_hz", 10.0), *((name, None) for name in unusual)):
             if content[name] == ordinary:
                 del content[name]
         return json.loads(json.dumps(content))
 
+
+@dataclass(frozen=True)
+class FileSettings:
+    """Everything that the recording of an MCAP file depends on.
+
+    Attributes:
+        sequence: Name of the file.
+        made: Digest of all that it was made from.
+        seen_sha256: Of what the network says of an image, its samples and how familiar it is.
+        seed: Of the network's latent noise.
+        num_samples: Posterior samples per image.
+    """
+
+    sequence: str
+    made: str
+    seen_sha256: str
+    seed: int
+    num_samples: int
+
     @property
-    def num_images(self) -> int:
-        """Of the recording: those before the camera stops, and those while it stands."""
-        return self.frames if self.stand is None else self.stand[0] + round(self.stand[1] * self.rate_hz)
+    def name(self) -> str:
+        """Of its folder: recordings of other settings lie beside it."""
+        return f"{self.sequence}-{digest(self.told)}"
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """All of it by name."""
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -75,7 +108,7 @@ class CameraPath:
 
     Attributes:
         world_from_camera: True poses, batch (n,).
-        sees_cue: Whether an image shows something unique, (n,).
+        sees_cue: Whether an image shows something unique, (n,); nowhere where that is not known.
     """
 
     world_from_camera: Poses
@@ -121,26 +154,21 @@ def make_recording(settings: RecordingSettings, checkpoint: Checkpoint, director
     Raises:
         VaporTrackError: there is no such sequence, or the directory cannot be written to.
     """
-    folder = directory / settings.name
-    if folder.is_dir():
-        return
-    partial = directory / f".{settings.name}.{secrets.token_hex(4)}.partial"
-    try:
-        partial.mkdir(parents=True)
-        with limited_threads(1):
-            _record(settings, checkpoint, partial)
-        (partial / _SETTINGS).write_text(json.dumps(settings.told, indent=2) + "\n", encoding="utf-8")
-        if not folder.is_dir():  # another process may have been faster
-            partial.rename(folder)
-    except OSError as error:
-        raise VaporTrackError(
-            f"{folder}: cannot write: {error.strerror or error}, expected a directory that can be written to"
-        ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    _keep(settings, directory, lambda folder: _record(settings, checkpoint, folder))
 
 
-def load_recording(settings: RecordingSettings, directory: Path) -> Recording:
+def record_file(settings: FileSettings, file: Path, checkpoint: Checkpoint, directory: Path) -> None:
+    """Read an MCAP file in which every image has a true pose and odometry, and go on as `make_recording`.
+
+    Raises:
+        VaporTrackError: the file cannot be read or lacks some of it, or the directory cannot be written to.
+    """
+    rng = np.random.default_rng([settings.seed, settings.num_samples])
+    model = VaporObservationModel(checkpoint, num_samples=settings.num_samples, device="cpu")
+    _keep(settings, directory, lambda folder: _observe(file, model, folder, rng=rng))
+
+
+def load_recording(settings: RecordingSettings | FileSettings, directory: Path) -> Recording:
     """A recording made before.
 
     Raises:
@@ -180,16 +208,47 @@ def digest(settings: Mapping[str, Any]) -> str:
 
 
 def _sequence(settings: RecordingSettings) -> SyntheticSequence:
-    return synthesize(
+    sequence = synthesize(
         settings.scene,
         seed=settings.seed,
         num_frames=settings.frames,
         cues=settings.cues,
         width=settings.width,
         height=settings.height,
+        noise=OdometryNoise(fixed_scale=settings.odometry_scale),
         rate_hz=settings.rate_hz,
         stand=None if settings.stand is None else Stand(*settings.stand),
     )
+    if settings.part is None:
+        return sequence
+    first, count = settings.part
+    part = slice(first, first + count)
+    return replace(
+        sequence,
+        image_times_ns=sequence.image_times_ns[part],
+        world_from_camera=sequence.world_from_camera[part],
+    )
+
+
+def _keep(settings: RecordingSettings | FileSettings, directory: Path, record: Callable[[Path], None]) -> None:
+    """Let a recording be made in a hidden folder, and give that its name; nothing to do where it is there."""
+    folder = directory / settings.name
+    if folder.is_dir():
+        return
+    partial = directory / f".{settings.name}.{secrets.token_hex(4)}.partial"
+    try:
+        partial.mkdir(parents=True)
+        with limited_threads(1):
+            record(partial)
+        (partial / _SETTINGS).write_text(json.dumps(settings.told, indent=2) + "\n", encoding="utf-8")
+        if not folder.is_dir():  # another process may have been faster
+            partial.rename(folder)
+    except OSError as error:
+        raise VaporTrackError(
+            f"{folder}: cannot write: {error.strerror or error}, expected a directory that can be written to"
+        ) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -> None:
@@ -199,17 +258,37 @@ def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -
     write_synthetic(sequence, file)
     model = VaporObservationModel(checkpoint, num_samples=settings.num_samples, device="cpu")
     rng = np.random.default_rng([settings.seed, settings.num_samples])
-    n = settings.num_images
-    samples = np.lib.format.open_memmap(folder / _SAMPLES, "w+", np.float32, (n, settings.num_samples, 12))
+    changing = np.random.default_rng([settings.seed, settings.num_samples, 1])
+
+    def changed(image: Image) -> Image:
+        return image if settings.change is None else np.ascontiguousarray(FOREIGN[settings.change](image, changing))
+
+    _observe(file, model, folder, rng=rng, seen=seen, changed=changed)
+    file.unlink()
+
+
+def _observe(
+    file: Path,
+    model: VaporObservationModel,
+    folder: Path,
+    *,
+    rng: np.random.Generator,
+    seen: Bool[np.ndarray, " n"] | None = None,
+    changed: Callable[[Image], Image] = lambda image: image,
+) -> None:
+    """Ask the network about every image of a file, and write the answers and all that is known beside them."""
+    reader = SequenceReader(file)
+    n = reader.num_images if seen is None else len(seen)
+    samples = np.lib.format.open_memmap(folder / _SAMPLES, "w+", np.float32, (n, model.num_samples, 12))
     times_ns, odometry, covariance, truth = np.empty(n, np.int64), [Poses.identity()], np.zeros((n, 6, 6)), []
     unfamiliarity = np.zeros(n)
     count = 0
-    for i, frame in enumerate(SequenceReader(file)):
+    for i, frame in enumerate(reader):
         if i >= n or frame.world_from_camera is None or (i > 0 and frame.odometry is None):
             raise VaporTrackError(
                 f"{file}: image {i} at {frame.time_ns} ns has no odometry or no true pose, or is one too many"
             )
-        posterior = model.observe(frame.image, rng=rng)
+        posterior = model.observe(changed(frame.image), rng=rng)
         samples[i], unfamiliarity[i] = to_rows(posterior.samples), posterior.unfamiliarity
         times_ns[i] = frame.time_ns
         truth.append(frame.world_from_camera)
@@ -224,15 +303,14 @@ def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -
         folder / _PATH,
         times_ns=times_ns,
         truth=to_rows(Poses.stack(truth)),
-        sees_cue=seen,
+        sees_cue=np.zeros(n, bool) if seen is None else seen,
         odometry=to_rows(Poses.stack(odometry)),
         odometry_covariance=covariance,
         unfamiliarity=unfamiliarity,
     )
-    file.unlink()
 
 
-def _checked(settings: RecordingSettings, folder: Path) -> Mapping[str, np.ndarray]:
+def _checked(settings: RecordingSettings | FileSettings, folder: Path) -> Mapping[str, np.ndarray]:
     """What a recording holds beside its samples, once its settings are found to be these."""
     try:
         found = json.loads((folder / _SETTINGS).read_text(encoding="utf-8"))

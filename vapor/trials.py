@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
-import inspect
 import json
-import time
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache, reduce
@@ -16,27 +14,19 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, Int64
 
-import filtering
-from filtering.estimate import Mode, posterior_modes
-from filtering.kalman import KalmanConfig, KalmanLocalizer
 from filtering.localizer import LocalizerConfig
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
-from filtering.rivals import GaussianSumLocalizer
 from filtering.se3 import Poses
-from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth
-from sequences.atomic import atomic_output
-from sequences.frame import Trajectory
-from vapor import checkpoint, evaluate, recordings, variants, verdicts
+from sequences import odometry_fit
+from vapor import checkpoint, evaluate, floors, lengths, methods, recordings, variants, verdicts
 from vapor.checkpoint import Checkpoint, load_checkpoint
-from vapor.evaluate import FILES, TRACKING, dead_reckoning, evaluate_trajectory
-from vapor.recordings import Recording, RecordingSettings, digest, load_recording
-from vapor.threads import limited_threads
+from vapor.floors import FLOOR_HEIGHT_M
+from vapor.lengths import scaled_calibration, scaled_localizer, scaled_odometry, scaled_poses
+from vapor.methods import Followed, Passage, code_digest, follow, kept, posterior_of
+from vapor.recordings import Recording, RecordingSettings, load_recording
 from vapor.variants import VARIANTS
-from vapor.verdicts import Belief, judge_belief, mode_status, truth_among_modes
-from vapor.windows import CUES, FASTEST_HZ, STAND_AFTER, STAND_S, STRIDES, Kind, Trial, recording_frames
-
-_STREAMS = {"cue": 0, "no-cue": 1, "kidnap": 2, "standing": 3, "rate-3": 4, "rate-10": 4, "rate-30": 4}
+from vapor.windows import KINDS, STAND_S, Kind, Piece, Trial, recorded_images, walk_frames
 
 
 @dataclass(frozen=True)
@@ -46,13 +36,14 @@ class Setup:
     Attributes:
         model: Model file.
         model_sha256: Of its content.
-        network_sha256: Of what its posterior samples depend on.
+        network_sha256: Of what it says of an image: samples, and how unlike the training images it is.
         frames: Images of a trial.
         width, height: Image size in pixels.
         num_samples: Posterior samples per image.
         localizer: Settings of the filter.
         errors: What replaces numbers of the model's own error model, by name.
         variant: Which of `VARIANTS` of the filter.
+        odometry_scale: Error of the odometry's distances, as a share of them; None for a random one.
     """
 
     model: Path
@@ -65,20 +56,30 @@ class Setup:
     localizer: LocalizerConfig
     errors: Mapping[str, Any]
     variant: str = "full"
+    odometry_scale: float | None = None
 
-    def recording(self, scene: str, kind: Kind, seed: int) -> RecordingSettings:
-        """The recording with a seed that trials of a kind are cut from."""
+    def walk(self, scene: str, kind: Kind, seed: int) -> RecordingSettings:
+        """The walk with a seed that trials of a kind are cut from, ten images a second."""
         return RecordingSettings(
             scene,
             seed,
-            CUES[kind],
-            recording_frames(kind, self.frames),
+            KINDS[kind].cues,
+            walk_frames(kind, self.frames),
             self.width,
             self.height,
             self.network_sha256,
             self.num_samples,
-            rate_hz=FASTEST_HZ if kind in STRIDES else 10.0,
-            stand=(STAND_AFTER, STAND_S) if kind == "standing" else None,
+            odometry_scale=self.odometry_scale,
+        )
+
+    def recording(self, scene: str, kind: Kind, piece: Piece) -> RecordingSettings:
+        """The recording of that walk that a piece of a trial is a stretch of."""
+        walk = self.walk(scene, kind, piece.seed)
+        return replace(
+            walk,
+            frames=recorded_images(kind, walk.frames),
+            rate_hz=KINDS[kind].recorded_hz,
+            stand=None if piece.stop is None else (piece.stop, STAND_S),
         )
 
     def checkpoint(self) -> Checkpoint:
@@ -96,7 +97,7 @@ class Replay:
         times_ns: Stamps (n,), without a break.
         odometry: Camera motion since the image before, (n,).
         truth: True poses, batch (n,).
-        posterior_poses: Posterior samples of an image, by its number.
+        posterior_poses: Posterior samples of an image, by its number; none of one that says nothing.
         unfamiliarity: Of each image, (n,).
         cue_images: Number of images that show something unique.
     """
@@ -108,13 +109,22 @@ class Replay:
     unfamiliarity: Float64[np.ndarray, " n"]
     cue_images: int
 
+    def scaled(self, factor: float) -> Replay:
+        """The same where all lengths are multiplied by a factor."""
+        return replace(
+            self,
+            odometry=tuple(scaled_odometry(motion, factor) for motion in self.odometry),
+            truth=scaled_poses(self.truth, factor),
+            posterior_poses=lambda image: scaled_poses(self.posterior_poses(image), factor),
+        )
 
-def assemble(trial: Trial, recording: Callable[[int], Recording]) -> Replay:
-    """Cut a trial from its recordings, by seed.
+
+def assemble(trial: Trial, recording: Callable[[Piece], Recording]) -> Replay:
+    """Cut a trial from its recordings, by piece.
 
     Where the camera is carried off, stamps and odometry go on as if it had not been.
     """
-    sources = [(recording(piece.seed), piece) for piece in trial.pieces]
+    sources = [(recording(piece), piece) for piece in trial.pieces]
     first, begin = sources[0][0], trial.pieces[0].start
     images = [(source, piece.start + i, i) for source, piece in sources for i in range(piece.length)]
     odometry = []
@@ -147,126 +157,77 @@ def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
         directory: With `recordings`; results are kept in `trials`.
 
     Returns:
-        JSON: `name`, `scene`, `kind`, `variant`, `images`, `cue_images`, `methods` (see `evaluate_trajectory`),
-        `belief` of Kalman filter and particle filter (see `judge_belief`), `image_truth_among_modes` (of the single
-        images' posteriors), `particles` and `step_ms` (medians).
+        JSON: `name`, `scene`, `kind`, `walk` (the seed of the first piece), `variant`, `cue_images`, and what
+        `Comparison.figures` gives.
 
     Raises:
         VaporTrackError: a recording is missing or was made with other settings.
     """
-    settings = _settings(trial, setup)
-    file = directory / "trials" / f"{trial.name}-{setup.variant}-{digest(settings)}.json"
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))["result"]
-    except (OSError, ValueError, KeyError):
-        pass
-    replay = assemble(
-        trial, lambda seed: load_recording(setup.recording(trial.scene, trial.kind, seed), directory / "recordings")
+    return kept(
+        directory / "trials" / f"{trial.name}-{setup.variant}",
+        trial_settings(trial, setup),
+        lambda: _localize(trial, setup, load_replay(trial, setup, directory)),
     )
-    with limited_threads(1):
-        result = _localize(trial, setup, replay)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_output(file) as partial:
-        partial.write_text(json.dumps({"settings": settings, "result": result}, indent=1), encoding="utf-8")
-    return result
+
+
+def load_replay(trial: Trial, setup: Setup, directory: Path) -> Replay:
+    """A trial as its recordings in `directory / "recordings"` have it.
+
+    Raises:
+        VaporTrackError: a recording is missing or was made with other settings.
+    """
+    return assemble(
+        trial, lambda piece: load_recording(setup.recording(trial.scene, trial.kind, piece), directory / "recordings")
+    )
+
+
+def follow_trial(trial: Trial, setup: Setup, replay: Replay) -> Followed:
+    """Let filter and baselines follow a trial's replay, all lengths multiplied by the trial's scale."""
+    replay = replay.scaled(trial.scale)
+    calibration = scaled_calibration(setup.checkpoint().calibration, trial.scale)
+    variant = VARIANTS[setup.variant]
+    errors, fit = variant.errors(calibration.errors), calibration.odometry
+    config = scaled_localizer(variant.localizer(setup.localizer), trial.scale)
+    if fit is not None:
+        config = replace(config, slow_errors=fit.slow_errors)
+
+    def posterior(image: int) -> PosePosterior:
+        return posterior_of(replay.posterior_poses(image), errors, float(replay.unfamiliarity[image]))
+
+    passage = Passage(replay.times_ns, replay.odometry, replay.truth, posterior).restated(fit)
+    rng = np.random.default_rng([trial.pieces[0].seed, trial.pieces[0].start])
+    return follow(passage, errors, config, rng=rng, variant=variant, seam=trial.seam)
 
 
 def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
-    calibration = setup.checkpoint().calibration
-    variant = VARIANTS[setup.variant]
-    errors, config = variant.errors(calibration.errors), variant.localizer(setup.localizer)
-    fit = calibration.odometry
-    if fit is not None:
-        config = replace(config, slow_errors=fit.slow_errors)
-    rng = np.random.default_rng([trial.pieces[0].seed, trial.pieces[0].start, _STREAMS[trial.kind]])
-    localizer = variant.kind(None, config, rng=rng)
-    following = KalmanConfig(slow_errors=config.slow_errors, gap=config.gap)
-    kalman, bank = KalmanLocalizer(following), GaussianSumLocalizer(None, config, rng=rng)
-    modes: dict[str, list[tuple[Mode, ...]]] = {"kalman": [], "gaussian_sum": []}
-    image_modes, told_modes, estimates, step_ms = [], [], [], []
-    for i, motion in enumerate(replay.odometry):
-        samples = replay.posterior_poses(i)
-        odometry = motion if fit is None else fit.restated(motion)
-        told = variant.told_of_kidnap and i == trial.seam
-        begin = time.perf_counter()
-        posterior = PosePosterior.from_samples(samples, errors, unfamiliarity=float(replay.unfamiliarity[i]))
-        if told:
-            localizer = variant.kind(None, config, rng=rng)
-        estimates.append(localizer.update(posterior, None if told else odometry))
-        step_ms.append(1e3 * (time.perf_counter() - begin))
-        image_modes.append(posterior_modes(posterior))
-        told_modes.append(() if posterior.says_nothing else image_modes[-1][:SMOOTHED_MODES])
-        modes["kalman"].append((kalman.update(posterior, odometry),))
-        modes["gaussian_sum"].append(bank.update(posterior, odometry).modes)
-    widest = config.widest_std_m(errors)
-    beliefs = {
-        name: Belief(found, [mode_status(each[0], widest, config.converged_weight) for each in found])
-        for name, found in modes.items()
-    }
-    beliefs["filter"] = Belief([each.modes for each in estimates], [each.status for each in estimates])
-    sure = np.array([status == "converged" for status in beliefs["filter"].status])
-    poses = {
-        "single_image": Poses.stack([found[0].world_from_camera for found in image_modes]),
-        "dead_reckoning": dead_reckoning(replay.truth[0], replay.odometry),
-        **{name: belief.best for name, belief in beliefs.items()},
-        "smoothed": smooth(
-            told_modes,
-            replay.odometry,
-            np.array([each.way for each in estimates]),
-            beliefs["filter"].best,
-            sure,
-            errors,
-            SmoothingConfig(slow_errors=config.slow_errors),
-        ),
-    }
-    truth = Trajectory(replay.times_ns, replay.truth)
-    # Whoever is carried off has no one moment from which on all is right.
-    tracking = TRACKING if trial.seam is None else ()
-    methods = {
-        name: evaluate_trajectory(Trajectory(replay.times_ns, poses[name]), truth, tracking=name in tracking)
-        for name in FILES
-    }
+    # Judged in the lengths of the scene: what is right is so at any scale.
+    compared = follow_trial(trial, setup, replay).compared().scaled(1.0 / trial.scale)
     return {
         "name": trial.name,
         "scene": trial.scene,
         "kind": trial.kind,
+        "walk": trial.pieces[0].seed,
         "variant": setup.variant,
-        "images": len(replay.times_ns),
         "cue_images": replay.cue_images,
-        "methods": methods,
-        "belief": {
-            name: judge_belief(
-                belief,
-                replay.times_ns,
-                replay.truth,
-                converged_at_s=methods[name].get("converged_at_s"),
-                seam=trial.seam,
-            )
-            for name, belief in beliefs.items()
-        },
-        "image_truth_among_modes": truth_among_modes(image_modes, replay.truth),
-        "particles": int(np.median([len(each.particles) for each in estimates])),
-        "step_ms": float(np.median(step_ms)),
+        **compared.figures(floor_height_m=FLOOR_HEIGHT_M.get(trial.scene)),
     }
 
 
-def _settings(trial: Trial, setup: Setup) -> dict[str, Any]:
-    """Everything that a result depends on."""
+def trial_settings(trial: Trial, setup: Setup) -> dict[str, Any]:
+    """Everything that a trial's result depends on, as JSON."""
     calibration = asdict(setup.checkpoint().calibration)
     content = asdict(trial) | asdict(setup) | {"calibration": calibration, "code": _code()}
     content["package"] = importlib.metadata.version("vapor-track")
     content["model"] = setup.model.name
-    content["recordings"] = [setup.recording(trial.scene, trial.kind, piece.seed).name for piece in trial.pieces]
+    content["recordings"] = [setup.recording(trial.scene, trial.kind, piece).name for piece in trial.pieces]
     return json.loads(json.dumps(content))
 
 
 @cache
 def _code() -> str:
     """Digest of the code that a result comes from: a filter that was changed is run again."""
-    files = sorted(Path(str(filtering.__path__[0])).glob("*.py"))
-    files += [Path(inspect.getfile(module)) for module in (checkpoint, evaluate, recordings, variants, verdicts)]
-    files.append(Path(__file__))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+    modules = (checkpoint, evaluate, floors, lengths, methods, odometry_fit, recordings, variants, verdicts)
+    return code_digest((*modules, sys.modules[__name__]))
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,8 @@ from filtering.estimate import Mode, Status
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from vapor.evaluate import SURE, evaluate_consistency, is_right
+from vapor.floors import on_true_floor, once_on_floor
+from vapor.lengths import scaled_mode
 
 JUMP_M = 1.0
 """A false recovery takes the best mode at least this far from the truth."""
@@ -36,6 +38,10 @@ class Belief:
         """The reported poses, world_from_camera, batch (n,)."""
         return Poses.stack([modes[0].world_from_camera for modes in self.modes])
 
+    def scaled(self, factor: float) -> Belief:
+        """The same where all lengths are multiplied by a factor."""
+        return replace(self, modes=[tuple(scaled_mode(mode, factor) for mode in modes) for modes in self.modes])
+
 
 def judge_belief(
     belief: Belief,
@@ -44,6 +50,7 @@ def judge_belief(
     *,
     converged_at_s: float | None,
     seam: int | None,
+    floor_height_m: float | None = None,
 ) -> dict[str, Any]:
     """Every figure on how far a method is to be trusted.
 
@@ -53,12 +60,16 @@ def judge_belief(
         truth: True poses, batch (n,).
         converged_at_s: When it found itself, of `evaluate_trajectory`.
         seam: First image after the camera was carried off; None where it was not.
+        floor_height_m: From floor to floor, where floors look alike.
 
     Returns:
-        `status`: share of the images by verdict. `said_converged`, `after_convergence`: `evaluate_consistency` over the
-        images of that status, and over those from `converged_at_s` on. `truth_among_modes`: share of the images with a
-        mode within 0.3 m and 20° of the truth. `false_recoveries`: their number, see `count_false_recoveries`.
-        `kidnap`: None, or whether the last image before was `right_before`, and `images` as `recovery_images`.
+        `status`: share of the images by verdict. `said_converged`, `after_convergence`, `all_images`:
+        `evaluate_consistency` over the images of that status, those from `converged_at_s` on, and all.
+        `truth_among_modes`: share of the images with a mode within 0.3 m and 20° of the truth. `longest_wrong_s`: how
+        long at most it said `converged` and was wrong in all images. `false_recoveries`: their number, see
+        `count_false_recoveries`. `kidnap`: None, or whether the last image before was `right_before`, and `images` as
+        `recovery_images`. `on_floor`, with `floor_height_m`: `evaluate_consistency` over the images from when on its
+        floor is right.
     """
     best = belief.best
     covariance = np.stack([modes[0].covariance for modes in belief.modes])
@@ -68,15 +79,37 @@ def judge_belief(
     after = np.zeros(len(said), bool) if converged_at_s is None else elapsed_s >= converged_at_s - 1e-9
     trajectory, true_trajectory = Trajectory(times_ns, best), Trajectory(times_ns, truth)
     right, error_m = is_right(best, truth), best.distance(truth)[0]
-    return {
+    of_floor: dict[str, Any] = {}
+    if floor_height_m is not None:
+        settled = once_on_floor(best, truth, floor_height_m)
+        of_floor["on_floor"] = evaluate_consistency(trajectory, covariance, settled, true_trajectory)
+    return of_floor | {
         "status": {name: verdicts[name] / len(said) for name in ("converged", "ambiguous", "lost")},
         "said_converged": evaluate_consistency(trajectory, covariance, said, true_trajectory),
         "after_convergence": evaluate_consistency(trajectory, covariance, after, true_trajectory),
+        "all_images": evaluate_consistency(trajectory, covariance, np.ones(len(said), bool), true_trajectory),
         "truth_among_modes": truth_among_modes(belief.modes, truth),
+        "longest_wrong_s": longest_s(said & ~right, times_ns),
         "false_recoveries": count_false_recoveries(right, error_m, seam=seam),
         "kidnap": None
         if seam is None
         else {"right_before": bool(right[seam - 1]), "images": recovery_images(right, seam=seam)},
+    }
+
+
+def judge_floor(poses: Poses, truth: Poses, floor_height_m: float) -> dict[str, Any]:
+    """How often poses (n,) are right but for their floor, and once their floor is right.
+
+    Returns:
+        `but_for_it`: share of the images that are right if they are moved to the true floor. `settled_images`: those
+        from the first on which, and on all later ones of which, the floor is right; `settled_right`: share of them that
+        are right, None if there are none.
+    """
+    right, settled = is_right(poses, truth), once_on_floor(poses, truth, floor_height_m)
+    return {
+        "but_for_it": float(np.mean(is_right(on_true_floor(poses, truth, floor_height_m), truth))),
+        "settled_images": int(settled.sum()),
+        "settled_right": float(np.mean(right[settled])) if settled.any() else None,
     }
 
 
@@ -87,6 +120,16 @@ def truth_among_modes(modes: Sequence[tuple[Mode, ...]], truth: Poses) -> float:
         for i, of_image in enumerate(modes)
     ]
     return float(np.mean(found))
+
+
+def longest_s(flags: Bool[np.ndarray, " n"], times_ns: Int64[np.ndarray, " n"]) -> float:
+    """The longest time over which all images (n,) have a flag, seconds: each lasts until the next, the last no time."""
+    longest_ns, since = 0, None
+    for flag, time_ns in zip(flags, times_ns, strict=True):
+        if since is not None:
+            longest_ns = max(longest_ns, int(time_ns - since))
+        since = None if not flag else time_ns if since is None else since
+    return longest_ns / 1e9
 
 
 def count_false_recoveries(

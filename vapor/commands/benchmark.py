@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
@@ -13,12 +13,17 @@ from rich.table import Table
 
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
+from vapor import real_benchmark
 from vapor.benchmark import Benchmark, BenchmarkConfig
-from vapor.commands.benchmark_tables import failures, tables
-from vapor.commands.console import bar, parse, show, usage_error
+from vapor.commands import real_tables
+from vapor.commands.benchmark_tables import failures, fault_failures, fault_tables, tables
+from vapor.commands.console import bar, parse, progress_of, show, usage_error
 from vapor.familiarity_benchmark import IN_A_ROW, judge
+from vapor.faults import FaultBenchmark, FaultsConfig, summarise_faults
 from vapor.observation import Device, VaporObservationModel
 from vapor.presets import PRESETS
+from vapor.real_benchmark import RealConfig
+from vapor.real_rows import Place
 from vapor.report import write_report
 from vapor.summary import summarise
 from vapor.threads import limited_threads
@@ -68,18 +73,19 @@ _Override = make_dataclass(
 
 
 @dataclass(frozen=True)
-class LocalizationOptions:
-    """Localize many synthetic sequences, and count successes."""
+class SceneOptions:
+    """What the benchmarks that replay synthetic sequences are told."""
 
     scenes: Annotated[
-        tyro.conf.Positional[tuple[Literal["staircase", "ceiling"], ...]], tyro.conf.arg(metavar="SCENE ...")
+        tyro.conf.Positional[tuple[Literal["staircase", "ceiling", "corridor"], ...]],
+        tyro.conf.arg(metavar="SCENE ..."),
     ]
     """What the camera moves through."""
     output: Path
     """Directory for recordings, results and summary.json; an interrupted benchmark of the same output goes on."""
     models: tuple[str, ...] = ()
-    """Model file, or name of a model that ships, for each scene. Default: the scenes' names."""
-    config: Annotated[BenchmarkConfig, tyro.conf.arg(name="")] = field(default_factory=BenchmarkConfig)
+    """Model file, or name of a model that ships, for each scene. Default: the scenes' names; none of the corridor
+    ships."""
     errors: Annotated[Any, tyro.conf.arg(constructor=_Override)] = field(default_factory=_Override)
     """What replaces numbers of the models' own error models."""
 
@@ -88,6 +94,30 @@ class LocalizationOptions:
             raise VaporTrackError(f"scenes are {', '.join(self.scenes) or 'none'}, expected each at most once, and one")
         if len(self.models) not in (0, len(self.scenes)):
             raise VaporTrackError(f"{len(self.models)} models for {len(self.scenes)} scenes, expected one for each")
+
+    @property
+    def model_of(self) -> dict[str, str]:
+        """The model by scene."""
+        return dict(zip(self.scenes, self.models or self.scenes, strict=True))
+
+    @property
+    def replaced(self) -> dict[str, Any]:
+        """Numbers of the error model that are given, by name."""
+        return {name: value for name, value in asdict(self.errors).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class LocalizationOptions(SceneOptions):
+    """Localize many synthetic sequences, and count successes."""
+
+    config: Annotated[BenchmarkConfig, tyro.conf.arg(name="")] = field(default_factory=BenchmarkConfig)
+
+
+@dataclass(frozen=True)
+class FaultsOptions(SceneOptions):
+    """Localize synthetic sequences in which the camera or the odometry fails."""
+
+    config: Annotated[FaultsConfig, tyro.conf.arg(name="")] = field(default_factory=FaultsConfig)
 
 
 @dataclass(frozen=True)
@@ -113,12 +143,38 @@ class FamiliarityOptions:
             raise VaporTrackError("no familiar data, expected at least one file or folder")
 
 
-_OPTIONS = {"step": StepOptions, "localization": LocalizationOptions, "familiarity": FamiliarityOptions}
+@dataclass(frozen=True)
+class RealOptions:
+    """Localize recordings made by others: images, stored posteriors, and published estimates; some trained on first."""
+
+    data: Path
+    """Folder with the recordings; what is missing there is left out."""
+    output: Path
+    """Directory for models, sequences, recordings, results and summary.json; an interrupted benchmark goes on, and what
+    was made with the same settings and code is not made again."""
+    only: tuple[str, ...] = ()
+    """Rows or groups of rows, such as tum_fr1 or stairs; all by default."""
+    config: Annotated[RealConfig, tyro.conf.arg(name="")] = field(default_factory=RealConfig)
+
+
+_OPTIONS = {
+    "step": StepOptions,
+    "localization": LocalizationOptions,
+    "faults": FaultsOptions,
+    "familiarity": FamiliarityOptions,
+    "real": RealOptions,
+}
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    kinds = {"step": _step, "localization": _localization, "familiarity": _familiarity}
+    kinds = {
+        "step": _step,
+        "localization": _localization,
+        "faults": _faults,
+        "familiarity": _familiarity,
+        "real": _real,
+    }
     if arguments[:1] in (["-h"], ["--help"]):
         show(f"usage: vapor-track benchmark {'|'.join(kinds)} ...\n\nMeasure; each has its own --help.\n")
         show("\n".join(f"  {kind:<13} {options.__doc__}" for kind, options in _OPTIONS.items()))
@@ -153,11 +209,28 @@ def _familiarity(arguments: Sequence[str]) -> None:
     show(table)
 
 
+def _real(arguments: Sequence[str]) -> None:
+    o = parse("benchmark real", RealOptions, arguments)
+    rows, missing = real_benchmark.choose(o.data, o.only)
+    for name, needs in missing.items():
+        show(f"left out: {name}, for want of {', '.join(needs)}")
+    results = []
+    for row in rows:
+        with progress_of(row.name) as advance:
+            place = Place(o.data, o.output, o.config.num_samples, advance)
+            for judged in real_benchmark.measure([row], place, o.config):
+                results += judged
+    summary = real_benchmark.summarise(results)
+    settings = asdict(o.config) | {"data": o.data.name, "left_out": missing}
+    write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "draws": results})
+    for table in real_tables.tables(summary):
+        show("")
+        show(table)
+
+
 def _localization(arguments: Sequence[str]) -> None:
     o = parse("benchmark localization", LocalizationOptions, arguments)
-    scenes: dict[str, str] = dict(zip(o.scenes, o.models or o.scenes, strict=True))
-    errors = {name: value for name, value in asdict(o.errors).items() if value is not None}
-    benchmark = Benchmark(scenes, o.output, o.config, errors)
+    benchmark = Benchmark(o.model_of, o.output, o.config, o.replaced)
     o.output.mkdir(parents=True, exist_ok=True)
     with bar("choosing runs") as advance:
         trials = benchmark.choose(advance)
@@ -171,9 +244,40 @@ def _localization(arguments: Sequence[str]) -> None:
             advance(len(results), len(trials) * len(o.config.variants))
     results.sort(key=lambda result: (result["variant"], result["name"]))
     summary = summarise(results)
-    settings = asdict(o.config) | {"models": scenes, "errors": errors}
-    write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "runs": results})
+    _write(o, summary, results)
     for table in tables(summary):
         show(table)
     for line in failures(summary):
         show(line)
+
+
+def _faults(arguments: Sequence[str]) -> None:
+    o = parse("benchmark faults", FaultsOptions, arguments)
+    benchmark = FaultBenchmark(o.model_of, o.output, o.config, o.replaced)
+    o.output.mkdir(parents=True, exist_ok=True)
+    with bar("choosing walks") as advance:
+        walks, unused = benchmark.choose(advance)
+    with bar("recording") as advance:
+        for done, total in benchmark.record(walks):
+            advance(done, total)
+    results = [walk.without for walk in walks]
+    with bar("localizing") as advance:
+        for result in benchmark.localize(walks):
+            results.append(result)
+            advance(len(results) - len(walks), len(walks) * len(o.config.faults))
+    results.sort(key=lambda result: (result["fault"], result["name"]))
+    summary = summarise_faults(results)
+    _write(o, summary, results, unused=unused)
+    for table in fault_tables(summary):
+        show(table)
+    for line in fault_failures(summary):
+        show(line)
+    if unused:
+        show(f"not used, as the filter was not converged in time for a fault: {', '.join(unused)}")
+
+
+def _write(
+    o: LocalizationOptions | FaultsOptions, summary: Mapping[str, Any], results: Sequence[Any], **more: Any
+) -> None:
+    settings = asdict(o.config) | {"models": o.model_of, "errors": o.replaced}
+    write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "runs": results, **more})

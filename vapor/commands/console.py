@@ -44,6 +44,25 @@ def bar(verb: str) -> Iterator[Callable[[int, int], None]]:
 
 
 @contextmanager
+def progress_of(name: str) -> Iterator[Callable[[str, int, int | None], None]]:
+    """A bar of work in several stages; yields a function of the stage, the number done and of all where it is known.
+
+    A log gets a line a stage.
+    """
+    with progress_display() as display:
+        task, before = display.add_task(name, total=None), ""
+
+        def advance(stage: str, done: int, total: int | None) -> None:
+            nonlocal before
+            if stage != before and display.disable:
+                print(f"{name}: {stage}", file=sys.stderr, flush=True)
+            before = stage
+            display.update(task, description=f"{name}: {stage}", completed=done, total=total)
+
+        yield advance
+
+
+@contextmanager
 def progress_display(*columns: str) -> Iterator[Progress]:
     """A display of bars, counts and times; further `columns` are formats of a task's fields.
 

@@ -1,0 +1,300 @@
+"""Faults of camera and odometry: what each changes, how it is judged, and the command."""
+
+import json
+
+import numpy as np
+import pytest
+
+from filtering.estimate import Mode
+from filtering.localizer import ParticleLocalizer
+from filtering.motion import Odometry
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from vapor import faults
+from vapor.evaluate import dead_reckoning
+from vapor.faults import (
+    FAULTS,
+    NONE,
+    find_moment,
+    frozen,
+    judge,
+    late,
+    longest_stretch,
+    no_images,
+    set_back,
+    shown,
+    standing_still,
+    summarise_faults,
+    too_long,
+    tripled,
+)
+from vapor.methods import posterior_of
+from vapor.track import main
+from vapor.trials import Replay
+from vapor.verdicts import Belief
+
+N = 30
+DURING = range(10, 15)
+OUTSIDE = [image for image in range(N) if image not in DURING]
+TIMES_NS = 100_000_000 * np.arange(N, dtype=np.int64)
+
+
+def walk() -> Replay:
+    """Ever further ahead, and around; each image has two samples, which tell its number."""
+    motions = [Poses.exp(np.array([0.01 * i, 0.0, 0.1, 0.0, 0.02, 0.0])) for i in range(N)]
+    odometry = tuple(Odometry(motion, 1e-4 * np.eye(6), 0.1) for motion in motions)
+    truth = dead_reckoning(Poses.identity(), odometry)
+    return Replay(TIMES_NS, odometry, truth, lambda image: translated([[image, 0.0, 0.0]] * 2), np.full(N, 0.25), 0)
+
+
+def translated(points) -> Poses:
+    return Poses(np.tile(np.eye(3), (len(points), 1, 1)), np.array(points))
+
+
+def motions(replay: Replay) -> np.ndarray:
+    return np.stack([odometry.previous_from_current.as_matrix() for odometry in replay.odometry])
+
+
+def seen(replay: Replay) -> list[float | None]:
+    """The number of the image that the camera shows, None for one that says nothing."""
+    poses = [replay.posterior_poses(image) for image in range(N)]
+    return [float(each.translation[0, 0]) if len(each) else None for each in poses]
+
+
+def assert_odometry_is_untouched(faulty: Replay, images=range(N)) -> None:
+    np.testing.assert_array_equal(motions(faulty)[list(images)], motions(walk())[list(images)])
+    for image in images:
+        np.testing.assert_array_equal(faulty.odometry[image].covariance, walk().odometry[image].covariance)
+
+
+def test_without_images_nothing_is_said_and_nothing_is_foreign():
+    faulty = no_images(walk(), DURING)
+    assert seen(faulty) == [None if image in DURING else image for image in range(N)]
+    assert set(faulty.unfamiliarity[DURING]) == {0.0}
+    assert set(faulty.unfamiliarity[OUTSIDE]) == {0.25}
+    assert_odometry_is_untouched(faulty)
+
+
+def test_an_image_that_says_nothing_moves_the_filter_as_no_image_does():
+    replay, (one, other) = walk(), [ParticleLocalizer(None, rng=np.random.default_rng(0)) for _ in range(2)]
+    for localizer in (one, other):
+        localizer.update(PosePosterior.from_samples(translated([[0.0, 0.0, 0.0]]), posterior().errors), None)
+    predicted, updated = one.predict(replay.odometry[3]), other.update(posterior(), replay.odometry[3])
+    np.testing.assert_array_equal(predicted.log_weights, updated.log_weights)
+    np.testing.assert_array_equal(predicted.covariances, updated.covariances)
+    np.testing.assert_array_equal(predicted.particles.as_matrix(), updated.particles.as_matrix())
+    assert (predicted.status, predicted.agreement) == (updated.status, updated.agreement)
+
+
+def posterior(unfamiliarity: float = 0.0) -> PosePosterior:
+    return posterior_of(Poses.identity(0), PosePosterior.nothing().errors, unfamiliarity)
+
+
+def test_a_frozen_camera_says_nothing_and_is_as_unfamiliar_as_its_last_image():
+    replay = walk()
+    replay.unfamiliarity[9] = 1.5
+    faulty = frozen(replay, DURING)
+    assert seen(faulty) == [None if image in DURING else image for image in range(N)]
+    assert set(faulty.unfamiliarity[DURING]) == {1.5}
+    np.testing.assert_array_equal(faulty.unfamiliarity[OUTSIDE], replay.unfamiliarity[OUTSIDE])
+    assert_odometry_is_untouched(faulty)
+    assert posterior(1.5).is_foreign  # as ParticleLocalizer.observe leaves it
+
+
+def test_other_images_are_shown_while_the_fault_lasts():
+    faulty = shown(walk(), DURING, lambda image: translated([[100.0 + image, 0.0, 0.0]]), np.arange(float(N)))
+    assert seen(faulty) == [100.0 + image if image in DURING else image for image in range(N)]
+    np.testing.assert_array_equal(faulty.unfamiliarity[DURING], list(DURING))
+    assert set(faulty.unfamiliarity[OUTSIDE]) == {0.25}
+    assert_odometry_is_untouched(faulty)
+
+
+def test_odometry_that_stands_still_reports_what_a_robot_at_rest_does():
+    faulty = standing_still(walk(), DURING)
+    assert_odometry_is_untouched(faulty, OUTSIDE)
+    np.testing.assert_array_equal(motions(faulty)[list(DURING)], np.tile(np.eye(4), (len(DURING), 1, 1)))
+    for image in DURING:
+        std = np.sqrt(np.diagonal(faulty.odometry[image].covariance) / 0.1)  # after a second
+        assert ((std[:3] > 0.008) & (std[:3] < 0.02)).all()
+        assert ((std[3:] > 0.003) & (std[3:] < 0.01)).all()
+        assert faulty.odometry[image].duration_s == 0.1
+
+
+def test_tripled_odometry_goes_three_times_as_far_along_the_same_curve():
+    faulty = tripled(walk(), DURING)
+    assert_odometry_is_untouched(faulty, OUTSIDE)
+    for image in DURING:
+        once = motions(walk())[image]
+        np.testing.assert_allclose(motions(faulty)[image], once @ once @ once, atol=1e-12)
+
+
+def test_a_scale_error_makes_distances_longer_and_leaves_turns():
+    faulty = too_long(walk(), DURING)
+    assert_odometry_is_untouched(faulty, OUTSIDE)
+    longer = motions(walk())
+    longer[list(DURING), :3, 3] *= 1.2
+    np.testing.assert_allclose(motions(faulty), longer, atol=1e-15)
+
+
+def test_odometry_that_is_set_back_jumps_once_to_where_it_began():
+    faulty = set_back(walk(), DURING)
+    assert_odometry_is_untouched(faulty, [image for image in range(N) if image != DURING.start])
+    poses, once = dead_reckoning(Poses.identity(), faulty.odometry), dead_reckoning(Poses.identity(), walk().odometry)
+    assert np.linalg.norm(once.translation[9]) > 0.5
+    np.testing.assert_allclose(poses[10].as_matrix(), motions(walk())[10], atol=1e-12)
+
+
+def test_late_odometry_is_that_of_two_images_before():
+    faulty = late(walk(), range(N))
+    np.testing.assert_array_equal(motions(faulty)[3:], motions(walk())[1:-2])
+    np.testing.assert_array_equal(motions(faulty)[:3], motions(walk())[[0, 1, 1]])
+
+
+def test_faults_last_a_while_to_the_end_or_throughout():
+    times_ns = 100_000_000 * np.arange(300, dtype=np.int64)
+    assert FAULTS["black"].during(100, times_ns) == range(100, 150)
+    assert FAULTS["black"].during(20, times_ns[::5]) == range(20, 30)
+    assert FAULTS["noise"].during(100, times_ns) == range(100, 300)
+    assert FAULTS["late"].during(100, times_ns) == range(300)
+
+
+def test_a_fault_begins_once_the_filter_was_converged_for_a_while_and_never_too_late():
+    times_ns = 100_000_000 * np.arange(300, dtype=np.int64)
+    status = ["converged"] * 300
+    assert find_moment(status, times_ns) == 50
+    status[40] = "ambiguous"
+    assert find_moment(status, times_ns) == 91
+    assert find_moment(status[:240], times_ns[:240]) is None
+    assert find_moment(status[:241], times_ns[:241]) == 91
+    assert find_moment(["lost"] * 300, times_ns) is None
+
+
+def test_the_longest_stretch_is_found_at_both_ends_and_between():
+    for said, expected in (
+        ("..xx.x", (2, 2)),
+        ("xxx.xx", (0, 3)),
+        ("x.xx", (2, 2)),
+        ("xx.xx", (0, 2)),
+        ("...", (0, 0)),
+    ):
+        assert longest_stretch(np.array([each == "x" for each in said])) == expected
+
+
+def test_a_fault_is_judged_by_the_images_from_its_beginning_on():
+    n, begin = 200, 40
+    times_ns, truth = 100_000_000 * np.arange(n, dtype=np.int64), Poses.identity(n)
+    off_m = np.zeros(n)
+    off_m[60:80] = 1.0  # wrong, and sure of it for 15 images
+    status = np.array(["ambiguous"] * n)
+    status[begin:75] = "converged"
+    status[75:90] = "lost"
+    modes = [(Mode(translated([[x, 0.0, 0.0]])[0], np.eye(6), 1.0),) for x in off_m]
+    judged = judge(Belief(modes, status.tolist()), times_ns, truth, begin, range(begin, begin + 50))
+    assert judged == {
+        "success": True,
+        "right": 140 / 160,
+        "right_after": 1.0,
+        "converged": 35 / 160,
+        "lost": 15 / 160,
+        "noticed": 15 / 20,
+        "lost_ever": 15 / 200,
+        "sure_and_wrong": 15 / 160,
+        "longest_s": pytest.approx(1.5),
+        "longest_at_s": 6.0,
+    }
+
+
+def judged(**more) -> dict:
+    shares = dict.fromkeys(("right", "right_after", "converged", "lost", "noticed", "lost_ever", "sure_and_wrong"), 0.5)
+    return {"success": True, **shares, "longest_s": 0.0, "longest_at_s": None, **more}
+
+
+def test_a_summary_averages_shares_and_names_the_walks_that_failed():
+    results = [
+        {"name": name, "scene": "ceiling", "fault": fault, "begin": 50, "methods": {"filter": found}}
+        for name, fault, found in (
+            ("b", "black", judged(right=1.0, noticed=None, longest_s=1.2, longest_at_s=7.0)),
+            ("a", "black", judged(right=0.0, success=False, longest_s=0.9, longest_at_s=3.0)),
+            ("a", NONE, judged()),
+            ("b", NONE, judged()),
+        )
+    ]
+    summary = summarise_faults(results)
+    assert list(summary["ceiling"]) == [NONE, "black"]
+    total = summary["ceiling"]["black"]
+    assert total["walks"] == 2
+    ours = total["methods"]["filter"]
+    assert (ours["successes"], ours["right"], ours["noticed"], ours["longest_s"]) == (1, 0.5, 0.5, 1.2)
+    assert ours["unsuccessful"] == ["a"]
+    assert ours["sure_and_wrong_walks"] == {"b": [7.0, 1.2]}
+
+
+OPTIONS = [
+    "--walks", "1", "--frames", "50", "--width", "32", "--height", "24", "--num-samples", "20", "--workers", "1",
+    "--first-seed", "700", "--localizer.max-hypotheses", "4", "--faults", "black", "tripled", "upside-down",
+]  # fmt: skip
+ALWAYS_SURE = [
+    "--localizer.converged-weight", "0", "--localizer.converged-std-m", "1e9",
+    "--localizer.converged-agreement", "1e-9",
+]  # fmt: skip
+
+
+def run(folder, tiny_model, *more: str) -> int:
+    words = ["benchmark", "faults", "ceiling", "--models", str(tiny_model), "--output", str(folder)]
+    return main([*words, *OPTIONS, *more])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """For all runs: they share recordings."""
+    return tmp_path_factory.mktemp("faults")
+
+
+@pytest.fixture
+def short(monkeypatch) -> None:
+    for name, duration_s in (("CONVERGED_S", 1.0), ("FAULT_S", 1.0), ("SETTLED_S", 1.0), ("REMAINING_S", 2.0)):
+        monkeypatch.setattr(faults, name, duration_s)
+
+
+@pytest.mark.usefixtures("short", "unchecked")
+def test_a_walk_runs_without_and_with_every_fault_once(folder, tiny_model, monkeypatch, capsys):
+    followed = []
+    follow = faults.follow_trial
+    monkeypatch.setattr(faults, "follow_trial", lambda *arguments: followed.append(1) or follow(*arguments))
+    assert run(folder, tiny_model, *ALWAYS_SURE) == 0
+    assert len(followed) == 4
+    out, summary = capsys.readouterr().out, (folder / "summary.json").read_bytes()
+    for said in ("ceiling: 1 walks", "no fault", "black images", "odometry tripled", "images upside down"):
+        assert said in out
+    content = json.loads(summary)
+    assert {each["fault"]: each["begin"] for each in content["runs"]} == dict.fromkeys(
+        [NONE, "black", "tripled", "upside-down"], 10
+    )
+    assert content["summary"]["ceiling"].keys() == {each["fault"] for each in content["runs"]}
+    assert run(folder, tiny_model, *ALWAYS_SURE) == 0
+    assert len(followed) == 4
+    assert (capsys.readouterr().out, (folder / "summary.json").read_bytes()) == (out, summary)
+
+
+@pytest.mark.usefixtures("short", "unchecked")
+def test_walks_that_never_converge_are_an_error_in_the_end(folder, tiny_model, monkeypatch, capsys):
+    monkeypatch.setattr(faults, "_BARREN", 0)
+    assert run(folder, tiny_model, "--localizer.converged-std-m", "0") == 1
+    assert "ceiling: 0 of 1 walks from seed 700 on are converged for 1 s with 3 s to go, expected 1" in (
+        capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--faults", "fog"], "unknown fault 'fog', expected one of black, frozen"),
+        (["--faults", "black", "black"], "expected each at most once"),
+        (["--frames", "199"], "frames is 199, expected at least 200"),
+        (["--walks", "0"], "walks is 0"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(more, said, tmp_path, tiny_model, capsys):
+    with pytest.raises(SystemExit):
+        run(tmp_path, tiny_model, "--frames", "200", *more)
+    assert said in capsys.readouterr().err.replace("\n", " ")

@@ -1,0 +1,97 @@
+"""The tables of `vapor-track benchmark real`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from vapor.evaluate import REGIONS
+from vapor.real_benchmark import METHODS, Figure
+
+Summary = Mapping[str, Mapping[str, Any]]
+
+_RANGE = "where odometry is simulated: median of the draws, and below it the lowest and the highest"
+
+
+def tables(summary: Summary) -> Iterator[Table]:
+    """Errors of every method, how many images are right, and how honest the filter is."""
+    yield _errors(summary)
+    yield _right(summary)
+    yield _honesty(summary)
+
+
+def _errors(summary: Summary) -> Table:
+    table = _table("median error", *(name.replace("_", " ") for name in METHODS))
+    table.caption = _RANGE
+    for name, row in summary.items():
+        cells = []
+        for method in METHODS:
+            each = row["methods"][method]
+            turned = each["median_rotation_deg"][0]
+            cells.append(_cell(each["median_translation_m"], _metres, f" m {turned:4.1f}°"))
+        table.add_row(_named(name, row), *cells)
+    return table
+
+
+def _right(summary: Summary) -> Table:
+    table = _table("right, within 0.3 m and 20°, %", *(name.replace("_", " ") for name in METHODS))
+    table.caption = "in brackets: off by more than 0.25 m. Both lengths times 30 in rows that are 30 times as large"
+    for name, row in summary.items():
+        cells = []
+        for method in METHODS:
+            each = row["methods"][method]
+            cells.append(_cell(each["right"], _percent, f" ({_percent(each['worse_than_0.25m'][0])})"))
+        table.add_row(_named(name, row), *cells)
+    return table
+
+
+def _honesty(summary: Summary) -> Table:
+    regions = [f"in {region.replace('%', ' %')}" for region in REGIONS]
+    table = _table("what the filter says of itself, %", "converged", "of these\nwrong", *regions, "median\nNEES (5.3)")
+    table.caption = "regions: of all images judged, and in brackets of those called converged"
+    for name, row in summary.items():
+        told = row["filter"]
+        cells = []
+        for region in REGIONS:
+            once = told["coverage_converged"][region]
+            cells.append(_cell(told["coverage"][region], _percent, f" ({'–' if once is None else _percent(once[0])})"))
+        table.add_row(
+            _named(name, row),
+            _cell(told["converged"], _percent),
+            _cell(told["wrong"], _percent),
+            *cells,
+            _cell(told["median_nees"], lambda nees: f"{nees:.1f}"),
+        )
+    return table
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", caption_justify="left", box=SIMPLE_HEAD, collapse_padding=True)
+    table.add_column("", no_wrap=True)
+    for column in columns:
+        table.add_column(column, justify="right")
+    return table
+
+
+def _named(name: str, row: Mapping[str, Any]) -> str:
+    draws = f" × {row['draws']}" if row["draws"] > 1 else ""
+    return f"{name}\n  {row['images']} images{draws}"
+
+
+def _cell(figure: Figure, number: Callable[[float], str], after: str = "") -> str:
+    if figure is None:
+        return "–"
+    median, low, high = (number(value) for value in figure)
+    return f"{median}{after}" if figure[1] == figure[2] else f"{median}{after}\n{low}–{high}"
+
+
+def _metres(metres: float) -> str:
+    return f"{metres:.{3 if metres < 1.0 else 2}f}"
+
+
+def _percent(share: float) -> str:
+    percent = 100.0 * share
+    return f"{percent:.1f}" if 0.0 < percent < 9.95 or 90.05 < percent < 100.0 else f"{percent:.0f}"
