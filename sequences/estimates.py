@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +41,8 @@ class EstimateOptions:
 
     direction: Direction | None = None
     """Which way the poses of named frames map, in all files. TUM trajectories are camera-to-world."""
+    unit_m: float = 1.0
+    """The unit of length of all files, in metres: 0.001 where they are in millimetres."""
     rate_hz: float = float(ASSUMED_HZ)
     """Named frames have no stamps: how many there are in a second."""
     noise: OdometryNoise = field(default_factory=OdometryNoise)
@@ -51,6 +53,8 @@ class EstimateOptions:
     def __post_init__(self) -> None:
         if not 1e-3 <= self.rate_hz <= 1e6:
             raise SequenceError(f"rate_hz is {self.rate_hz}, expected between 0.001 and 1e6")
+        if not 1e-6 <= self.unit_m <= 1e6:
+            raise SequenceError(f"unit_m is {self.unit_m}, expected between 1e-6 and 1e6")
 
 
 class EstimateSequence:
@@ -159,7 +163,8 @@ class EstimateSequence:
         return float(np.median(np.concatenate(speeds))) if speeds else 0.0
 
     def _read(self, path: Path) -> PoseFile:
-        return read_poses(path, self._options.direction)
+        file = read_poses(path, self._options.direction)
+        return replace(file, poses=Poses(file.poses.rotation, file.poses.translation * self._options.unit_m))
 
     def _odometry(self, source: PoseFile, seed: int | None) -> dict[str, _Track]:
         """One track for each sequence, of the body, in whose axes noise is stated; simulated with a seed."""

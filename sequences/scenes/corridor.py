@@ -1,8 +1,8 @@
 """Two floors alike, each a long corridor that repeats itself: a frame and two doors every 3 m, a lamp every 5 m.
 
-What repeats does so after 15 m. Where along the corridor one is shows in the colour of the walls, which changes slowly,
-in dirt and in notice boards, all the same on both floors. One end has a window, the other a door. Which floor it is
-shows at the ends alone, on painted walls.
+What repeats does so after 15 m, the colours of the doors with it. Where along the corridor one is shows in the colour
+of the walls, which changes slowly, in dirt and in notice boards, all the same on both floors. One end has a window, the
+other a door. Which floor it is shows at the ends alone, on painted walls.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from sequences.scenes import pictures, texture
 from sequences.scenes.mesh import Part, Placement
 from sequences.scenes.texture import Canvas, Material, band, blend, inside, plain, weathered
 
-DISTINCT = 0.5
+DISTINCT = 1.0
 """How much the colour of the walls changes along the corridor, and how dirty they are; 0 leaves boards and ends."""
 
 LENGTH, WIDTH, HEIGHT = 75.0, 2.4, 2.6  # metres, x, y, z
@@ -26,6 +26,7 @@ NUM_BAYS, NUM_LAMPS = round(LENGTH / BAY), round(LENGTH / LAMP_SPACING)
 DOOR_WIDTH, DOOR_HEIGHT = 0.9, 2.05
 DOORS_AT = (0.45, 1.65)  # from the frame, in the wall at low y and in that at high y
 FRAME_DEPTH, FRAME_WIDTH = 0.06, 0.2
+DOOR_STAINS = ((1.0, 1.0, 1.0), (0.28, 0.45, 0.75), (1.5, 1.7, 2.6), (0.65, 0.22, 0.25), (0.35, 0.75, 0.55))
 MURAL = 2.4  # metres wide
 BOARDS = (  # bay, whether in the wall at high y, colour
     (3, False, (0.45, 0.06, 0.05)),
@@ -52,7 +53,7 @@ def placements() -> list[Placement]:
     phases = round(REPEAT / BAY)
     for phase in range(phases):  # bays that lie alike beneath the lamps
         bays = [bay for bay in range(1, NUM_BAYS - 1) if bay % phases == phase]
-        placed.append(Placement(_bay(), along([bay * BAY for bay in bays]), lit_at=len(bays) // 2))
+        placed.append(Placement(_bay(DOOR_STAINS[phase]), along([bay * BAY for bay in bays]), lit_at=len(bays) // 2))
     placed += [Placement(_board(*board), floors) for board in BOARDS]
     placed += [Placement(_frame(), along([LENGTH - BAY])), Placement(_window_end(), floors)]
     placed.append(Placement(_door_end(), floors))
@@ -68,7 +69,7 @@ def tint(x: np.ndarray, high_y: bool) -> np.ndarray:
     """How the colour of a wall changes along it: a factor (..., 3) for places x in metres."""
     phase = np.random.default_rng([5, high_y]).uniform(0, 2 * np.pi, (3, 2))
     waves = [0.7 * np.sin(2 * np.pi * x / 53.0 + a) + 0.5 * np.sin(2 * np.pi * x / 19.0 + b) for a, b in phase]
-    return np.exp(0.45 * DISTINCT * np.stack(waves, axis=-1)).astype(np.float32)
+    return np.exp(0.55 * DISTINCT * np.stack(waves, axis=-1)).astype(np.float32)
 
 
 def _wall(canvas: Canvas, bay: int, high_y: bool) -> np.ndarray:
@@ -137,7 +138,6 @@ def _sign_art(canvas: Canvas) -> np.ndarray:
 
 
 FRAME = plain((0.33, 0.34, 0.36), gloss=0.2)
-DOOR = Material(pictures.door)
 TRIM = plain((0.50, 0.49, 0.45), gloss=0.2)
 METAL = Material(texture.brushed, gloss=0.6)
 LAMP = replace(texture.lit((1.0, 0.96, 0.88), 8.0), glare=0.3)
@@ -193,12 +193,13 @@ def _frame(part: Part | None = None) -> Part:
     return part
 
 
-def _bay() -> Part:
-    """A frame, and a door in each wall: further on in the wall at high y."""
+def _bay(stain: tuple[float, float, float]) -> Part:
+    """A frame, and a door of one colour in each wall: further on in the wall at high y."""
     part = _frame()
+    door = Material(lambda canvas: pictures.door(canvas) * np.array(stain, np.float32))
     for high_y, x0 in zip((False, True), DOORS_AT, strict=True):
         x1, trim, knob = x0 + DOOR_WIDTH, 0.07, x0 + (DOOR_WIDTH - 0.12 if high_y else 0.06)
-        _quad_on_wall(part, x0, x1, 0.0, DOOR_HEIGHT, 0.012, high_y, DOOR)
+        _quad_on_wall(part, x0, x1, 0.0, DOOR_HEIGHT, 0.012, high_y, door)
         _box_on_wall(part, x0 - trim, x0, 0.0, DOOR_HEIGHT + trim, 0.035, high_y, TRIM)
         _box_on_wall(part, x1, x1 + trim, 0.0, DOOR_HEIGHT + trim, 0.035, high_y, TRIM)
         _box_on_wall(part, x0, x1, DOOR_HEIGHT, DOOR_HEIGHT + trim, 0.035, high_y, TRIM)
