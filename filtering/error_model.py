@@ -11,7 +11,9 @@ from filtering.errors import VaporTrackError, require_within
 
 Six = tuple[float, float, float, float, float, float]
 
-_LEAST_SCORE, _FOREIGN = 0.05, 1.0  # of an image: nothing is known of errors below the one, and above the other
+LEAST_SCORE, FOREIGN = 0.05, 1.0
+"""Scores of how unlike its training data an image is: nothing is told apart below the one, and an image above the other
+is of another place."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,7 @@ class ErrorModel:
         """How much larger the variances of an image with this score are than those of the model; 0 is no score."""
         if unfamiliarity == 0.0:
             return 1.0
-        score = min(max(unfamiliarity, _LEAST_SCORE), _FOREIGN)
+        score = min(max(unfamiliarity, LEAST_SCORE), FOREIGN)
         return float((score / self.unfamiliar_score) ** (2.0 * self.unfamiliar_power))
 
     @property

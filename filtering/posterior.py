@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.error_model import ErrorModel
+from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.moments import group_moments
 from filtering.se3 import Poses
@@ -17,7 +17,6 @@ from filtering.se3 import Poses
 _SOUGHT = 250  # samples among which peaks are sought
 _MOST_PLACES = 40
 _LEAST_SHARE = 0.01  # of the samples: fewer are no place of their own
-_FOREIGN = 1.0  # unfamiliarity from which on an image says nothing
 
 
 @dataclass(frozen=True)
@@ -30,8 +29,9 @@ class PosePosterior:
         shares: Of the posterior, at least 0, in all 1 at most, (k,).
         errors: How the places err over time.
         samples: Samples of the posterior, world_from_camera, batch (m,), to be shown; the means where there are none.
-        unfamiliarity: How unlike the images that the network was trained on this one is: 0 one of them, 1 as unlike as
-            images of the same place hardly ever are, above that foreign. A foreign image says nothing.
+        unfamiliarity: How unlike the images that the network was trained on this one is: near 0 one of them, 1 as
+            unlike as images of the place hardly ever are, above that foreign; 0 without a score. A foreign image says
+            nothing.
         growth: How much larger the variances are for that than those of the error model.
     """
 
@@ -118,7 +118,7 @@ class PosePosterior:
     @property
     def is_foreign(self) -> bool:
         """Whether the image is of another place than those the network was trained on."""
-        return self.unfamiliarity > _FOREIGN
+        return self.unfamiliarity > FOREIGN
 
     @property
     def says_nothing(self) -> bool:

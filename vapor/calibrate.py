@@ -119,11 +119,11 @@ def calibrate_model(
     if familiarity is not None and known is not None:
         # Scores are other ones now; an ordinary image is as ordinary as before.
         if trained_on is None:
-            score = calibration.errors.unfamiliar_score * known.threshold / familiarity.threshold
+            scores = np.array([calibration.errors.unfamiliar_score * known.threshold / familiarity.threshold])
         else:
             judged = describe(network, held_out.select(spaced(len(held_out), max_images)))
-            score = ordinary_score(familiarity.unfamiliarity(judged))
-        errors = replace(calibration.errors, unfamiliar_score=float(np.clip(score, 0.05, 1.0)))
+            scores = familiarity.unfamiliarity(judged)
+        errors = replace(calibration.errors, unfamiliar_score=ordinary_score(scores))
         calibration = replace(calibration, errors=errors)
     if familiarity_only:
         _save(replace(checkpoint, familiarity=familiarity, calibration=calibration), output, file)

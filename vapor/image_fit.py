@@ -13,7 +13,7 @@ from scipy.stats import f as fisher
 from torch import Tensor
 
 from filtering.density import KernelDensity
-from filtering.error_model import ErrorModel, Six
+from filtering.error_model import FOREIGN, LEAST_SCORE, ErrorModel, Six
 from filtering.moments import group_moments
 from filtering.posterior import find_places
 from filtering.se3 import Poses
@@ -395,7 +395,7 @@ def _growing(
 
 def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
     """The score of an ordinary image among n that are not foreign."""
-    return float(np.clip(np.median(score), 0.05, 1.0))
+    return float(np.clip(np.median(score), LEAST_SCORE, FOREIGN))
 
 
 def _lasting(
