@@ -385,7 +385,7 @@ class _Model:
         """Negative log posterior, up to a constant, and its gradient."""
         q, b, r, time_s, p = self.unpack(parameters)
         loss, gradient = 0.0, np.zeros(25)
-        (invert,) = get_lapack_funcs(("potri",), dtype=np.float64)
+        factorize, invert = get_lapack_funcs(("potrf", "potri"), dtype=np.float64)
         for piece in self.pieces:
             correlation = piece.product * np.exp(-piece.apart / time_s)
             slope = correlation * piece.apart / time_s
@@ -393,21 +393,23 @@ class _Model:
                 covariance = b[axis] * correlation + r[axis] * piece.jitter
                 diagonal = np.einsum("ii->i", covariance)
                 diagonal += q[axis] * piece.dt + p[axis] * piece.moved
-                factor = np.linalg.cholesky(covariance)
+                factor, failed = factorize(covariance.T, lower=1, overwrite_a=1)  # by columns: it is not copied
+                if failed:
+                    raise np.linalg.LinAlgError(f"the covariance of axis {axis} has no Cholesky factor")
+                logarithm = float(np.log(np.diag(factor)).sum())
                 errors = piece.errors[:, axis]
                 if axis < 3:
                     errors = errors - scales.values[piece.recording] * piece.motion[:, axis]
-                inverse = invert(factor, lower=1)[0]
-                inverse = np.tril(inverse) + np.tril(inverse, -1).T
-                solved = inverse @ errors
-                loss += 0.5 * float(errors @ solved) + float(np.log(np.diag(factor)).sum())
-                steep = 0.5 * (inverse - np.outer(solved, solved))
-                straight = np.diag(steep)
-                gradient[axis] += q[axis] * float(straight @ piece.dt)
-                gradient[6 + axis] += b[axis] * float((steep * correlation).sum())
-                gradient[12 + axis] += r[axis] * float((steep * piece.jitter).sum())
-                gradient[18] += b[axis] * float((steep * slope).sum())
-                gradient[19 + axis] += p[axis] * float(straight @ piece.moved)
+                inverse = invert(factor, lower=1, overwrite_c=1)[0].T  # its upper triangle, zeros below
+                straight = np.diag(inverse)
+                solved = inverse @ errors + errors @ inverse - straight * errors
+                loss += 0.5 * float(errors @ solved) + logarithm
+                own = 0.5 * (straight - solved**2)
+                gradient[axis] += q[axis] * float(own @ piece.dt)
+                gradient[6 + axis] += b[axis] * _slope(inverse, solved, correlation)
+                gradient[12 + axis] += r[axis] * _slope(inverse, solved, piece.jitter)
+                gradient[18] += b[axis] * _slope(inverse, solved, slope)
+                gradient[19 + axis] += p[axis] * float(own @ piece.moved)
         spread = 2 * _DRIFT_SPREAD  # of the variance
         off = (parameters[6:12] - self._drift_centre) / spread
         late = (parameters[18] - np.log(_TIME_S)) / _TIME_SPREAD
@@ -442,6 +444,15 @@ class _Model:
             )
         values, vectors = np.linalg.eigh((np.array(rows) + np.array(rows).T) / 2)
         return np.sqrt(np.square(vectors) @ (1 / np.maximum(values, _LEAST_CURVATURE)))
+
+
+def _slope(triangle: np.ndarray, solved: np.ndarray, part: np.ndarray) -> float:
+    """Of a Gaussian's loss, as its covariance grows by a symmetric part.
+
+    Takes a triangle of the inverse covariance with zeros beyond, and the inverse times the errors.
+    """
+    trace = 2 * np.vdot(triangle, part) - np.diag(triangle) @ np.diag(part)
+    return 0.5 * float(trace - solved @ part @ solved)
 
 
 def _within_a_second(pieces: Sequence[_Piece]) -> np.ndarray:

@@ -15,6 +15,8 @@ from filtering.se3 import Poses
 from tests.modelled_walk import ERRORS, SLOW, walk
 from tests.simulation import lifted, motion, seen_at
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 AHEAD = motion(0.5, 0, 0, 0, 0, 0)  # a length
 STAY = motion(0, 0, 0, 0, 0, 0)
 THERE = Poses.identity(1)

@@ -27,6 +27,8 @@ from vapor.track import main
 from vapor.verdicts import Belief
 from vapor.windows import Piece, Trial
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 OPTIONS = [
     "--runs", "1", "--frames", "50", "--width", "32", "--height", "24", "--num-samples", "40", "--workers", "1",
     "--first-seed", "700", "--localizer.max-hypotheses", "30",
@@ -68,7 +70,6 @@ def run(folder, tiny_model, *more: str) -> int:
     return main([*words, *OPTIONS, *more])
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_an_interrupted_benchmark_goes_on_and_a_finished_one_computes_nothing(tmp_path, tiny_model, calls, capsys):
     calls.interrupt_at.update(_record=2)
     assert run(tmp_path, tiny_model) == 130
@@ -152,7 +153,6 @@ def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_m
     assert "outlier_share is 2" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, calls, capsys):
     assert run(tmp_path, tiny_model, "--kinds", "rate-3", "rate-10", "rate-30") == 0
     assert calls == {"_record": 1, "_localize": 3}
@@ -161,7 +161,6 @@ def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, 
     assert {each["kind"]: each["images"] for each in runs} == {"rate-3": 15, "rate-10": 50, "rate-30": 150}
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_walks_where_floors_look_alike_are_judged_but_for_the_floor_and_once_on_it(tiny_model, tmp_path, capsys):
     words = ["benchmark", "localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
     assert main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "0.02"]) == 0
@@ -181,7 +180,6 @@ def test_walks_where_floors_look_alike_are_judged_but_for_the_floor_and_once_on_
     assert "odometry_scale is -2" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path, monkeypatch, capsys):
     for module in (windows, trials):
         monkeypatch.setattr(module, "STAND_S", 3.0)
@@ -199,7 +197,6 @@ def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path
             assert each["cue_images"] >= 30
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_a_run_at_another_scale_has_the_results_of_the_unscaled_one(folder, tiny_model, calls, capsys):
     scaled = ("scale-0.1", "scale-30")
     assert run(folder, tiny_model, "--kinds", "cue", *scaled) == 0
@@ -253,7 +250,6 @@ def test_settings_of_the_filter_that_are_lengths_are_scaled():
     assert scaled.gap.speed_m_per_s == pytest.approx(30.0 * LocalizerConfig().gap.speed_m_per_s)
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_only_a_filter_that_is_told_of_a_kidnap_starts_anew_there(folder, tiny_model, monkeypatch):
     anew, update = [], ParticleLocalizer.update
 
@@ -275,13 +271,12 @@ def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, mon
     assert calls == {"_localize": 1}
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_processes_give_the_results_of_one(folder, tiny_model, tmp_path):
-    assert run(folder, tiny_model, "--kinds", "cue", "--runs", "3") == 0
+    assert run(folder, tiny_model, "--kinds", "cue", "--runs", "2") == 0
     alone = json.loads((folder / "summary.json").read_text())["runs"]
-    assert run(tmp_path, tiny_model, "--kinds", "cue", "--runs", "3", "--workers", "2") == 0
+    assert run(tmp_path, tiny_model, "--kinds", "cue", "--runs", "2", "--workers", "2") == 0
     together = json.loads((tmp_path / "summary.json").read_text())["runs"]
-    assert len(together) == 3
+    assert len(together) == 2
     for ours, theirs in zip(alone, together, strict=True):
         assert ours | {"step_ms": 0} == theirs | {"step_ms": 0}
 
@@ -431,7 +426,6 @@ def test_floors_are_summed_up_over_the_images_on_them_with_intervals():
     assert "on_floor" not in elsewhere["belief"]["filter"]
 
 
-@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("scale", [1.0, 30.0])
 def test_floors_are_judged_in_the_lengths_of_the_scene(scale, monkeypatch):
     """At another scale the poses are scaled back before whole floors are counted."""

@@ -24,6 +24,8 @@ from vapor.presets import PRESETS
 from vapor.track import main
 from vapor.train_config import TrainConfig
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 TINY_TRAIN = TrainConfig(
     network=NetworkConfig(image_width=32, image_height=32, shortest_edge=34, feature_dim=16, latent_dim=4),
     bandwidth_translation_m=2.0,

@@ -33,6 +33,8 @@ from vapor.track import main
 from vapor.trials import Replay
 from vapor.verdicts import Belief
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 N = 30
 DURING = range(10, 15)
 OUTSIDE = [image for image in range(N) if image not in DURING]
@@ -256,7 +258,7 @@ def short(monkeypatch) -> None:
         monkeypatch.setattr(faults, name, duration_s)
 
 
-@pytest.mark.usefixtures("short", "unchecked")
+@pytest.mark.usefixtures("short")
 def test_a_walk_runs_without_and_with_every_fault_once(folder, tiny_model, monkeypatch, capsys):
     followed = []
     follow = faults.follow_trial
@@ -276,7 +278,7 @@ def test_a_walk_runs_without_and_with_every_fault_once(folder, tiny_model, monke
     assert (capsys.readouterr().out, (folder / "summary.json").read_bytes()) == (out, summary)
 
 
-@pytest.mark.usefixtures("short", "unchecked")
+@pytest.mark.usefixtures("short")
 def test_walks_that_never_converge_are_an_error_in_the_end(folder, tiny_model, monkeypatch, capsys):
     monkeypatch.setattr(faults, "_BARREN", 0)
     assert run(folder, tiny_model, "--localizer.converged-std-m", "0") == 1

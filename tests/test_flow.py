@@ -24,6 +24,8 @@ from vapor.train import train_on
 from vapor.training_set import load_training_set
 from vapor.validation import LOG_FLOOR, exact_log_density
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 BOX = SceneBox((-1.0, -1.0, 0.0), (1.0, 2.0, 2.0))
 AROUND = {"flow": BOX, "mixture": SceneBox((-3.0, -3.0, -2.0), (3.0, 4.0, 4.0))}  # all that a density reaches
 CONFIG = NetworkConfig(

@@ -172,6 +172,7 @@ def test_estimates_that_come_twice_are_no_camera_that_froze():
 # --- the command ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_the_command_bridges_a_run_of_wrong_estimates(tmp_path, truth, capsys):
     """Estimates 3 cm off, but for twelve images in a row that put the camera 0.6 m away; a second method lacks some."""
     poses = walk()
@@ -207,6 +208,7 @@ def test_the_command_bridges_a_run_of_wrong_estimates(tmp_path, truth, capsys):
     assert (output / "trajectory.tum").read_bytes() == before
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_another_sequence_starts_anew_however_much_the_first_one_said(tmp_path, truth):
     """The second one begins with an estimate that is 0.6 m off: nothing of the first one corrects it."""
     poses = walk()
@@ -262,6 +264,7 @@ def test_what_cannot_be_used_is_one_line_and_leaves_nothing(tmp_path, truth, cap
     assert not output.exists()
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_real_estimates_of_a_staircase_have_no_tail_left(shared_data: Path, tmp_path: Path):
     """The 150 frames of 7-Scenes stairs around hloc's longest run of wrong estimates."""
     folder = shared_data / "7scenes_stairs"

@@ -12,6 +12,8 @@ from filtering.se3 import Poses
 from vapor.image_fit import Seen, Way, fit_errors, fit_widths
 from vapor.scene_scale import default_errors, flat_log_density, scene_extent
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 ROOM = np.array([10.0, 6.0, 2.0])
 TRUE = ErrorModel(spread=2.0, floor=(0.05, 0.1, 0.03, 0.02, 0.03, 0.02), tail=5.0, outlier_share=0.1)
 UNIT = np.repeat([1.0, 0.5], 3)

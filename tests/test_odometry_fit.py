@@ -15,6 +15,8 @@ from sequences.odometry_fit import OdometryFit, OdometryStretch, fit_odometry
 from sequences.pairing import interpolate
 from sequences.tum import read_tum
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 NOISE = OdometryNoise()
 WHITE = [0.008] * 3 + [0.003] * 3
 SILENT = OdometryNoise(0.0, 0.0, 0.0, 30.0, 0.0, 0.0)

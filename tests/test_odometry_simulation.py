@@ -6,6 +6,8 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.odometry import OdometryNoise, simulate_odometry
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 TIMES_NS = 20_000_000 * np.arange(1501, dtype=np.int64)  # 30 s at 50 Hz
 SILENT = OdometryNoise(0.0, 0.0, 0.0, 30.0, 0.0, 0.0)
 

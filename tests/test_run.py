@@ -181,6 +181,7 @@ def test_evaluate_takes_other_true_poses(finished, tmp_path):
 # --- the same twice ----------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(finished, tiny_model, walk_of_25, tmp_path):
     assert run(walk_of_25, tiny_model, tmp_path / "again") == 0
     assert run(walk_of_25, tiny_model, tmp_path / "other", "--seed", "1", "--no-recording") == 0
@@ -204,6 +205,7 @@ def test_a_rosbag2_folder_gives_what_its_file_gives(finished, tiny_model, walk_o
 # --- less than everything ----------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_without_true_poses_nothing_is_judged_and_nothing_of_an_earlier_run_stays(
     tiny_model, walk_of_25, tmp_path, capsys
 ):
@@ -296,6 +298,7 @@ class Judged:
         return replace(self.says.observe(image, rng=rng), unfamiliarity=unfamiliarity)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_black_frames_are_lost_where_the_model_knows_what_is_familiar(tiny_model, tmp_path):
     """They are equal, pixel by pixel: a camera that freezes on a picture of the place is not lost."""
     walk = Walk(60)
@@ -314,6 +317,7 @@ def test_black_frames_are_lost_where_the_model_knows_what_is_familiar(tiny_model
     assert "lost" not in status["unknowing"]
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_the_noise_of_odometry_is_that_of_the_calibration_unless_it_is_told_not_to(tiny_model, walk_of_25, tmp_path):
     six = (0.01,) * 6
     fit = OdometryFit(six, six, six, 30.0, 0.0, 0.1, six, six, six, 0.1, 100, 1, 10.0, 10.0, 0)

@@ -16,6 +16,8 @@ from sequences.scenes.paths import circle_table, roll_through_hall, walk_corrido
 from sequences.scenes.surface import Scene
 from sequences.synthesize import SCENES, Stand, SyntheticSequence, load_scene, synthesize
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 
 

@@ -19,6 +19,8 @@ from vapor.train import Progress
 from vapor.train_config import TrainConfig
 from vapor.validation import Validation
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 TINY = ScheduleConfig(
     sequences=1,
     frames=32,

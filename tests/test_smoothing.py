@@ -10,6 +10,8 @@ from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, independence, smooth
 from tests.modelled_walk import ERRORS, SLOW, walk
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 CONFIG = SmoothingConfig(slow_errors=SLOW)
 
 
