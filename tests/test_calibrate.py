@@ -13,6 +13,7 @@ from tests.sequence_files import Walk, rewrite
 from tests.test_datasets import make_7scenes
 from tests.test_passes import frames_of
 from vapor import calibrate as calibrate_module
+from vapor import training_check
 from vapor.calibrate import calibrate
 from vapor.checkpoint import Calibration, load_checkpoint, read_safetensors
 from vapor.familiarity import Familiarity, learn_familiarity
@@ -34,7 +35,8 @@ def network_for(images):
 
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch):
-    monkeypatch.setattr(calibrate_module, "NUM_SAMPLES", 100)
+    for module in (calibrate_module, training_check):
+        monkeypatch.setattr(module, "NUM_SAMPLES", 100)
 
 
 def test_too_few_images_keep_the_calibration_and_say_so():
@@ -153,7 +155,7 @@ def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
     held_out = {str(k): frames_of(45, seed=k) for k in range(3)}
     stages = []
     result = train_on(
-        {"a": frames_of(40)},
+        {"a": [*frames_of(45), *frames_of(45, seed=1), *frames_of(45, seed=2)]},
         tmp_path / "m.safetensors",
         config,
         validation=held_out,
@@ -162,14 +164,18 @@ def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
     calibrated = result.calibration
     assert calibrated is not None
     assert (calibrated.images, calibrated.odometry) == (135, "held-out data")
-    assert "calibrating" in stages
+    assert list(dict.fromkeys(stages)) == ["reading", "holding out", "training", "calibrating", "checking"]
     stored = load_checkpoint(tmp_path / "m.safetensors")
-    assert stored.calibration == calibrated.calibration
+    assert result.check is not None
+    assert stored.training["check"] == json.loads(json.dumps(result.check.as_json))
+    assert stored.training["check"]["images"] == 135
+    if not result.check.worse and not result.check.overconfident:
+        assert stored.calibration == calibrated.calibration
     told = [change["what"] for change in stored.training["calibration"]["changes"]]
     assert told == ["kernel widths", "errors of an image", "how long they last"]
     assert stored.training["calibration"] == json.loads(json.dumps(calibrated.provenance))
     off = replace(config, calibrate=False, bandwidth_translation_m=0.3)
-    without = train_on({"a": frames_of(40)}, tmp_path / "n.safetensors", off, validation=held_out)
+    without = train_on({"a": frames_of(45)}, tmp_path / "n.safetensors", off, validation=held_out)
     assert without.calibration is None
     assert without.checkpoint.calibration == Calibration(0.3, 0.1, default_errors(without.checkpoint.prior_poses))
 

@@ -563,7 +563,7 @@ def test_a_training_that_was_interrupted_goes_on_and_its_model_runs(walk_of_25, 
     assert not model.exists()
     assert main(words) == 0
     assert epochs == [0, 1, 1]  # the first epoch is not done again
-    assert "held out" in capsys.readouterr().out
+    assert "nothing is held out" in capsys.readouterr().err
     assert {path.name for path in tmp_path.iterdir()} == {"model.safetensors"}
 
     assert skipped_in_run(walk_of_25, model, tmp_path / "out") == (25, {})

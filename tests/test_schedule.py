@@ -103,18 +103,18 @@ def test_both_are_trained_once_and_told_side_by_side(tmp_path, capsys, monkeypat
     network = ("--train.network.image-width", "32", "--train.network.image-height", "32")
     network += ("--train.network.shortest-edge", "34", "--train.network.feature-dim", "16")
     words = ["experiment", "schedule", "--scene", "round-table", "--output", str(tmp_path), "--most", "0.001"]
-    words += ["--sequences", "1", "--frames", "32", "--validation-frames", "6", "--train.epochs", "2", *network]
+    words += ["--sequences", "4", "--frames", "32", "--validation-frames", "20", "--train.epochs", "2", *network]
     assert main(words) == 0
     report = json.loads((tmp_path / "schedule.json").read_text())
-    assert [point["images"] for point in report["courses"]["default"]] == [32, 64]
-    assert [point["images"] for point in report["courses"]["paper"]] == [32]  # given up after its first epoch
+    assert [point["images"] for point in report["courses"]["default"]] == [128, 256]
+    assert [point["images"] for point in report["courses"]["paper"]] == [128]  # given up after its first epoch
     assert cv2.imread(str(tmp_path / "schedule.png")).shape[1] > 800
     assert "times the time" in capsys.readouterr().out
     monkeypatch.setattr(schedule_module, "train", lambda *_, **__: pytest.fail("trained again"))
     assert main(words) == 0
     assert json.loads((tmp_path / "schedule.json").read_text()) == report
     with pytest.raises(pytest.fail.Exception, match="trained again"):  # other images are judged: nothing is done yet
-        main([*words, "--validation-frames", "7"])
+        main([*words, "--validation-frames", "21"])
 
 
 def test_settings_that_cannot_be_are_refused():

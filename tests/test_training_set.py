@@ -13,7 +13,7 @@ from vapor.baselines import make_regressor
 from vapor.network import SceneBox
 from vapor.track import main
 from vapor.train import _paired, train, train_on
-from vapor.training_set import TrainingError, held_out_tails, load_training_set, open_sequences, require_apart
+from vapor.training_set import TrainingError, load_training_set, open_sequences, require_apart
 from vapor.validation import predict
 
 
@@ -61,12 +61,12 @@ def test_a_selection_is_judged_by_its_own_images():
     assert not np.allclose(of_part[0].translation, next(iter(predict(network, loaded, 5, 0))).translation, atol=1e-5)
 
 
-def test_each_sequence_of_a_split_has_its_own_tail_and_pairs(tmp_path):
+def test_each_sequence_of_a_split_has_its_own_name_and_pairs(tmp_path):
     scene = make_7scenes(tmp_path / "chess", sequences=("seq-01", "seq-02"))
     (scene / "TrainSplit.txt").write_text("sequence1\nsequence2\n")
     loaded = load_training_set(open_sequences([scene / "TrainSplit.txt", scene / "seq-01"]), (32, 24))
     np.testing.assert_array_equal(loaded.sequence, np.repeat([0, 1, 2], 10))
-    np.testing.assert_array_equal(np.flatnonzero(held_out_tails(loaded.sequence, 0.1)), [9, 19, 29])
+    assert loaded.names == ("chess/TrainSplit.txt, sequence 1", "chess/TrainSplit.txt, sequence 2", "seq-01")
     rng = np.random.default_rng(0)
     first, second = np.split(_paired(rng.permutation(30).repeat(2)[:60], loaded.sequence, 5, rng=rng), 2)
     np.testing.assert_array_equal(loaded.sequence[first], loaded.sequence[second])
@@ -79,7 +79,7 @@ def test_what_is_left_out_of_the_data_is_told(tmp_path, capsys):
     (scene / "seq-01" / "frame-000009.color.png").write_bytes(b"no image")
     config = replace(TINY, calibrate=False, epochs=1)
     result = train([scene / "seq-01"], tmp_path / "model.safetensors", config)
-    assert result.images_seen == 16  # of 21, a quarter of which is held out
+    assert result.images_seen == 21  # nothing is held out of one pass
     assert result.skipped == {"no true pose": 1, "no image": 1, "undecodable image": 1}
     words = ["--network.image-width", "32", "--network.image-height", "32", "--network.shortest-edge", "34"]
     words += ["--epochs", "1", "--no-calibrate"]
@@ -136,10 +136,3 @@ def test_sequences_without_usable_poses_are_refused_by_name():
     frames[1] = replace(frames[1], world_from_camera=Poses(np.eye(3), np.array([0.0, np.nan, 0.0])))
     with pytest.raises(TrainingError, match="b: true pose at 1 ns is not finite"):
         load_training_set({"b": frames}, (36, 36))
-
-
-def test_held_out_images_are_the_last_of_each_sequence():
-    sequence = np.repeat([0, 1, 2], [20, 10, 2])
-    (held_out,) = np.nonzero(held_out_tails(sequence, 0.1))
-    np.testing.assert_array_equal(held_out, [18, 19, 29])
-    assert not held_out_tails(sequence, 0.0).any()

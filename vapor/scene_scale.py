@@ -21,6 +21,12 @@ def scene_extent(poses: Poses) -> float:
     return extent if extent > 1e-9 else 1.0
 
 
+def typical_side_m(poses: Poses) -> float:
+    """Geometric mean of the sides of the box around the positions of poses (n,), metres; no side counts as thin."""
+    extent = scene_extent(poses)
+    return float(np.prod(np.maximum(_sides(poses), _THINNEST * extent)) ** (1 / 3))
+
+
 def flat_log_density(poses: Poses) -> float:
     """Log density of poses spread evenly where these (n,) are, per m³ rad³: a box about them, and upright cameras."""
     extent = scene_extent(poses)

@@ -21,14 +21,15 @@ from vapor.augment import jitter_and_normalise, random_crops
 from vapor.calibrate import CalibrationResult, calibrate
 from vapor.checkpoint import MAX_PRIOR_POSES, Calibration, Checkpoint, save_checkpoint, spaced
 from vapor.familiarity import EXEMPLARS, learn_familiarity
+from vapor.holding_out import Split, hold_out, within_map
 from vapor.loss import training_loss
 from vapor.network import PoseRegressor, SceneBox
 from vapor.scene_scale import default_errors
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
+from vapor.training_check import TrainingCheck, check
 from vapor.training_set import (
     TrainingError,
     TrainingSet,
-    held_out_tails,
     load_training_set,
     open_sequences,
     require_apart,
@@ -43,8 +44,9 @@ class Progress:
     """Where a training stands.
 
     Attributes:
-        stage: "reading" of images, then "training", then "calibrating".
-        done: Images read, steps done since the training's start, interrupted or not, or held-out images seen.
+        stage: "reading" of images, "holding out" of some, "training", "calibrating", "checking".
+        done: Images read or held out, steps done since the training's start, interrupted or not, or held-out images
+            seen.
         total: Steps or images in all; None while reading.
         epoch: The current epoch, from 1.
         epochs: Of so many.
@@ -53,9 +55,10 @@ class Progress:
         seconds: Of training in this call, reading and judging left out.
         validation: Figures of the last epoch judged.
         best: Figures of the best epoch.
+        notes: What was held out and why, told once before the first step.
     """
 
-    stage: Literal["reading", "training", "calibrating"]
+    stage: Literal["reading", "holding out", "training", "calibrating", "checking"]
     done: int
     total: int | None = None
     epoch: int = 0
@@ -65,6 +68,7 @@ class Progress:
     seconds: float = 0.0
     validation: Validation | None = None
     best: Validation | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,7 @@ class TrainResult:
         seconds: Wall clock of this call's training, reading and interruptions left out.
         images_seen: Of this call.
         calibration: What was calibrated at the end, and what that gained; None where it was not asked for.
+        check: The filter on the held-out passes; None without any, or without odometry through them.
         skipped: Images and poses of all data that were left out in reading, by reason.
     """
 
@@ -87,6 +92,7 @@ class TrainResult:
     seconds: float
     images_seen: int
     calibration: CalibrationResult | None = None
+    check: TrainingCheck | None = None
     skipped: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -107,8 +113,9 @@ def train(
         data: Whatever `posed_frames` reads; `PATH@START:STOP` takes those frames of it only.
         output: The model file.
         config: How.
-        validation: Held-out data, likewise, with no image of the former; without it the last part of each training
-            sequence is held out, and no two of them may share images.
+        validation: Held-out data, likewise, with no image of the former, of which those images count whose surroundings
+            training images show; without it passes over ground that others cover are held out, and no two of the data
+            may share images.
         progress: Called after every image read and every step.
 
     Raises:
@@ -183,31 +190,29 @@ def _train(
     initial: Checkpoint | None,
     report: ProgressCallback,
 ) -> TrainResult:
-    if held_out is None:
-        tails = held_out_tails(loaded.sequence, config.validation_share)
-        training, held_out = loaded.select(np.flatnonzero(~tails)), loaded.select(np.flatnonzero(tails))
-    else:
-        training = loaded
+    split = hold_out(loaded, config.validation_share) if held_out is None else within_map(loaded, held_out)
+    training = split.training
     if len(training) < 2:
         raise TrainingError(f"{', '.join(names['data'])}: {len(training)} training images, expected at least 2")
     box = SceneBox.around(training.poses)
     state = start(config, box.union(initial.box) if initial else box, training.poses, initial)
-    return _fit(state, training, held_out, names, output, config, report)
+    return _fit(state, split, names, output, config, report)
 
 
 def _fit(
     state: TrainingState,
-    training: TrainingSet,
-    held_out: TrainingSet,
+    split: Split,
     names: dict[str, Any],
     output: Path,
     config: TrainConfig,
     report: ProgressCallback,
 ) -> TrainResult:
+    training, held_out = split.training, split.held_out
     judged = held_out.select(spaced(len(held_out), config.validation_images))
     identity = {**names, "images": len(training), "held_out": len(judged), **_settings(config)}
     if config.resume and state_path(output).exists():
         load_state(state_path(output), state, identity)
+    report(Progress("holding out", len(held_out), notes=split.notes))
     begin, first_epoch, spent_s = perf_counter(), state.epoch, 0.0
     best = _best(state.history, config)
     while state.epoch < config.epochs:
@@ -242,11 +247,12 @@ def _fit(
         "config": _settings(config),
         "selected_by": config.select_by if best else "last epoch",
         "validation": asdict(best) if best else None,
+        "holding_out": list(split.notes),
     }
     prior_poses = _prior_poses(state.average, weights, training, config.seed)
     widths = config.bandwidth_translation_m, config.bandwidth_rotation_rad
     calibration = Calibration(*widths, default_errors(prior_poses))
-    calibrated = familiarity = None
+    calibrated = familiarity = checked = None
     if config.calibrate:
         familiarity = learn_familiarity(state.average, training.select(spaced(len(training), EXEMPLARS)), judged)
         calibrated = calibrate(
@@ -260,11 +266,21 @@ def _fit(
             seed=config.seed,
             advance=lambda done, total: report(Progress("calibrating", done, total, best=best)),
         )
-        provenance["calibration"] = calibrated.provenance
+        checked, calibration = check(
+            state.average,
+            split.source,
+            split.judged,
+            calibrated,
+            familiarity,
+            prior_poses,
+            seed=config.seed,
+            advance=lambda done, total: report(Progress("checking", done, total, best=best)),
+        )
+        provenance |= {"calibration": calibrated.provenance, "check": checked.as_json if checked else None}
     checkpoint = Checkpoint(
         config.network,
         state.network.box,
-        calibrated.calibration if calibrated else calibration,
+        calibration,
         prior_poses,
         weights,
         json.loads(json.dumps(provenance)),
@@ -274,7 +290,7 @@ def _fit(
     state_path(output).unlink(missing_ok=True)
     images_seen = (state.epoch - first_epoch) * len(training)
     skipped = training.skipped if held_out.images is training.images else training.skipped + held_out.skipped
-    return TrainResult(checkpoint, tuple(state.history), best, seconds, images_seen, calibrated, skipped)
+    return TrainResult(checkpoint, tuple(state.history), best, seconds, images_seen, calibrated, checked, skipped)
 
 
 def _train_epoch(

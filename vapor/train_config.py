@@ -72,7 +72,8 @@ class TrainConfig:
     average: float = 0.998
     """Decay per step of the moving average of weights that is kept; 0 keeps the last weights themselves."""
     validation_share: float = 0.1
-    """Last part of each training sequence that is held out where no validation data is given; 0 for none."""
+    """About this share of the images is held out where no validation data is given, in passes over ground that others
+    cover; 0 for none."""
     validation_images: int = 500
     """Held-out images that are judged, evenly spaced, at most."""
     select_by: Literal["sample_recall", "mode_recall", "log_density"] = "sample_recall"

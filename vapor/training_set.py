@@ -14,7 +14,7 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Int64, UInt8
+from jaxtyping import Int64, UInt8
 
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
@@ -39,6 +39,7 @@ class TrainingSet:
         rows: Which of `images` each of these is, (n,).
         poses: world_from_camera, batch (n,).
         sequence: Index of the sequence each image is from; images of one sequence lie together, in its order.
+        names: Of the sequences, by that index: of the file or folder that each is from.
         times_ns: Stamps of the images, integer nanoseconds, (n,).
         odometry: Motion since the image before, n of them; None where that image is not here, or none was recorded.
         skipped: Images and poses of the data that were left out in reading, by reason.
@@ -48,6 +49,7 @@ class TrainingSet:
     rows: Int64[np.ndarray, " n"]
     poses: Poses
     sequence: Int64[np.ndarray, " n"]
+    names: tuple[str, ...]
     times_ns: Int64[np.ndarray, " n"]
     odometry: tuple[Odometry | None, ...]
     skipped: Counter[str] = field(default_factory=Counter)
@@ -206,17 +208,14 @@ def load_training_set(
         np.arange(len(sources)),
         poses,
         np.cumsum(begins),
+        _sequence_names(list(sequences), [sources[i] for i in [0, *np.flatnonzero(begins)]]),
         np.array(times_ns, np.int64),
         tuple(odometry),
         skipped,
     )
 
 
-def held_out_tails(sequence: Int64[np.ndarray, " n"], share: float) -> Bool[np.ndarray, " n"]:
-    """Which images are in the last contiguous share of their sequence; neighbours in time are too alike to split."""
-    held_out = np.zeros(len(sequence), bool)
-    for index in np.unique(sequence):
-        (positions,) = np.nonzero(sequence == index)
-        count = round(share * len(positions))
-        held_out[positions[len(positions) - count :]] = True
-    return held_out
+def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> tuple[str, ...]:
+    """Of sequences by the number of their file or folder and their own; the latter is told where there are several."""
+    several = {file for file, count in Counter(file for file, _ in begun).items() if count > 1}
+    return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)

@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rich.table import Table
 
 from vapor.commands.calibrate import show_calibration
 from vapor.commands.console import progress_display, show, show_skipped, usage_error
 from vapor.commands.named_settings import Method, Preset, parse_named
 from vapor.presets import METHODS, PRESETS
 from vapor.train import Progress, TrainConfig, TrainResult, train
+from vapor.training_check import TrainingCheck
 from vapor.validation import Validation
 
 
@@ -28,7 +30,7 @@ class Options:
     output: Path
     """Model file to write (.safetensors)."""
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
-    """Held-out data, of other images; without it the last part of each training sequence is held out."""
+    """Held-out data, of other images; without it passes over ground that others cover are held out."""
     preset: Preset = "demo"
     """Named settings, of which the options below change single ones; tables: small and fast, for the scenes of that
     name; paper-...: the paper's."""
@@ -48,6 +50,9 @@ def main(arguments: Sequence[str]) -> None:
         result = train(options.data, options.output, options.config, validation=options.validation, progress=report)
     if result.calibration is not None:
         show_calibration(result.calibration)
+    if result.check is not None:
+        show(_checked(result.check))
+        show(result.check.verdict)
     show(_summary(result, options.output))
     show_skipped(result.skipped)
 
@@ -59,6 +64,8 @@ def _log() -> Iterator[Callable[[Progress], None]]:
 
     def report(progress: Progress) -> None:
         nonlocal last
+        for note in progress.notes:
+            print(note, file=sys.stderr, flush=True)
         figures = progress.validation
         if figures is not None and figures.epoch > last:
             last = figures.epoch
@@ -79,6 +86,8 @@ def _display() -> Iterator[Callable[[Progress], None]]:
             if progress.stage != stage:
                 stage = progress.stage
                 display.reset(task, description=stage, total=progress.total)
+            for note in progress.notes:
+                display.console.print(note)
             figures = ""
             if progress.loss is not None:
                 figures = f"epoch {progress.epoch}/{progress.epochs}  loss {progress.loss:.3f}"
@@ -95,6 +104,25 @@ def _summary(result: TrainResult, output: Path) -> str:
     if result.best is not None:
         lines.append(f"kept epoch {result.best.epoch}; held out within 0.3 m and 20°: {_recalls(result.best)}")
     return "\n".join(lines)
+
+
+def _checked(check: TrainingCheck) -> Table:
+    passes = "a held-out pass" if check.passes == 1 else f"{check.passes} held-out passes"
+    table = Table(title=f"{check.images} images of {passes}, on which errors were fitted", title_justify="left")
+    for name in ("method", "median error", "within 0.3 m, 20°"):
+        table.add_column(name, justify="left" if name == "method" else "right")
+    for name, figures in check.methods.items():
+        error = f"{figures.median_m:.3f} m {figures.median_deg:.1f}°"
+        table.add_row(name.replace("_", " "), error, f"{100 * figures.right:.0f} %")
+    said = f"the filter says converged in {100 * check.converged:.0f} % of the images"
+    if check.wrong is not None:
+        said += f", of which {100 * check.wrong:.1f} % are wrong"
+    if check.coverage is not None:
+        said += "; of these in its regions: " + ", ".join(
+            f"{name}: {100 * share:.0f} %" for name, share in check.coverage.items()
+        )
+    table.caption, table.caption_justify = said, "left"
+    return table
 
 
 def _recalls(figures: Validation) -> str:

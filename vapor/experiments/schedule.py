@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from filtering.errors import require_within
+from filtering.errors import VaporTrackError, require_within
 from sequences.atomic import atomic_output
 from vapor.experiments.trainings import Scene, identities, render_scenes, rendered_height, trained_from
 from vapor.observation import resolve_device
@@ -153,6 +153,8 @@ class ScheduleExperiment:
         with tempfile.TemporaryDirectory(dir=folder) as temporary, contextlib.suppress(_EnoughError):
             model = Path(temporary) / "model.safetensors"
             result = train(self._scene.train, model, config, validation=self._scene.test, progress=clock.follow)
+            if not result.history:
+                raise VaporTrackError(f"{self._name}: {'; '.join(result.checkpoint.training['holding_out'])}")
             clock.judged(result.history[-1].sample_recall)
         with atomic_output(file) as partial:
             partial.write_text(json.dumps([asdict(point) for point in clock.course]), encoding="utf-8")

@@ -1,0 +1,160 @@
+"""Which images are held out: shown by others, apart in time, and said."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from vapor.holding_out import Split, hold_out, within_map
+from vapor.training_set import TrainingSet
+
+STEP_M = 0.1
+
+
+def corridor(start_m: float, end_m: float, *, y_m: float = 0.0, z_m: float = 0.0, ahead: bool = True) -> Poses:
+    """Steps of ten centimetres along x, looking ahead or back."""
+    count = round(abs(end_m - start_m) / STEP_M)
+    x = start_m + np.sign(end_m - start_m) * STEP_M * np.arange(count)
+    towards = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # x right, y down, z along the corridor
+    if not ahead:
+        towards = np.diag([-1.0, -1.0, 1.0]) @ towards
+    return Poses(np.tile(towards, (count, 1, 1)), np.column_stack([x, np.full(count, y_m), np.full(count, z_m)]))
+
+
+def recorded(*passes: Poses) -> TrainingSet:
+    """Recordings walk0, walk1, ... of which no image is looked at."""
+    count = sum(len(poses) for poses in passes)
+    return TrainingSet(
+        np.zeros((count, 1, 1, 3), np.uint8),
+        np.arange(count),
+        Poses.concatenate(list(passes)),
+        np.repeat(np.arange(len(passes)), [len(poses) for poses in passes]),
+        tuple(f"walk{i}" for i in range(len(passes))),
+        100_000_000 * np.arange(count),
+        (None,) * count,
+        Counter(),
+    )
+
+
+def trained(split: Split) -> np.ndarray:
+    """Which of the images are trained on, (n,)."""
+    return np.isin(split.source.rows, split.training.rows)
+
+
+def stairwell(top: tuple[int, ...] = (0, 1, 2, 3, 4), walks: int = 5) -> TrainingSet:
+    """Walks over three floors three metres apart, each beside the others; only some of them go on to a fourth."""
+    found = []
+    for walk in range(walks):
+        floors = 4 if walk in top else 3
+        found.append(Poses.concatenate([corridor(0, 10, y_m=0.1 * walk, z_m=3.0 * floor) for floor in range(floors)]))
+    return recorded(*found)
+
+
+def test_one_of_several_walks_is_held_out_as_a_whole():
+    images = stairwell()
+    split = hold_out(images, 0.1)
+    assert len(np.unique(images.sequence[split.judged])) == 1
+    held_out = images.sequence == images.sequence[split.judged][0]
+    np.testing.assert_array_equal(split.judged, held_out)
+    np.testing.assert_array_equal(trained(split), ~held_out)
+    (note,) = split.notes
+    assert note == f"held out: walk{images.sequence[split.judged][0]} (400 images); other passes show what is there"
+
+
+def test_of_many_walks_as_many_are_held_out_as_asked_for():
+    images = stairwell(walks=20, top=tuple(range(20)))
+    split = hold_out(images, 0.3)
+    assert len(np.unique(images.sequence[split.judged])) == 6
+    assert split.judged.mean() == pytest.approx(0.3)
+    assert not hold_out(images, 0.0).judged.any()
+
+
+def test_a_floor_that_one_walk_alone_shows_is_trained_on():
+    walks = stairwell(top=(0,), walks=4)
+    alone = walks.poses.translation[:, 2] > 8.9
+    images = walks.select(np.flatnonzero((walks.sequence == 0) | (walks.poses.translation[:, 0] < 8.0)))
+    alone = images.poses.translation[:, 2] > 8.9
+    for share in (0.1, 0.9):
+        split = hold_out(images, share)
+        assert split.judged.any()
+        assert trained(split)[alone].all()
+
+
+def test_what_only_the_walk_held_out_shows_is_told_and_kept_apart_in_time():
+    first = Poses.concatenate([corridor(0, 20), corridor(20, 40)])  # nobody else goes on
+    others = [Poses.concatenate([corridor(0, 20, y_m=0.1 * i), corridor(0, 40, z_m=20.0 * i)]) for i in (1, 2, 3)]
+    images = recorded(first, *others)
+    split = hold_out(images, 0.1)
+    assert not split.judged[400:].any()
+    assert split.judged[:200].sum() > 150
+    assert trained(split)[230:].all()
+    held, beside = np.flatnonzero(split.judged), np.flatnonzero(trained(split)[:400])
+    assert np.abs(held[:, None] - beside).min() * STEP_M > 0.5  # never touching
+    assert any(note.startswith("trained on, as no other recording shows it within") for note in split.notes)
+    assert any(note.endswith("or not shown by any") for note in split.notes)
+
+
+def test_of_one_recording_a_stretch_that_was_visited_again_is_held_out():
+    images = recorded(Poses.concatenate([corridor(0, 20), corridor(20, 0, y_m=0.2)]))  # forth, and back backwards
+    split = hold_out(images, 0.1)
+    held = np.flatnonzero(split.judged)
+    assert 20 <= len(held) <= 60
+    assert (np.diff(held) == 1).all()
+    assert np.abs(held[:, None] - np.flatnonzero(trained(split))).min() > 3
+    (other,) = np.nonzero(
+        np.abs(images.poses.translation[held, :1] - images.poses.translation[:, 0]).min(axis=0) < 0.05
+    )
+    assert trained(split)[other].any()
+
+
+@pytest.mark.parametrize("back", [corridor(20, 0, ahead=False), corridor(20, 0, z_m=3.0), corridor(60, 40)])
+def test_ground_seen_once_or_the_other_way_round_is_not_held_out(back):
+    images = recorded(corridor(0, 20), back)
+    split = hold_out(images, 0.1)
+    assert trained(split).all()
+    assert not split.judged.any()
+    (note,) = split.notes
+    assert note.startswith("nothing is held out")
+
+
+def test_the_choice_does_not_depend_on_the_unit_of_length():
+    images = stairwell(top=(0,))
+    expected = hold_out(images, 0.2)
+    for factor in (0.01, 30.0):
+        larger = recorded(
+            *(
+                Poses(own.rotation, factor * own.translation)
+                for own in (images.poses[np.flatnonzero(images.sequence == i)] for i in range(5))
+            )
+        )
+        found = hold_out(larger, 0.2)
+        np.testing.assert_array_equal(trained(found), trained(expected))
+        np.testing.assert_array_equal(found.judged, expected.judged)
+
+
+def test_a_camera_that_stands_is_no_other_pass():
+    stand = Poses(np.tile(np.eye(3), (300, 1, 1)), np.zeros((300, 3)))
+    split = hold_out(recorded(stand), 0.1)
+    assert trained(split).all()
+
+
+def test_given_images_outside_the_map_are_not_judged_by_and_told():
+    training = stairwell(top=(), walks=3)
+    held_out = stairwell(top=(0,), walks=1)
+    split = within_map(training, held_out)
+    np.testing.assert_array_equal(split.judged, np.arange(400) < 300)
+    assert len(split.held_out) == 300
+    (note,) = split.notes
+    assert note.startswith("not judged by, as no training image is within ")
+    assert note.endswith("45°: walk0, images 300 to 399")
+    same = within_map(training, training)
+    assert same.judged.all()
+    assert same.notes == ()
+
+
+def test_many_images_take_seconds():
+    rng = np.random.default_rng(0)
+    poses = Poses(np.tile(np.eye(3), (40_000, 1, 1)), rng.uniform(0, 20, (40_000, 3)))
+    images = recorded(*(poses[np.arange(i, i + 1000)] for i in range(0, 40_000, 1000)))
+    hold_out(images, 0.1)

@@ -1,0 +1,223 @@
+"""What to hold out of training: passes over ground that others cover, apart from all that is trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.spatial import KDTree
+
+from filtering.se3 import Poses
+from vapor.checkpoint import spaced
+from vapor.image_fit import LEAST_IMAGES
+from vapor.scene_scale import typical_side_m
+from vapor.training_set import TrainingSet
+
+DIRECTION_RAD = float(np.deg2rad(45.0))
+_CHORD = 2.0 * np.sin(DIRECTION_RAD / 2.0)
+_NEAREST, _FARTHEST = 0.1, 0.3  # what counts as near, in typical sides of the scene, at least and at most
+_USUAL = 4.0  # times what lies between an image and the nearest of another pass in a quarter of them
+_WHOLE_OF = 4  # recordings from which on one is held out as a whole
+_LEAST_SHOWN = 0.25  # of a pass that is held out
+_COMPARED = 4000  # images by which passes are compared
+_LOOKED_AT = 8  # of the nearest
+_TOLD_RUNS, _TOLD_NAMES = 3, 5
+
+
+@dataclass(frozen=True)
+class Split:
+    """What is trained on and what is held out; some images may be neither.
+
+    Attributes:
+        training: Images to train on.
+        source: Recordings of which images are held out, n images: those between them tell how the camera moved.
+        judged: Held out, (n,): trained images show what is around each, and none of them is next to it in time.
+        notes: What was done, in sentences.
+    """
+
+    training: TrainingSet
+    source: TrainingSet
+    judged: Bool[np.ndarray, " n"]
+    notes: tuple[str, ...]
+
+    @cached_property
+    def held_out(self) -> TrainingSet:
+        """The images to judge and calibrate by."""
+        return self.source.select(np.flatnonzero(self.judged))
+
+
+def hold_out(images: TrainingSet, share: float) -> Split:
+    """Hold out about a share of the images.
+
+    Of four recordings and more whole ones, those that the others cover best; of fewer the stretches that are covered
+    best by the rest. What no other pass shows is trained on, and images next to it are left out. Where nothing is
+    covered, nothing is held out.
+
+    Args:
+        images: All that there are, n of them.
+        share: Of them, in [0, 1); 0 for none.
+    """
+    nothing = np.zeros(len(images), bool)
+    if share == 0.0:
+        return Split(images, images, nothing, ())
+    side = typical_side_m(images.poses)
+    way = _way(images, _FARTHEST * side)
+    rows = spaced(len(images), _COMPARED)
+    chosen, near_m = _chosen(images.select(rows), way[rows], share, side)
+    like = np.searchsorted(rows, np.arange(len(images)), side="right") - 1  # the last compared image, or the next one
+    like += images.sequence[rows[like]] != images.sequence
+    candidate = chosen[like]
+    others = ~candidate & ~_touching(way, images.sequence, candidate)
+    shown = candidate.copy()
+    shown[candidate] = _nearest_m(images.poses[candidate], images.poses[others], _FARTHEST * side) <= near_m
+    alone = _long_runs(candidate & ~shown, way, images.sequence)
+    training = ~candidate | alone
+    held_out = shown & ~_touching(way, images.sequence, training)
+    if held_out.sum() < LEAST_IMAGES:
+        note = (
+            f"nothing is held out: no {LEAST_IMAGES} images in a row lead over ground that others show, too; the last"
+            " epoch is kept, and how images err is assumed, not found: record another pass, or give held-out data"
+        )
+        return Split(images, images, nothing, (note,))
+    notes = [f"held out: {_told(images, held_out)}; other passes show what is there"]
+    if alone.any():
+        notes.append(
+            f"trained on, as no other recording shows it within {near_m:.2g} m and 45°: {_told(images, alone)}"
+        )
+    left = int((~training & ~held_out).sum())
+    if left:
+        notes.append(f"{left} images are left out, as they are next to images that are trained on or not shown by any")
+    return Split(images.select(np.flatnonzero(training)), images, held_out, tuple(notes))
+
+
+def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
+    """Judge by those held-out images whose surroundings training images show."""
+    side = typical_side_m(training.poses)
+    distances_m = _nearest_m(held_out.poses, training.poses, _FARTHEST * side)
+    near_m = _near_m(distances_m, side)
+    shown = distances_m <= near_m
+    outside = f"not judged by, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
+    return Split(training, held_out, shown, () if shown.all() else (outside,))
+
+
+def _chosen(
+    images: TrainingSet, way: Float64[np.ndarray, " n"], share: float, side: float
+) -> tuple[Bool[np.ndarray, " n"], float]:
+    """Images of the passes to hold out, and how far away counts as near."""
+    passes = list(_passes(images.sequence, share))
+    taken = np.zeros(len(images), bool)
+
+    def nearest(which: slice) -> Float64[np.ndarray, " k"]:
+        """Of the images of a pass and of those taken before: how far those are that would be trained on."""
+        mask = taken.copy()
+        mask[which] = True
+        others = ~mask & ~_touching(way, images.sequence, mask)
+        return _nearest_m(images.poses[mask], images.poses[others], _FARTHEST * side)
+
+    near_m = _near_m(np.concatenate([nearest(which) for which in passes]), side)
+    while taken.sum() < share * len(images):
+        free = [which for which in passes if not taken[which].any()]
+        shown = [float((nearest(which) <= near_m).mean()) for which in free]
+        if not shown or max(shown) < _LEAST_SHOWN:
+            break
+        taken[free[int(np.argmax(shown))]] = True
+    return taken, near_m
+
+
+def _passes(sequence: Int64[np.ndarray, " n"], share: float) -> Iterator[slice]:
+    """What may be held out as one: whole recordings of many, else stretches."""
+    begins = np.flatnonzero(np.diff(sequence, prepend=sequence[0] - 1))
+    for begin, end in pairwise([*begins.tolist(), len(sequence)]):
+        length = end - begin
+        if len(begins) < _WHOLE_OF:
+            length = min(max(int(share * len(sequence)), 2), length)
+        for first in range(begin, end - length + 1, max(length // 4, 1)):
+            yield slice(first, first + length)
+
+
+def _near_m(distances_m: Float64[np.ndarray, " n"], side: float) -> float:
+    """How far away counts as near, by how far the nearest images of other passes are."""
+    found = distances_m[np.isfinite(distances_m)]
+    usual = float(np.quantile(found, 0.25)) if len(found) else np.inf
+    return float(np.clip(_USUAL * usual, _NEAREST * side, _FARTHEST * side))
+
+
+def _nearest_m(poses: Poses, others: Poses, scale_m: float) -> Float64[np.ndarray, " n"]:
+    """How far the nearest of the others (m,) that looks the same way as each pose (n,) is; infinite without any.
+
+    Args:
+        poses: Of cameras.
+        others: Likewise.
+        scale_m: So far away is as different as 45°.
+    """
+    if not len(poses) or not len(others):
+        return np.full(len(poses), np.inf)
+    places, own = (np.hstack([each.translation / scale_m, each.rotation[:, :, 2] / _CHORD]) for each in (others, poses))
+    apart = KDTree(places).query(own, k=min(_LOOKED_AT, len(others)))[1].reshape(len(own), -1)
+    difference = places[apart] - own[:, None]
+    distance = scale_m * np.linalg.norm(difference[..., :3], axis=-1)
+    return np.where(np.linalg.norm(difference[..., 3:], axis=-1) <= 1.0, distance, np.inf).min(axis=1)
+
+
+def _way(images: TrainingSet, near_m: float) -> Float64[np.ndarray, " n"]:
+    """How far the camera has come, (n,): 1 for each `near_m` moved and for each 45° turned."""
+    steps = np.zeros(len(images))
+    if len(images) > 1:
+        moved_m, turned = images.poses[:-1].distance(images.poses[1:])
+        steps[1:] = moved_m / near_m + turned / DIRECTION_RAD
+    return np.cumsum(steps)
+
+
+def _touching(
+    way: Float64[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"], mask: Bool[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Images from which the camera comes to one of the mask, or from one of it, before it is elsewhere."""
+    touching = np.zeros(len(mask), bool)
+    for number in np.unique(sequence[mask]):
+        own = np.flatnonzero(sequence == number)
+        at = way[own[mask[own]]]
+        after = np.searchsorted(at, way[own])
+        gaps = np.abs(at[np.clip([after - 1, after], 0, len(at) - 1)] - way[own])
+        touching[own] = gaps.min(axis=0) < 1.0
+    return touching & ~mask
+
+
+def _long_runs(
+    mask: Bool[np.ndarray, " n"], way: Float64[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """The runs of a mask in which the camera comes somewhere else."""
+    kept = np.zeros(len(mask), bool)
+    for run in _runs(mask, sequence):
+        kept[run] = way[run.stop - 1] - way[run.start] >= 1.0
+    return kept
+
+
+def _runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Iterator[slice]:
+    """Consecutive images of one recording that are in the mask."""
+    rows = np.flatnonzero(mask)
+    if len(rows):
+        breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(sequence[rows]) != 0)) + 1
+        for run in np.split(rows, breaks):
+            yield slice(int(run[0]), int(run[-1]) + 1)
+
+
+def _told(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
+    """Which images of which recordings these are."""
+    parts = []
+    for number in np.unique(images.sequence[mask]):
+        own = np.flatnonzero(images.sequence == number)
+        name = images.names[number]
+        if mask[own].all():
+            parts.append(f"{name} ({len(own)} images)")
+            continue
+        runs = [run for run in _runs(mask, images.sequence) if images.sequence[run.start] == number]
+        told = [f"{run.start - own[0]} to {run.stop - 1 - own[0]}" for run in runs[:_TOLD_RUNS]]
+        told += [f"{len(runs) - _TOLD_RUNS} more"] if len(runs) > _TOLD_RUNS else []
+        parts.append(f"{name}, images {' and '.join([*([', '.join(told[:-1])] if told[:-1] else []), told[-1]])}")
+    return "; ".join(parts[:_TOLD_NAMES]) + (
+        f"; and {len(parts) - _TOLD_NAMES} more" if len(parts) > _TOLD_NAMES else ""
+    )
