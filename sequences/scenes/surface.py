@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Int32
 
-from sequences.scenes.light import bake_light
+from sequences.scenes.light import Sampling, bake_light
 from sequences.scenes.mesh import Geometry, Placement, assemble
 from sequences.scenes.texture import Canvas
 from sequences.scenes.tracer import Tracer
@@ -38,12 +38,13 @@ class Scene:
     radiance: Float32[np.ndarray, "texels 3"]
 
 
-def build_scene(placements: Sequence[Placement], *, seed: int) -> Scene:
+def build_scene(placements: Sequence[Placement], *, seed: int, sampling: Sampling | None = None) -> Scene:
     """Paint every chart, light it, and keep the product.
 
     Args:
         placements: What stands in the scene.
         seed: Of stains, grain and light samples.
+        sampling: How closely light is looked at; None for as usual.
     """
     geometry = assemble(placements)
     tracer = Tracer(geometry)
@@ -52,7 +53,7 @@ def build_scene(placements: Sequence[Placement], *, seed: int) -> Scene:
     mean = np.stack([texels.reshape(-1, 3).mean(axis=0) for texels in painted]).astype(np.float64)
     emission = np.array([material.emission for material in geometry.materials])
     reflectance = np.where(emission[:, None] > 0, 0.0, mean)
-    light = bake_light(geometry, tracer, reflectance, mean * emission[:, None], rng=rng)
+    light = bake_light(geometry, tracer, reflectance, mean * emission[:, None], rng=rng, sampling=sampling)
     for chart, texels in enumerate(painted):
         if emission[chart] > 0:
             texels *= np.float32(emission[chart] * geometry.materials[chart].glare)
