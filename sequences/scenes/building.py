@@ -272,9 +272,9 @@ def _corridor(plan: Plan, index: int, looks: _Looks, style: int) -> Part:
 
 def _extinguishers(part: Part, plan: Plan, block: Block, rng: np.random.Generator) -> None:
     red = plain((0.55, 0.03, 0.025), gloss=0.6)
-    for high, begin, end in free_walls(plan, block, 0.5):
+    for high, begin, end in free_walls(plan, block, 1.5):
         if rng.random() < 0.3:
-            x, y = wall_spot(block, high, (begin + end) / 2).points(np.array([[0.0, 0.08]]))[0]
+            x, y = wall_spot(block, high, begin + 0.2).points(np.array([[0.0, 0.08]]))[0]
             part.beam((x, y, 0.6), (x, y, 1.05), 0.065, red, 8)
             part.beam((x, y, 1.05), (x, y, 1.15), 0.03, plain((0.03, 0.03, 0.03)), 6)
 
@@ -417,11 +417,15 @@ def _balustrades(part: Part, plan: Plan, palette: Palette) -> None:
         if panel:
             low = start - (0, 0, rise)
             part.quad(low, along, up, palette.rail)
-            part.quad(low + along + (0.012, 0, 0), -along, up, palette.rail)
+            part.quad(low + along - (0.012 * way, 0, 0), -along, up, palette.rail)
             continue
         for s in np.arange(0.5, stairs.risers - 1) / (stairs.risers - 1):
             foot = start + s * along - (0, 0, rise)
             part.box(foot - (0.01, 0.01, 0), foot + (0.01, 0.01, _RAIL_HEIGHT + rise), palette.rail, "xXyY")
+    outer_up, outer_down = (stairs.width - 0.06, 0.06) if stairs.mirrored else (0.06, stairs.width - 0.06)
+    for x, y0, z0, way in ((outer_up, near, rise, 1.0), (outer_down, far, half + rise, -1.0)):
+        start, along = np.array([x, y0, z0 + 0.9]), np.array([0.0, way * run, run * slope])
+        part.beam(start, start + along, 0.022, palette.rail, 6)
     for y, z in ((far + 0.03, half), (near - 0.03, plan.storey), (near - 0.03, 0.0)):
         for x in (inner_up, inner_down):
             part.box((x - 0.03, y - 0.03, z), (x + 0.03, y + 0.03, z + 1.05), palette.rail, "xXyYZ")
@@ -488,9 +492,9 @@ def unique_things(plan: Plan) -> tuple[Placement, ...]:
 def _picture(plan: Plan, level: int, which: int, rng: np.random.Generator) -> Placement | None:
     """A picture somewhere in a corridor or a room."""
     walls = [
-        (wall_spot(block, high, end if high else begin).within(block.frame), end - begin)
+        (wall_spot(block, high, end if high else begin + 0.4).within(block.frame), end - begin - 0.4)
         for block in plan.blocks
-        for high, begin, end in free_walls(plan, block, 0.7)
+        for high, begin, end in free_walls(plan, block, 1.1)
     ]
     for block, slot in plan.slots("room"):
         room, frame = layout(plan, slot, plan.styles[level]), plan.frame_of(block, slot)

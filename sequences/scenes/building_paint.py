@@ -49,7 +49,7 @@ def draw_palette(rng: np.random.Generator, num_kinds: int) -> Palette:
     same_floors = rng.random() < 0.4
     return Palette(
         corridor_wall=_wall(rng),
-        stair_wall=Material(_painted(_light(rng)), gloss=0.1, texel_m=WALL_TEXEL_M),
+        stair_wall=Material(_stair_wall(rng), gloss=0.1, texel_m=WALL_TEXEL_M),
         room_walls=tuple(_wall(rng) for _ in range(num_kinds)),
         corridor_floor=floor,
         stair_floor=Material(_stone(_grey(rng)), gloss=0.5, texel_m=0.012),
@@ -88,10 +88,36 @@ def _along_wall(canvas: Canvas) -> np.ndarray:
 def _skirted(paint: Callable[[Canvas], np.ndarray], rgb: Rgb) -> Callable[[Canvas], np.ndarray]:
     def skirted(canvas: Canvas) -> np.ndarray:
         z = _above_floor(canvas)
-        base = blend(paint(canvas), (0.1, 0.09, 0.08), 0.25 * np.exp(-np.maximum(z, 0) / 0.25))
+        base = blend(_used(canvas, paint(canvas), z), (0.1, 0.09, 0.08), 0.25 * np.exp(-np.maximum(z, 0) / 0.25))
         return blend(base, rgb, band(z, -0.05, 0.09))
 
     return skirted
+
+
+def _used(canvas: Canvas, base: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Stains at any height, scuffs where people and carts brush along."""
+    stains = 0.22 * np.clip(canvas.noise(0.45, 0.3) - 1.0, 0, 1)
+    scuffs = 0.2 * np.clip(canvas.noise(0.12, 0.012) - 1.9, 0, 1) * band(z, 0.05, 1.3, 0.4)
+    return blend(base, (0.10, 0.09, 0.08), stains + scuffs)
+
+
+def _stair_wall(rng: np.random.Generator) -> Callable[[Canvas], np.ndarray]:
+    """A wall that flights lead along: the same at every height."""
+    light, kind = _light(rng), rng.choice(["painted", "painted", "striped", "block", "brick"])
+    paint = {
+        "painted": lambda: _painted(light if rng.random() < 0.6 else colour(rng, 0.5, 0.45)),
+        "striped": lambda: _striped(light, rng),
+        "block": lambda: _masonry(light, (float(rng.uniform(0.4, 0.6)), 0.2)),
+        "brick": lambda: _masonry(colour(rng, 0.7, 0.3), (0.25, 0.075)),
+    }[kind]()
+    runs = colour(rng, 0.3, 0.15)
+
+    def used(canvas: Canvas) -> np.ndarray:
+        z = _above_floor(canvas)
+        base = _used(canvas, paint(canvas), 0 * z + 0.5)
+        return blend(base, runs, 0.35 * np.clip(canvas.noise(0.06, 0.8) - 1.3, 0, 1))
+
+    return used
 
 
 def _wall(rng: np.random.Generator) -> Material:
@@ -110,7 +136,7 @@ def _wall(rng: np.random.Generator) -> Material:
 
 
 def _painted(rgb: Rgb) -> Callable[[Canvas], np.ndarray]:
-    return lambda canvas: weathered(canvas, canvas.colour(rgb), 0.045)
+    return lambda canvas: weathered(canvas, canvas.colour(rgb), 0.06)
 
 
 def _dado(upper: Rgb, lower: Rgb, height_m: float) -> Callable[[Canvas], np.ndarray]:

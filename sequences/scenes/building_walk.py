@@ -335,7 +335,9 @@ def _line(
         near = np.linalg.norm(line - (spot.x, spot.y, level * plan.storey), axis=1) < 1.0
         freedom[near] = _ASIDE_M
     heading = np.unwrap(np.arctan2(*np.diff(line[:, :2], axis=0).T[::-1]))
-    freedom[1:-1][np.abs(np.diff(heading)) > 0.3] = _ASIDE_M
+    turn = np.abs(np.diff(heading))
+    freedom[1:-1][turn > 0.3] = _ASIDE_M
+    freedom[1:-1][turn > 2.0] = 0.0  # left becomes right
     freedom = minimum_filter1d(freedom, 2 * round(_BEFORE_TURN_M / _FINE_M), mode="nearest")
     freedom = gaussian_filter1d(freedom, 0.3 / _FINE_M, mode="nearest")
     line = gaussian_filter1d(line, _ROUND_M / _FINE_M, axis=0, mode="nearest")

@@ -302,7 +302,7 @@ def _dining(rng: np.random.Generator) -> Piece:
 
 def _low_table(rng: np.random.Generator) -> Piece:
     piece = _rug(rng)
-    _table(piece.part, (0.2, 0.25), (piece.width - 0.2, piece.depth - 0.25), 0.42, rng)
+    _table(piece.part, (0.2, 0.18), (piece.width - 0.2, piece.depth - 0.18), 0.42, rng)
     return Piece(piece.part, piece.width, piece.depth, 0.6)
 
 
