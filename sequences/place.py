@@ -124,7 +124,7 @@ def _scene(name: str) -> Place:
 
 
 def _building_number(name: str) -> int | None:
-    matched = re.fullmatch(r"building-(0|[1-9]\d{0,5})", name)
+    matched = re.fullmatch(r"building-(0|[1-9][0-9]{0,5})", name)
     return int(matched[1]) if matched else None
 
 

@@ -137,9 +137,10 @@ def synthesize(
         cues: What is unique in the scene is passed "early", at will ("any"), or never ("none"); see `choose_path`.
         width, height: Image size in pixels; the horizontal field of view stays the same.
         noise: Of the odometry; None for that of the place.
-        rate_hz: Images a second; None for those of the place, 10 everywhere but in buildings. Path and odometry follow from seed and duration alone, and stamps from a common first
-            one: every third of 900 images at 30 Hz is taken where and when one of 300 at 10 Hz is. What is seen on the
-            way, for `cues`, is looked at ten times a second at every rate.
+        rate_hz: Images a second; None for those of the place, 10 everywhere but in buildings. Path and odometry follow
+            from seed and duration alone, and stamps from a common first one: every third of 900 images at 30 Hz is
+            taken where and when one of 300 at 10 Hz is. What is seen on the way, for `cues`, is looked at ten times a
+            second at every rate.
         stand: Where the camera stands still, and for how long; that adds images. Odometry goes on, noise and bias too.
 
     Raises:

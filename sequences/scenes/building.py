@@ -1,6 +1,7 @@
 """Buildings by number: what a plan looks like when it is built, and who and what light is there on a visit.
 
-What is alike, on several levels or in several rooms, is one part that is placed many times; what is unique hangs beside it.
+What is alike, on several levels or in several rooms, is one part that is placed many times; what is unique hangs
+beside it.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -159,7 +161,9 @@ def _wall(
     strip(reached, length, low, high)
 
 
-def _on_wall(part: Part, spot: Spot, low: tuple[float, float, float], high: tuple[float, float, float], material: Material) -> None:
+def _on_wall(
+    part: Part, spot: Spot, low: tuple[float, float, float], high: tuple[float, float, float], material: Material
+) -> None:
     """A box told in the frame of a wall: x along it, y out of it; for frames that are turned by quarters."""
     corners = spot.points(np.array([low[:2], high[:2]]))
     first, second = np.array([*corners[0], low[2]]), np.array([*corners[1], high[2]])
@@ -272,7 +276,7 @@ def _corridor(plan: Plan, index: int, looks: _Looks, style: int) -> Part:
 
 def _extinguishers(part: Part, plan: Plan, block: Block, rng: np.random.Generator) -> None:
     red = plain((0.55, 0.03, 0.025), gloss=0.6)
-    for high, begin, end in free_walls(plan, block, 1.5):
+    for high, begin, _ in free_walls(plan, block, 1.5):
         if rng.random() < 0.3:
             x, y = wall_spot(block, high, begin + 0.2).points(np.array([[0.0, 0.08]]))[0]
             part.beam((x, y, 0.6), (x, y, 1.05), 0.065, red, 8)
@@ -297,7 +301,9 @@ def _room(plan: Plan, room: Layout, look: int, looks: _Looks, style: int) -> Par
     _slab(part, 0, 0, width, depth, 0.0, palette.room_floors[look], True)
     _slab(part, 0, 0, width, depth, clear, palette.ceiling, False)
     begin, end = room.door - DOOR_WIDTH / 2, room.door + DOOR_WIDTH / 2
-    _wall(part, (width, 0), (0, 0), (0, clear), wall, [_Hole(width - end, width - begin, 0, DOOR_HEIGHT, deep=0.0)], trim)
+    _wall(
+        part, (width, 0), (0, 0), (0, clear), wall, [_Hole(width - end, width - begin, 0, DOOR_HEIGHT, deep=0.0)], trim
+    )
     _wall(part, (0, 0), (0, depth), (0, clear), wall, [], trim)
     panes = [_Hole(a, b, low, high, looks.pane) for a, b, low, high in room.windows]
     _wall(part, (0, depth), (width, depth), (0, clear), wall, panes, trim)
@@ -421,7 +427,8 @@ def _balustrades(part: Part, plan: Plan, palette: Palette) -> None:
             continue
         for s in np.arange(0.5, stairs.risers - 1) / (stairs.risers - 1):
             foot = start + s * along - (0, 0, rise)
-            part.box(foot - (0.01, 0.01, 0), foot + (0.01, 0.01, _RAIL_HEIGHT + rise), palette.rail, "xXyY")
+            half_bar = np.array([0.01, 0.01, 0.0])
+            part.box(foot - half_bar, foot + half_bar + up + (0, 0, rise), palette.rail, "xXyY")
     outer_up, outer_down = (stairs.width - 0.06, 0.06) if stairs.mirrored else (0.06, stairs.width - 0.06)
     for x, y0, z0, way in ((outer_up, near, rise, 1.0), (outer_down, far, half + rise, -1.0)):
         start, along = np.array([x, y0, z0 + 0.9]), np.array([0.0, way * run, run * slope])
@@ -518,7 +525,7 @@ def _bare_walls(room: Layout) -> list[tuple[Spot, float]]:
     for spot, at in ((Spot(0.0, room.depth, -np.pi / 2), 0.0), (Spot(room.width, 0.0, np.pi / 2), room.width)):
         stands = [b for b in room.boxes if b[4] > 0.9 and b[0] <= at <= b[2]]
         edges = sorted([(0.1, 0.1), (room.depth - 0.1, room.depth - 0.1)] + [(b[1], b[3]) for b in stands])
-        for (_, low), (high, _) in zip(edges[:-1], edges[1:], strict=True):
+        for (_, low), (high, _) in pairwise(edges):
             if high - low > 0.8:
                 begin = room.depth - high if at == 0.0 else low
                 bare.append((Spot(begin, 0.0, 0.0).within(spot), float(high - low)))
@@ -532,7 +539,12 @@ def _doorleaf(plan: Plan, level: int, rng: np.random.Generator) -> Placement | N
         return None
     block, slot = doors[int(rng.integers(len(doors)))]
     part, half = Part(cue=True), DOOR_WIDTH / 2
-    part.quad((DOOR_WIDTH, 0.018, 0), (-DOOR_WIDTH, 0, 0), (0, 0, DOOR_HEIGHT), paint.painted_door(paint.colour(rng, 1.0, 0.5)))
+    part.quad(
+        (DOOR_WIDTH, 0.018, 0),
+        (-DOOR_WIDTH, 0, 0),
+        (0, 0, DOOR_HEIGHT),
+        paint.painted_door(paint.colour(rng, 1.0, 0.5)),
+    )
     spot = wall_spot(block, slot.high, slot.door + half if slot.high else slot.door - half)
     return _placed(part, [spot.within(block.frame)], [level], plan)
 

@@ -1,4 +1,4 @@
-"""What the surfaces of a building look like: walls, floors, ceilings, doors, what hangs on walls and lies behind panes."""
+"""What the surfaces of a building look like: walls, floors, doors, what hangs on walls and lies behind panes."""
 
 from __future__ import annotations
 
@@ -66,6 +66,10 @@ def colour(rng: np.random.Generator, saturation: float, brightness: float) -> Rg
     return colorsys.hsv_to_rgb(
         float(rng.random()), float(rng.uniform(0.4, 1.0)) * saturation, brightness * float(rng.uniform(0.7, 1.4))
     )
+
+
+def _scaled(rgb: Rgb, by: float) -> Rgb:
+    return rgb[0] * by, rgb[1] * by, rgb[2] * by
 
 
 def _light(rng: np.random.Generator) -> Rgb:
@@ -143,7 +147,7 @@ def _dado(upper: Rgb, lower: Rgb, height_m: float) -> Callable[[Canvas], np.ndar
     def paint(canvas: Canvas) -> np.ndarray:
         z = _above_floor(canvas)
         base = blend(canvas.colour(lower), upper, step(z, height_m))
-        base = blend(base, tuple(0.4 * c for c in lower), band(z, height_m, height_m + 0.03))
+        base = blend(base, _scaled(lower, 0.4), band(z, height_m, height_m + 0.03))
         return weathered(canvas, base, 0.045)
 
     return paint
@@ -158,7 +162,7 @@ def _lined(rgb: Rgb, line: Rgb, height_m: float) -> Callable[[Canvas], np.ndarra
 
 
 def _striped(rgb: Rgb, rng: np.random.Generator) -> Callable[[Canvas], np.ndarray]:
-    period, other = float(rng.uniform(0.2, 0.7)), tuple(float(c * rng.uniform(0.5, 0.9)) for c in rgb)
+    period, other = float(rng.uniform(0.2, 0.7)), _scaled(rgb, float(rng.uniform(0.5, 0.9)))
 
     def paint(canvas: Canvas) -> np.ndarray:
         stripes = band(_along_wall(canvas) % period, 0.0, period / 2, 0.01)
@@ -189,7 +193,7 @@ def _masonry(rgb: Rgb, size: tuple[float, float]) -> Callable[[Canvas], np.ndarr
         joint = 1 - band(x % length, 0.008, length - 0.008) * band(_above_floor(canvas) % height, 0.006, height - 0.006)
         tone = 1 + 0.16 * np.sin(row * 12.9 + np.floor(x / length) * 78.2)
         base = canvas.colour(rgb) * (tone * (1 + 0.06 * canvas.noise(0.03)))[..., None].astype(np.float32)
-        return blend(base, tuple(0.55 * c + 0.08 for c in rgb), 0.8 * joint)
+        return blend(base, _scaled(rgb, 0.75), 0.8 * joint)
 
     return paint
 
@@ -198,7 +202,7 @@ def _floor(rng: np.random.Generator) -> Material:
     kind = rng.choice(["tiles", "tiles", "planks", "parquet", "carpet", "stone", "concrete"])
     if kind == "tiles":
         size, first = float(rng.uniform(0.25, 0.7)), colour(rng, 0.45, 0.3)
-        second = tuple(float(c * rng.uniform(0.5, 0.95)) for c in first) if rng.random() < 0.7 else first
+        second = _scaled(first, float(rng.uniform(0.5, 0.95))) if rng.random() < 0.7 else first
         return Material(_tiles(first, second, size), gloss=float(rng.uniform(0.1, 0.5)), texel_m=WALL_TEXEL_M)
     if kind == "planks":
         return Material(_planks(float(rng.uniform(0.09, 0.22)), float(rng.uniform(0.6, 2.0))), 0.0, 1.0, 0.25, 0.012)
@@ -217,7 +221,7 @@ def _tiles(first: Rgb, second: Rgb, size: float) -> Callable[[Canvas], np.ndarra
         odd = (np.floor(x / size) + np.floor(y / size)) % 2
         base = weathered(canvas, blend(canvas.colour(first), second, odd), 0.05)
         joint = 1 - band(x % size, 0.008, size - 0.008) * band(y % size, 0.008, size - 0.008)
-        return blend(base, tuple(0.35 * c for c in first), 0.7 * joint)
+        return blend(base, _scaled(first, 0.35), 0.7 * joint)
 
     return paint
 
@@ -260,8 +264,8 @@ def _stone(rgb: Rgb) -> Callable[[Canvas], np.ndarray]:
     def paint(canvas: Canvas) -> np.ndarray:
         base = weathered(canvas, canvas.colour(rgb), 0.06)
         chips = canvas.rng.random(canvas.shape, np.float32)
-        base = blend(base, tuple(min(1.9 * c, 0.8) for c in rgb), (chips > 0.87) * 0.7)
-        return blend(base, tuple(0.3 * c for c in rgb), (chips < 0.12) * 0.7)
+        base = blend(base, _scaled(rgb, 1.7), (chips > 0.87) * 0.7)
+        return blend(base, _scaled(rgb, 0.3), (chips < 0.12) * 0.7)
 
     return paint
 
@@ -275,7 +279,7 @@ def _ceiling(rng: np.random.Generator) -> Material:
     def paint(canvas: Canvas) -> np.ndarray:
         x, y = canvas.point(0), canvas.point(1)
         grid = 1 - band(x % size, 0.012, size - 0.012) * band(y % 0.6, 0.012, 0.588)
-        return blend(weathered(canvas, canvas.colour(rgb), 0.03), tuple(0.5 * c for c in rgb), grid)
+        return blend(weathered(canvas, canvas.colour(rgb), 0.03), _scaled(rgb, 0.5), grid)
 
     return Material(paint, texel_m=0.02)
 
@@ -301,20 +305,25 @@ def painted_door(rgb: Rgb) -> Material:
 
 def outdoors(rng: np.random.Generator, emission: float) -> Material:
     """Sky above roofs, trees or hills, as seen through a window; of this brightness."""
-    sky, ground = _light(rng), colour(rng, 0.7, 0.14)
+    sky, ground = _light(rng), colour(rng, 0.5, 0.14)
     horizon, rough = float(rng.uniform(0.15, 0.6)), float(rng.uniform(0.02, 0.1))
-    house = tuple(float(v) for v in rng.uniform((0.0, 0.2, 0.1), (1.0, 0.8, 0.35)))
+    house = rng.uniform((0.0, 0.2), (1.0, 0.8))
     wall = colour(rng, 0.4, 0.35)
 
     def paint(canvas: Canvas) -> np.ndarray:
         y = canvas.y / canvas.height_m
         base = blend(canvas.colour((0.75, 0.86, 1.0)), sky, 0.25) * (0.7 + 0.4 * y)[..., None]
-        base = blend(base, wall, inside(canvas, house[0], -1.0, house[0] + house[1], (horizon + 0.15) * canvas.height_m))
+        base = blend(
+            base, wall, inside(canvas, house[0], -1.0, house[0] + house[1], (horizon + 0.15) * canvas.height_m)
+        )
         ridge = horizon + rough * canvas.noise(0.3, 9.0)
-        leaves = np.array(ground, np.float32) * np.clip(1 + 0.35 * canvas.noise(0.05), 0.2, 2)[..., None]
+        leaves = (
+            np.array(ground, np.float32)
+            * np.clip(1 + 0.2 * canvas.noise(0.06) + 0.15 * canvas.noise(0.025), 0.2, 2)[..., None]
+        )
         return blend(base, leaves.astype(np.float32), np.clip((ridge - y) / 0.03, 0, 1))
 
-    return Material(paint, emission=emission, glare=0.28, texel_m=0.02)
+    return Material(paint, emission=emission, glare=0.28, texel_m=0.012)
 
 
 def artwork(seed: int) -> Callable[[Canvas], np.ndarray]:
@@ -396,7 +405,7 @@ def fronts(rgb: Rgb, columns: int, rows: int) -> Material:
         w, h = canvas.width_m / columns, canvas.height_m / rows
         x, y = canvas.x % w, canvas.y % h
         base = weathered(canvas, canvas.colour(rgb), 0.03)
-        base = blend(base, tuple(0.2 * c for c in rgb), 1 - band(x, 0.008, w - 0.008) * band(y, 0.008, h - 0.008))
+        base = blend(base, _scaled(rgb, 0.2), 1 - band(x, 0.008, w - 0.008) * band(y, 0.008, h - 0.008))
         return blend(base, (0.1, 0.1, 0.1), band(x, w / 2 - 0.06, w / 2 + 0.06) * band(y, h - 0.07, h - 0.05))
 
     return Material(paint, gloss=0.2, texel_m=FINE_TEXEL_M)

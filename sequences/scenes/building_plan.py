@@ -262,9 +262,7 @@ def draw_plan(number: int) -> Plan:
         first = max(depth_high if wing_high else depth_low, stairs.depth) + 3 * wall + 0.4
         wing_length = first + float(rng.uniform(5.0, 14.0))
         slots = [slot for side in (False, True) for slot in fill(first, wing_length - wall, [], True, side)]
-        frame = (
-            Spot(wings[0].end, width + wall, np.pi / 2) if wing_high else Spot(wings[0].begin, -wall, -np.pi / 2)
-        )
+        frame = Spot(wings[0].end, width + wall, np.pi / 2) if wing_high else Spot(wings[0].begin, -wall, -np.pi / 2)
         blocks.append(Block(frame, wing_length, wing_width, tuple(slots), open_start=True))
     pick = rng.random()
     if pick < 0.5:

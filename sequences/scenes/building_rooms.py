@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64
@@ -66,7 +67,7 @@ def _layout(plan: Plan, width: float, depth: float, door: float, look: int, vari
     placed: list[tuple[str, Spot]] = []
     leaf = None
     for x0 in (door + DOOR_WIDTH / 2 + 0.08, door - 3 * DOOR_WIDTH / 2 - 0.08):
-        if leaf is None and 0.02 < x0 and x0 + DOOR_WIDTH < width - 0.02:
+        if leaf is None and x0 > 0.02 and x0 + DOOR_WIDTH < width - 0.02:
             leaf = (x0, x0 + DOOR_WIDTH)
             taken.append((x0 - 0.05, 0.0, x0 + DOOR_WIDTH + 0.05, 0.12, 2.1))
     pieces = pieces_of(plan)
@@ -92,11 +93,12 @@ def _layout(plan: Plan, width: float, depth: float, door: float, look: int, vari
 
 
 def _in_rows(
-    piece: Piece, name: str, space: tuple[float, float, float, float]
+    piece: Piece, name: str, middle: tuple[float, float, float, float]
 ) -> list[tuple[str, Spot, tuple[float, float, float, float, float]]]:
     """As many pieces, up to nine, as fit into the middle of a room, in rows; each with the box that it takes."""
-    x0, y0, x1, y1 = space
-    across, along = (min(3, int((high - low + 0.3) / (size + 0.3))) for low, high, size in ((x0, x1, piece.width), (y0, y1, piece.depth)))
+    x0, y0, x1, y1 = middle
+    sides = (x1 - x0, piece.width), (y1 - y0, piece.depth)
+    across, along = (min(3, int((space + 0.3) / (size + 0.3))) for space, size in sides)
     rows = []
     for i in range(across):
         for j in range(along):
@@ -127,7 +129,7 @@ def _walkway(
         ring = [ring[3], ring[2], ring[1], ring[0]]
     through = [[door, 0.0], [door, 0.75]]
     points = [*through, [entry, y0], *ring, [entry, y0], *through[::-1]]
-    kept = [points[0]] + [b for a, b in zip(points[:-1], points[1:], strict=True) if np.hypot(b[0] - a[0], b[1] - a[1]) > 1e-6]
+    kept = [points[0], *(b for a, b in pairwise(points) if np.hypot(b[0] - a[0], b[1] - a[1]) > 1e-6)]
     gap = CLEARANCE_M + 0.02
     middle = (x0 + gap, y0 + gap, x1 - gap, y1 - gap)
     roomy = middle[2] > middle[0] and middle[3] > middle[1]

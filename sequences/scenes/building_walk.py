@@ -1,4 +1,4 @@
-"""How someone, or something on wheels or legs, goes through a building: along corridors, round rooms, up and down stairs."""
+"""How bodies move through a building: along corridors, round rooms, up and down stairs."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ _CORRIDOR_M = 0.6  # that always stay to its walls
 _BEFORE_TURN_M = 1.3
 _PERSON_M = PERSON_RADIUS + 0.42  # from where one walks to the middle of a person
 _FINE_M = 0.02  # between points of a line that is walked
+_BRAKING_M_PER_S2 = 0.6
 _ROUND_M = 0.16  # how much corners are rounded
 
 
@@ -174,9 +175,7 @@ def _into(plan: Plan, net: _Net, block: Block, slot: Slot, level: int) -> tuple[
     return inside, np.column_stack([around, np.full(len(around), z)])
 
 
-def _climb(
-    plan: Plan, net: _Net, landings: dict[tuple[int, int], tuple[int, int]]
-) -> dict[tuple[int, int], int]:
+def _climb(plan: Plan, net: _Net, landings: dict[tuple[int, int], tuple[int, int]]) -> dict[tuple[int, int], int]:
     """Ways up all stairs; the nodes in the middle, by level and stairwell."""
     stairs, halfway = plan.stairs, {}
     up, down = float(np.mean(stairs.up_x)), float(np.mean(stairs.down_x))
@@ -245,8 +244,8 @@ def walk_building(
 ) -> Poses:
     """Someone going through a building: world_from_base every 20 ms, x forward, z up, on the floor.
 
-    Training walks follow a tour of the whole building, either way; those of `TRAINING_WALKS` seeds in a row begin evenly
-    spread over it. Other walks go from one random place to another.
+    Training walks follow a tour of the whole building, either way; those of `TRAINING_WALKS` seeds in a row begin
+    evenly spread over it. Other walks go from one random place to another.
 
     Args:
         plan: The building.
@@ -262,9 +261,7 @@ def walk_building(
     pace = float(rng.uniform(0.45, 1.0) if training else rng.uniform(0.4, 1.05))
     quickest = float(rng.uniform(0.9, 1.7))  # turn, rad/s
     line, freedom = _line(plan, visit, 1.15 * pace * duration_s + 3.0, training, seed, rng)
-    ahead = np.minimum(np.arange(len(line)) + round(0.3 / _FINE_M), len(line) - 1)
-    behind = np.maximum(np.arange(len(line)) - round(0.1 / _FINE_M), 0)
-    heading = np.arctan2(*(line[ahead, :2] - line[behind, :2]).T[::-1])
+    heading, fastest = _headings(line)
     wanted = pace * np.clip(1 + 0.08 * wander(steps, 5.0, rng), 0.85, 1.15)
     chance = rng.random((steps, 2))
     s, speed, yaw, rate, pause = 0.0, 0.0, float(heading[0]), 0.0, 0.0
@@ -278,7 +275,7 @@ def walk_building(
             pause = 0.5 + 2.0 * chance[i, 1]
         pause -= STEP_S
         goal = 0.0 if pause > 0 else wanted[i] * min(max(1.2 - abs(error) / 0.7, 0.0), 1.0)
-        speed += (goal - speed) * STEP_S / 0.3
+        speed = min(speed + (goal - speed) * STEP_S / 0.3, _between(fastest, s / _FINE_M))
         s = min(s + speed * STEP_S, last)
         place[i], yaws[i], speeds[i] = s, yaw, speed
     at = place / _FINE_M
@@ -287,13 +284,34 @@ def walk_building(
     across = np.interp(at, np.arange(len(line)), np.unwrap(_tangent(line)))
     here[:, 0] -= aside * np.sin(across)
     here[:, 1] += aside * np.cos(across)
-    stride = np.clip(speeds / 0.5, 0, 1)
+    stride = gaussian_filter1d(np.clip(speeds / 0.5, 0, 1), 0.2 / STEP_S)
     phase = np.pi * np.cumsum(speeds) * STEP_S / 0.5 + rng.uniform(0, 2 * np.pi)
     here[:, 2] += sway * stride * np.cos(2 * phase)
     glance = 0.14 * wander(steps, 2.0, rng) + 0.5 * sway * stride * np.sin(phase)
     pitch = tilt * wander(steps, 1.2, rng) + 0.3 * sway * stride * np.sin(2 * phase + 1.0)
     roll = tilt * wander(steps, 1.0, rng) + 0.5 * sway * stride * np.sin(phase)
     return Poses(rotations(yaws + glance, np.clip(pitch, -0.06, 0.06), np.clip(roll, -0.05, 0.05)), here)
+
+
+def _between(values: np.ndarray, at: float) -> float:
+    index = int(at)
+    return float(values[index] + (at - index) * (values[index + 1] - values[index]))
+
+
+def _headings(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where one looks along a line, to what lies a little ahead; and how fast one can be, as one stops to turn back."""
+    index, reach = np.arange(len(line)), round(0.1 / _FINE_M)
+    step = line[reach:, :2] - line[:-reach, :2]
+    back = np.concatenate([[False], np.einsum("nk,nk->n", step[:-reach], step[reach:]) < 0, [False]])
+    begin, end = np.flatnonzero(np.diff(back.astype(int)) == 1), np.flatnonzero(np.diff(back.astype(int)) == -1)
+    turns = reach + (begin + end - 1) // 2
+    edges = np.concatenate([[0], turns, [len(line) - 1]])
+    stretch = np.clip(np.searchsorted(edges, index, side="right"), 1, len(edges) - 1)
+    ahead = np.minimum(index + round(0.3 / _FINE_M), edges[stretch])
+    behind = np.maximum(index - round(0.1 / _FINE_M), edges[stretch - 1])
+    heading = np.arctan2(*(line[ahead, :2] - line[behind, :2]).T[::-1])
+    away = np.abs(index[:, None] - turns).min(axis=1, initial=len(line)) * _FINE_M
+    return heading, 0.03 + np.sqrt(_BRAKING_M_PER_S2 * 2 * away)
 
 
 def _tangent(line: np.ndarray) -> np.ndarray:

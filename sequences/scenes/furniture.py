@@ -1,4 +1,4 @@
-"""Furniture and people of the buildings: what stands with its back to the wall y = 0, from x = 0 on, and looks along y."""
+"""Furniture and people of the buildings; furniture has its back to the wall y = 0, and begins at x = 0."""
 
 from __future__ import annotations
 
@@ -205,9 +205,7 @@ def _television(rng: np.random.Generator) -> Piece:
     piece = _cupboard(rng, (float(rng.uniform(1.2, 1.7)), 0.42, 0.5), (3, 1))
     middle, half = piece.width / 2, 0.5
     piece.part.box((middle - half, 0.15, 0.58), (middle + half, 0.19, 1.15), plain((0.02, 0.02, 0.02)), "xXyzZ")
-    piece.part.box(
-        (middle - half, 0.15, 0.58), (middle + half, 0.195, 1.15), Material(paint.screen, gloss=0.5), "Y"
-    )
+    piece.part.box((middle - half, 0.15, 0.58), (middle + half, 0.195, 1.15), Material(paint.screen, gloss=0.5), "Y")
     piece.part.box((middle - 0.1, 0.12, 0.5), (middle + 0.1, 0.22, 0.58), plain((0.02, 0.02, 0.02)), "xXyY")
     return Piece(piece.part, piece.width, 0.42, 1.15)
 
@@ -245,8 +243,8 @@ def _plant(rng: np.random.Generator) -> Piece:
     for k in range(14):
         angle, low = 2.4 * k, 0.4 + (tall - 0.6) * k / 14
         out, up = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, 1.0])
-        stem = np.array([0.27, 0.27, low])
-        part.quad(stem, 0.13 * out + 0.17 * up + 0.05 * np.cross(up, out), 0.13 * out + 0.1 * up - 0.05 * np.cross(up, out), green)
+        stem, aside = np.array([0.27, 0.27, low]), 0.05 * np.cross(up, out)
+        part.quad(stem, 0.13 * out + 0.17 * up + aside, 0.13 * out + 0.1 * up - aside, green)
     return Piece(part, 0.54, 0.54, tall)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 import tyro
@@ -95,7 +95,9 @@ class SceneOptions:
             raise VaporTrackError(f"scenes are {', '.join(self.scenes) or 'none'}, expected each at most once, and one")
         for scene in self.scenes:
             if not is_place(scene) or scene.endswith("-table"):
-                raise VaporTrackError(f"unknown scene {scene!r}, expected one of staircase, ceiling, corridor, building-N")
+                raise VaporTrackError(
+                    f"unknown scene {scene!r}, expected one of staircase, ceiling, corridor, building-N"
+                )
         if len(self.models) not in (0, len(self.scenes)):
             raise VaporTrackError(f"{len(self.models)} models for {len(self.scenes)} scenes, expected one for each")
 

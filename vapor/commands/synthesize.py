@@ -32,7 +32,8 @@ class Options:
     frames: int = 300
     """Number of images."""
     rate: float | None = None
-    """Images a second. Default: 10; in a building, what its number draws. The same seed and duration give the same path and odometry at every rate."""
+    """Images a second. Default: 10; in a building, what its number draws. The same seed and duration give the same path
+    and odometry at every rate."""
     split: Literal["test", "train"] = "test"
     """Test paths pass something unique in their first half; training paths go everywhere. In a building, those of seeds
     0 to 4 begin evenly spread over a tour of all of it."""

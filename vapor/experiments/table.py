@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from filtering.errors import VaporTrackError, require_within
-from sequences.reader import SequenceReader
 from sequences.place import SCENES, is_place
+from sequences.reader import SequenceReader
 from vapor.evaluate import RIGHT, THRESHOLDS
 from vapor.experiments.trainings import Scene, Training, render_scenes, rendered_height, run_trainings
 from vapor.presets import METHODS
