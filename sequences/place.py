@@ -133,7 +133,7 @@ def _building(name: str, number: int) -> Place:
     plan = draw_plan(number)
     rng = plan.rng(15)
     height, field_of_view = rng.uniform(0.3, 1.8), rng.uniform(50.0, 110.0)
-    toward = rng.choice([0.0, 0.0, 0.0, 0.0, 0.0, np.pi, np.pi, np.pi / 2, -np.pi / 2]) + rng.uniform(-0.35, 0.35)
+    toward = rng.choice([0.0, 0.0, 0.0, 0.0, 0.0, np.pi, np.pi, 0.8, -0.8]) + rng.uniform(-0.35, 0.35)
     mount = (rng.uniform(-0.15, 0.18), rng.uniform(-0.1, 0.1), height)
     down = rng.uniform(-0.12, 0.2) if height > 1.0 else rng.uniform(-0.25, 0.05)  # a low camera looks up
     low, high = np.log([[0.004, 0.002, 0.0004, 10, 0.003, 0.001], [0.05, 0.02, 0.005, 60, 0.02, 0.008]])
