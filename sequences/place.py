@@ -152,6 +152,7 @@ def _building(name: str, number: int) -> Place:
     )
 
 
+@lru_cache(maxsize=100)
 def draw_visit(plan: Plan, split: str, seed: int) -> Visit:
     """Light and people of one walk: by day and alone on training walks, at any hour and among people on others."""
     rng = plan.rng(16, SPLITS[split], seed)

@@ -23,8 +23,6 @@ from sequences.scenes.surface import Scene
 from sequences.scenes.tracer import Tracer
 from sequences.synthesize import synthesize, write_synthetic
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 SMALL = "building-2"  # two floors, one room
 
@@ -203,7 +201,7 @@ def test_light_differs_from_walk_to_walk_and_people_stand_about_on_test_walks_al
 # --- walks -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [1, 2, 3, 8, 15])
+@pytest.mark.parametrize("number", [1, 2, 8])
 def test_no_walk_comes_near_to_a_wall_furniture_or_people_and_all_stay_inside(number):
     plan, place = draw_plan(number), find_place(f"building-{number}")
     around = np.random.default_rng(0).standard_normal((40, 3))

@@ -10,6 +10,7 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from sequences.scenes.building_plan import DOOR_HEIGHT, DOOR_WIDTH, Block, Plan,
 from sequences.scenes.building_rooms import Layout, layout, pieces_of
 from sequences.scenes.mesh import Part, Placement
 from sequences.scenes.texture import Material, plain
+
+_Pair: TypeAlias = tuple[float | int, float | int]
+_Corner: TypeAlias = tuple[float | int, float | int, float | int]
 
 _JAMB = 0.1  # metres of wall that stay beside openings as wide as what is behind
 _TRIM_WIDTH, _TRIM_DEPTH = 0.07, 0.025
@@ -116,9 +120,9 @@ def _placed(part: Part, spots: list[Spot], levels: list[int], plan: Plan) -> Pla
 
 def _wall(
     part: Part,
-    start: tuple[float, float],
-    end: tuple[float, float],
-    heights: tuple[float, float],
+    start: _Pair,
+    end: _Pair,
+    heights: _Pair,
     material: Material,
     holes: list[_Hole],
     trim: Material,
@@ -128,7 +132,7 @@ def _wall(
     length = float(np.hypot(*along))
     d = np.array([*(along / length), 0.0])
     out, up = np.array([-d[1], d[0], 0.0]), np.array([0.0, 0.0, 1.0])
-    foot, (low, high) = np.array([*start, 0.0]), heights
+    foot, low, high = np.array([*start, 0.0]), float(heights[0]), float(heights[1])
 
     def strip(a: float, b: float, z0: float, z1: float) -> None:
         if b - a < 1e-6 or z1 - z0 < 1e-6:
@@ -161,9 +165,7 @@ def _wall(
     strip(reached, length, low, high)
 
 
-def _on_wall(
-    part: Part, spot: Spot, low: tuple[float, float, float], high: tuple[float, float, float], material: Material
-) -> None:
+def _on_wall(part: Part, spot: Spot, low: _Corner, high: _Corner, material: Material) -> None:
     """A box told in the frame of a wall: x along it, y out of it; for frames that are turned by quarters."""
     corners = spot.points(np.array([low[:2], high[:2]]))
     first, second = np.array([*corners[0], low[2]]), np.array([*corners[1], high[2]])
@@ -185,14 +187,14 @@ def leaf(part: Part, spot: Spot, material: Material) -> None:
     _on_wall(part, spot, (0.07, 0.012, 1.02), (0.2, 0.06, 1.045), _METAL)
 
 
-def _slab(part: Part, x0: float, y0: float, x1: float, y1: float, z: float, material: Material, upward: bool) -> None:
-    """A floor or a ceiling."""
-    for k in range(count := int(np.ceil((x1 - x0) / _LONGEST_STRIP))):
-        a, step = x0 + (x1 - x0) * k / count, (x1 - x0) / count
+def _slab(part: Part, x1: float, y1: float, z: float, material: Material, upward: bool) -> None:
+    """A floor or a ceiling of a space from (0, 0) to (x1, y1)."""
+    for k in range(count := int(np.ceil(x1 / _LONGEST_STRIP))):
+        a, step = x1 * k / count, x1 / count
         if upward:
-            part.quad((a, y0, z), (step, 0, 0), (0, y1 - y0, 0), material)
+            part.quad((a, 0, z), (step, 0, 0), (0, y1, 0), material)
         else:
-            part.quad((a, y1, z), (step, 0, 0), (0, y0 - y1, 0), material)
+            part.quad((a, y1, z), (step, 0, 0), (0, -y1, 0), material)
 
 
 def _lamps(part: Part, x1: float, y1: float, z: float, spacing: float, looks: _Looks) -> None:
@@ -240,8 +242,8 @@ def free_walls(plan: Plan, block: Block, shortest: float) -> list[tuple[bool, fl
 def _corridor(plan: Plan, index: int, looks: _Looks, style: int) -> Part:
     part, block, palette = Part(), plan.blocks[index], looks.palettes[style]
     length, width, clear = block.length, block.width, plan.clear
-    _slab(part, 0, 0, length, width, 0.0, palette.corridor_floor, True)
-    _slab(part, 0, 0, length, width, clear, palette.ceiling, False)
+    _slab(part, length, width, 0.0, palette.corridor_floor, True)
+    _slab(part, length, width, clear, palette.ceiling, False)
     holes: dict[bool, list[_Hole]] = {False: [], True: []}
     for slot in block.slots:
         begin, end, top = _opening(plan, slot)
@@ -298,11 +300,17 @@ def _room(plan: Plan, room: Layout, look: int, looks: _Looks, style: int) -> Par
     part, palette, clear = Part(), looks.palettes[style], plan.clear
     width, depth = room.width, room.depth
     wall, trim = palette.room_walls[look], palette.trim
-    _slab(part, 0, 0, width, depth, 0.0, palette.room_floors[look], True)
-    _slab(part, 0, 0, width, depth, clear, palette.ceiling, False)
+    _slab(part, width, depth, 0.0, palette.room_floors[look], True)
+    _slab(part, width, depth, clear, palette.ceiling, False)
     begin, end = room.door - DOOR_WIDTH / 2, room.door + DOOR_WIDTH / 2
     _wall(
-        part, (width, 0), (0, 0), (0, clear), wall, [_Hole(width - end, width - begin, 0, DOOR_HEIGHT, deep=0.0)], trim
+        part,
+        (width, 0),
+        (0, 0),
+        (0, clear),
+        wall,
+        [_Hole(width - end, width - begin, 0.0, DOOR_HEIGHT, deep=0.0)],
+        trim,
     )
     _wall(part, (0, 0), (0, depth), (0, clear), wall, [], trim)
     panes = [_Hole(a, b, low, high, looks.pane) for a, b, low, high in room.windows]
@@ -442,7 +450,7 @@ def _balustrades(part: Part, plan: Plan, palette: Palette) -> None:
 
 def _bottom(plan: Plan, palette: Palette) -> Part:
     part, stairs = Part(), plan.stairs
-    _slab(part, 0, 0, stairs.width, stairs.depth, 0.0, palette.stair_floor, True)
+    _slab(part, stairs.width, stairs.depth, 0.0, palette.stair_floor, True)
     wall = (0, stairs.depth), (stairs.width, stairs.depth)
     _wall(part, *wall, (0, plan.storey / 2), palette.stair_wall, [], palette.trim)
     return part
@@ -450,7 +458,7 @@ def _bottom(plan: Plan, palette: Palette) -> Part:
 
 def _top(plan: Plan, looks: _Looks, palette: Palette) -> Part:
     part, stairs = Part(), plan.stairs
-    _slab(part, 0, 0, stairs.width, stairs.depth, plan.clear, palette.ceiling, False)
+    _slab(part, stairs.width, stairs.depth, plan.clear, palette.ceiling, False)
     wall = (0, stairs.depth), (stairs.width, stairs.depth)
     _wall(part, *wall, (plan.storey / 2, plan.clear), palette.stair_wall, [], palette.trim)
     _lamps(part, stairs.width, stairs.depth, plan.clear, 3.0, looks)

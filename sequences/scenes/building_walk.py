@@ -228,7 +228,8 @@ def _all_ways(plan: Plan) -> np.ndarray:
     """Points (n, 3) every 10 cm of all ways."""
     net = ways(plan)
     lines = [station.visit for station in net.tour]
-    lines += [net.points[[int(net.before[0, j]), j]] for j in range(1, len(net.points))]
+    nodes = np.stack([net.before, np.broadcast_to(np.arange(len(net.points)), net.before.shape)], axis=-1)
+    lines += [net.points[edge] for edge in np.unique(nodes[net.before >= 0], axis=0)]
     pieces = [_resampled(line, 0.1) for line in lines]
     return np.concatenate([*pieces, net.points])
 
@@ -310,7 +311,9 @@ def _headings(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ahead = np.minimum(index + round(0.3 / _FINE_M), edges[stretch])
     behind = np.maximum(index - round(0.1 / _FINE_M), edges[stretch - 1])
     heading = np.arctan2(*(line[ahead, :2] - line[behind, :2]).T[::-1])
-    away = np.abs(index[:, None] - turns).min(axis=1, initial=len(line)) * _FINE_M
+    to_turn = np.concatenate([[-len(line)], turns, [2 * len(line)]])
+    following = np.searchsorted(to_turn, index)
+    away = np.minimum(to_turn[following] - index, index - to_turn[following - 1]) * _FINE_M
     return heading, 0.03 + np.sqrt(_BRAKING_M_PER_S2 * 2 * away)
 
 
