@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -16,21 +15,18 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
+from sequences.place import SPLITS, Place, find_place
 from sequences.render import render, sees_cue
 from sequences.route import Cues, choose_path
-from sequences.scenes import ceiling, corridor, staircase, tables
-from sequences.scenes.paths import STEP_S, circle_table, roll_through_hall, walk_corridor, walk_stairs
-from sequences.scenes.surface import Scene, build_scene
+from sequences.scenes.paths import STEP_S
+from sequences.scenes.surface import Scene
 from sequences.writer import SequenceWriter
-
-SCENES: tuple[str, ...] = ("staircase", "ceiling", "round-table", "dinner-table", "corridor")
-"""Names that `synthesize` takes."""
 
 SYNTHESIS = 1
 """Counts up when a seed gives other images, odometry or poses than before."""
 
 IMAGE_RATE_HZ = 10.0
-"""Images a second where no other rate is asked for; paths are chosen by what is seen at this rate."""
+"""Paths are chosen by what is seen at this rate, and made to last so long; that of all places but buildings."""
 IMAGE_PERIOD_NS, ODOMETRY_PERIOD_NS = 100_000_000, 20_000_000
 EPOCH_NS = 1_700_000_000_000_000_000  # the first odometry message
 _LEAD_NS = 513_000_000  # the first image comes later, and between two odometry messages
@@ -42,15 +38,7 @@ _STILL_M = 1e-9  # a camera that moves less than this, and turns less than as ma
 _EXPOSURE_S = 0.014
 _SAMPLES = 4  # per pixel and exposure
 _ONE_RAY = 1e-9  # share of the image: a single coarse ray that meets something unique counts
-_STREAMS = {"train": 1, "test": 2}
 _CUES: dict[str, Cues] = {"train": "any", "test": "early"}
-_FIELD_OF_VIEW = {  # horizontal, degrees
-    "staircase": 77.0,
-    "ceiling": 64.0,
-    "round-table": 60.0,
-    "dinner-table": 60.0,
-    "corridor": 70.0,
-}
 
 
 @dataclass(frozen=True)
@@ -132,33 +120,36 @@ def synthesize(
     width: int = 320,
     height: int = 240,
     noise: OdometryNoise | None = None,
-    rate_hz: float = IMAGE_RATE_HZ,
+    rate_hz: float | None = None,
     stand: Stand | None = None,
 ) -> SyntheticSequence:
-    """A sequence through one of the `SCENES`.
+    """A sequence through a place.
 
     Args:
-        scene: Name of the scene.
-        seed: Of path, odometry and sensor noise; the scene itself is always the same.
+        scene: Name of the place: one of `SCENES`, or a building by its number, such as `building-7`.
+        seed: Of path, odometry and sensor noise, and of the light and the people in a building; the place itself is
+            always the same.
         num_frames: Number of images, without those that a stand adds.
         split: "test" paths keep further from the edges of the hall than "train" paths, and show something unique
             "early" where there is anything and `cues` does not say otherwise; "train" paths show "any". The same seed
-            gives different paths in the two.
+            gives different paths in the two. In a building, "train" paths of five seeds in a row begin evenly spread
+            over a tour of all of it, and there are people on "test" paths.
         cues: What is unique in the scene is passed "early", at will ("any"), or never ("none"); see `choose_path`.
         width, height: Image size in pixels; the horizontal field of view stays the same.
-        noise: Of the odometry.
-        rate_hz: Images a second. Path and odometry follow from seed and duration alone, and stamps from a common first
-            one: every third of 900 images at 30 Hz is taken where and when one of 300 at 10 Hz is. What is seen on the
-            way, for `cues`, is looked at ten times a second at every rate.
+        noise: Of the odometry; None for that of the place.
+        rate_hz: Images a second; None for those of the place, 10 everywhere but in buildings. Path and odometry follow
+            from seed and duration alone, and stamps from a common first one: every third of 900 images at 30 Hz is
+            taken where and when one of 300 at 10 Hz is. What is seen on the way, for `cues`, is looked at ten times a
+            second at every rate.
         stand: Where the camera stands still, and for how long; that adds images. Odometry goes on, noise and bias too.
 
     Raises:
         SequenceError: unknown scene, split, cues or size, a negative seed, a rate or stand that cannot be, or no path
             without anything unique found.
     """
-    if scene not in SCENES:
-        raise SequenceError(f"unknown scene {scene!r}, expected one of {', '.join(SCENES)}")
-    if split not in _STREAMS:
+    place = find_place(scene)
+    rate_hz = place.rate_hz if rate_hz is None else rate_hz
+    if split not in SPLITS:
         raise SequenceError(f"unknown split {split!r}, expected train or test")
     if cues not in (None, *get_args(Cues)):
         raise SequenceError(f"unknown cues {cues!r}, expected one of {', '.join(get_args(Cues))}")
@@ -173,14 +164,15 @@ def synthesize(
             f"a stand of {stand.duration_s:g} s from image {stand.image} on, expected an image below {num_frames}"
             f" and at most {_LONGEST_STAND_S:g} s"
         )
-    path_seed, odometry_seed, image_seed = np.random.SeedSequence([seed, _STREAMS[split], SCENES.index(scene)]).spawn(3)
-    built = load_scene(scene)
-    camera, base_from_camera = _camera(scene, width, height), _extrinsics(scene)
+    entropy = [seed, SPLITS[split], *place.entropy]
+    path_seed, odometry_seed, image_seed = np.random.SeedSequence(entropy).spawn(3)
+    built = place.scene(split, seed)
+    camera, base_from_camera = _camera(place, width, height), place.base_from_camera
     rng = np.random.default_rng(path_seed)
 
     def draw(num_images: int) -> Poses:
         duration_s = float((_image_times_ns(num_images)[-1] - EPOCH_NS) * 1e-9 + _TAIL_S)
-        return _path(scene, duration_s, split, rng)
+        return place.path(duration_s, split, seed, rng)
 
     def at_images(base: Poses, num_images: int) -> Poses:
         return _at(_base_times_ns(base), base, _image_times_ns(num_images)) @ base_from_camera
@@ -209,7 +201,7 @@ def synthesize(
         num_images = still_images + (num_frames if stand.walks_on else stand.image)
     image_times_ns, base_times_ns = _image_times_ns(num_images, rate_hz), _base_times_ns(base)
     odom_from_base, twist_covariances = simulate_odometry(
-        base_times_ns, base, noise or OdometryNoise(), rng=np.random.default_rng(odometry_seed)
+        base_times_ns, base, noise or place.noise, rng=np.random.default_rng(odometry_seed)
     )
     return SyntheticSequence(
         scene=built,
@@ -260,19 +252,6 @@ def _write_odometry(writer: SequenceWriter, sequence: SyntheticSequence, indices
     for k in indices:
         time_ns = int(sequence.odometry_times_ns[k])
         writer.write_odometry(time_ns, sequence.odom_from_base[k], sequence.twist_covariances[k])
-
-
-@cache
-def load_scene(scene: str) -> Scene:
-    """Build one of the `SCENES`, once per process."""
-    placements = {
-        "staircase": staircase.placements,
-        "ceiling": ceiling.placements,
-        "round-table": tables.round_table,
-        "dinner-table": tables.dinner_table,
-        "corridor": corridor.placements,
-    }
-    return build_scene(placements[scene](), seed=0)
 
 
 def develop(
@@ -338,27 +317,6 @@ def _halted(base: Poses, image_time_ns: int, duration_s: float, *, walks_on: boo
     return _at(times_ns, base, times_ns[0] + np.round(walked_ns).astype(np.int64))
 
 
-def _path(scene: str, duration_s: float, split: str, rng: np.random.Generator) -> Poses:
-    if scene == "staircase":
-        return walk_stairs(duration_s, rng=rng)
-    if scene == "corridor":
-        return walk_corridor(duration_s, rng=rng)
-    if scene.endswith("-table"):
-        return circle_table(duration_s, rng=rng)
-    return roll_through_hall(duration_s, margin_m=1.0 if split == "train" else 1.8, rng=rng)
-
-
-def _camera(scene: str, width: int, height: int) -> Camera:
-    focal = width / 2 / np.tan(np.radians(_FIELD_OF_VIEW[scene] / 2))
+def _camera(place: Place, width: int, height: int) -> Camera:
+    focal = width / 2 / np.tan(np.radians(place.field_of_view_deg / 2))
     return Camera(width, height, float(focal), float(focal), (width - 1) / 2, (height - 1) / 2)
-
-
-def _extrinsics(scene: str) -> Poses:
-    """base_from_camera: on a helmet, looking forward and 10° down; on a cart, looking straight up."""
-    if scene != "ceiling":
-        tilt = np.radians(10)
-        forward = np.array([np.cos(tilt), 0, -np.sin(tilt)])
-        right = np.array([0, -1.0, 0])
-        return Poses(np.stack([right, np.cross(forward, right), forward], axis=1), np.array([0.06, 0.03, 0.05]))
-    right, up = np.array([0, -1.0, 0]), np.array([0, 0, 1.0])
-    return Poses(np.stack([right, np.cross(up, right), up], axis=1), np.array([0.12, -0.04, 0.9]))

@@ -368,6 +368,15 @@ WRONG = {
         "--base-from-camera: ",
     ),
     "unknown scene": (["synthesize", "attic", "s.mcap"], "attic"),
+    "building without a number": (["synthesize", "building", "s.mcap"], "such as building-7"),
+    "benchmark of an unknown scene": (
+        ["benchmark", "localization", "building-x", "--output", "o"],
+        "unknown scene 'building-x', expected one of staircase, ceiling, corridor, building-N",
+    ),
+    "benchmark of a table": (
+        ["benchmark", "localization", "round-table", "--output", "o"],
+        "unknown scene 'round-table'",
+    ),
     "unknown cues": (["synthesize", "ceiling", "s.mcap", "--cues", "some"], "some"),
     "no such rate": (["synthesize", "staircase", "s.mcap", "--rate", "0"], "0 images a second"),
     "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),

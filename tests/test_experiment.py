@@ -292,7 +292,8 @@ def test_the_table_gives_medians_and_the_range_of_the_seeds():
 def test_scenes_are_synthetic_ones_or_named_data():
     scene = parse_scene("desk=a.mcap,b@0:10=c.mcap")
     assert (scene.name, scene.train, scene.test) == ("desk", ("a.mcap", "b@0:10"), ("c.mcap",))
-    for wrong in ("cellar", "a=b", "a=b=c=d", "=b=c", "a=b,=c", "my/desk=b=c"):
+    assert parse_scene("building-3").name == "building-3"
+    for wrong in ("cellar", "building", "a=b", "a=b=c=d", "=b=c", "a=b,=c", "my/desk=b=c"):
         with pytest.raises(VaporTrackError, match="expected one of staircase"):
             parse_scene(wrong)
 

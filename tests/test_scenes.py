@@ -10,11 +10,12 @@ from filtering.se3 import Poses
 from sequences import synthesize as synthesize_module
 from sequences.errors import SequenceError
 from sequences.frame import Camera
+from sequences.place import SCENES, load_scene
 from sequences.render import depth_and_quads, render, sees_cue
 from sequences.scenes import ceiling, corridor, staircase
 from sequences.scenes.paths import circle_table, roll_through_hall, walk_corridor, walk_stairs
 from sequences.scenes.surface import Scene
-from sequences.synthesize import SCENES, Stand, SyntheticSequence, load_scene, synthesize
+from sequences.synthesize import Stand, SyntheticSequence, synthesize
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.odometry import OdometryNoise
+from sequences.place import find_place
 from sequences.reader import SequenceReader
 from sequences.render import sees_cue
 from sequences.route import Cues
@@ -215,7 +215,7 @@ def _sequence(settings: RecordingSettings) -> SyntheticSequence:
         cues=settings.cues,
         width=settings.width,
         height=settings.height,
-        noise=OdometryNoise(fixed_scale=settings.odometry_scale),
+        noise=replace(find_place(settings.scene).noise, fixed_scale=settings.odometry_scale),
         rate_hz=settings.rate_hz,
         stand=None if settings.stand is None else Stand(*settings.stand),
     )

@@ -11,11 +11,24 @@ from scipy.ndimage import distance_transform_edt
 from sequences.scenes.mesh import Geometry
 from sequences.scenes.tracer import Tracer
 
-LIGHT_GRID_M = 0.11  # spacing of the points at which light is computed
 MAX_GRID = 45  # points along a side of a large surface
-SHADOW_RAYS = 24  # to each lamp or window
-BOUNCE_RAYS = 96
-REACH_M = 9.0  # farther lamps do not count
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How closely light is looked at.
+
+    Attributes:
+        grid_m: Spacing of the points at which light is computed.
+        shadow_rays: To each lamp or window, from each point.
+        bounce_rays: From each point.
+        reach_m: Farther lamps do not count.
+    """
+
+    grid_m: float = 0.11
+    shadow_rays: int = 24
+    bounce_rays: int = 96
+    reach_m: float = 9.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +60,7 @@ def bake_light(
     emitted: Float64[np.ndarray, "m 3"],
     *,
     rng: np.random.Generator,
+    sampling: Sampling | None = None,
 ) -> LightMap:
     """Direct light from every emitting surface with soft shadows, and two diffuse bounces.
 
@@ -56,11 +70,13 @@ def bake_light(
         reflectance: Mean reflectance of each chart.
         emitted: Mean radiance given off by each chart, zero for most.
         rng: Source of the sample positions.
+        sampling: How many points and rays; None for those of `Sampling`.
     """
+    sampling = sampling or Sampling()
     quads = geometry.chart_quad
     edge_u, edge_v = geometry.edge_u[quads], geometry.edge_v[quads]
     size_u, size_v = np.linalg.norm(edge_u, axis=1), np.linalg.norm(edge_v, axis=1)
-    spacing = np.maximum(LIGHT_GRID_M, np.sqrt(size_u * size_v) / MAX_GRID)
+    spacing = np.maximum(sampling.grid_m, np.sqrt(size_u * size_v) / MAX_GRID)
     columns = np.maximum(1, np.round(size_u / spacing)).astype(np.int64)
     rows = np.maximum(1, np.round(size_v / spacing)).astype(np.int64)
     start = np.concatenate([[0], np.cumsum(rows * columns)])
@@ -71,8 +87,10 @@ def bake_light(
     normal = geometry.normals()[quads][chart]
     point = geometry.origin[quads][chart] + s[:, None] * edge_u[chart] + t[:, None] * edge_v[chart] + 2e-3 * normal
 
-    direct = _direct(geometry, tracer, emitted, point, normal, rng)
-    hit_chart, hit_index, valid = _bounce_targets(geometry, tracer, point, normal, start, rows, columns, rng)
+    direct = _direct(geometry, tracer, emitted, point, normal, rng, sampling)
+    hit_chart, hit_index, valid = _bounce_targets(
+        geometry, tracer, point, normal, start, rows, columns, rng, sampling.bounce_rays
+    )
     direct[~valid] = 0
     light = direct
     for _ in range(2):
@@ -91,15 +109,16 @@ def _direct(
     point: np.ndarray,
     normal: np.ndarray,
     rng: np.random.Generator,
+    sampling: Sampling,
 ) -> np.ndarray:
     light = np.zeros((len(point), 3))
     lamp_normals = geometry.normals()
-    side = int(np.ceil(np.sqrt(SHADOW_RAYS)))
+    side = int(np.ceil(np.sqrt(sampling.shadow_rays)))
     for lamp in np.flatnonzero(emitted[geometry.chart].max(axis=1) > 0):
         origin, u, v = geometry.origin[lamp], geometry.edge_u[lamp], geometry.edge_v[lamp]
         to_lamp = origin + (u + v) / 2 - point
         corners = np.stack([origin, origin + u, origin + v, origin + u + v])
-        reached = np.linalg.norm(to_lamp, axis=1) < REACH_M
+        reached = np.linalg.norm(to_lamp, axis=1) < sampling.reach_m
         reached &= (((point[:, None] - corners) @ lamp_normals[lamp]) > 1e-3).any(axis=1)
         reached &= (np.einsum("nkd,nd->nk", corners - point[:, None], normal) > 0).any(axis=1)
         who = np.flatnonzero(reached)
@@ -128,10 +147,11 @@ def _bounce_targets(
     rows: np.ndarray,
     columns: np.ndarray,
     rng: np.random.Generator,
+    num_rays: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which light points cosine-distributed rays from each point see; and which points see real space at all."""
-    k = np.arange(BOUNCE_RAYS)
-    u1 = (k + 0.5) / BOUNCE_RAYS
+    k = np.arange(num_rays)
+    u1 = (k + 0.5) / num_rays
     u2 = (k * 0.6180339887 + rng.random((len(point), 1))) % 1.0
     radius, angle = np.sqrt(u1)[None], 2 * np.pi * u2
     helper = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
@@ -143,14 +163,14 @@ def _bounce_targets(
         + (radius * np.sin(angle))[..., None] * other[:, None]
         + np.sqrt(1 - u1)[None, :, None] * normal[:, None]
     ).reshape(-1, 3)
-    quad, s, t, _ = tracer.first_hit(np.repeat(point, BOUNCE_RAYS, axis=0), ray)
+    quad, s, t, _ = tracer.first_hit(np.repeat(point, num_rays, axis=0), ray)
     facing = np.einsum("nd,nd->n", geometry.normals()[quad], ray) < 0
     chart = np.where((quad >= 0) & facing, geometry.chart[quad], -1)
     safe = np.maximum(chart, 0)
     column = np.clip((s * columns[safe]).astype(np.int64), 0, columns[safe] - 1)
     row = np.clip((t * rows[safe]).astype(np.int64), 0, rows[safe] - 1)
     index = start[safe] + row * columns[safe] + column
-    shape = (len(point), BOUNCE_RAYS)
+    shape = (len(point), num_rays)
     behind = ((quad >= 0) & ~facing).reshape(shape)
     return chart.reshape(shape), index.reshape(shape), behind.mean(axis=1) < 0.3
 

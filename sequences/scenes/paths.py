@@ -48,17 +48,17 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
     phase = np.pi * np.cumsum(walking) * STEP_S / 0.33 + rng.uniform(0, 2 * np.pi)  # π a step
     stride = np.clip(walking / 0.5, 0, 1)
     glance = (
-        _wander(steps, 1.6, rng) * 0.22
-        + _eased(np.clip(np.abs(_wander(steps, 2.5, rng)) - 1.2, 0, 1), 0.3) * rng.choice([-1, 1]) * 0.9
+        wander(steps, 1.6, rng) * 0.22
+        + _eased(np.clip(np.abs(wander(steps, 2.5, rng)) - 1.2, 0, 1), 0.3) * rng.choice([-1, 1]) * 0.9
     )
     yaw = heading + glance + 0.02 * stride * np.sin(phase + 0.5)
-    pitch = 0.06 * _wander(steps, 2.0, rng) + 0.012 * stride * np.sin(2 * phase + 1.0)
+    pitch = 0.06 * wander(steps, 2.0, rng) + 0.012 * stride * np.sin(2 * phase + 1.0)
     climb = ahead[:, 2] / (np.linalg.norm(ahead, axis=1) + 1e-9)
     pitch += _eased(np.where(climb < 0, -0.45, -0.1) * climb, 0.4)  # people watch the steps, above all going down
-    roll = 0.012 * _wander(steps, 1.0, rng) + 0.018 * stride * np.sin(phase)
-    here[:, :2] += side * (0.07 * np.clip(_wander(steps, 4.0, rng), -2, 2) + 0.022 * stride * np.sin(phase))[:, None]
-    here[:, 2] += 1.5 + 0.02 * stride * np.cos(2 * phase) + 0.02 * _wander(steps, 5.0, rng)
-    return Poses(_rotations(yaw, pitch, roll), here)
+    roll = 0.012 * wander(steps, 1.0, rng) + 0.018 * stride * np.sin(phase)
+    here[:, :2] += side * (0.07 * np.clip(wander(steps, 4.0, rng), -2, 2) + 0.022 * stride * np.sin(phase))[:, None]
+    here[:, 2] += 1.5 + 0.02 * stride * np.cos(2 * phase) + 0.02 * wander(steps, 5.0, rng)
+    return Poses(rotations(yaw, pitch, roll), here)
 
 
 def roll_through_hall(duration_s: float, *, margin_m: float, rng: np.random.Generator) -> Poses:
@@ -72,7 +72,7 @@ def roll_through_hall(duration_s: float, *, margin_m: float, rng: np.random.Gene
     position, heading, rate, speed = rng.uniform(low, high), rng.uniform(-np.pi, np.pi), 0.0, 0.6
     goal = rng.uniform(low, high)
     xy, yaw = np.empty((steps, 2)), np.empty(steps)
-    pace = 0.6 + 0.08 * _wander(steps, 5.0, rng)
+    pace = 0.6 + 0.08 * wander(steps, 5.0, rng)
     for i in range(steps):
         if np.hypot(*(goal - position)) < 0.7:
             goal = rng.uniform(low, high)
@@ -84,9 +84,9 @@ def roll_through_hall(duration_s: float, *, margin_m: float, rng: np.random.Gene
         position = position + speed * STEP_S * np.array([np.cos(heading), np.sin(heading)])
         position = np.clip(position, 0.5 * low, high + 0.5 * low)
         xy[i], yaw[i] = position, heading
-    tilt = 0.006 * np.stack([_wander(steps, 0.6, rng), _wander(steps, 0.6, rng)])
-    height = 0.002 * _wander(steps, 0.4, rng)
-    return Poses(_rotations(yaw, tilt[0], tilt[1]), np.column_stack([xy, height]))
+    tilt = 0.006 * np.stack([wander(steps, 0.6, rng), wander(steps, 0.6, rng)])
+    height = 0.002 * wander(steps, 0.4, rng)
+    return Poses(rotations(yaw, tilt[0], tilt[1]), np.column_stack([xy, height]))
 
 
 def circle_table(duration_s: float, *, rng: np.random.Generator) -> Poses:
@@ -97,14 +97,14 @@ def circle_table(duration_s: float, *, rng: np.random.Generator) -> Poses:
     steps = int(np.ceil(duration_s / STEP_S)) + 1
     turns = rng.random(steps) < STEP_S / 30
     way = rng.choice([-1.0, 1.0]) * np.where(np.cumsum(turns) % 2, -1.0, 1.0)
-    rate = _eased(way * (0.3 + 0.06 * _wander(steps, 4.0, rng)), 0.4)
+    rate = _eased(way * (0.3 + 0.06 * wander(steps, 4.0, rng)), 0.4)
     angle = rng.uniform(-np.pi, np.pi) + np.cumsum(rate) * STEP_S
-    distance = 1.9 + 0.4 * np.tanh(0.8 * _wander(steps, 6.0, rng))
-    position = np.stack([distance * np.cos(angle), distance * np.sin(angle), 1.5 + 0.08 * _wander(steps, 5.0, rng)], 1)
+    distance = 1.9 + 0.4 * np.tanh(0.8 * wander(steps, 6.0, rng))
+    position = np.stack([distance * np.cos(angle), distance * np.sin(angle), 1.5 + 0.08 * wander(steps, 5.0, rng)], 1)
     down = np.arctan2(position[:, 2] - tables.TABLE_HEIGHT, distance) - np.radians(12)
-    yaw = angle + np.pi + 0.12 * _wander(steps, 2.0, rng)
-    roll = 0.02 * _wander(steps, 1.0, rng)
-    return Poses(_rotations(yaw, down + 0.05 * _wander(steps, 2.0, rng), roll), position)
+    yaw = angle + np.pi + 0.12 * wander(steps, 2.0, rng)
+    roll = 0.02 * wander(steps, 1.0, rng)
+    return Poses(rotations(yaw, down + 0.05 * wander(steps, 2.0, rng), roll), position)
 
 
 def walk_corridor(duration_s: float, *, rng: np.random.Generator) -> Poses:
@@ -132,15 +132,15 @@ def walk_corridor(duration_s: float, *, rng: np.random.Generator) -> Poses:
         place[i], walking[i], headings[i] = x, abs(speed), heading
     phase = np.pi * np.cumsum(walking) * STEP_S / 0.65 + rng.uniform(0, 2 * np.pi)  # π a step
     stride = np.clip(walking / 0.9, 0, 1)
-    aside = np.clip(np.abs(_wander(steps, 2.5, rng)) - 1.0, 0, 1) * np.sign(_wander(steps, 8.0, rng))
-    yaw = _eased(headings, 0.45) + 0.15 * _wander(steps, 1.6, rng) + 0.9 * _eased(aside, 0.3)
+    aside = np.clip(np.abs(wander(steps, 2.5, rng)) - 1.0, 0, 1) * np.sign(wander(steps, 8.0, rng))
+    yaw = _eased(headings, 0.45) + 0.15 * wander(steps, 1.6, rng) + 0.9 * _eased(aside, 0.3)
     yaw += 0.02 * stride * np.sin(phase + 0.5)
-    pitch = -0.1 + 0.05 * _wander(steps, 2.0, rng) + 0.01 * stride * np.sin(2 * phase + 1.0)
-    roll = 0.012 * _wander(steps, 1.0, rng) + 0.015 * stride * np.sin(phase)
-    across = 0.45 * np.tanh(0.8 * _wander(steps, 6.0, rng)) + 0.022 * stride * np.sin(phase)
-    up = 1.5 + 0.02 * stride * np.cos(2 * phase) + 0.03 * _wander(steps, 5.0, rng)
+    pitch = -0.1 + 0.05 * wander(steps, 2.0, rng) + 0.01 * stride * np.sin(2 * phase + 1.0)
+    roll = 0.012 * wander(steps, 1.0, rng) + 0.015 * stride * np.sin(phase)
+    across = 0.45 * np.tanh(0.8 * wander(steps, 6.0, rng)) + 0.022 * stride * np.sin(phase)
+    up = 1.5 + 0.02 * stride * np.cos(2 * phase) + 0.03 * wander(steps, 5.0, rng)
     position = np.column_stack([place, corridor.WIDTH / 2 + across, level * corridor.FLOOR_HEIGHT + up])
-    return Poses(_rotations(yaw, pitch, roll), position)
+    return Poses(rotations(yaw, pitch, roll), position)
 
 
 def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:
@@ -170,7 +170,7 @@ def _stair_line() -> tuple[Float64[np.ndarray, "n 4"], float]:
     return np.column_stack([line, distance]), float(distance[-1])
 
 
-def _wander(steps: int, time_s: float, rng: np.random.Generator) -> Float64[np.ndarray, " n"]:
+def wander(steps: int, time_s: float, rng: np.random.Generator) -> Float64[np.ndarray, " n"]:
     """Smooth noise of unit deviation that changes over `time_s`."""
     sigma = time_s / STEP_S / 2
     pad = int(4 * sigma)
@@ -194,6 +194,6 @@ def _eased_angle(target: np.ndarray, *, time_s: float, max_rate: float) -> np.nd
     return angle
 
 
-def _rotations(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Float64[np.ndarray, "n 3 3"]:
+def rotations(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> Float64[np.ndarray, "n 3 3"]:
     """Body axes from angles, in radians: about z, then y, then x."""
     return Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_matrix()

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
 from jaxtyping import Float32, Int32
 
-from sequences.scenes.light import bake_light
+from sequences.scenes.light import Sampling, bake_light
 from sequences.scenes.mesh import Geometry, Placement, assemble
 from sequences.scenes.texture import Canvas
 from sequences.scenes.tracer import Tracer
@@ -17,7 +18,7 @@ from sequences.scenes.tracer import Tracer
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene whose light is computed: any ray's colour is one look-up.
+    """A scene in which any ray's colour is one look-up.
 
     Attributes:
         geometry: The parallelograms, which of them are cues, and the chart each one wears.
@@ -25,7 +26,7 @@ class Scene:
         normals: Unit normal of each parallelogram.
         start, rows, columns: First texel and size of the chart that each parallelogram wears.
         gloss: Share of the Fresnel reflection that each parallelogram mirrors.
-        radiance: All texels of all charts, linear.
+        light: Paints and lights the scene when it is first called, and gives `radiance`.
     """
 
     geometry: Geometry
@@ -35,30 +36,25 @@ class Scene:
     rows: Int32[np.ndarray, " n"]
     columns: Int32[np.ndarray, " n"]
     gloss: Float32[np.ndarray, " n"]
-    radiance: Float32[np.ndarray, "texels 3"]
+    light: Callable[[], Float32[np.ndarray, "texels 3"]]
+
+    @property
+    def radiance(self) -> Float32[np.ndarray, "texels 3"]:
+        """All texels of all charts, linear; where only geometry is asked for they are never computed."""
+        return self.light()
 
 
-def build_scene(placements: Sequence[Placement], *, seed: int) -> Scene:
-    """Paint every chart, light it, and keep the product.
+def build_scene(placements: Sequence[Placement], *, seed: int, sampling: Sampling | None = None) -> Scene:
+    """A scene whose charts are painted and lit when its colours are first asked for.
 
     Args:
         placements: What stands in the scene.
         seed: Of stains, grain and light samples.
+        sampling: How closely light is looked at; None for as usual.
     """
     geometry = assemble(placements)
     tracer = Tracer(geometry)
-    rng = np.random.default_rng(seed)
-    painted = [_paint(geometry, chart, rng) for chart in range(len(geometry.materials))]
-    mean = np.stack([texels.reshape(-1, 3).mean(axis=0) for texels in painted]).astype(np.float64)
-    emission = np.array([material.emission for material in geometry.materials])
-    reflectance = np.where(emission[:, None] > 0, 0.0, mean)
-    light = bake_light(geometry, tracer, reflectance, mean * emission[:, None], rng=rng)
-    for chart, texels in enumerate(painted):
-        if emission[chart] > 0:
-            texels *= np.float32(emission[chart] * geometry.materials[chart].glare)
-        else:
-            texels *= _enlarge(light.of_chart(chart), texels.shape[0], texels.shape[1])
-    size = np.array([texels.shape[:2] for texels in painted], np.int32)
+    size = _chart_sizes(geometry)
     start = np.concatenate([[0], np.cumsum(size.prod(axis=1))])[:-1].astype(np.int32)
     gloss = np.array([material.gloss for material in geometry.materials], np.float32)
     return Scene(
@@ -69,15 +65,39 @@ def build_scene(placements: Sequence[Placement], *, seed: int) -> Scene:
         rows=size[geometry.chart, 0],
         columns=size[geometry.chart, 1],
         gloss=gloss[geometry.chart],
-        radiance=np.concatenate([texels.reshape(-1, 3) for texels in painted]),
+        light=cache(lambda: _lit(geometry, tracer, seed, sampling)),
     )
 
 
-def _paint(geometry: Geometry, chart: int, rng: np.random.Generator) -> np.ndarray:
+def _lit(geometry: Geometry, tracer: Tracer, seed: int, sampling: Sampling | None) -> np.ndarray:
+    """All texels: every chart painted, times the light that falls on it or that it gives off."""
+    rng = np.random.default_rng(seed)
+    size = _chart_sizes(geometry)
+    painted = [_paint(geometry, chart, size[chart], rng) for chart in range(len(geometry.materials))]
+    mean = np.stack([texels.reshape(-1, 3).mean(axis=0) for texels in painted]).astype(np.float64)
+    emission = np.array([material.emission for material in geometry.materials])
+    reflectance = np.where(emission[:, None] > 0, 0.0, mean)
+    light = bake_light(geometry, tracer, reflectance, mean * emission[:, None], rng=rng, sampling=sampling)
+    for chart, texels in enumerate(painted):
+        if emission[chart] > 0:
+            texels *= np.float32(emission[chart] * geometry.materials[chart].glare)
+        else:
+            texels *= _enlarge(light.of_chart(chart), texels.shape[0], texels.shape[1])
+    return np.concatenate([texels.reshape(-1, 3) for texels in painted])
+
+
+def _chart_sizes(geometry: Geometry) -> Int32[np.ndarray, "m 2"]:
+    """Rows and columns of texels of every chart."""
+    texel = np.array([material.texel_m for material in geometry.materials])[:, None]
+    sides = [np.linalg.norm(edge[geometry.chart_quad], axis=1) for edge in (geometry.edge_v, geometry.edge_u)]
+    return np.maximum(1, np.round(np.stack(sides, axis=1) / texel)).astype(np.int32)
+
+
+def _paint(geometry: Geometry, chart: int, size: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     material = geometry.materials[chart]
     quad = geometry.chart_quad[chart]
     width, height = (float(np.linalg.norm(edge[quad])) for edge in (geometry.edge_u, geometry.edge_v))
-    columns, rows = (max(1, round(size / material.texel_m)) for size in (width, height))
+    rows, columns = (int(side) for side in size)
     canvas = Canvas(
         x=((np.arange(columns, dtype=np.float32) + 0.5) * (width / columns)).astype(np.float32)[None],
         y=((np.arange(rows, dtype=np.float32) + 0.5) * (height / rows)).astype(np.float32)[:, None],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 import tyro
@@ -13,6 +13,7 @@ from rich.table import Table
 
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
+from sequences.place import is_place
 from vapor import real_benchmark
 from vapor.benchmark import Benchmark, BenchmarkConfig
 from vapor.commands import real_tables
@@ -77,21 +78,26 @@ class SceneOptions:
     """What the benchmarks that replay synthetic sequences are told."""
 
     scenes: Annotated[
-        tyro.conf.Positional[tuple[Literal["staircase", "ceiling", "corridor"], ...]],
-        tyro.conf.arg(metavar="SCENE ..."),
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="{staircase,ceiling,corridor,building-N} ..."),
     ]
-    """What the camera moves through."""
+    """What the camera moves through; of buildings, N is the number that draws one."""
     output: Path
     """Directory for recordings, results and summary.json; an interrupted benchmark of the same output goes on."""
     models: tuple[str, ...] = ()
     """Model file, or name of a model that ships, for each scene. Default: the scenes' names; none of the corridor
-    ships."""
+    or of a building ships."""
     errors: Annotated[Any, tyro.conf.arg(constructor=_Override)] = field(default_factory=_Override)
     """What replaces numbers of the models' own error models."""
 
     def __post_init__(self) -> None:
         if not self.scenes or len(set(self.scenes)) < len(self.scenes):
             raise VaporTrackError(f"scenes are {', '.join(self.scenes) or 'none'}, expected each at most once, and one")
+        for scene in self.scenes:
+            if not is_place(scene) or scene.endswith("-table"):
+                raise VaporTrackError(
+                    f"unknown scene {scene!r}, expected one of staircase, ceiling, corridor, building-N"
+                )
         if len(self.models) not in (0, len(self.scenes)):
             raise VaporTrackError(f"{len(self.models)} models for {len(self.scenes)} scenes, expected one for each")
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from sequences.errors import SequenceError
+from sequences.place import SCENES
 from sequences.route import Cues
 from sequences.synthesize import synthesize, write_synthetic
 from vapor.commands.console import bar, parse, show, usage_error
@@ -19,18 +20,23 @@ from vapor.commands.console import bar, parse, show, usage_error
 class Options:
     """Render a sequence through a synthetic scene, with odometry and true poses."""
 
-    scene: tyro.conf.Positional[Literal["staircase", "ceiling", "round-table", "dinner-table", "corridor"]]
-    """What the camera moves through."""
+    scene: Annotated[
+        tyro.conf.Positional[str],
+        tyro.conf.arg(metavar="{" + ",".join([*SCENES, "building-N"]) + "}"),
+    ]
+    """What the camera moves through. The number N draws a building, with a camera and an odometry of its own."""
     output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT.mcap")]
     """MCAP file to write."""
     seed: int = 0
-    """Of path, odometry noise and sensor noise."""
+    """Of path, odometry noise and sensor noise; in a building of light and people, too."""
     frames: int = 300
     """Number of images."""
-    rate: float = 10.0
-    """Images a second. The same seed and duration give the same path and odometry at every rate."""
+    rate: float | None = None
+    """Images a second. Default: 10; in a building, what its number draws. The same seed and duration give the same path
+    and odometry at every rate."""
     split: Literal["test", "train"] = "test"
-    """Test paths pass something unique in their first half; training paths go everywhere."""
+    """Test paths pass something unique in their first half; training paths go everywhere. In a building, those of seeds
+    0 to 4 begin evenly spread over a tour of all of it."""
     cues: Cues | None = None
     """Something unique in the first half, at will, or never. Default: as the split says."""
     width: int = 320
