@@ -67,11 +67,12 @@ class OdometrySample:
 
 @dataclass(frozen=True)
 class FrameTransform:
-    """One transform of a tf message: `parent_from_child`, with the names of both frames."""
+    """One transform of a tf message: `parent_from_child`, with the names of both frames and its stamp."""
 
     parent: str
     child: str
     parent_from_child: Poses
+    time_ns: int
 
 
 def stamp_ns(header: SimpleNamespace) -> int:
@@ -153,6 +154,12 @@ def pose_from_message(message: SimpleNamespace) -> Poses:
     return _pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
 
 
+def pose_from_transform(message: SimpleNamespace) -> Poses:
+    """geometry_msgs/Transform -> one pose. Raises VaporTrackError as `pose_from_message`."""
+    t, q = message.translation, message.rotation
+    return _pose(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]))
+
+
 def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
     """nav_msgs/Odometry -> a sample.
 
@@ -193,12 +200,11 @@ def transforms_from_message(message: SimpleNamespace) -> list[FrameTransform]:
     transforms = []
     for stamped in message.transforms:
         parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
-        t, q = stamped.transform.translation, stamped.transform.rotation
         try:
-            pose = _pose(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]))
+            pose = pose_from_transform(stamped.transform)
         except VaporTrackError as error:
             raise SequenceError(f"transform {parent} -> {child}: {error}") from error
-        transforms.append(FrameTransform(parent, child, pose))
+        transforms.append(FrameTransform(parent, child, pose, stamp_ns(stamped.header)))
     return transforms
 
 
