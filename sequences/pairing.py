@@ -15,6 +15,8 @@ from filtering.motion import MotionNoise, Odometry, accumulated
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 
+MAX_ODOMETRY_GAP_S = 0.5
+MAX_TRUE_POSE_GAP_S = 0.1
 JUMP_CONTEXT = 2  # steps before and after one that tell whether it is a jump
 _LEAST_JUMP_M, _LEAST_JUMP_RAD = 0.1, 0.1
 _JUMP_RATIO = 5.0  # how many times as fast as the steps around it

@@ -43,7 +43,7 @@ class Sample(NamedTuple):
 class Jumps(NamedTuple):
     """How many jumps there are, and when the first was over, integer nanoseconds."""
 
-    count: int
+    number: int
     first_ns: int | None
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
@@ -18,32 +17,18 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera, Frame
 from sequences.messages import (
     camera_from_message,
-    decode_compressed_image,
-    decode_image,
     odometry_from_message,
     stamp_ns,
 )
 from sequences.options import OdometryUse, SequenceOptions
-from sequences.pairing import PoseWindow
+from sequences.pairing import MAX_ODOMETRY_GAP_S, PoseWindow
 from sequences.pose_sources import PoseSource
-from sequences.roles import Roles, TruePoseUse
+from sequences.roles import IMAGE_DECODERS, Roles, TruePoseUse
 from sequences.topics import decode, first
-from sequences.true_poses import (
-    MAX_ODOMETRY_GAP_S,
-    MAX_TRUE_POSE_GAP_S,
-)
-
-__all__ = ["MAX_ODOMETRY_GAP_S", "MAX_TRUE_POSE_GAP_S", "OdometryUse", "SequenceOptions", "SequenceReader"]
 
 METADATA_NAME = "vapor-track"  # of the record in which a file says where its odometry comes from
 _MAX_WAITING = 64  # images held, still encoded, until odometry and true poses reach them
 _MAX_LATENESS_S = 10.0  # how much later than its stamp a message may be logged, and how far clocks may jump ahead
-
-_ImageDecoder = Callable[[SimpleNamespace], UInt8[np.ndarray, "height width 3"]]
-_IMAGE_DECODERS: dict[str, _ImageDecoder] = {
-    "sensor_msgs/Image": decode_image,
-    "sensor_msgs/CompressedImage": decode_compressed_image,
-}
 
 
 class SequenceReader:
@@ -162,7 +147,7 @@ class _Pairing:
         self._options = options
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
         self._camera = camera
-        self._decode_image = _IMAGE_DECODERS[roles.image.type]
+        self._decode_image = IMAGE_DECODERS[roles.image.type]
         self._odometry = PoseWindow(MAX_ODOMETRY_GAP_S)
         self._odometry_source = roles.tree_odometry.open() if roles.tree_odometry is not None else None
         self._truth = roles.truth.open() if roles.truth is not None else None
@@ -345,11 +330,11 @@ class _Pairing:
         """What to say of jumps of the true poses, once all were read."""
         if self._truth is None or self._roles.truth is None:
             return []
-        count, first_ns = self._truth.finish()
+        number, first_ns = self._truth.finish()
         if first_ns is None:
             return []
         return [
-            f"true poses of {self._roles.truth.said} jump {count} times, first at {_seconds(first_ns)} s:"
+            f"true poses of {self._roles.truth.said} jump {number} times, first at {_seconds(first_ns)} s:"
             f" {self.across_jumps} images between have none"
         ]
 

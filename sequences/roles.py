@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Literal
+
+import numpy as np
+from jaxtyping import UInt8
 
 from filtering.se3 import Poses
 from sequences.bag import Bag, Topic
 from sequences.errors import SequenceError
 from sequences.extrinsics import Extrinsics, find_extrinsics
 from sequences.frame import Trajectory
-from sequences.messages import frame_name
+from sequences.messages import decode_compressed_image, decode_image, frame_name
 from sequences.options import OdometryUse, SequenceOptions, pose_of_numbers
-from sequences.pose_sources import poses_of_topic
+from sequences.pairing import MAX_ODOMETRY_GAP_S
+from sequences.pose_sources import PoseSource, poses_of_topic
 from sequences.topics import choose, first
 from sequences.true_poses import (
-    MAX_ODOMETRY_GAP_S,
     PoseRoute,
     Rig,
     find_true_poses,
@@ -24,14 +29,18 @@ from sequences.true_poses import (
 )
 
 TruePoseUse = Literal["required", "optional"]
-IMAGE_TYPES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
+ImageDecoder = Callable[[SimpleNamespace], UInt8[np.ndarray, "height width 3"]]
+IMAGE_DECODERS: dict[str, ImageDecoder] = {
+    "sensor_msgs/Image": decode_image,
+    "sensor_msgs/CompressedImage": decode_compressed_image,
+}
 
 
 class Roles:
     """Which topic, frame or file plays which role: the one named by an option, or the only one of its kind."""
 
     def __init__(self, bag: Bag, options: SequenceOptions, odometry: OdometryUse, true_poses: TruePoseUse):
-        image = choose(bag, "image", IMAGE_TYPES, options.image_topic, required=True)
+        image = choose(bag, "image", tuple(IMAGE_DECODERS), options.image_topic, required=True)
         assert image is not None
         self.image = image
         self.odometry_required = odometry == "required"
@@ -110,7 +119,7 @@ class Roles:
     def _odometry_track(self) -> Trajectory:
         """The odometry alone, to find a time offset by."""
         if self.tree_odometry is not None:
-            source = self.tree_odometry.open()
+            source: PoseSource = self.tree_odometry.open()
         elif self.odometry is not None:
             source = poses_of_topic(self.odometry, Poses.identity(), max_gap_s=MAX_ODOMETRY_GAP_S)
         else:

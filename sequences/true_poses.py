@@ -15,6 +15,7 @@ from sequences.errors import SequenceError
 from sequences.extrinsics import TF, Extrinsics, find_extrinsics, read_tree
 from sequences.frame import Trajectory
 from sequences.options import SequenceOptions
+from sequences.pairing import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S
 from sequences.pose_sources import (
     MAX_GAP_S,
     POSE_TYPES,
@@ -31,8 +32,6 @@ from sequences.time_offset import find_time_offset
 from sequences.topics import choose, decode, listing
 from sequences.transforms import Step, TransformTree, along
 
-MAX_ODOMETRY_GAP_S = 0.5
-MAX_TRUE_POSE_GAP_S = 0.1
 _SURVEY_S = 60.0  # of /tf that is read to find frames that nobody named
 _OFFSET_STRETCH_S, _OFFSET_STEP_S = 1800.0, 0.02  # of odometry, to find a time offset in
 _CAMERA_POSES = "geometry_msgs/PoseStamped"
@@ -277,7 +276,7 @@ def _of_file(bag: Bag, options: SequenceOptions, rig: Rig, odometry: Callable[[]
     return PoseRoute(str(file), "", lambda: table, extrinsics, resolved, notices)
 
 
-def odometry_track(bag: Bag, source: LinkedPoses) -> Trajectory:
+def odometry_track(bag: Bag, source: PoseSource) -> Trajectory:
     """The first half hour of odometry, at most fifty poses a second."""
     times_ns, numbers = array("q"), array("d")
     step_ns = round(_OFFSET_STEP_S * 1e9)

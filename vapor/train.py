@@ -17,6 +17,7 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
+from sequences.options import SequenceOptions
 from vapor.augment import jitter_and_normalise, random_crops
 from vapor.calibrate import CalibrationResult, calibrate
 from vapor.checkpoint import MAX_PRIOR_POSES, Calibration, Checkpoint, save_checkpoint, spaced
@@ -79,6 +80,7 @@ class TrainResult:
         images_seen: Of this call.
         calibration: What was calibrated at the end, and what that gained; None where it was not asked for.
         skipped: Images and poses of all data that were left out in reading, by reason.
+        notices: What a person should know of the data.
     """
 
     checkpoint: Checkpoint
@@ -88,6 +90,7 @@ class TrainResult:
     images_seen: int
     calibration: CalibrationResult | None = None
     skipped: Mapping[str, int] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
 
 
 ProgressCallback = Callable[[Progress], None]
@@ -99,6 +102,7 @@ def train(
     config: TrainConfig,
     *,
     validation: Sequence[Path | str] = (),
+    reading: SequenceOptions | None = None,
     progress: ProgressCallback | None = None,
 ) -> TrainResult:
     """Train on files and folders, and write the model.
@@ -109,6 +113,7 @@ def train(
         config: How.
         validation: Held-out data, likewise, with no image of the former; without it the last part of each training
             sequence is held out, and no two of them may share images.
+        reading: What to read of MCAP sequences, of both; None for all of it, as found.
         progress: Called after every image read and every step.
 
     Raises:
@@ -118,7 +123,8 @@ def train(
     """
     if validation or config.validation_share > 0:
         require_apart(data, validation or None)
-    return train_on(open_sequences(data), output, config, validation=open_sequences(validation), progress=progress)
+    held_out = open_sequences(validation, reading)
+    return train_on(open_sequences(data, reading), output, config, validation=held_out, progress=progress)
 
 
 def train_on(
@@ -273,8 +279,10 @@ def _fit(
     save_checkpoint(output, checkpoint, half=config.half)
     state_path(output).unlink(missing_ok=True)
     images_seen = (state.epoch - first_epoch) * len(training)
-    skipped = training.skipped if held_out.images is training.images else training.skipped + held_out.skipped
-    return TrainResult(checkpoint, tuple(state.history), best, seconds, images_seen, calibrated, skipped)
+    apart = held_out.images is not training.images
+    skipped = training.skipped + held_out.skipped if apart else training.skipped
+    notices = training.notices + held_out.notices if apart else training.notices
+    return TrainResult(checkpoint, tuple(state.history), best, seconds, images_seen, calibrated, skipped, notices)
 
 
 def _train_epoch(
