@@ -190,7 +190,7 @@ class TabledPoses(PoseSource):
     def jumps_at(self, time_ns: int) -> bool:
         """Whether the pose at this time would be interpolated across a jump."""
         after = int(np.searchsorted(self._times_ns, time_ns))
-        return after in self._jumps and self._times_ns[after] != time_ns
+        return after in self._jumps and int(self._times_ns[after]) != time_ns
 
     def finish(self) -> Jumps:
         """All jumps, once no message comes any more."""
