@@ -14,11 +14,12 @@ from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from tests.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk
-from tests.tf_files import MS, Event, body, header, images, mounted, odometry, pose, record, stamps, tf, told_by
+from tests.tf_files import MS, Event, body, header, images, mounted, odometry, pose, record, robot, stamps, tf, told_by
+from vapor.track import main
+from vapor.training_set import load_training_set, open_sequences
 
 TYPES = ["nav_msgs/Odometry", "geometry_msgs/TransformStamped"]
 TYPES_OF_UNSAID = ["geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", "nav_msgs/Path"]
-MAP_FROM_ODOM = Poses.exp(np.array([5.0, -3.0, 0.2, 0.0, 0.0, 0.8]))
 
 
 def require_true(frames: list[Frame], tolerance_m: float = 1e-3) -> None:
@@ -34,23 +35,6 @@ def require_true(frames: list[Frame], tolerance_m: float = 1e-3) -> None:
 
 def read(path: Path, **options: object) -> list[Frame]:
     return list(posed_frames(path, options=SequenceOptions(**options)))  # pyright: ignore[reportArgumentType]
-
-
-def robot(path: Path, *, jump_ns: int | None = None, extra: list[Event] | None = None) -> Path:
-    """map -> odom at 5 Hz, odom -> base_link at 50 Hz, base_link -> camera fixed."""
-
-    def map_from_odom(t: int) -> Poses:
-        shift = np.array([0.6, 0.0, 0.0]) if jump_ns is not None and t >= jump_ns else np.zeros(3)
-        return Poses(MAP_FROM_ODOM.rotation, MAP_FROM_ODOM.translation + shift)
-
-    return record(
-        path,
-        images(),
-        mounted(),
-        tf("map", "odom", stamps(every_ms=90, since_ms=-39), map_from_odom),
-        tf("odom", "base_link", stamps(), lambda t: MAP_FROM_ODOM.inverse() @ body(t)),
-        extra or [],
-    )
 
 
 # --- topics ----------------------------------------------------------------------------------------
@@ -329,3 +313,30 @@ def test_poses_far_from_the_origin_keep_their_millimetres(tmp_path: Path) -> Non
         moved = frame.world_from_camera.translation - utm.translation
         np.testing.assert_allclose(shifted.world_from_camera.translation, moved, atol=1e-8)
     assert np.abs(near[0].world_from_camera.translation).max() < 10  # pyright: ignore[reportOptionalMemberAccess]
+
+
+# --- commands --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["train", "calibrate"])
+def test_train_and_calibrate_take_the_same_options(
+    command: str, tiny_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = robot(tmp_path / "a.mcap"), tmp_path / "out.safetensors"
+    model = [str(tiny_model)] if command == "calibrate" else []
+    words = [command, *model, str(path), "--output", str(output)]
+    assert main([*words, "--ground-truth-frame", "nowhere"]) == 1
+    assert "no transforms from 'nowhere' (--ground-truth-frame)" in capsys.readouterr().err
+    assert main([*words, "--poses", str(tmp_path / "none.tum")]) == 1
+    assert "none.tum: cannot read" in capsys.readouterr().err
+    assert not output.exists()
+
+
+def test_a_training_says_where_positions_are_too_far_for_the_network(tmp_path: Path) -> None:
+    far = Poses(np.eye(3), np.array([4.5e5, 5.4e6, 0.0]))
+    path = record(tmp_path / "a.mcap", images(), mounted(), tf("utm", "base_link", stamps(), lambda t: far @ body(t)))
+    loaded = load_training_set(open_sequences([path]), (32, 24))
+    (notice,) = loaded.notices
+    assert "positions up to 5.4e+06 m from zero: the network tells them to 0.5 m only; --ground-truth-origin" in notice
+    reading = SequenceOptions(ground_truth_origin=(4.5e5, 5.4e6, 0.0))
+    assert load_training_set(open_sequences([path], reading), (32, 24)).notices == ()

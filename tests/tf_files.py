@@ -12,6 +12,7 @@ from sequences.message_definitions import schema_name, schema_text
 from tests.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, world_from_base
 
 MS = 1_000_000
+MAP_FROM_ODOM = Poses.exp(np.array([5.0, -3.0, 0.2, 0.0, 0.0, 0.8]))
 
 
 class Event(NamedTuple):
@@ -105,3 +106,20 @@ def told_by(message_type: str, times_ns: Iterable[int], topic: str = "/truth", c
         }[message_type]
         events.append(Event(t, topic, message_type, message))
     return events
+
+
+def robot(path: Path, *, jump_ns: int | None = None, extra: list[Event] | None = None) -> Path:
+    """map -> odom every 90 ms, which may jump by 0.6 m, odom -> base_link at 50 Hz, base_link -> camera fixed."""
+
+    def map_from_odom(t: int) -> Poses:
+        shift = np.array([0.6, 0.0, 0.0]) if jump_ns is not None and t >= jump_ns else np.zeros(3)
+        return Poses(MAP_FROM_ODOM.rotation, MAP_FROM_ODOM.translation + shift)
+
+    return record(
+        path,
+        images(),
+        mounted(),
+        tf("map", "odom", stamps(every_ms=90, since_ms=-39), map_from_odom),
+        tf("odom", "base_link", stamps(), lambda t: MAP_FROM_ODOM.inverse() @ body(t)),
+        extra or [],
+    )
