@@ -37,9 +37,9 @@ class Extrinsics:
     def require_fixed(self, raw: RawMessage, message: SimpleNamespace) -> None:
         """Take a message of tf. Raises SequenceError where a link of the path moves."""
         links = {step.link: step for step in self.path}
-        for t in transforms_from_message(message):
-            step = links.get((t.parent, t.child))
-            if step is None or step.static != (raw.topic == TF_STATIC):
+        for t in transforms_from_message(message, links):
+            step = links[t.parent, t.child]
+            if step.static != (raw.topic == TF_STATIC):
                 continue
             metres, radians = step.parent_from_child.distance(t.parent_from_child)
             if metres > _FIXED_M or radians > _FIXED_RAD:

@@ -6,6 +6,7 @@ frame, quaternions in x, y, z, w order, frame names with or without a leading sl
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -195,11 +196,23 @@ def camera_from_message(message: SimpleNamespace) -> Camera | None:
     return Camera(int(message.width), int(message.height), fx=k[0], fy=k[4], cx=k[2], cy=k[5])
 
 
-def transforms_from_message(message: SimpleNamespace) -> list[FrameTransform]:
-    """tf2_msgs/TFMessage -> its transforms. Raises SequenceError, naming the frames, where one is not finite."""
+def transforms_from_message(
+    message: SimpleNamespace, links: Collection[tuple[str, str]] | None = None
+) -> list[FrameTransform]:
+    """tf2_msgs/TFMessage -> its transforms.
+
+    Args:
+        message: The message.
+        links: Names of parent and child of those that are asked for; None for all.
+
+    Raises:
+        SequenceError: one of them is not finite; it names the frames.
+    """
     transforms = []
     for stamped in message.transforms:
         parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
+        if links is not None and (parent, child) not in links:
+            continue
         try:
             pose = pose_from_transform(stamped.transform)
         except VaporTrackError as error:

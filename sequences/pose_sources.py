@@ -110,7 +110,7 @@ class LinkedPoses(PoseSource):
             topic: Where its messages are.
             path: The links, of which those that are not static are told by messages.
             body_from_camera: What follows at the end of the path, one pose.
-            read: What a message says of any links.
+            read: What a message says of those.
             max_gap_s: As of `PoseWindow`.
             still_gap_s: Likewise.
             watch_jumps: Likewise.
@@ -123,7 +123,7 @@ class LinkedPoses(PoseSource):
 
     def samples(self, message: SimpleNamespace) -> list[Sample]:
         """What a message says of the links. Raises VaporTrackError where that is no pose."""
-        return [sample for sample in self._read(message) if sample.link in self._windows]
+        return self._read(message)
 
     def append(self, sample: Sample) -> bool:
         """Take it in; False where it is earlier than the one before of its link."""
@@ -218,8 +218,11 @@ def poses_of_tree(
 ) -> LinkedPoses:
     """Poses along a path of tf, and of the camera that is fixed at its end."""
 
+    links = {step.link for step in path if not step.static}
+
     def read(message: SimpleNamespace) -> list[Sample]:
-        return [Sample((t.parent, t.child), t.time_ns, t.parent_from_child) for t in transforms_from_message(message)]
+        told = transforms_from_message(message, links)
+        return [Sample((t.parent, t.child), t.time_ns, t.parent_from_child) for t in told]
 
     return LinkedPoses(
         TF, path, body_from_camera, read, max_gap_s=max_gap_s, still_gap_s=MAX_STILL_GAP_S, watch_jumps=watch_jumps

@@ -90,7 +90,7 @@ class SequenceReader:
         return {
             **{f"{role}_topic": topic.name if topic else "" for role, topic in topics.items()},
             "odometry_frame": None,
-            "ground_truth_topic": "",
+            "ground_truth_topic": None if r.truth is not None else "",
             "poses": poses.name if poses else None,
             "poses_times": self._options.poses_times.name if self._options.poses_times else None,
             **(r.tree_odometry.resolved if r.tree_odometry is not None else {}),

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.bag import Bag, Topic
 from sequences.errors import SequenceError
 from sequences.extrinsics import TF, Extrinsics, find_extrinsics, read_tree
 from sequences.frame import Trajectory
+from sequences.messages import frame_name
 from sequences.options import SequenceOptions
 from sequences.pairing import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S
 from sequences.pose_sources import (
@@ -111,7 +113,7 @@ def tree_odometry(bag: Bag, options: SequenceOptions, rig: Rig) -> tuple[PoseRou
     Raises:
         SequenceError: no such frame is above the camera, or nothing moves in between.
     """
-    frame = options.odometry_frame or "odom"
+    frame = frame_name(options.odometry_frame or "odom")
     within_s = None if options.odometry_frame else _SURVEY_S
     tree = read_tree(bag, lambda tree: rig.path(tree, frame) is not None, within_s=within_s)
     path = rig.path(tree, frame)
@@ -151,7 +153,7 @@ def find_true_poses(
     if options.poses is not None:
         return _of_file(bag, options, rig, odometry)
     if options.ground_truth_frame is not None:
-        return _of_tree(bag, options, rig, options.ground_truth_frame)
+        return _of_tree(bag, options, rig, frame_name(options.ground_truth_frame))
     if options.ground_truth_topic is not None:
         topic = choose(bag, "ground-truth", POSE_TYPES, options.ground_truth_topic)
         return None if topic is None else _of_topic(bag, options, rig, topic)
@@ -216,7 +218,9 @@ def _frames_that_could(tree: TransformTree, rig: Rig) -> list[str]:
 
 def _of_topic(bag: Bag, options: SequenceOptions, rig: Rig, topic: Topic) -> PoseRoute:
     resolved: dict[str, object] = {"ground_truth_topic": topic.name}
-    child = options.ground_truth_child_frame or (frames_of_topic(bag, topic)[1] if topic.num_messages else "")
+    child = frame_name(options.ground_truth_child_frame or "")
+    if not child and topic.num_messages:
+        child = frames_of_topic(bag, topic)[1]
     extrinsics = rig.on(bag, child, f" ({topic.name})")
     notices = []
     if not child and topic.type != _CAMERA_POSES:
@@ -237,7 +241,7 @@ def _of_topic(bag: Bag, options: SequenceOptions, rig: Rig, topic: Topic) -> Pos
 
 def _of_tree(bag: Bag, options: SequenceOptions, rig: Rig, frame: str) -> PoseRoute:
     if options.ground_truth_child_frame is not None and rig.base_from_camera is not None:
-        rig = replace(rig, base=options.ground_truth_child_frame)
+        rig = replace(rig, base=frame_name(options.ground_truth_child_frame))
     tree = read_tree(bag, lambda tree: rig.path(tree, frame) is not None)
     links = rig.path(tree, frame)
     if links is None:
@@ -261,12 +265,12 @@ def _of_tree(bag: Bag, options: SequenceOptions, rig: Rig, frame: str) -> PoseRo
 def _of_file(bag: Bag, options: SequenceOptions, rig: Rig, odometry: Callable[[], Trajectory]) -> PoseRoute:
     file = Path(options.poses or "")
     trajectory = read_pose_table(file, options.poses_times)
-    extrinsics = rig.on(bag, options.ground_truth_child_frame or "", " (--ground-truth-child-frame)")
+    extrinsics = rig.on(bag, frame_name(options.ground_truth_child_frame or ""), " (--ground-truth-child-frame)")
     offset_s, notices = options.time_offset_s, []
     if offset_s == "auto":
         try:
             offset_s = find_time_offset(odometry(), trajectory)
-        except SequenceError as error:
+        except VaporTrackError as error:
             raise SequenceError(f"{file}: {error}") from error
         notices.append(f"{file}: time offset {offset_s:.4f} s found by rotation")
     table = TabledPoses(

@@ -315,6 +315,23 @@ def test_poses_far_from_the_origin_keep_their_millimetres(tmp_path: Path) -> Non
     assert np.abs(near[0].world_from_camera.translation).max() < 10  # pyright: ignore[reportOptionalMemberAccess]
 
 
+def test_a_transform_that_nobody_asks_for_may_be_broken(tmp_path: Path) -> None:
+    broken = tf("base_link", "wheel", stamps(), lambda _: Poses(np.eye(3), np.full(3, np.nan)))
+    asked = {"ground_truth_frame": "map", "base_from_camera": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)}
+    path = record(tmp_path / "a.mcap", images(), odometry(stamps()), tf("map", "base_link", stamps(), body), broken)
+    assert len(read(path, **asked)) == 12
+    lost = tf("map", "base_link", stamps()[9:10], lambda _: Poses(np.eye(3), np.full(3, np.nan)))
+    path = record(tmp_path / "b.mcap", images(), odometry(stamps()), tf("map", "base_link", stamps(), body), lost)
+    with pytest.raises(SequenceError, match=r"b\.mcap: /tf at .* true pose: transform map -> base_link: .*not finite"):
+        read(path, **asked)
+
+
+@pytest.mark.parametrize("name", ["odometry_frame", "ground_truth_frame", "ground_truth_child_frame"])
+def test_a_frame_needs_a_name(name: str) -> None:
+    with pytest.raises(SequenceError, match=rf"{name} is '', expected the name of a frame"):
+        SequenceOptions(**{name: ""})  # pyright: ignore[reportArgumentType]
+
+
 # --- commands --------------------------------------------------------------------------------------
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -211,7 +212,8 @@ def _fit(
     report: ProgressCallback,
 ) -> TrainResult:
     judged = held_out.select(spaced(len(held_out), config.validation_images))
-    identity = {**names, "images": len(training), "held_out": len(judged), **_settings(config)}
+    poses = zlib.crc32(training.poses.as_matrix().tobytes())
+    identity = {**names, "images": len(training), "poses": poses, "held_out": len(judged), **_settings(config)}
     if config.resume and state_path(output).exists():
         load_state(state_path(output), state, identity)
     begin, first_epoch, spent_s = perf_counter(), state.epoch, 0.0
