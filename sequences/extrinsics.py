@@ -81,7 +81,11 @@ def find_extrinsics(
 
 
 def read_tree(
-    bag: Bag, found: Callable[[TransformTree], bool] = lambda _: False, *, within_s: float | None = None
+    bag: Bag,
+    found: Callable[[TransformTree], bool] = lambda _: False,
+    *,
+    within_s: float | None = None,
+    tolerate: bool = False,
 ) -> TransformTree:
     """The tree of frames, from `/tf_static` and then `/tf`, read until it has what is looked for.
 
@@ -89,9 +93,10 @@ def read_tree(
         bag: The recording.
         found: Asked after every message; reading stops where it says yes.
         within_s: Seconds of `/tf` to read; None for all of it.
+        tolerate: Leave damaged messages out.
 
     Raises:
-        SequenceError: a message is damaged, or a transform is none.
+        SequenceError: a message is damaged, or a transform is none, and that is not tolerated.
     """
     tree = TransformTree()
     for name in (TF_STATIC, TF):
@@ -102,11 +107,14 @@ def read_tree(
             begin_ns = raw.log_time_ns if begin_ns is None else begin_ns
             if name == TF and within_s is not None and (raw.log_time_ns - begin_ns) * 1e-9 > within_s:
                 break
-            message = decode(bag, raw)
-            assert message is not None
+            message = decode(bag, raw, tolerate=tolerate)
+            if message is None:
+                continue
             try:
                 tree.add(transforms_from_message(message), static=name == TF_STATIC)
             except SequenceError as error:
+                if tolerate:
+                    continue
                 raise SequenceError(f"{bag.path}: {name}: message logged at {raw.log_time_ns} ns: {error}") from error
             if found(tree):
                 return tree

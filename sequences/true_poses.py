@@ -166,14 +166,15 @@ def find_true_poses(
 def _only_candidate(bag: Bag, options: SequenceOptions, rig: Rig, *, required: bool) -> PoseRoute | None:
     topics, others = [], []
     for topic in bag.topics.values():
-        if topic.type in POSE_TYPES and topic.num_messages and topic.encoding == "cdr":
+        enough = topic.num_messages > (topic.type != "nav_msgs/Path")  # one pose is a goal or a start
+        if topic.type in POSE_TYPES and enough and topic.encoding == "cdr":
             try:
                 frame, _ = frames_of_topic(bag, topic)
             except SequenceError:  # nothing readable on it
                 continue
             is_odometry = topic.name == rig.odometry_topic or _is_odometry(frame, rig)
             (others if is_odometry else topics).append(topic)
-    tree = read_tree(bag, within_s=_SURVEY_S) if TF in bag.topics else TransformTree()
+    tree = read_tree(bag, within_s=_SURVEY_S, tolerate=True) if TF in bag.topics else TransformTree()
     frames = _frames_that_could(tree, rig)
     number = len(topics) + bool(frames)
     if number == 1:

@@ -239,6 +239,7 @@ def test_without_any_the_error_says_what_could_give_them(tmp_path: Path) -> None
 
 def test_of_two_candidates_the_error_lists_both_with_their_options(tmp_path: Path) -> None:
     extra = told_by("geometry_msgs/PoseWithCovarianceStamped", stamps(), topic="/amcl_pose")
+    extra += told_by("geometry_msgs/PoseWithCovarianceStamped", stamps()[:1], topic="/initialpose")  # is none
     path = robot(tmp_path / "a.mcap", extra=extra)
     said = r"/amcl_pose \(geometry_msgs/PoseWith\w+: --ground-truth-topic /amcl_pose\); tf frame map \(--ground"
     with pytest.raises(SequenceError, match=said):
@@ -324,6 +325,12 @@ def test_a_transform_that_nobody_asks_for_may_be_broken(tmp_path: Path) -> None:
     path = record(tmp_path / "b.mcap", images(), odometry(stamps()), tf("map", "base_link", stamps(), body), lost)
     with pytest.raises(SequenceError, match=r"b\.mcap: /tf at .* true pose: transform map -> base_link: .*not finite"):
         read(path, **asked)
+
+
+def test_broken_transforms_do_no_harm_where_true_poses_are_not_needed(tmp_path: Path) -> None:
+    broken = tf("map", "wheel", stamps(), lambda _: Poses(np.eye(3), np.full(3, np.nan)))
+    reader = SequenceReader(record(tmp_path / "a.mcap", images(), mounted(), odometry(stamps()), broken))
+    assert len(list(reader)) == 12
 
 
 @pytest.mark.parametrize("name", ["odometry_frame", "ground_truth_frame", "ground_truth_child_frame"])
