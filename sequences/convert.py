@@ -16,8 +16,7 @@ from sequences.layouts.image_files import read_image_bytes
 from sequences.layouts.posed_images import PosedImages
 from sequences.messages import decode_image_bytes
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.pairing import interpolate
-from sequences.reader import MAX_ODOMETRY_GAP_S
+from sequences.pairing import MAX_ODOMETRY_GAP_S, interpolate
 from sequences.tum import read_tum
 from sequences.writer import SequenceWriter
 

@@ -14,7 +14,8 @@ from sequences.layouts import ambiguous, cambridge, ceiling, colmap, seven_scene
 from sequences.layouts.image_files import read_image_bytes
 from sequences.layouts.posed_images import PosedImages
 from sequences.messages import decode_image_bytes
-from sequences.reader import SequenceOptions, SequenceReader
+from sequences.options import SequenceOptions
+from sequences.reader import SequenceReader
 
 _LAYOUTS = (tum_rgbd, seven_scenes, ambiguous, ceiling, cambridge, colmap)
 _SPLITS = ("train", "test", "TrainSplit.txt", "TestSplit.txt", "dataset_train.txt", "dataset_test.txt")
@@ -25,11 +26,13 @@ class PosedFrames(Iterator[Frame]):
 
     Attributes:
         skipped: Images and poses of the data that were left out, by reason; complete once all frames were yielded.
+        notices: What a person should know of the true poses, likewise.
     """
 
     def __init__(self, path: Path, frames: slice, options: SequenceOptions | None) -> None:
         self.skipped: Counter[str] = Counter()
-        self._frames = _posed_frames(path, frames, options, self.skipped)
+        self.notices: list[str] = []
+        self._frames = _posed_frames(path, frames, options, self.skipped, self.notices)
 
     def __next__(self) -> Frame:
         return next(self._frames)
@@ -41,7 +44,7 @@ def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOp
     Args:
         path: MCAP file, rosbag2 folder, or a data set as `list_images` takes it.
         frames: Which of them; for MCAP, of those with a true pose, and not counted from the end.
-        options: Topics and stretch of an MCAP sequence; folders of images ignore it.
+        options: What to read of an MCAP sequence, and where its true poses are; folders of images ignore it.
 
     Raises:
         SequenceError: the layout is unknown, a file is missing or damaged, or no frame is left; with the first frame.
@@ -49,7 +52,9 @@ def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOp
     return PosedFrames(Path(path), frames, options)
 
 
-def _posed_frames(path: Path, frames: slice, options: SequenceOptions | None, skipped: Counter[str]) -> Iterator[Frame]:
+def _posed_frames(
+    path: Path, frames: slice, options: SequenceOptions | None, skipped: Counter[str], notices: list[str]
+) -> Iterator[Frame]:
     number = 0
     if is_recording(path):
         if any(bound is not None and bound < 0 for bound in (frames.start, frames.stop, frames.step)):
@@ -57,12 +62,18 @@ def _posed_frames(path: Path, frames: slice, options: SequenceOptions | None, sk
                 f"{path}: frames {frames.start}:{frames.stop}:{frames.step} count from the end, which"
                 " a stream does not know; expected numbers from 0 on"
             )
-        reader = SequenceReader(path, options, odometry="optional")
+        reader = SequenceReader(path, options, odometry="optional", true_poses="required")
         posed = _posed(reader, skipped)
         for number, frame in enumerate(islice(posed, frames.start, frames.stop, frames.step), start=1):
             follows = number > 1 and frames.step in (None, 1)
             yield frame if follows else replace(frame, odometry=None)
         skipped.update(reader.skipped)
+        if reader.across_jumps:
+            skipped["true pose jumps"] = reader.across_jumps
+            skipped["no true pose"] -= reader.across_jumps
+            if not skipped["no true pose"]:
+                del skipped["no true pose"]
+        notices += [f"{path}: {notice}" for notice in reader.notices]
     else:
         images = list_images(path)
         skipped.update(images.skipped)

@@ -29,6 +29,7 @@ DEFINITIONS = {
     "geometry_msgs/TransformStamped": (
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
     ),
+    "nav_msgs/Path": "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
     "nav_msgs/Odometry": (
         "std_msgs/Header header\nstring child_frame_id\n"

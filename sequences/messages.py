@@ -6,6 +6,7 @@ frame, quaternions in x, y, z, w order, frame names with or without a leading sl
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -67,11 +68,12 @@ class OdometrySample:
 
 @dataclass(frozen=True)
 class FrameTransform:
-    """One transform of a tf message: `parent_from_child`, with the names of both frames."""
+    """One transform of a tf message: `parent_from_child`, with the names of both frames and its stamp."""
 
     parent: str
     child: str
     parent_from_child: Poses
+    time_ns: int
 
 
 def stamp_ns(header: SimpleNamespace) -> int:
@@ -153,6 +155,12 @@ def pose_from_message(message: SimpleNamespace) -> Poses:
     return _pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
 
 
+def pose_from_transform(message: SimpleNamespace) -> Poses:
+    """geometry_msgs/Transform -> one pose. Raises VaporTrackError as `pose_from_message`."""
+    t, q = message.translation, message.rotation
+    return _pose(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]))
+
+
 def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
     """nav_msgs/Odometry -> a sample.
 
@@ -188,17 +196,28 @@ def camera_from_message(message: SimpleNamespace) -> Camera | None:
     return Camera(int(message.width), int(message.height), fx=k[0], fy=k[4], cx=k[2], cy=k[5])
 
 
-def transforms_from_message(message: SimpleNamespace) -> list[FrameTransform]:
-    """tf2_msgs/TFMessage -> its transforms. Raises SequenceError, naming the frames, where one is not finite."""
+def transforms_from_message(
+    message: SimpleNamespace, links: Collection[tuple[str, str]] | None = None
+) -> list[FrameTransform]:
+    """tf2_msgs/TFMessage -> its transforms.
+
+    Args:
+        message: The message.
+        links: Names of parent and child of those that are asked for; None for all.
+
+    Raises:
+        SequenceError: one of them is not finite; it names the frames.
+    """
     transforms = []
     for stamped in message.transforms:
         parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
-        t, q = stamped.transform.translation, stamped.transform.rotation
+        if links is not None and (parent, child) not in links:
+            continue
         try:
-            pose = _pose(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]))
+            pose = pose_from_transform(stamped.transform)
         except VaporTrackError as error:
             raise SequenceError(f"transform {parent} -> {child}: {error}") from error
-        transforms.append(FrameTransform(parent, child, pose))
+        transforms.append(FrameTransform(parent, child, pose, stamp_ns(stamped.header)))
     return transforms
 
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -10,6 +14,14 @@ from jaxtyping import Bool, Float64, Int64
 from filtering.motion import MotionNoise, Odometry, accumulated
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+
+MAX_ODOMETRY_GAP_S = 0.5
+MAX_TRUE_POSE_GAP_S = 0.1
+JUMP_CONTEXT = 2  # steps before and after one that tell whether it is a jump
+_LEAST_JUMP_M, _LEAST_JUMP_RAD = 0.1, 0.1
+_JUMP_RATIO = 5.0  # how many times as fast as the steps around it
+_LONGEST_JUMP_S = 2.0  # beyond, it is a gap
+_STILL_M, _STILL_RAD = 0.05, 0.05
 
 
 def interpolate(
@@ -99,45 +111,102 @@ def odometry_between(
     )
 
 
+def pose_at(
+    times_ns: Int64[np.ndarray, " n"], poses: Poses, time_ns: int, *, max_gap_s: float, still_gap_s: float = 0.0
+) -> Poses | None:
+    """The pose at one time between its neighbours, (n,) of n ≤ 2; None where they do not cover it.
+
+    Neighbours cover what is between them up to a gap of `max_gap_s`, and of `still_gap_s` where they hardly differ:
+    within 5 cm and 0.05 rad.
+    """
+    if still_gap_s > max_gap_s and len(times_ns) == 2:
+        metres, radians = poses[0].distance(poses[1])
+        max_gap_s = still_gap_s if metres <= _STILL_M and radians <= _STILL_RAD else max_gap_s
+    pose, covered = interpolate(times_ns, poses, np.array([time_ns], np.int64), max_gap_s=max_gap_s)
+    return pose[0] if covered[0] else None
+
+
 @dataclass
 class PoseWindow:
     """The last stretch of a stream of time-stamped poses: what is no longer asked for is forgotten.
 
     Attributes:
         max_gap_s: Neighbours further apart than this do not cover what lies between them.
+        still_gap_s: The same of neighbours that hardly differ, where it is longer: see `pose_at`.
+        watch_jumps: Whether to find jumps (`is_jump`), so that `jumps_at` can say where they are.
+        num_jumps: How many were found so far.
+        first_jump_ns: When the first of them was over.
+        begin_ns: Stamp of the first pose that ever came; None before.
+        end_ns: Stamp of the last one.
     """
 
     max_gap_s: float
+    still_gap_s: float = 0.0
+    watch_jumps: bool = False
+    num_jumps: int = field(default=0, init=False)
+    first_jump_ns: int | None = field(default=None, init=False)
+    begin_ns: int | None = field(default=None, init=False)
+    end_ns: int | None = field(default=None, init=False)
     _times_ns: list[int] = field(default_factory=list)
     _poses: list[Poses] = field(default_factory=list)
     _covariances: list[np.ndarray] = field(default_factory=list)
+    _steps: list[Motion] = field(default_factory=list)  # to each pose from the one before
 
     def append(self, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"] | None = None) -> bool:
         """Take the next pose; False, and nothing taken, where its stamp is not after the last one's."""
         if self._times_ns and time_ns <= self._times_ns[-1]:
             return False
+        if self.watch_jumps:
+            before = (self._times_ns[-1], self._poses[-1]) if self._times_ns else (time_ns, pose)
+            metres, radians = before[1].distance(pose)
+            self._steps.append(Motion(float(metres), float(radians), (time_ns - before[0]) * 1e-9))
         self._times_ns.append(time_ns)
         self._poses.append(pose)
         self._covariances.append(np.zeros((6, 6)) if covariance is None else covariance)
+        self.begin_ns = time_ns if self.begin_ns is None else self.begin_ns
+        self.end_ns = time_ns
+        self._count_jump(len(self._steps) - 1 - JUMP_CONTEXT)
         return True
 
+    def finish(self) -> None:
+        """No pose comes any more: judge the last steps as well."""
+        for index in range(max(len(self._steps) - JUMP_CONTEXT, 0), len(self._steps)):
+            self._count_jump(index)
+
     def reaches(self, time_ns: int) -> bool:
-        """Whether a pose at or after this time has come."""
-        return bool(self._times_ns) and self._times_ns[-1] >= time_ns
+        """Whether a pose at or after this time has come, and, where that may be behind a jump, what tells it."""
+        if not self._times_ns or self._times_ns[-1] < time_ns:
+            return False
+        after = bisect_left(self._times_ns, time_ns)
+        undecided = self.watch_jumps and self._times_ns[after] != time_ns and self._steps[after].is_large
+        return not undecided or after + JUMP_CONTEXT < len(self._times_ns)
 
     def forget_before(self, time_ns: int) -> None:
-        """Drop what lies before the last pose that is at or before this time."""
-        keep = int(np.searchsorted(self._times_ns, time_ns, side="right")) - 1
+        """Drop what lies before the last pose that is at or before this time, but for what tells jumps."""
+        keep = bisect_right(self._times_ns, time_ns) - 1 - (2 * JUMP_CONTEXT + 1 if self.watch_jumps else 0)
         if keep > 0:
-            del self._times_ns[:keep], self._poses[:keep], self._covariances[:keep]
+            del self._times_ns[:keep], self._poses[:keep], self._covariances[:keep], self._steps[:keep]
 
     def at(self, time_ns: int) -> Poses | None:
         """The pose at one time; None where it is not covered."""
         if not self._times_ns:
             return None
-        times_ns, poses = np.array(self._times_ns, np.int64), Poses.stack(self._poses)
-        pose, covered = interpolate(times_ns, poses, np.array([time_ns], np.int64), max_gap_s=self.max_gap_s)
-        return pose[0] if covered[0] else None
+        after = min(bisect_left(self._times_ns, time_ns), len(self._times_ns) - 1)
+        near = slice(max(after - 1, 0), after + 1)
+        times_ns, poses = np.array(self._times_ns[near], np.int64), Poses.stack(self._poses[near])
+        return pose_at(times_ns, poses, time_ns, max_gap_s=self.max_gap_s, still_gap_s=self.still_gap_s)
+
+    def jumps_at(self, time_ns: int) -> bool:
+        """Whether a time lies between two poses with a jump between them."""
+        after = bisect_left(self._times_ns, time_ns)
+        if not self._steps or not 0 < after < len(self._times_ns) or self._times_ns[after] == time_ns:
+            return False
+        return is_jump(self._steps, after)
+
+    def _count_jump(self, index: int) -> None:
+        if index > 0 and is_jump(self._steps, index):
+            self.num_jumps += 1
+            self.first_jump_ns = self._times_ns[index] if self.first_jump_ns is None else self.first_jump_ns
 
     def odometry_between(
         self, start_ns: int, end_ns: int, *, base_from_camera: Poses, motion_noise: MotionNoise
@@ -152,3 +221,40 @@ class PoseWindow:
             base_from_camera=base_from_camera,
             motion_noise=motion_noise,
         )
+
+
+class Motion(NamedTuple):
+    """How far one pose is from the one before: metres, radians, seconds."""
+
+    metres: float
+    radians: float
+    seconds: float
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it is far enough for a jump."""
+        return self.metres > _LEAST_JUMP_M or self.radians > _LEAST_JUMP_RAD
+
+
+def is_jump(steps: Sequence[Motion], index: int) -> bool:
+    """Whether a step is no motion: far, and many times as fast as those before and after it.
+
+    What moves is about as fast in the next step; a corrected map, or a false measurement, is so once or twice only.
+
+    Args:
+        steps: Consecutive steps, the first of which leads from nowhere.
+        index: Which of them, at least 1.
+    """
+    step = steps[index]
+    if not step.is_large or step.seconds > _LONGEST_JUMP_S:
+        return False
+    near = [
+        steps[i] for i in range(index - JUMP_CONTEXT, index + JUMP_CONTEXT + 1) if i != index and 0 < i < len(steps)
+    ]
+    if not near:
+        return False
+    usual_m = median(s.metres / s.seconds for s in near)
+    usual_rad = median(s.radians / s.seconds for s in near)
+    return (step.metres > _LEAST_JUMP_M and step.metres > _JUMP_RATIO * usual_m * step.seconds) or (
+        step.radians > _LEAST_JUMP_RAD and step.radians > _JUMP_RATIO * usual_rad * step.seconds
+    )

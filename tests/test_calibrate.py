@@ -214,7 +214,7 @@ def test_the_command_tells_what_it_left_out_of_the_data(tiny_model, tmp_path, ca
 
 @pytest.mark.parametrize(
     ("num_images", "posed", "said"),
-    [(60, False, "no image with a true pose"), (19, True, "19 images with true poses, expected at least 20")],
+    [(60, False, "no true poses found"), (19, True, "19 images with true poses, expected at least 20")],
 )
 def test_the_command_refuses_data_without_poses_or_too_little(num_images, posed, said, tiny_model, tmp_path, capsys):
     whole = Walk(num_images).write(tmp_path / "whole.mcap")

@@ -15,7 +15,8 @@ from sequences.datasets import count_frames, posed_frames
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
-from sequences.reader import SequenceOptions, SequenceReader
+from sequences.options import SequenceOptions
+from sequences.reader import SequenceReader
 from sequences.tum import format_time, write_tum
 from tests.sequence_files import BEGIN_NS, FORMS, Walk, rewrite, world_from_camera
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.pairing import PoseWindow, interpolate, odometry_between
+from sequences.pairing import Motion, PoseWindow, interpolate, is_jump, odometry_between
 
 SECOND = 1_000_000_000
 
@@ -175,3 +175,73 @@ def test_an_empty_window_covers_nothing(asked_s: float) -> None:
     window.forget_before(5)
     assert window.at(int(asked_s * SECOND)) is None
     assert not window.reaches(int(asked_s * SECOND))
+
+
+# --- jumps ------------------------------------------------------------------------------------------
+
+
+def watched(metres: list[float]) -> PoseWindow:
+    """Poses on a line, ten a second."""
+    window = PoseWindow(max_gap_s=0.25, watch_jumps=True)
+    for i, x in enumerate(metres):
+        assert window.append(i * 100_000_000, Poses(np.eye(3), np.array([x, 0.0, 0.0])))
+    return window
+
+
+@pytest.mark.parametrize(
+    ("metres", "jumps"),
+    [
+        ([0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5], [3]),
+        ([0.0, 0.1, 0.2, 1.3, 1.4, 1.5, 1.6], [3]),
+        ([0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0], [3, 4]),  # one false pose
+        ([0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0], [3, 4]),  # a correction in two parts
+        ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5], [6]),
+        ([0.0, 0.0, 0.0, 0.2, 0.4, 0.6, 0.8], []),  # setting off
+        ([0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0], []),  # a car
+        ([0.0, 0.0, 0.0, 0.09, 0.09, 0.09, 0.09], []),  # too short for one
+        ([0.0, 0.5], []),  # nothing to compare with
+    ],
+)
+def test_a_step_much_faster_than_those_around_it_is_a_jump(metres: list[float], jumps: list[int]) -> None:
+    window = watched(metres)
+    times = [i * 100_000_000 for i in range(len(metres))]
+    assert [i for i in range(1, len(metres)) if window.jumps_at(times[i] - 1)] == jumps
+    assert not any(window.jumps_at(t) for t in (*times, -5, times[-1] + 5))  # at a pose nothing is interpolated
+    window.finish()
+    assert window.num_jumps == len(jumps)
+    assert window.first_jump_ns == (times[jumps[0]] if jumps else None)
+
+
+def test_a_turn_on_the_spot_may_be_a_jump_and_a_long_step_is_a_gap() -> None:
+    still, turned = Motion(0.0, 0.0, 0.1), Motion(0.0, 0.3, 0.1)
+    assert is_jump([still, still, turned, still], 2)
+    assert not is_jump([still, still, Motion(3.0, 0.0, 2.5), still], 2)
+
+
+def test_jumps_are_counted_once_while_the_window_forgets() -> None:
+    window = PoseWindow(max_gap_s=0.25, watch_jumps=True)
+    for i in range(200):
+        window.append(i * 100_000_000, Poses(np.eye(3), np.array([float(i // 50), 0.0, 0.0])))
+        window.forget_before((i - 1) * 100_000_000)
+    window.finish()
+    assert (window.num_jumps, window.first_jump_ns) == (3, 5_000_000_000)
+
+
+def test_what_might_lie_behind_a_jump_waits_for_two_more_poses() -> None:
+    window = watched([0.0, 0.0, 0.0, 0.5])
+    assert window.reaches(299_999_999) is False
+    assert window.reaches(300_000_000) is True
+    assert window.reaches(250_000_000 - 100_000_000) is True
+    for i in (4, 5):
+        window.append(i * 100_000_000, Poses(np.eye(3), np.array([0.5, 0.0, 0.0])))
+    assert window.reaches(299_999_999) is True
+
+
+def test_neighbours_that_hardly_differ_may_be_far_apart() -> None:
+    for metres, covered in ((0.04, True), (0.06, False)):
+        window = PoseWindow(max_gap_s=0.1, still_gap_s=2.0)
+        window.append(0, Poses.identity())
+        window.append(1_900_000_000, Poses(np.eye(3), np.array([metres, 0.0, 0.0])))
+        assert (window.at(950_000_000) is not None) is covered
+        window.append(4_000_000_000, Poses(np.eye(3), np.array([metres, 0.0, 0.0])))
+        assert window.at(3_000_000_000) is None

@@ -18,8 +18,9 @@ from sequences.bag import Bag
 from sequences.errors import SequenceError
 from sequences.message_definitions import decoder, schema_name, schema_text
 from sequences.messages import odometry_from_message
+from sequences.options import OdometryUse, SequenceOptions
 from sequences.pairing import odometry_between
-from sequences.reader import OdometryUse, SequenceOptions, SequenceReader
+from sequences.reader import SequenceReader
 from tests.sequence_files import (
     BASE_FROM_CAMERA,
     BEGIN_NS,

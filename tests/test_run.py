@@ -25,6 +25,7 @@ from sequences.synthesize import synthesize, write_synthetic
 from sequences.tum import read_tum, write_tum
 from tests.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.simulation import ERRORS, lifted, seen_at
+from tests.tf_files import robot, stamps
 from tests.tiny_model import NETWORK, SMALL
 from vapor.checkpoint import load_checkpoint, save_checkpoint
 from vapor.familiarity import learn_familiarity
@@ -234,6 +235,16 @@ def test_options_choose_the_stretch_and_leave_out_topics(tiny_model, walk_of_25,
     assert run(walk_of_25, tiny_model, tmp_path / "out", *words) == 0
     report = report_of(tmp_path / "out")
     assert (report["frames"], report["duration_s"], report["frames_with_true_pose"]) == (11, 1.0, 0)
+
+
+def test_true_poses_and_odometry_of_tf_are_used_and_their_jumps_said(tiny_model, tmp_path, capsys):
+    at_ns = next(t for t in stamps(every_ms=90, since_ms=-39) if t > BEGIN_NS + 600_000_000)  # behind the seventh image
+    out, words = tmp_path / "out", ["--ground-truth-frame", "map", "--no-recording"]
+    assert run(robot(tmp_path / "a.mcap", jump_ns=at_ns), tiny_model, out, *words) == 0
+    assert "true poses of tf frame map jump 1 times" in capsys.readouterr().out
+    reading = json.loads((out / "config.json").read_text())["reading"]
+    assert (reading["ground_truth_frame"], reading["odometry_frame"], reading["poses"]) == ("map", "odom", None)
+    assert len(read_tum(out / "ground_truth.tum")) == 11
 
 
 # --- what happens on the way --------------------------------------------------------------------------

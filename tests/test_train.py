@@ -271,8 +271,12 @@ def test_an_interrupted_training_of_another_configuration_is_not_continued(tmp_p
         train_on_most(make_frames(24), output, TINY, progress=_interrupt_at(3))
     with pytest.raises(CheckpointError, match=r"m\.training\.safetensors: .*differs in epochs"):
         train_on_most(make_frames(24), output, replace(TINY, epochs=5))
-    with pytest.raises(CheckpointError, match="differs in images"):
+    with pytest.raises(CheckpointError, match="differs in images, poses"):
         train_on_most(make_frames(40), output, TINY)
+    shift = Poses.exp(np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))
+    moved = [replace(frame, world_from_camera=pose(frame) @ shift) for frame in make_frames(24)]
+    with pytest.raises(CheckpointError, match="differs in poses, expected"):
+        train_on_most(moved, output, TINY)
     result = train_on_most(make_frames(24), output, replace(TINY, epochs=1, resume=False))
     assert len(result.history) == 1
 

@@ -15,6 +15,7 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.odometry_fit import LEAST_INCREMENTS, OdometryFit, fit_odometry
+from sequences.options import SequenceOptions
 from vapor.checkpoint import (
     NETWORK,
     Calibration,
@@ -53,6 +54,7 @@ class CalibrationResult:
         odometry: Where the noise of the odometry was found: "held-out data", "training data" or "none".
         notes: What was kept, and why.
         skipped: Images and poses of the data that were left out in reading, by reason.
+        notices: What a person should know of the data.
     """
 
     calibration: Calibration
@@ -63,11 +65,12 @@ class CalibrationResult:
     odometry: str = "none"
     notes: tuple[str, ...] = ()
     skipped: Mapping[str, int] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
 
     @property
     def provenance(self) -> dict[str, Any]:
         """JSON for the model file: all but the values themselves and what was left out."""
-        return {key: value for key, value in asdict(self).items() if key not in ("calibration", "skipped")}
+        return {key: value for key, value in asdict(self).items() if key not in ("calibration", "skipped", "notices")}
 
 
 def calibrate_model(
@@ -80,6 +83,7 @@ def calibrate_model(
     max_images: int = 500,
     seed: int = 0,
     device: Device = "auto",
+    reading: SequenceOptions | None = None,
     advance: Advance = lambda done, total: None,
 ) -> CalibrationResult:
     """Calibrate a model that was trained before, and write it with its weights untouched.
@@ -96,6 +100,7 @@ def calibrate_model(
         max_images: Held-out images of the fits, at most.
         seed: Of latent noise.
         device: Where the network runs.
+        reading: What to read of MCAP sequences, of both; None for all of it, as found.
         advance: Called with the number of images seen by the network and of all.
 
     Raises:
@@ -107,12 +112,13 @@ def calibrate_model(
     checkpoint = load_checkpoint(file)
     config = checkpoint.network
     require_apart(training, data)
-    held_out = load_training_set(open_sequences(data), config.frame_size)
-    trained_on = load_training_set(open_sequences(training), config.frame_size) if training else None
+    held_out = load_training_set(open_sequences(data, reading), config.frame_size)
+    trained_on = load_training_set(open_sequences(training, reading), config.frame_size) if training else None
     if len(held_out) < LEAST_IMAGES:
         names = ", ".join(Path(str(entry)).name for entry in data)
         raise VaporTrackError(f"{names}: {len(held_out)} images with true poses, expected at least {LEAST_IMAGES}")
     skipped = held_out.skipped + trained_on.skipped if trained_on else held_out.skipped
+    notices = held_out.notices + (trained_on.notices if trained_on else ())
     network = checkpoint.build_network().to(resolve_device(device))
     familiarity = _familiarity(network, checkpoint.familiarity, trained_on, held_out, max_images)
     calibration, known = checkpoint.calibration, checkpoint.familiarity
@@ -127,7 +133,7 @@ def calibrate_model(
         calibration = replace(calibration, errors=errors)
     if familiarity_only:
         _save(replace(checkpoint, familiarity=familiarity, calibration=calibration), output, file)
-        return CalibrationResult(calibration, skipped=skipped)
+        return CalibrationResult(calibration, skipped=skipped, notices=notices)
     result = calibrate(
         network,
         held_out,
@@ -143,7 +149,7 @@ def calibrate_model(
     provenance = {**checkpoint.training, "calibration": names | result.provenance}
     fitted = replace(checkpoint, calibration=result.calibration, training=provenance, familiarity=familiarity)
     _save(fitted, output, file)
-    return replace(result, skipped=skipped)
+    return replace(result, skipped=skipped, notices=notices)
 
 
 def _save(checkpoint: Checkpoint, output: Path, source: Path) -> None:

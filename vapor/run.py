@@ -33,7 +33,8 @@ from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth
 from sequences.estimates import EstimateSequence
 from sequences.frame import Trajectory
 from sequences.odometry_fit import OdometryFit
-from sequences.reader import SequenceOptions, SequenceReader
+from sequences.options import SequenceOptions
+from sequences.reader import SequenceReader
 from sequences.tum import write_tum
 from sequences.writer import EstimateWriter
 from vapor.checkpoint import find_model
@@ -96,11 +97,13 @@ class RunResult:
         record: Everything collected on the way.
         report: Content of `report.json`.
         pictures: Names of the pictures in the output directory.
+        notices: What a person should know of the sequence.
     """
 
     record: RunRecord
     report: dict[str, Any]
     pictures: tuple[str, ...]
+    notices: tuple[str, ...] = ()
 
 
 def run(
@@ -146,7 +149,8 @@ def run(
             "model": {"name": Path(model).name, "sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest()},
             **settings,
         }
-        return write_results(record, partial, settings, title=sequence.name)
+        result = write_results(record, partial, settings, title=sequence.name)
+        return replace(result, notices=tuple(reader.notices))
 
 
 def refuse_file(output: Path) -> None:

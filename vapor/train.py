@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
+from sequences.options import SequenceOptions
 from vapor.augment import jitter_and_normalise, random_crops
 from vapor.calibrate import CalibrationResult, calibrate
 from vapor.checkpoint import MAX_PRIOR_POSES, Calibration, Checkpoint, save_checkpoint, spaced
@@ -84,6 +86,7 @@ class TrainResult:
         calibration: What was calibrated at the end, and what that gained; None where it was not asked for.
         check: The filter on the held-out passes; None without any, or without odometry through them.
         skipped: Images and poses of all data that were left out in reading, by reason.
+        notices: What a person should know of the data.
     """
 
     checkpoint: Checkpoint
@@ -94,6 +97,7 @@ class TrainResult:
     calibration: CalibrationResult | None = None
     check: TrainingCheck | None = None
     skipped: Mapping[str, int] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
 
 
 ProgressCallback = Callable[[Progress], None]
@@ -105,6 +109,7 @@ def train(
     config: TrainConfig,
     *,
     validation: Sequence[Path | str] = (),
+    reading: SequenceOptions | None = None,
     progress: ProgressCallback | None = None,
 ) -> TrainResult:
     """Train on files and folders, and write the model.
@@ -116,6 +121,7 @@ def train(
         validation: Held-out data, likewise, with no image of the former, of which those images count whose surroundings
             training images show; without it passes over ground that others cover are held out, and no two of the data
             may share images.
+        reading: What to read of MCAP sequences, of both; None for all of it, as found.
         progress: Called after every image read and every step.
 
     Raises:
@@ -125,7 +131,8 @@ def train(
     """
     if validation or config.validation_share > 0:
         require_apart(data, validation or None)
-    return train_on(open_sequences(data), output, config, validation=open_sequences(validation), progress=progress)
+    held_out = open_sequences(validation, reading)
+    return train_on(open_sequences(data, reading), output, config, validation=held_out, progress=progress)
 
 
 def train_on(
@@ -209,7 +216,8 @@ def _fit(
 ) -> TrainResult:
     training, held_out = split.training, split.held_out
     judged = held_out.select(spaced(len(held_out), config.validation_images))
-    identity = {**names, "images": len(training), "held_out": len(judged), **_settings(config)}
+    poses = zlib.crc32(training.poses.as_matrix().tobytes())
+    identity = {**names, "images": len(training), "poses": poses, "held_out": len(judged), **_settings(config)}
     if config.resume and state_path(output).exists():
         load_state(state_path(output), state, identity)
     report(Progress("holding out", len(held_out), notes=split.notes))
@@ -289,8 +297,12 @@ def _fit(
     save_checkpoint(output, checkpoint, half=config.half)
     state_path(output).unlink(missing_ok=True)
     images_seen = (state.epoch - first_epoch) * len(training)
-    skipped = training.skipped if held_out.images is training.images else training.skipped + held_out.skipped
-    return TrainResult(checkpoint, tuple(state.history), best, seconds, images_seen, calibrated, checked, skipped)
+    apart = held_out.images is not training.images
+    skipped = training.skipped + held_out.skipped if apart else training.skipped
+    notices = training.notices + held_out.notices if apart else training.notices
+    return TrainResult(
+        checkpoint, tuple(state.history), best, seconds, images_seen, calibrated, checked, skipped, notices
+    )
 
 
 def _train_epoch(

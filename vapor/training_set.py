@@ -22,7 +22,10 @@ from filtering.se3 import Poses
 from sequences.bag import bag_files
 from sequences.datasets import PosedFrames, is_recording, list_images, posed_frames
 from sequences.frame import Frame
+from sequences.options import SequenceOptions
 from vapor.images import centre_crop, scale_to_cover
+
+_FAR_M = 1e4  # beyond, float32 has steps of a millimetre
 
 
 class TrainingError(VaporTrackError):
@@ -43,6 +46,7 @@ class TrainingSet:
         times_ns: Stamps of the images, integer nanoseconds, (n,).
         odometry: Motion since the image before, n of them; None where that image is not here, or none was recorded.
         skipped: Images and poses of the data that were left out in reading, by reason.
+        notices: What a person should know of the data.
     """
 
     images: UInt8[np.ndarray, "m h w 3"]
@@ -53,6 +57,7 @@ class TrainingSet:
     times_ns: Int64[np.ndarray, " n"]
     odometry: tuple[Odometry | None, ...]
     skipped: Counter[str] = field(default_factory=Counter)
+    notices: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.sequence)
@@ -75,8 +80,12 @@ class TrainingSet:
         )
 
 
-def open_sequences(data: Sequence[Path | str]) -> dict[str, Iterable[Frame]]:
+def open_sequences(data: Sequence[Path | str], reading: SequenceOptions | None = None) -> dict[str, Iterable[Frame]]:
     """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
+
+    Args:
+        data: The entries.
+        reading: What to read of those that are MCAP sequences; None for all of it, as found.
 
     Raises:
         TrainingError: what follows the @ is no range.
@@ -86,7 +95,9 @@ def open_sequences(data: Sequence[Path | str]) -> dict[str, Iterable[Frame]]:
         path, frames = parse_entry(entry)
         parts = Path(str(entry)).parts[-2 if path.suffix == ".txt" else -1 :]  # lists of splits are all named alike
         name = "/".join(parts)
-        opened[name if name not in opened else f"{name} ({number + 1})"] = posed_frames(path, frames=frames)
+        opened[name if name not in opened else f"{name} ({number + 1})"] = posed_frames(
+            path, frames=frames, options=reading
+        )
     return opened
 
 
@@ -164,6 +175,7 @@ def load_training_set(
     matrices: list[np.ndarray] = []
     sources: list[tuple[int, int]] = []
     skipped: Counter[str] = Counter()
+    notices: list[str] = []
     times_ns: list[int] = []
     odometry: list[Odometry | None] = []
     shape: tuple[int, ...] | None = None
@@ -197,11 +209,13 @@ def load_training_set(
                 raise TrainingError(f"{name}: no image with a true pose, expected at least one")
             if isinstance(frames, PosedFrames):
                 skipped += frames.skipped
+                notices += frames.notices
         if shape is None:
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
     poses = Poses.from_matrix(np.stack(matrices))
+    notices += _too_far(poses)
     begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
     return TrainingSet(
         images,
@@ -212,6 +226,7 @@ def load_training_set(
         np.array(times_ns, np.int64),
         tuple(odometry),
         skipped,
+        tuple(notices),
     )
 
 
@@ -219,3 +234,15 @@ def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> t
     """Of sequences by the number of their file or folder and their own; the latter is told where there are several."""
     several = {file for file, count in Counter(file for file, _ in begun).items() if count > 1}
     return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)
+
+
+def _too_far(poses: Poses) -> list[str]:
+    """What to say of positions so far from zero that the network's arithmetic rounds them."""
+    furthest_m = float(np.abs(poses.translation).max())
+    if furthest_m < _FAR_M:
+        return []
+    step_m = float(np.spacing(np.float32(furthest_m)))
+    return [
+        f"positions up to {furthest_m:.3g} m from zero: the network tells them to {step_m:.2g} m only;"
+        " --ground-truth-origin takes a point near them off"
+    ]

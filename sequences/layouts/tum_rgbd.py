@@ -11,8 +11,7 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.layouts.intrinsics import find_camera
 from sequences.layouts.posed_images import PosedImages
-from sequences.pairing import interpolate
-from sequences.reader import MAX_TRUE_POSE_GAP_S
+from sequences.pairing import MAX_TRUE_POSE_GAP_S, interpolate
 from sequences.tum import parse_time_ns, read_lines, read_tum
 
 LOOKED_FOR = "a TUM RGB-D folder (rgb.txt and groundtruth.txt)"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -11,8 +11,9 @@ import tyro
 from rich.table import Table
 
 from filtering.error_model import Six
+from sequences.options import SequenceOptions
 from vapor.calibrate import CalibrationResult, calibrate_model
-from vapor.commands.console import bar, parse, show, show_skipped, usage_error
+from vapor.commands.console import bar, parse, show, show_notices, show_skipped, usage_error
 from vapor.image_fit import REGIONS
 from vapor.observation import Device
 
@@ -38,6 +39,7 @@ class Options:
     """Of latent noise."""
     device: Device = "auto"
     """Where the network runs."""
+    reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -57,11 +59,13 @@ def main(arguments: Sequence[str]) -> None:
             max_images=o.images,
             seed=o.seed,
             device=o.device,
+            reading=o.reading,
             advance=advance,
         )
     show_calibration(result)
     show(str(o.output))
     show_skipped(result.skipped)
+    show_notices(result.notices)
 
 
 def show_calibration(result: CalibrationResult) -> None:

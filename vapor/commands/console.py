@@ -96,6 +96,12 @@ def show(content: Any) -> None:
     console.print(content)
 
 
+def show_notices(notices: Sequence[str]) -> None:
+    """Say what a person should know of the data, a line each."""
+    for notice in notices:
+        show(f"  {notice}")
+
+
 def show_skipped(skipped: Mapping[str, int]) -> None:
     """Say what was left out, if anything was."""
     for reason, count in skipped.items():

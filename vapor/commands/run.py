@@ -9,8 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from sequences.reader import SequenceOptions
-from vapor.commands.console import bar, parse, show, show_files, show_skipped
+from sequences.options import SequenceOptions
+from vapor.commands.console import bar, parse, show, show_files, show_notices, show_skipped
 from vapor.report import format_table
 from vapor.run import RunConfig, run
 
@@ -47,4 +47,5 @@ def main(arguments: Sequence[str]) -> None:
     verdicts = ", ".join(f"{100 * share:.0f} % {verdict}" for verdict, share in report["status"].items())
     show(f"{report['frames']} images: {verdicts}")
     show_skipped(report["skipped"])
+    show_notices(result.notices)
     show_files(options.output, result.pictures, recording=options.config.recording)

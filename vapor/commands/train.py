@@ -5,15 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from rich.table import Table
 
+from sequences.options import SequenceOptions
 from vapor.commands.calibrate import show_calibration
-from vapor.commands.console import progress_display, show, show_skipped, usage_error
+from vapor.commands.console import progress_display, show, show_notices, show_skipped, usage_error
 from vapor.commands.named_settings import Method, Preset, parse_named
 from vapor.presets import METHODS, PRESETS
 from vapor.train import Progress, TrainConfig, TrainResult, train
@@ -37,6 +38,7 @@ class Options:
     method: Method = "variational"
     """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["demo"]
+    reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -47,7 +49,14 @@ def main(arguments: Sequence[str]) -> None:
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
     with _display() if sys.stderr.isatty() else _log() as report:
-        result = train(options.data, options.output, options.config, validation=options.validation, progress=report)
+        result = train(
+            options.data,
+            options.output,
+            options.config,
+            validation=options.validation,
+            reading=options.reading,
+            progress=report,
+        )
     if result.calibration is not None:
         show_calibration(result.calibration)
     if result.check is not None:
@@ -55,6 +64,7 @@ def main(arguments: Sequence[str]) -> None:
         show(result.check.verdict)
     show(_summary(result, options.output))
     show_skipped(result.skipped)
+    show_notices(result.notices)
 
 
 @contextmanager

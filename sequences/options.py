@@ -1,0 +1,106 @@
+"""What to read of a recorded sequence, as a person states it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from filtering.errors import VaporTrackError, require_within
+from filtering.motion import MotionNoise
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+
+OdometryUse = Literal["required", "optional", "unread"]
+
+_MAX_DURATION_S = 1e9  # of a recording; NaN and infinity are none
+_MAX_OFFSET_S = 1e10  # between two clocks, one of which began in 1970
+_MAX_ORIGIN_M = 1e8  # further than from any frame on Earth
+
+
+@dataclass(frozen=True)
+class SequenceOptions:
+    """What to read of a sequence. Topics are found by their type where there is only one."""
+
+    image_topic: str | None = None
+    """Topic of the images, sensor_msgs/Image or CompressedImage."""
+    odometry_topic: str | None = None
+    """Topic of the odometry, nav_msgs/Odometry."""
+    odometry_frame: str | None = None
+    """Take the odometry from tf instead: the frame that it is in, such as odom. Default: odom, where there is no topic
+    of odometry and tf says how the camera moves in a frame of that name."""
+    ground_truth_topic: str | None = None
+    """Topic of true poses: geometry_msgs/PoseStamped, PoseWithCovarianceStamped or TransformStamped, nav_msgs/Odometry
+    or Path; '' for none."""
+    ground_truth_frame: str | None = None
+    """Take true poses from tf instead: the frame that they are in, such as map."""
+    poses: Path | None = None
+    """Take true poses from a file instead: TUM text, EuRoC's data.csv, or KITTI's with a file of times beside it."""
+    poses_times: Path | None = None
+    """Times of KITTI's poses, seconds, one a line. Default: times.txt beside the poses."""
+    time_offset_s: float | Literal["auto"] = 0.0
+    """Seconds to add to the stamps of the file of poses; auto finds them by comparing its rotation with odometry's."""
+    ground_truth_child_frame: str | None = None
+    """Frame whose poses the true poses are. Default: the one that the messages name, else the camera itself."""
+    ground_truth_origin: tuple[float, float, float] | None = None
+    """Point to subtract from the positions of true poses, x y z in metres: for coordinates far from zero, as of UTM."""
+    camera_info_topic: str | None = None
+    """Topic of the intrinsics, sensor_msgs/CameraInfo; '' for none. Default: the one beside the image topic."""
+    camera_frame: str | None = None
+    """Frame of the camera, for tf. Default: the frame in the header of the images."""
+    base_from_camera: tuple[float, float, float, float, float, float, float] | None = None
+    """Pose of the camera on the robot, tx ty tz qx qy qz qw, instead of tf. The robot is the child frame of the
+    odometry; where that is not read, the frame that the true poses are of."""
+    motion_noise: MotionNoise = field(default_factory=MotionNoise)
+    """Noise of odometry whose messages carry no covariance (zeros, or -1 first), and of the axes that they state a
+    variance of 1000 or more for, a placeholder for what is not measured."""
+    start_s: float = 0.0
+    """Seconds after the first image at which to begin."""
+    duration_s: float | None = None
+    """Seconds to read. Default: to the end."""
+
+    def __post_init__(self) -> None:
+        require_within(self, start_s=(0.0, _MAX_DURATION_S))
+        if self.duration_s is not None:
+            require_within(self, duration_s=(0.0, _MAX_DURATION_S))
+        for name in ("image_topic", "odometry_topic"):
+            if getattr(self, name) == "":
+                raise SequenceError(f"{name} is '', expected the name of a topic: it cannot be left out")
+        for name in ("odometry_frame", "ground_truth_frame", "ground_truth_child_frame"):
+            if getattr(self, name) == "":
+                raise SequenceError(f"{name} is '', expected the name of a frame, or that it is left out")
+        if self.base_from_camera is not None:
+            try:
+                pose_of_numbers(self.base_from_camera)
+            except VaporTrackError as error:
+                raise SequenceError(f"--base-from-camera: {error}; expected tx ty tz qx qy qz qw") from error
+        if self.odometry_topic is not None and self.odometry_frame is not None:
+            raise SequenceError("--odometry-topic and --odometry-frame are both given, expected one of them")
+        self._check_true_poses()
+
+    def _check_true_poses(self) -> None:
+        given = [
+            f"--{name.replace('_', '-')}"
+            for name in ("ground_truth_topic", "ground_truth_frame", "poses")
+            if getattr(self, name) is not None
+        ]
+        if len(given) > 1:
+            raise SequenceError(f"{' and '.join(given)} all say where true poses are, expected one of them")
+        if self.poses is None and (self.time_offset_s != 0.0 or self.poses_times is not None):
+            raise SequenceError(
+                "--time-offset-s and --poses-times are about a file of poses, expected --poses with them"
+            )
+        if self.time_offset_s != "auto" and not abs(self.time_offset_s) <= _MAX_OFFSET_S:
+            raise SequenceError(f"time_offset_s is {self.time_offset_s}, expected at most {_MAX_OFFSET_S:g} or auto")
+        origin = self.ground_truth_origin
+        if origin is not None and not (np.abs(origin) <= _MAX_ORIGIN_M).all():
+            raise SequenceError(f"ground_truth_origin is {origin}, expected numbers within {_MAX_ORIGIN_M:g} m")
+
+
+def pose_of_numbers(numbers: Iterable[float]) -> Poses:
+    """One pose from tx ty tz qx qy qz qw. Raises VaporTrackError where these are none."""
+    given = np.array([*numbers], np.float64)
+    return Poses.from_quat_xyzw(given[:3], given[3:])

@@ -1,0 +1,366 @@
+"""True poses and odometry from where robots have them, and what is wrong with them there."""
+
+import tracemalloc
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from sequences.datasets import posed_frames
+from sequences.errors import SequenceError
+from sequences.frame import Frame
+from sequences.options import SequenceOptions
+from sequences.reader import SequenceReader
+from tests.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk
+from tests.tf_files import MS, Event, body, header, images, mounted, odometry, pose, record, robot, stamps, tf, told_by
+from vapor.track import main
+from vapor.training_set import load_training_set, open_sequences
+
+TYPES = ["nav_msgs/Odometry", "geometry_msgs/TransformStamped"]
+TYPES_OF_UNSAID = ["geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", "nav_msgs/Path"]
+
+
+def require_true(frames: list[Frame], tolerance_m: float = 1e-3) -> None:
+    """All twelve frames have the walk's true pose: interpolated over 20 ms, which costs half a millimetre at most."""
+    assert len(frames) == 12
+    for frame in frames:
+        assert frame.world_from_camera is not None
+        expected = body(frame.time_ns) @ BASE_FROM_CAMERA
+        metres, radians = frame.world_from_camera.distance(expected)
+        assert metres < tolerance_m
+        assert radians < 1e-3
+
+
+def read(path: Path, **options: object) -> list[Frame]:
+    return list(posed_frames(path, options=SequenceOptions(**options)))  # pyright: ignore[reportArgumentType]
+
+
+# --- topics ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("message_type", TYPES + TYPES_OF_UNSAID)
+def test_every_type_gives_the_poses_of_the_camera(message_type: str, tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", images(), mounted(), told_by(message_type, stamps()))
+    child = {} if message_type in TYPES else {"ground_truth_child_frame": "base_link"}
+    require_true(read(path, ground_truth_topic="/truth", **child))
+
+
+@pytest.mark.parametrize("message_type", TYPES + TYPES_OF_UNSAID)
+def test_a_stated_pose_of_the_camera_replaces_tf(message_type: str, tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", images(), told_by(message_type, stamps()))
+    numbers = (*BASE_FROM_CAMERA.translation.tolist(), *BASE_FROM_CAMERA.as_quat_xyzw().tolist())
+    named = {"ground_truth_topic": "/truth", "ground_truth_child_frame": "base_link"}
+    require_true(read(path, base_from_camera=numbers, **named))
+
+
+def test_the_body_may_be_another_one_than_that_of_the_odometry(tmp_path: Path) -> None:
+    base_from_imu = Poses.exp(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]))
+    path = record(
+        tmp_path / "a.mcap",
+        images(),
+        odometry(stamps()),
+        tf("base_link", "imu", [BEGIN_NS], lambda _: base_from_imu, "/tf_static"),
+        [
+            Event(t, "/truth", "geometry_msgs/PoseStamped", {"header": header(t, "map"), "pose": pose(world_from_imu)})
+            for t in stamps()
+            for world_from_imu in [body(t) @ base_from_imu]
+        ],
+    )
+    numbers = (*BASE_FROM_CAMERA.translation.tolist(), *BASE_FROM_CAMERA.as_quat_xyzw().tolist())
+    require_true(read(path, base_from_camera=numbers, ground_truth_child_frame="imu"))
+
+
+def test_of_a_path_that_grows_the_last_message_holds_all(tmp_path: Path) -> None:
+    """Each message corrects all before it: only the last one is right."""
+    events = []
+    for last in range(1, len(stamps()) + 1):
+        wrong = Poses.exp(np.array([0.5, 0, 0, 0, 0, 0]) * (last < len(stamps())))
+        poses = [{"header": header(t, "map"), "pose": pose(body(t) @ wrong)} for t in stamps()[:last]]
+        events.append(Event(stamps()[last - 1], "/path", "nav_msgs/Path", {"header": header(0, "map"), "poses": poses}))
+    path = record(tmp_path / "a.mcap", images(), mounted(), events)
+    require_true(read(path, ground_truth_topic="/path", ground_truth_child_frame="base_link"))
+
+
+def test_a_path_without_stamps_of_its_own_is_refused(tmp_path: Path) -> None:
+    poses = [{"header": header(BEGIN_NS, "map"), "pose": pose(body(t))} for t in stamps()]
+    message = {"header": header(BEGIN_NS, "map"), "poses": poses}
+    path = record(tmp_path / "a.mcap", images(), [Event(BEGIN_NS, "/path", "nav_msgs/Path", message)])
+    with pytest.raises(SequenceError, match=r"a\.mcap: /path: 1 poses at stamps of their own"):
+        read(path)
+
+
+def test_a_body_that_tf_does_not_know_is_named(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", images(), mounted(), told_by("nav_msgs/Odometry", stamps(), child="vicon/cart"))
+    with pytest.raises(
+        SequenceError, match=r"no transform from 'vicon/cart' \(/truth\) to 'camera'.*--ground-truth-child"
+    ):
+        read(path)
+    require_true(read(path, ground_truth_child_frame="base_link"))
+
+
+def test_stamps_that_run_backwards_are_counted(tmp_path: Path) -> None:
+    events = told_by("nav_msgs/Odometry", stamps())
+    late = [Event(events[i + 4].time_ns + 1, "/truth", "nav_msgs/Odometry", events[i].message) for i in (5, 20)]
+    path = record(tmp_path / "a.mcap", images(), mounted(), events, late)
+    frames = posed_frames(path, options=SequenceOptions(ground_truth_topic="/truth"))
+    require_true(list(frames))
+    assert frames.skipped == {"true pose time stamp not increasing": 2}
+
+
+# --- tf --------------------------------------------------------------------------------------------
+
+
+def test_poses_come_through_the_tree_of_transforms(tmp_path: Path) -> None:
+    require_true(read(robot(tmp_path / "a.mcap"), ground_truth_frame="map"))
+
+
+def test_odometry_and_true_poses_of_tf_are_found_by_themselves(tmp_path: Path) -> None:
+    reader = SequenceReader(robot(tmp_path / "a.mcap"))
+    frames = list(reader)
+    require_true(frames)
+    assert (reader.resolved["odometry_frame"], reader.resolved["ground_truth_frame"]) == ("odom", "map")
+    assert reader.base_from_camera is not None
+    assert max(reader.base_from_camera.distance(BASE_FROM_CAMERA)) < 1e-9
+    for before, frame in pairwise(frames):
+        assert frame.odometry is not None
+        truth = (body(before.time_ns) @ BASE_FROM_CAMERA).inverse() @ body(frame.time_ns) @ BASE_FROM_CAMERA
+        assert max(frame.odometry.previous_from_current.distance(truth)) < 1e-3
+        assert np.linalg.eigvalsh(frame.odometry.covariance)[0] > 0
+    assert reader.notices == []
+
+
+def test_a_frame_that_is_not_there_or_does_not_move_is_refused(tmp_path: Path) -> None:
+    plate = tf("base_link", "plate", [BEGIN_NS], lambda _: BASE_FROM_CAMERA, "/tf_static")
+    path = robot(tmp_path / "a.mcap", extra=plate)
+    with pytest.raises(SequenceError, match=r"no transforms from 'world' \(--ground-truth-frame\).*base_link, camera"):
+        read(path, ground_truth_frame="world")
+    with pytest.raises(SequenceError, match=r"'camera' never moves in 'plate' \(--ground-truth-frame\)"):
+        read(path, ground_truth_frame="plate")
+    with pytest.raises(SequenceError, match=r"tf has no 'vo' in which 'camera' moves \(--odometry-frame\)"):
+        SequenceReader(path, SequenceOptions(odometry_frame="vo"))
+    with pytest.raises(SequenceError, match=r"--ground-truth-frame and --poses all say where"):
+        SequenceOptions(ground_truth_frame="map", poses=Path("a.txt"))
+
+
+def test_a_camera_that_turns_on_its_robot_is_followed_by_tf_only(tmp_path: Path) -> None:
+    def head(t: int) -> Poses:
+        return BASE_FROM_CAMERA @ Poses.exp(np.array([0, 0, 0, 0, 0.5, 0]) * ((t - BEGIN_NS) * 1e-9))
+
+    path = record(
+        tmp_path / "a.mcap",
+        images(),
+        tf("base_link", "camera", stamps(), head),
+        tf("map", "base_link", stamps(since_ms=-36), body),
+        odometry(stamps()),
+    )
+    for frame in read(path, ground_truth_frame="map"):
+        assert frame.world_from_camera is not None
+        assert max(frame.world_from_camera.distance(body(frame.time_ns) @ head(frame.time_ns))) < 1e-3
+    with pytest.raises(SequenceError, match=r"/tf at \d+ ns: base_link -> camera has moved by .* rad, expected.*fixed"):
+        list(SequenceReader(path, SequenceOptions(ground_truth_frame="map")))
+
+
+def test_odometry_that_is_optional_ends_where_the_camera_moves_on_its_robot(tmp_path: Path) -> None:
+    def head(t: int) -> Poses:
+        return BASE_FROM_CAMERA @ Poses.exp(np.array([0, 0, 0, 0, 0.5, 0]) * (t > BEGIN_NS + 550 * MS))
+
+    path = record(
+        tmp_path / "a.mcap",
+        images(),
+        tf("base_link", "camera", stamps(), head),
+        tf("map", "base_link", stamps(since_ms=-36), body),
+        odometry(stamps()),
+    )
+    frames = posed_frames(path, options=SequenceOptions(ground_truth_frame="map"))
+    assert [frame.odometry is not None for frame in frames] == [False] + [True] * 5 + [False] * 6
+    assert frames.skipped == {"odometry from where the camera moved on its base": 1}
+
+
+def test_a_jump_is_counted_and_no_pose_is_interpolated_across_it(tmp_path: Path) -> None:
+    """map -> odom jumps by 0.6 m between two messages 90 ms apart, with one image between them."""
+    times = stamps(every_ms=90, since_ms=-39)
+    after = next(i for i, t in enumerate(times) if t > BEGIN_NS + 600 * MS)
+    path = robot(tmp_path / "a.mcap", jump_ns=times[after])
+    between = [t for t, _ in Walk().images if times[after - 1] < t < times[after]]
+    assert len(between) == 1  # the precondition
+    reader = SequenceReader(path)
+    assert [frame.time_ns for frame in reader if frame.world_from_camera is None] == between
+    assert reader.across_jumps == 1
+    (notice,) = reader.notices
+    assert notice.startswith(f"true poses of tf frame map jump 1 times, first at {times[after] * 1e-9:.3f} s: 1 images")
+    frames = posed_frames(path)
+    assert len(list(frames)) == 11
+    assert frames.skipped == {"true pose jumps": 1}
+    assert notice in frames.notices[0]
+
+
+def test_a_link_that_is_told_seldom_covers_while_it_hardly_moves(tmp_path: Path) -> None:
+    path = record(
+        tmp_path / "a.mcap",
+        images(),
+        mounted(),
+        tf("map", "odom", stamps(every_ms=640), lambda _: Poses.identity()),
+        tf("odom", "base_link", stamps(), body),
+    )
+    require_true(read(path)[:12])
+
+
+@pytest.mark.parametrize("with_tree", [True, False])
+@pytest.mark.usefixtures("unchecked")
+def test_memory_does_not_grow_with_the_file(with_tree: bool, tmp_path: Path) -> None:
+    peaks = []
+    for num_images in (20, 80):
+        times = stamps(num_images)
+        parts = [tf("map", "base_link", times, body)] if with_tree else [told_by("nav_msgs/Odometry", times)]
+        path = record(tmp_path / f"{num_images}.mcap", images(num_images), mounted(), *parts)
+        reader = SequenceReader(path, odometry="unread", true_poses="required")
+        assert next(iter(reader)).world_from_camera is not None  # decoders are made once and kept
+        tracemalloc.start()
+        assert sum(frame.world_from_camera is not None for frame in reader) == num_images
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]
+
+
+# --- what is found by itself -----------------------------------------------------------------------
+
+
+def test_without_any_the_error_says_what_could_give_them(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", images(), mounted(), odometry(stamps()))
+    with pytest.raises(SequenceError, match=r"no true poses found.*one of: /odom, odometry as it seems.*--poses"):
+        read(path)
+    assert next(iter(SequenceReader(path))).world_from_camera is None
+    bare = record(tmp_path / "b.mcap", images())
+    with pytest.raises(SequenceError, match=r"b\.mcap: no true poses: expected a topic of type geometry.*none"):
+        read(bare)
+
+
+def test_of_two_candidates_the_error_lists_both_with_their_options(tmp_path: Path) -> None:
+    extra = told_by("geometry_msgs/PoseWithCovarianceStamped", stamps(), topic="/amcl_pose")
+    extra += told_by("geometry_msgs/PoseWithCovarianceStamped", stamps()[:1], topic="/initialpose")  # is none
+    path = robot(tmp_path / "a.mcap", extra=extra)
+    said = r"/amcl_pose \(geometry_msgs/PoseWith\w+: --ground-truth-topic /amcl_pose\); tf frame map \(--ground"
+    with pytest.raises(SequenceError, match=said):
+        read(path)
+    assert next(iter(SequenceReader(path))).world_from_camera is None
+    require_true(read(path, ground_truth_topic="/amcl_pose", ground_truth_child_frame="base_link"))
+
+
+def test_the_only_candidate_is_taken_and_what_it_was_taken_for_is_said(tmp_path: Path) -> None:
+    path = record(
+        tmp_path / "a.mcap",
+        images(),
+        mounted(),
+        odometry(stamps()),
+        told_by("geometry_msgs/PoseWithCovarianceStamped", stamps()),
+    )
+    reader = SequenceReader(path)
+    frame = next(iter(reader))
+    assert frame.world_from_camera is not None
+    assert max(frame.world_from_camera.distance(body(frame.time_ns))) < 1e-3  # as of the camera itself
+    assert reader.resolved["ground_truth_topic"] == "/truth"
+    assert "/truth" in reader.notices[0]
+    assert "--ground-truth-child-frame" in reader.notices[0]
+
+
+def test_odometry_named_as_the_truth_is_not_taken_for_odometry(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", images(), mounted(), odometry(stamps()), told_by("nav_msgs/Odometry", stamps()))
+    reader = SequenceReader(path, SequenceOptions(ground_truth_topic="/truth"))
+    assert reader.resolved["odometry_topic"] == "/odom"
+    require_true(list(reader))
+    with pytest.raises(SequenceError, match="2 odometry topics"):
+        SequenceReader(path)
+    named = SequenceReader(path, SequenceOptions(odometry_topic="/odom"))
+    assert named.resolved["ground_truth_topic"] == "/truth"
+
+
+# --- what is wrong ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("message_type", TYPES + TYPES_OF_UNSAID)
+def test_poses_of_another_time_are_refused_with_both_ranges(message_type: str, tmp_path: Path) -> None:
+    old = told_by(message_type, stamps())
+    day_s = 86400
+
+    def earlier(message: dict) -> dict:
+        found = {k: earlier(v) if isinstance(v, dict) else v for k, v in message.items()}
+        found |= {k: [earlier(part) for part in v] for k, v in message.items() if k == "poses"}
+        return found | ({"sec": message["sec"] - day_s} if "sec" in message else {})
+
+    events = [Event(e.time_ns, e.topic, e.type, earlier(e.message)) for e in old]
+    path = record(tmp_path / "a.mcap", images(), mounted(), events)
+    first, last = (stamps()[i] * 1e-9 - day_s for i in (0, -1))
+    said = rf"those of /truth are from {first:.3f} to {last:.3f} s, images from {BEGIN_NS * 1e-9:.3f} to"
+    with pytest.raises(SequenceError, match=said):
+        read(path, ground_truth_topic="/truth")
+    reader = SequenceReader(path, SequenceOptions(ground_truth_topic="/truth"), odometry="unread")
+    assert all(frame.world_from_camera is None for frame in reader)
+    assert any("those of /truth" in notice for notice in reader.notices)
+
+
+def test_poses_far_from_the_origin_keep_their_millimetres(tmp_path: Path) -> None:
+    utm = Poses.exp(np.array([0.0, 0.0, 0.0, 0.1, -0.2, 0.7]))
+    utm = Poses(utm.rotation, np.array([4.5e5, 5.4e6, 300.0]))
+    path = record(tmp_path / "a.mcap", images(), mounted(), tf("utm", "base_link", stamps(), lambda t: utm @ body(t)))
+    frames = read(path)
+    near = read(path, ground_truth_origin=tuple(utm.translation.tolist()))
+    for frame, shifted in zip(frames, near, strict=True):
+        assert frame.world_from_camera is not None
+        assert shifted.world_from_camera is not None
+        expected = utm @ body(frame.time_ns) @ BASE_FROM_CAMERA
+        assert frame.world_from_camera.distance(expected)[0] < 1e-3
+        moved = frame.world_from_camera.translation - utm.translation
+        np.testing.assert_allclose(shifted.world_from_camera.translation, moved, atol=1e-8)
+    assert np.abs(near[0].world_from_camera.translation).max() < 10  # pyright: ignore[reportOptionalMemberAccess]
+
+
+def test_a_transform_that_nobody_asks_for_may_be_broken(tmp_path: Path) -> None:
+    broken = tf("base_link", "wheel", stamps(), lambda _: Poses(np.eye(3), np.full(3, np.nan)))
+    asked = {"ground_truth_frame": "map", "base_from_camera": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)}
+    path = record(tmp_path / "a.mcap", images(), odometry(stamps()), tf("map", "base_link", stamps(), body), broken)
+    assert len(read(path, **asked)) == 12
+    lost = tf("map", "base_link", stamps()[9:10], lambda _: Poses(np.eye(3), np.full(3, np.nan)))
+    path = record(tmp_path / "b.mcap", images(), odometry(stamps()), tf("map", "base_link", stamps(), body), lost)
+    with pytest.raises(SequenceError, match=r"b\.mcap: /tf at .* true pose: transform map -> base_link: .*not finite"):
+        read(path, **asked)
+
+
+def test_broken_transforms_do_no_harm_where_true_poses_are_not_needed(tmp_path: Path) -> None:
+    broken = tf("map", "wheel", stamps(), lambda _: Poses(np.eye(3), np.full(3, np.nan)))
+    reader = SequenceReader(record(tmp_path / "a.mcap", images(), mounted(), odometry(stamps()), broken))
+    assert len(list(reader)) == 12
+
+
+@pytest.mark.parametrize("name", ["odometry_frame", "ground_truth_frame", "ground_truth_child_frame"])
+def test_a_frame_needs_a_name(name: str) -> None:
+    with pytest.raises(SequenceError, match=rf"{name} is '', expected the name of a frame"):
+        SequenceOptions(**{name: ""})  # pyright: ignore[reportArgumentType]
+
+
+# --- commands --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["train", "calibrate"])
+def test_train_and_calibrate_take_the_same_options(
+    command: str, tiny_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, output = robot(tmp_path / "a.mcap"), tmp_path / "out.safetensors"
+    model = [str(tiny_model)] if command == "calibrate" else []
+    words = [command, *model, str(path), "--output", str(output)]
+    assert main([*words, "--ground-truth-frame", "nowhere"]) == 1
+    assert "no transforms from 'nowhere' (--ground-truth-frame)" in capsys.readouterr().err
+    assert main([*words, "--poses", str(tmp_path / "none.tum")]) == 1
+    assert "none.tum: cannot read" in capsys.readouterr().err
+    assert not output.exists()
+
+
+def test_a_training_says_where_positions_are_too_far_for_the_network(tmp_path: Path) -> None:
+    far = Poses(np.eye(3), np.array([4.5e5, 5.4e6, 0.0]))
+    path = record(tmp_path / "a.mcap", images(), mounted(), tf("utm", "base_link", stamps(), lambda t: far @ body(t)))
+    loaded = load_training_set(open_sequences([path]), (32, 24))
+    (notice,) = loaded.notices
+    assert "positions up to 5.4e+06 m from zero: the network tells them to 0.5 m only; --ground-truth-origin" in notice
+    reading = SequenceOptions(ground_truth_origin=(4.5e5, 5.4e6, 0.0))
+    assert load_training_set(open_sequences([path], reading), (32, 24)).notices == ()
