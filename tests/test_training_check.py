@@ -79,7 +79,7 @@ def test_a_network_that_knows_nothing_is_told(images, monkeypatch):
 
     found, kept = checked(images, HONEST, anywhere, monkeypatch, np.arange(180) < 60)
     assert found.methods["single_image"].right < 0.2
-    assert found.overconfident
+    assert found.worse or found.overconfident
     assert found.verdict.endswith("because the network hardly knows the place: record more of it, or train for longer")
     assert kept.errors == HONEST
 
@@ -93,7 +93,7 @@ def test_causes_are_told_apart(images):
     few = CalibrationResult(Calibration(), effective_images=4.0)
     assert "worth only 4 independent ones" in training_check._verdict(bad, few)
     assert "longer than any held-out pass" in training_check._verdict(bad, replace(few, effective_images=40.0))
-    sure = replace(bad, methods=figures, wrong=0.2, converged=0.5)
+    sure = replace(bad, methods=figures, coverage={"50%": 0.1, "90%": 0.4, "95%": 0.5}, converged=0.5)
     assert not sure.worse
     assert "surer than it may be" in training_check._verdict(sure, few)
 

@@ -30,7 +30,6 @@ _MOST_IMAGES = 600
 _LEAST_JUDGED = 50
 _WORSE_RIGHT, _WORSE_MEDIAN = 0.02, 1.1  # than the single image, in share of the images and times the median error
 _LEAST_COVERAGE = 0.8  # of the 95 % region
-_MOST_WRONG = 0.05  # of the images called converged
 _WIDER = (2.0, 4.0, 8.0)  # variances that are tried
 _HARDLY, _FEW, _SCALE = 0.2, 10.0, 0.1
 
@@ -84,9 +83,8 @@ class TrainingCheck:
 
     @property
     def overconfident(self) -> bool:
-        """Whether its regions hold too few true poses, or it calls itself converged in wrong places."""
-        holds = self.coverage is None or self.coverage["95%"] >= _LEAST_COVERAGE
-        return not holds or (self.wrong or 0.0) > _MOST_WRONG
+        """Whether its regions hold too few true poses."""
+        return self.coverage is not None and self.coverage["95%"] < _LEAST_COVERAGE
 
     @property
     def rank(self) -> tuple[bool, bool, float, float]:
