@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.bag import Bag, Topic
 from sequences.errors import SequenceError
@@ -276,6 +277,6 @@ def _extend(
             continue
         try:
             pose = pose_from_message(stamped.pose)
-        except Exception as error:
+        except VaporTrackError as error:
             raise SequenceError(f"{bag.path}: {topic.name} at {time_ns} ns: true pose: {error}") from error
         rows.append((time_ns, np.concatenate([pose.translation, pose.as_quat_xyzw()])))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
 
@@ -103,6 +103,23 @@ class _Net:
         self.edges += list(pairwise(nodes))
 
 
+@dataclass
+class _Axis:
+    """The middle line of a corridor, along x of its frame, and the nodes on it by x; metres."""
+
+    net: _Net
+    frame: Spot
+    y: float
+    z: float
+    freedom: float
+    nodes: list[tuple[float, int]] = field(default_factory=list)
+
+    def node(self, x: float) -> int:
+        """A new one."""
+        self.nodes.append((x, self.net.node(self.frame, x, self.y, self.z, self.freedom)))
+        return self.nodes[-1][1]
+
+
 @cache
 def ways(plan: Plan) -> Ways:
     """All ways through a building."""
@@ -115,15 +132,9 @@ def ways(plan: Plan) -> Ways:
         for index, block in enumerate(plan.blocks):
             z, middle = level * plan.storey, block.width / 2
             freedom = float(np.clip(block.width / 2 - _CORRIDOR_M, _ASIDE_M, _WIDE_M))
-            axis: list[tuple[float, int]] = []
-
-            def on_axis(x: float) -> int:
-                node = net.node(block.frame, x, middle, z, freedom)  # noqa: B023
-                axis.append((x, node))  # noqa: B023
-                return node
-
+            axis = _Axis(net, block.frame, middle, z, freedom)
             for x in (-plan.wall if block.open_start else 0.9, block.length - 0.9):
-                end = on_axis(x)
+                end = axis.node(x)
                 if block.open_start and x < 0:
                     net.join(wing_doors[level], end)
                 else:
@@ -131,19 +142,19 @@ def ways(plan: Plan) -> Ways:
             for slot in block.slots:
                 if slot.kind == "room":
                     inside, visit = _into(plan, net, block, slot, level)
-                    net.join(on_axis(slot.door), inside)
+                    net.join(axis.node(slot.door), inside)
                     stations[level].append((100.0 * index + slot.door, Station(inside, visit)))
                 elif slot.kind == "wing":
-                    wing_doors[level] = on_axis(slot.door)
+                    wing_doors[level] = axis.node(slot.door)
                 elif slot.kind == "stairs":
                     frame, stairs = plan.frame_of(block, slot), plan.stairs
                     up, down = np.mean(stairs.up_x), np.mean(stairs.down_x)
                     both = [net.node(frame, float(x), 0.45 * stairs.landing, z) for x in (up, down)]
                     net.join(*both)
                     for x, node in zip((up, down), both, strict=True):
-                        net.join(on_axis(float(slot.begin + x if slot.high else slot.end - x)), node)
+                        net.join(axis.node(float(slot.begin + x if slot.high else slot.end - x)), node)
                     landings[level, wells.index(slot)] = both[0], both[1]
-            net.join(*(node for _, node in sorted(axis)))
+            net.join(*(node for _, node in sorted(axis.nodes)))
     half_landings = _climb(plan, net, landings)
     tour: list[Station] = []
     for level in range(plan.levels):
