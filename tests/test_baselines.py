@@ -17,7 +17,8 @@ from vapor.loss import LossConfig, training_loss
 from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import METHODS
-from vapor.train import _paired, train_on
+from vapor.train import train_on
+from vapor.training_epoch import _paired
 
 BOX = SceneBox((-2.0, -1.0, 0.0), (2.0, 3.0, 1.0))
 SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=32, feature_dim=32, latent_dim=4, components=5)

@@ -382,7 +382,7 @@ WRONG = {
     "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),
     "negative seed of a scene": (["synthesize", "staircase", "s.mcap", "--seed", "-1"], "seed -1"),
     "demo of no frames": (["demo", "--frames", "0"], "0 frames"),
-    "unknown preset": (["train", "a.mcap", "--output", "m.safetensors", "--preset", "fast"], "expected one of demo"),
+    "unknown preset": (["train", "a.mcap", "--output", "m.safetensors", "--preset", "fast"], "expected one of auto"),
     "preset without name": (["train", "a.mcap", "--output", "m.safetensors", "--preset"], "preset"),
     "no training data": (["train", "--output", "m.safetensors"], "no training data"),
     "no model to write": (["train", "a.mcap"], "--output"),
@@ -412,7 +412,7 @@ WRONG = {
     "a filter of no hypotheses": (["benchmark", "step", "--hypotheses", "10", "0"], "hypotheses are (10, 0)"),
     "a network of no preset": (
         ["benchmark", "step", "--preset", "fast"],
-        "unknown preset 'fast', expected one of demo",
+        "unknown preset 'fast', expected one of auto",
     ),
     "unknown benchmark": (["benchmark", "everything"], "expected one of step, localization"),
 }
@@ -560,13 +560,13 @@ def test_a_training_that_was_interrupted_goes_on_and_its_model_runs(walk_of_25, 
     words = ["train", str(walk_of_25), "--output", str(model), *TRAINING]
     epochs = []
 
-    def interrupted(state, *rest, original=train_module._train_epoch):
+    def interrupted(state, *rest, original=train_module.train_epoch, **more):
         epochs.append(state.epoch)
         if epochs == [0, 1]:
             raise KeyboardInterrupt
-        return original(state, *rest)
+        return original(state, *rest, **more)
 
-    monkeypatch.setattr(train_module, "_train_epoch", interrupted)
+    monkeypatch.setattr(train_module, "train_epoch", interrupted)
     assert main(words) == 130
     assert capsys.readouterr().err.splitlines()[-1].startswith("vapor-track train: interrupted")
     assert not model.exists()

@@ -347,7 +347,7 @@ def test_a_table_and_a_schedule_start_from_a_preset(words, experiment, monkeypat
 def test_an_unknown_preset_of_a_table_is_told(tmp_path, capfd):
     with pytest.raises(SystemExit, match="2"):
         main(["experiment", "table", "round-table", "--preset", "quick", "--output", str(tmp_path)])
-    assert "vapor-track experiment table: unknown preset 'quick', expected one of demo," in capfd.readouterr().err
+    assert "vapor-track experiment table: unknown preset 'quick', expected one of auto," in capfd.readouterr().err
 
 
 def test_data_that_the_filter_cannot_read_is_refused_before_anything_is_trained(tmp_path):

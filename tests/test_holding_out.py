@@ -31,6 +31,7 @@ def recorded(*passes: Poses) -> TrainingSet:
         Poses.concatenate(list(passes)),
         np.repeat(np.arange(len(passes)), [len(poses) for poses in passes]),
         tuple(f"walk{i}" for i in range(len(passes))),
+        (1, 1),
         100_000_000 * np.arange(count),
         (None,) * count,
         Counter(),

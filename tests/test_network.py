@@ -225,3 +225,19 @@ def test_impossible_network_configurations_are_refused(change):
 def test_a_box_without_volume_or_end_is_refused(upper):
     with pytest.raises(VaporTrackError, match="each lower one below its upper one"):
         SceneBox((-1.0, 0.0, 2.0), upper)
+
+
+@pytest.mark.parametrize(
+    ("camera", "size", "shortest_edge"),
+    [
+        ((640, 480), (160, 120), 126),
+        ((1280, 720), (184, 104), 109),
+        ((160, 160), (136, 136), 143),
+        ((480, 640), (120, 160), 126),
+        ((96, 72), (96, 72), 76),  # no more pixels than there are
+        ((4000, 100), (280, 72), 76),  # at most four times as wide
+    ],
+)
+def test_a_network_takes_the_aspect_of_a_camera(camera, size, shortest_edge):
+    network = NetworkConfig().for_camera(*camera)
+    assert (network.image_width, network.image_height, network.shortest_edge) == (*size, shortest_edge)

@@ -17,8 +17,9 @@ from vapor.loss import LossConfig
 from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import PRESETS
-from vapor.train import _update_average, _uses_bfloat16, train, train_on, train_on_images
+from vapor.train import train, train_on, train_on_images
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
+from vapor.training_epoch import _update_average, _uses_bfloat16
 from vapor.training_set import TrainingError, load_training_set
 from vapor.training_start import parameter_groups
 from vapor.training_state import TrainingState, state_path
@@ -35,6 +36,7 @@ TINY = TrainConfig(
         hidden_width=64,
         hidden_layers=2,
     ),
+    aspect="network",
     loss=LossConfig(num_samples=64, position_unit="metre"),
     bandwidth_translation_m=1.0,
     bandwidth_rotation_rad=1.0,  # wide, so that a few steps move the held-out density
@@ -249,11 +251,11 @@ def test_told_seconds_are_those_of_training_without_judging(tmp_path, monkeypatc
         return validate(*args, **kwargs)
 
     monkeypatch.setattr("vapor.train.validate", slowly)
-    told = []
+    told, begin = [], time.perf_counter()
     result = train_on_most(make_frames(24), tmp_path / "m.safetensors", TINY, progress=told.append)
     seconds = [progress.seconds for progress in told if progress.stage == "training"]
     assert seconds == sorted(seconds)
-    assert 0.0 < seconds[-1] < result.seconds - 0.1 * TINY.epochs
+    assert 0.0 < seconds[-1] <= result.seconds < time.perf_counter() - begin - 0.1 * (TINY.epochs or 0)
 
 
 def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypatch):
@@ -263,6 +265,72 @@ def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypat
         train_on_most(make_frames(24), tmp_path / "m.safetensors", lite0)
     result = train_on_most(make_frames(24), tmp_path / "m.safetensors", replace(lite0, pretrained=False))
     assert len(result.history) == 1
+
+
+# --- as much as there is time for, and everything in the end ----------------------------------------
+
+
+def walks() -> dict[str, list[Frame]]:
+    """Four walks of 24 images along the same line, of which one is held out."""
+    frames = make_frames(96)
+    poses = [Poses(np.eye(3), np.array([0.1 * i, 0.0, 0.0])) for i in range(24)]
+    moved = [replace(frame, world_from_camera=poses[i % 24]) for i, frame in enumerate(frames)]
+    return {name: moved[24 * i : 24 * (i + 1)] for i, name in enumerate("abcd")}
+
+
+EVERYTHING = replace(TINY, calibrate=False, finish=0.5)
+
+
+def test_a_model_that_was_judged_learns_from_what_was_held_out(tmp_path):
+    told = []
+    result = train_on(walks(), tmp_path / "m.safetensors", EVERYTHING, progress=told.append)
+    stages = [p.stage for p in told if p.epoch]
+    assert stages == ["training"] * 4 * 9 + ["training on everything"] * 2 * 12  # 72 and 96 images
+    assert [p.done for p in told if p.epoch] == list(range(1, 61))
+    assert [p.epoch for p in result.history] == [1, 2, 3, 4]
+    assert result.checkpoint.training["training_images"] == 96
+    assert result.checkpoint.training["images_seen"] == result.images_seen == 4 * 72 + 2 * 96
+    without = train_on(walks(), tmp_path / "n.safetensors", replace(EVERYTHING, finish=0.0))
+    assert (without.history, without.images_seen) == (result.history, 4 * 72)
+    assert not _same(result.checkpoint, without.checkpoint)
+
+
+def test_held_out_data_that_were_given_are_never_learned_from(tmp_path):
+    parts = walks()
+    held_out = {"d": parts.pop("d")}
+    result = train_on(parts, tmp_path / "m.safetensors", EVERYTHING, validation=held_out)
+    assert result.checkpoint.training["training_images"] == 72
+    assert result.images_seen == 4 * 72
+
+
+@pytest.mark.parametrize("step", [20, 37, 50])
+def test_interrupted_before_or_after_it_was_judged_a_training_ends_with_the_same_weights(tmp_path, step):
+    whole = train_on(walks(), tmp_path / "whole.safetensors", EVERYTHING)
+
+    def progress(p):
+        if p.epoch and p.done == step:
+            raise _Interrupted
+
+    with pytest.raises(_Interrupted):
+        train_on(walks(), tmp_path / "m.safetensors", EVERYTHING, progress=progress)
+    assert _same(train_on(walks(), tmp_path / "m.safetensors", EVERYTHING).checkpoint, whole.checkpoint)
+
+
+def test_epochs_that_are_not_given_fit_into_the_hours(tmp_path, monkeypatch):
+    now = iter(np.arange(0.0, 1e6, 0.01))  # as if every step took so long, and nothing else any time
+    monkeypatch.setattr("vapor.training_epoch.perf_counter", lambda: float(next(now)))
+    config = replace(EVERYTHING, epochs=None, hours=10.0 / 3600)
+    found = train_on(walks(), tmp_path / "m.safetensors", config)
+    seconds = 0.01 / 8 * found.images_seen
+    assert 6.0 < seconds < 10.0  # judging takes the rest
+    assert found.checkpoint.training["config"]["epochs"] == len(found.history) * (found.history[1].epoch - 1)
+    assert train_on(walks(), tmp_path / "n.safetensors", replace(config, hours=1e-9)).history[-1].epoch == 4
+
+
+def test_the_network_sees_the_camera_s_aspect_with_as_many_pixels(tmp_path):
+    config = replace(TINY, aspect="camera", epochs=1)
+    network = train_on_most(make_frames(24), tmp_path / "m.safetensors", config).checkpoint.network
+    assert (network.image_width, network.image_height, network.shortest_edge) == (40, 32, 36)  # images are 48 x 36
 
 
 def test_an_interrupted_training_of_another_configuration_is_not_continued(tmp_path):
@@ -373,7 +441,9 @@ def test_samples_grow_from_the_winners_to_all_of_them_and_by_default_do_not():
     assert samples[25] == int(20 * 20**0.5)  # half way in the growth
     assert (np.diff(samples) >= 0).all()
     assert set(samples[50:]) == {400}
-    assert {samples_per_image(TrainConfig(), step, 10) for step in range(300)} == {TrainConfig().loss.num_samples}
+    assert {samples_per_image(TrainConfig(epochs=30), step, 10) for step in range(300)} == {
+        TrainConfig().loss.num_samples
+    }
 
 
 def test_arithmetic_is_chosen_by_hardware_and_network_unless_it_is_told(monkeypatch):

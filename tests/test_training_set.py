@@ -12,7 +12,8 @@ from tests.test_train import TINY, make_frames, pose
 from vapor.baselines import make_regressor
 from vapor.network import SceneBox
 from vapor.track import main
-from vapor.train import _paired, train, train_on
+from vapor.train import train, train_on
+from vapor.training_epoch import _paired
 from vapor.training_set import TrainingError, load_training_set, open_sequences, require_apart
 from vapor.validation import predict
 

@@ -37,12 +37,14 @@ class Split:
         source: Recordings of which images are held out, n images: those between them tell how the camera moved.
         judged: Held out, (n,): trained images show what is around each, and none of them is next to it in time.
         notes: What was done, in sentences.
+        everything: Images to learn from once the model was judged.
     """
 
     training: TrainingSet
     source: TrainingSet
     judged: Bool[np.ndarray, " n"]
     notes: tuple[str, ...]
+    everything: TrainingSet
 
     @cached_property
     def held_out(self) -> TrainingSet:
@@ -63,7 +65,7 @@ def hold_out(images: TrainingSet, share: float) -> Split:
     """
     nothing = np.zeros(len(images), bool)
     if share == 0.0:
-        return Split(images, images, nothing, ())
+        return Split(images, images, nothing, (), images)
     side = typical_side_m(images.poses)
     way = _way(images, _FARTHEST * side)
     rows = spaced(len(images), _COMPARED)
@@ -82,7 +84,7 @@ def hold_out(images: TrainingSet, share: float) -> Split:
             f"nothing is held out: no {LEAST_IMAGES} images in a row lead over ground that others show, too; the last"
             " epoch is kept, and how images err is assumed, not found: record another pass, or give held-out data"
         )
-        return Split(images, images, nothing, (note,))
+        return Split(images, images, nothing, (note,), images)
     notes = [f"held out: {_told(images, held_out)}; other passes show what is there"]
     if alone.any():
         notes.append(
@@ -91,7 +93,7 @@ def hold_out(images: TrainingSet, share: float) -> Split:
     left = int((~training & ~held_out).sum())
     if left:
         notes.append(f"{left} images are left out, as they are next to images that are trained on or not shown by any")
-    return Split(images.select(np.flatnonzero(training)), images, held_out, tuple(notes))
+    return Split(images.select(np.flatnonzero(training)), images, held_out, tuple(notes), images)
 
 
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
@@ -101,7 +103,7 @@ def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
     near_m = _near_m(distances_m, side)
     shown = distances_m <= near_m
     outside = f"not judged by, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
-    return Split(training, held_out, shown, () if shown.all() else (outside,))
+    return Split(training, held_out, shown, () if shown.all() else (outside,), training)
 
 
 def _chosen(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Literal, get_args
@@ -27,6 +27,7 @@ Head = Literal["variational", "deterministic", "point", "dropout", "mixture", "f
 # Mean and standard deviation of RGB pixels in 0..255 that the published weights expect.
 _IMAGENET = ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375))
 _LITE0 = ((127.0, 127.0, 127.0), (128.0, 128.0, 128.0))
+_MOST_ASPECT = 4.0
 _MAX_POSITION_M = 1e8  # further than anything on Earth
 
 LatentSamples = Float[Tensor, "*batch d"]
@@ -93,6 +94,20 @@ class NetworkConfig:
         """Width and height of what crops are taken from, pixels: shortest edge and aspect as configured."""
         scale = self.shortest_edge / min(self.image_width, self.image_height)
         return round(self.image_width * scale), round(self.image_height * scale)
+
+    def for_camera(self, width: int, height: int) -> NetworkConfig:
+        """The same for images of another aspect: about as many pixels, but no more than the camera has.
+
+        Args:
+            width: Of the camera's images, pixels.
+            height: Likewise.
+        """
+        aspect = min(max(width / height, 1 / _MOST_ASPECT), _MOST_ASPECT)
+        pixels = min(self.image_width * self.image_height, width * height)
+        scale = self.shortest_edge / min(self.image_width, self.image_height)
+        sides = (8 * max(round(edge / 8), 4) for edge in ((pixels * aspect) ** 0.5, (pixels / aspect) ** 0.5))
+        across, down = sides
+        return replace(self, image_width=across, image_height=down, shortest_edge=round(scale * min(across, down)))
 
 
 @dataclass(frozen=True)

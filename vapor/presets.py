@@ -28,6 +28,7 @@ def _paper(
             alpha=alpha,
             num_samples=1000,
         ),
+        aspect="network",
         initial_log_variance=0.0,
         augment=AugmentConfig(crop="anywhere"),
         epochs=epochs,
@@ -48,13 +49,15 @@ _TABLES = TrainConfig(
     network=NetworkConfig("resnet18-quarter", image_width=64, image_height=48, shortest_edge=52),
     loss=LossConfig(num_samples=100),
     epochs=8,
+    finish=0.0,
 )
 
 PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
     {
-        "demo": TrainConfig(),
-        "resnet18": TrainConfig(network=_RESNET18, learning_rate=1e-3),
-        "efficientnet-lite0": TrainConfig(network=_LITE0, learning_rate=1e-3),
+        "auto": TrainConfig(),
+        "demo": TrainConfig(aspect="network", epochs=30, finish=0.0),
+        "resnet18": TrainConfig(network=_RESNET18, aspect="network", learning_rate=1e-3, epochs=30),
+        "efficientnet-lite0": TrainConfig(network=_LITE0, aspect="network", learning_rate=1e-3, epochs=30),
         "tables": _TABLES,
         "paper-7scenes": _paper(10.0, 64, 100, 10),
         "paper-cambridge": _paper(100.0, 64, 500, 50),

@@ -3,32 +3,30 @@
 from __future__ import annotations
 
 import json
-import math
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
 import numpy as np
 import torch
-from jaxtyping import Int64
-from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
-from vapor.augment import jitter_and_normalise, random_crops
 from vapor.calibrate import CalibrationResult, calibrate
 from vapor.checkpoint import MAX_PRIOR_POSES, Calibration, Checkpoint, save_checkpoint, spaced
-from vapor.familiarity import EXEMPLARS, learn_familiarity
+from vapor.familiarity import EXEMPLARS, Familiarity, learn_familiarity
 from vapor.holding_out import Split, hold_out, within_map
-from vapor.loss import training_loss
 from vapor.network import PoseRegressor, SceneBox
 from vapor.scene_scale import default_errors
-from vapor.train_config import TrainConfig, learning_rate, samples_per_image
+from vapor.train_config import TrainConfig
 from vapor.training_check import TrainingCheck, check
+from vapor.training_epoch import finishing, fitting_epochs, judging_interval, steps_per_epoch, train_epoch
 from vapor.training_set import (
     TrainingError,
     TrainingSet,
@@ -46,7 +44,8 @@ class Progress:
     """Where a training stands.
 
     Attributes:
-        stage: "reading" of images, "holding out" of some, "training", "calibrating", "checking".
+        stage: "reading" of images, "holding out" of some, "training", "calibrating", "checking" or "training
+            on everything".
         done: Images read or held out, steps done since the training's start, interrupted or not, or held-out images
             seen.
         total: Steps or images in all; None while reading.
@@ -55,12 +54,13 @@ class Progress:
         loss: Mean training loss of this epoch so far.
         learning_rate: Of the last step.
         seconds: Of training in this call, reading and judging left out.
+        left_s: Of training still to come, about.
         validation: Figures of the last epoch judged.
         best: Figures of the best epoch.
         notes: What was held out and why, told once before the first step.
     """
 
-    stage: Literal["reading", "holding out", "training", "calibrating", "checking"]
+    stage: Literal["reading", "holding out", "training", "calibrating", "checking", "training on everything"]
     done: int
     total: int | None = None
     epoch: int = 0
@@ -68,6 +68,7 @@ class Progress:
     loss: float | None = None
     learning_rate: float | None = None
     seconds: float = 0.0
+    left_s: float = 0.0
     validation: Validation | None = None
     best: Validation | None = None
     notes: tuple[str, ...] = ()
@@ -81,7 +82,7 @@ class TrainResult:
         checkpoint: The model that was written.
         history: Figures of every epoch judged.
         best: Figures of the epoch that was kept; None without held-out images.
-        seconds: Wall clock of this call's training, reading and interruptions left out.
+        seconds: Of training in this call, reading and judging left out.
         images_seen: Of this call.
         calibration: What was calibrated at the end, and what that gained; None where it was not asked for.
         check: The filter on the held-out passes; None without any, or without odometry through them.
@@ -147,9 +148,18 @@ def train_on(
     output = Path(output)
     initial = _checked_start(output, config)
     report = progress or (lambda _: None)
-    frame, central = config.network.frame_size, config.augment.crop == "central"
-    loaded = load_training_set(sequences, frame, central=central, progress=lambda n: report(Progress("reading", n)))
-    held_out = load_training_set(validation, frame, central=central) if validation else None
+    central = config.augment.crop == "central"
+
+    def frame_size(width: int, height: int) -> tuple[int, int]:
+        network = config.network if config.aspect == "network" else config.network.for_camera(width, height)
+        return network.frame_size
+
+    loaded = load_training_set(
+        sequences, frame_size, central=central, progress=lambda n: report(Progress("reading", n))
+    )
+    if config.aspect == "camera":
+        config = replace(config, network=config.network.for_camera(*loaded.camera_size), aspect="network")
+    held_out = load_training_set(validation, config.network.frame_size, central=central) if validation else None
     names = {"data": list(sequences), "validation_data": list(validation or ())}
     return _train(loaded, held_out, names, output, config, initial, report)
 
@@ -201,7 +211,7 @@ def _train(
     training = split.training
     if len(training) < 2:
         raise TrainingError(f"{', '.join(names['data'])}: {len(training)} training images, expected at least 2")
-    box = SceneBox.around(training.poses)
+    box = SceneBox.around(split.everything.poses)
     state = start(config, box.union(initial.box) if initial else box, training.poses, initial)
     return _fit(state, split, names, output, config, report)
 
@@ -214,208 +224,211 @@ def _fit(
     config: TrainConfig,
     report: ProgressCallback,
 ) -> TrainResult:
-    training, held_out = split.training, split.held_out
-    judged = held_out.select(spaced(len(held_out), config.validation_images))
-    poses = zlib.crc32(training.poses.as_matrix().tobytes())
-    identity = {**names, "images": len(training), "poses": poses, "held_out": len(judged), **_settings(config)}
+    judged = split.held_out.select(spaced(len(split.held_out), config.validation_images))
+    poses = zlib.crc32(split.training.poses.as_matrix().tobytes())
+    identity = {**names, "images": len(split.training), "poses": poses, "held_out": len(judged), **_settings(config)}
     if config.resume and state_path(output).exists():
         load_state(state_path(output), state, identity)
-    report(Progress("holding out", len(held_out), notes=split.notes))
-    begin, first_epoch, spent_s = perf_counter(), state.epoch, 0.0
-    best = _best(state.history, config)
-    while state.epoch < config.epochs:
-        begin_epoch = perf_counter()
-        loss = _train_epoch(state, training, config, report, best, begin_epoch - spent_s)
-        spent_s += perf_counter() - begin_epoch
-        state.epoch += 1
-        if len(judged):
-            kept = state.average if config.average else state.network
-            figures = validate(
-                kept,
-                judged,
-                Calibration(config.bandwidth_translation_m, config.bandwidth_rotation_rad),
-                num_samples=config.loss.num_samples,
-                seed=config.seed,
-                epoch=state.epoch,
-                train_loss=loss,
-            )
-            state.history.append(figures)
-            best = _best(state.history, config)
-            if best is figures:
-                state.best = _weights(kept)
-        save_state(state_path(output), state, identity)
-    seconds = perf_counter() - begin
+    report(Progress("holding out", len(split.held_out), notes=split.notes))
+    state.epochs = state.epochs or config.epochs or fitting_epochs(state, split, len(judged), config)
+    course = _Course(state, split, replace(config, epochs=state.epochs), report)
 
-    weights = state.best or _weights(state.average if config.average else state.network)
-    provenance = {
-        **names,
-        "training_images": len(training),
-        "images_seen": state.epoch * len(training),
-        "seed": config.seed,
-        "config": _settings(config),
-        "selected_by": config.select_by if best else "last epoch",
-        "validation": asdict(best) if best else None,
-        "holding_out": list(split.notes),
-    }
-    prior_poses = _prior_poses(state.average, weights, training, config.seed)
-    widths = config.bandwidth_translation_m, config.bandwidth_rotation_rad
-    calibration = Calibration(*widths, default_errors(prior_poses))
-    calibrated = familiarity = checked = None
-    if config.calibrate:
-        familiarity = learn_familiarity(state.average, training.select(spaced(len(training), EXEMPLARS)), judged)
-        calibrated = calibrate(
-            state.average,  # with the weights kept, as `_prior_poses` left it
-            held_out,
-            prior_poses,
-            calibration,
-            training=training,
-            familiarity=familiarity,
-            max_images=config.validation_images,
-            seed=config.seed,
-            advance=lambda done, total: report(Progress("calibrating", done, total, best=best)),
-        )
-        checked, calibration = check(
-            state.average,
-            split.source,
-            split.judged,
-            calibrated,
-            familiarity,
-            prior_poses,
-            seed=config.seed,
-            advance=lambda done, total: report(Progress("checking", done, total, best=best)),
-        )
-        provenance |= {"calibration": calibrated.provenance, "check": checked.as_json if checked else None}
+    while state.epoch < state.epochs:
+        course.judge(judged, course.epoch())
+        save_state(state_path(output), state, identity)
+    model = deepcopy(state.average)
+    model.load_state_dict(state.best or _weights(course.kept))
+    found = _found(model, split, judged, config, lambda *where: report(Progress(*where, best=course.best)))
+
+    if course.goes_on and state.epoch == state.epochs:
+        for network in (state.network, state.average):
+            network.load_state_dict(model.state_dict())
+    while state.epoch < course.epochs:
+        course.epoch()
+        save_state(state_path(output), state, identity)
+    if course.goes_on:
+        model.load_state_dict(_weights(course.kept))
+    learned = split.everything if course.goes_on else split.training
+    familiarity = _familiar(model, split.training, judged) if config.calibrate else None
     checkpoint = Checkpoint(
         config.network,
         state.network.box,
-        calibration,
-        prior_poses,
-        weights,
-        json.loads(json.dumps(provenance)),
+        found.calibration,
+        _prior_poses(model, learned, config.seed),
+        _weights(model),
+        json.loads(
+            json.dumps(
+                {
+                    **names,
+                    "training_images": len(learned),
+                    "images_seen": course.images_seen(state.epoch),
+                    "seed": config.seed,
+                    "config": _settings(course.config),
+                    "selected_by": config.select_by if course.best else "last epoch",
+                    "validation": asdict(course.best) if course.best else None,
+                    "holding_out": list(split.notes),
+                    **found.provenance,
+                }
+            )
+        ),
         familiarity,
     )
     save_checkpoint(output, checkpoint, half=config.half)
     state_path(output).unlink(missing_ok=True)
-    images_seen = (state.epoch - first_epoch) * len(training)
-    apart = held_out.images is not training.images
-    skipped = training.skipped + held_out.skipped if apart else training.skipped
-    notices = training.notices + held_out.notices if apart else training.notices
+    apart = split.held_out.images is not split.training.images
+    skipped, notices = split.training.skipped, split.training.notices
     return TrainResult(
-        checkpoint, tuple(state.history), best, seconds, images_seen, calibrated, checked, skipped, notices
+        checkpoint,
+        tuple(state.history),
+        course.best,
+        course.seconds,
+        course.images_seen(state.epoch) - course.images_seen(course.begun),
+        found.calibrated,
+        found.check,
+        skipped + split.held_out.skipped if apart else skipped,
+        notices + split.held_out.notices if apart else notices,
     )
 
 
-def _train_epoch(
-    state: TrainingState,
-    training: TrainingSet,
-    config: TrainConfig,
-    report: ProgressCallback,
-    best: Validation | None,
-    begin_s: float,
-) -> float:
-    """One pass over the images in random order, an incomplete last batch left out; returns the mean loss.
+class _Course:
+    """A training under way: first on what is not held out, then, once the model was judged, on everything.
 
-    Told progress counts seconds from `begin_s` of `perf_counter`.
+    Attributes:
+        state: Where it stands.
+        config: With its number of epochs.
+        goes_on: Whether there is more to learn from once the model was judged.
+        epochs: In all.
+        begun: Epochs done when it was begun or taken up again.
+        best: Figures of the best epoch so far.
+        seconds: Of training since it was begun or taken up again, judging left out.
     """
-    network, device = state.network, state.network.pixel_mean.device
-    rng = np.random.default_rng([config.seed, state.epoch])
-    generator = torch.Generator(device).manual_seed(int(rng.integers(2**62)))
-    batch = min(config.batch_size, len(training))
-    steps = len(training) // batch
-    order = rng.permutation(len(training))[: steps * batch].reshape(steps, batch)
-    true_translation = torch.from_numpy(training.poses.translation).float().to(device)
-    true_rotation = torch.from_numpy(training.poses.rotation).float().to(device)
-    bfloat16 = _uses_bfloat16(config, device)
-    network.train()
-    total = 0.0
-    for number, indices in enumerate(order):
-        if config.loss.relative > 0.0:
-            indices = _paired(indices, training.sequence, config.loss.pair_gap, rng=rng)
-        step = state.epoch * steps + number
-        rate = learning_rate(config, step, steps)
-        for group in state.optimizer.param_groups:
-            group["lr"] = rate
-        size = config.network.image_width, config.network.image_height
-        crops = random_crops(training.images, training.rows[indices], *size, config.augment, rng=rng)
-        pixels = torch.from_numpy(crops).to(device)
-        images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
-        samples = samples_per_image(config, step, steps) if config.network.head == "variational" else 1
-        shape = len(indices), samples, network.noise_dim
-        noise = torch.randn(shape, generator=generator, device=device)
-        truth = true_translation[indices], true_rotation[indices]
-        with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-            loss = training_loss(network, images, *truth, noise, config.loss)
-        state.optimizer.zero_grad(set_to_none=True)
-        loss.total.backward()
-        state.optimizer.step()
-        _update_average(state, config.average, step)
-        total += (value := float(loss.total.detach()))
-        if not math.isfinite(value):
-            raise TrainingError(
-                f"loss is {value} in epoch {state.epoch + 1}, step {number + 1}, expected a finite number;"
-                f" a smaller learning rate than {config.learning_rate} may help"
+
+    def __init__(self, state: TrainingState, split: Split, config: TrainConfig, report: ProgressCallback) -> None:
+        self.state, self.config, self.begun, self.seconds = state, config, state.epoch, 0.0
+        self.goes_on = bool(split.judged.any()) and config.finish > 0 and len(split.everything) > len(split.training)
+        self.epochs = state.epochs + (finishing(config).known_epochs if self.goes_on else 0)
+        self.best = _best(state.history, config)
+        self._split, self._report = split, report
+
+    @property
+    def kept(self) -> PoseRegressor:
+        """The network whose weights are kept."""
+        return self.state.average if self.config.average else self.state.network
+
+    def images_seen(self, epochs: int) -> int:
+        """How many images were seen when so many epochs were done."""
+        return sum(len(self._images(epoch)) for epoch in range(epochs))
+
+    def epoch(self) -> float:
+        """Learn from all images once; returns the mean loss."""
+        state, begin_s = self.state, perf_counter() - self.seconds
+        judged = state.epoch < state.epochs
+        config, since = (self.config, 0) if judged else (finishing(self.config), state.epochs)
+        steps = [steps_per_epoch(self._images(epoch), config) for epoch in range(self.epochs)]
+        before, begun = sum(steps[: state.epoch]), sum(steps[: self.begun])
+
+        def report(step: int, loss: float, rate: float) -> None:
+            seconds, done = perf_counter() - begin_s, before + step
+            self._report(
+                Progress(
+                    "training" if judged else "training on everything",
+                    done,
+                    sum(steps),
+                    epoch=state.epoch + 1,
+                    epochs=self.epochs,
+                    loss=loss,
+                    learning_rate=rate,
+                    seconds=seconds,
+                    left_s=seconds * (sum(steps) - done) / (done - begun),
+                    validation=state.history[-1] if state.history else None,
+                    best=self.best,
+                )
             )
-        last = state.history[-1] if state.history else None
-        report(
-            Progress(
-                "training",
-                step + 1,
-                steps * config.epochs,
-                epoch=state.epoch + 1,
-                epochs=config.epochs,
-                loss=total / (number + 1),
-                learning_rate=rate,
-                seconds=perf_counter() - begin_s,
-                validation=last,
-                best=best,
-            )
+
+        loss = train_epoch(state, self._images(state.epoch), config, report, since=since)
+        state.epoch += 1
+        self.seconds = perf_counter() - begin_s
+        return loss
+
+    def judge(self, judged: TrainingSet, loss: float) -> None:
+        """Compare the weights with the best so far, now and then; mean loss of the epoch as given."""
+        state, config = self.state, self.config
+        if not len(judged) or (state.epoch % judging_interval(state.epochs) and state.epoch < state.epochs):
+            return
+        widths = Calibration(config.bandwidth_translation_m, config.bandwidth_rotation_rad)
+        figures = validate(
+            self.kept,
+            judged,
+            widths,
+            num_samples=config.loss.num_samples,
+            seed=config.seed,
+            epoch=state.epoch,
+            train_loss=loss,
         )
-    return total / steps
+        state.history.append(figures)
+        self.best = _best(state.history, config)
+        if self.best is figures:
+            state.best = _weights(self.kept)
+
+    def _images(self, epoch: int) -> TrainingSet:
+        return self._split.training if epoch < self.state.epochs else self._split.everything
 
 
-def _paired(
-    indices: Int64[np.ndarray, " b"], sequence: Int64[np.ndarray, " n"], gap: int, *, rng: np.random.Generator
-) -> Int64[np.ndarray, " b"]:
-    """The first half of a batch, then for each of it another image of its sequence, at most `gap` images away."""
-    first = indices[: len(indices) // 2]
-    there = first + rng.choice([-1, 1], len(first)) * rng.integers(1, gap, len(first), endpoint=True)
-    outside = (there < 0) | (there >= len(sequence))
-    outside |= sequence[np.clip(there, 0, len(sequence) - 1)] != sequence[first]
-    there = np.where(outside, 2 * first - there, there)  # on the other side, where there is none on this
-    missing = (
-        (there < 0) | (there >= len(sequence)) | (sequence[np.clip(there, 0, len(sequence) - 1)] != sequence[first])
+@dataclass(frozen=True)
+class _Found:
+    """What held-out images say of a model."""
+
+    calibration: Calibration
+    calibrated: CalibrationResult | None = None
+    check: TrainingCheck | None = None
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """For the model file."""
+        if self.calibrated is None:
+            return {}
+        return {"calibration": self.calibrated.provenance, "check": self.check.as_json if self.check else None}
+
+
+def _found(
+    model: PoseRegressor,
+    split: Split,
+    judged: TrainingSet,
+    config: TrainConfig,
+    advance: Callable[[Literal["calibrating", "checking"], int, int], None],
+) -> _Found:
+    prior_poses = _prior_poses(model, split.training, config.seed)
+    widths = config.bandwidth_translation_m, config.bandwidth_rotation_rad
+    calibration = Calibration(*widths, default_errors(prior_poses))
+    if not config.calibrate:
+        return _Found(calibration)
+    familiarity = _familiar(model, split.training, judged)
+    calibrated = calibrate(
+        model,
+        split.held_out,
+        prior_poses,
+        calibration,
+        training=split.training,
+        familiarity=familiarity,
+        max_images=config.validation_images,
+        seed=config.seed,
+        advance=partial(advance, "calibrating"),
     )
-    return np.concatenate([first, np.where(missing, first, there)])
+    checked, calibration = check(
+        model,
+        split.source,
+        split.judged,
+        calibrated,
+        familiarity,
+        prior_poses,
+        seed=config.seed,
+        advance=partial(advance, "checking"),
+    )
+    return _Found(calibration, calibrated, checked)
 
 
-def _uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
-    """Whether the encoder is trained in bfloat16.
-
-    With "auto" where that is faster than float32: without instructions for it, it is many times slower, and on a CPU
-    separable convolutions do not gain by it.
-    """
-    if config.precision != "auto":
-        return config.precision == "bfloat16"
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    if config.network.backbone == "efficientnet-lite0":
-        return False
-    capabilities = torch.cpu.get_capabilities()
-    return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
-
-
-@torch.no_grad()
-def _update_average(state: TrainingState, decay: float, step: int) -> None:
-    """Move the average towards the weights and BatchNorm statistics; faster in the first steps, which know little."""
-    if not decay:
-        return
-    pairs = list(zip(state.average.state_dict().values(), state.network.state_dict().values(), strict=True))
-    numbers = [pair for pair in pairs if pair[0].is_floating_point()]
-    move = get_ema_multi_avg_fn(min(decay, (1 + step) / (10 + step)))
-    move([mine for mine, _ in numbers], [its for _, its in numbers], 0)
-    for mine, its in pairs:
-        if not mine.is_floating_point():
-            mine.copy_(its)
+def _familiar(model: PoseRegressor, training: TrainingSet, judged: TrainingSet) -> Familiarity | None:
+    return learn_familiarity(model, training.select(spaced(len(training), EXEMPLARS)), judged)
 
 
 def _best(history: Sequence[Validation], config: TrainConfig) -> Validation | None:
@@ -423,11 +436,9 @@ def _best(history: Sequence[Validation], config: TrainConfig) -> Validation | No
     return max(reversed(history), key=lambda figures: getattr(figures, config.select_by), default=None)
 
 
-def _prior_poses(network: PoseRegressor, weights: dict[str, torch.Tensor], training: TrainingSet, seed: int) -> Poses:
-    """world_from_camera, (n,): a posterior sample of each of n evenly spaced training images, with these weights."""
-    network.load_state_dict(weights)
-    images = training.select(spaced(len(training), MAX_PRIOR_POSES))
-    return Poses.concatenate(list(predict(network, images, 1, seed)))
+def _prior_poses(model: PoseRegressor, images: TrainingSet, seed: int) -> Poses:
+    """world_from_camera, (n,): a posterior sample of each of n evenly spaced images."""
+    return Poses.concatenate(list(predict(model, images.select(spaced(len(images), MAX_PRIOR_POSES)), 1, seed)))
 
 
 def _weights(network: PoseRegressor) -> dict[str, torch.Tensor]:

@@ -21,6 +21,9 @@ class TrainConfig:
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Shape of the network, and of its images."""
+    aspect: Literal["camera", "network"] = "camera"
+    """Aspect of the network's images: that of the first camera image, with as many pixels as `network` says but no more
+    than the camera has; or the network's own, so that what sticks out is cut off."""
     loss: LossConfig = field(default_factory=LossConfig)
     """Weights of the loss."""
     augment: AugmentConfig = field(default_factory=AugmentConfig)
@@ -44,8 +47,13 @@ class TrainConfig:
     """variational: log σ² of the latent before training, about; `initial_model` brings its own. With a low one the pose
     map can use early what the encoder learns, which noise would hide; 0, as in the paper, is where an image that says
     nothing ends."""
-    epochs: int = 30
-    """Times every training image is seen."""
+    epochs: int | None = None
+    """Times every training image is seen; None for as many as `hours` allow, from 4 to 200."""
+    hours: float = 0.2
+    """How long a training takes whose epochs are not given; how long a step takes is measured first."""
+    finish: float = 0.2
+    """Share of the epochs after which the model, judged by then, goes on learning with what was held out of the data as
+    well: 0 for none, and it never sees that."""
     batch_size: int = 32
     """Images per step, at least 2; all of them where there are fewer."""
     learning_rate: float = 3e-3
@@ -93,8 +101,8 @@ class TrainConfig:
     """Go on with an interrupted training of the same output, configuration and data."""
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch_size", "learning_rate", "decay_epochs", "validation_images"):
-            if not getattr(self, name) > 0:
+        for name in ("epochs", "hours", "batch_size", "learning_rate", "decay_epochs", "validation_images"):
+            if (value := getattr(self, name)) is not None and not value > 0:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
         if self.batch_size < 2:
             raise TrainingError(f"training: batch_size is {self.batch_size}, expected at least 2 for batch statistics")
@@ -120,6 +128,15 @@ class TrainConfig:
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
 
+    @property
+    def known_epochs(self) -> int:
+        """Times every training image is seen, once that is known."""
+        if self.epochs is None:
+            raise TrainingError(
+                "training: epochs is None, expected a number by the time that a schedule follows from it"
+            )
+        return self.epochs
+
     def settings(self) -> dict[str, Any]:
         """What makes a training this one: all but where it runs."""
         return {name: value for name, value in asdict(self).items() if name not in ("device", "resume")}
@@ -130,7 +147,7 @@ def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float
     if config.schedule == "steps":
         decays = min(step // steps_per_epoch // config.decay_epochs, config.decay_times)
         return config.learning_rate * config.decay_factor**decays
-    share = (step + 0.5) / (steps_per_epoch * config.epochs)
+    share = (step + 0.5) / (steps_per_epoch * config.known_epochs)
     if share < config.warmup:
         return config.learning_rate * (1 - math.cos(math.pi * share / config.warmup)) / 2
     return config.learning_rate * (1 + math.cos(math.pi * (share - config.warmup) / (1 - config.warmup))) / 2
@@ -139,7 +156,7 @@ def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float
 def samples_per_image(config: TrainConfig, step: int, steps_per_epoch: int) -> int:
     """Posterior samples per image of one step, counted from 0 over the whole training: geometric growth, then M."""
     winners, samples = config.loss.num_winners, config.loss.num_samples
-    share = step / (steps_per_epoch * config.epochs)
+    share = step / (steps_per_epoch * config.known_epochs)
     if share >= config.evolve:
         return samples
     return int(winners * (samples / winners) ** (share / config.evolve))

@@ -43,6 +43,7 @@ class TrainingSet:
         poses: world_from_camera, batch (n,).
         sequence: Index of the sequence each image is from; images of one sequence lie together, in its order.
         names: Of the sequences, by that index: of the file or folder that each is from.
+        camera_size: Width and height of the first image before it was scaled, pixels.
         times_ns: Stamps of the images, integer nanoseconds, (n,).
         odometry: Motion since the image before, n of them; None where that image is not here, or none was recorded.
         skipped: Images and poses of the data that were left out in reading, by reason.
@@ -54,6 +55,7 @@ class TrainingSet:
     poses: Poses
     sequence: Int64[np.ndarray, " n"]
     names: tuple[str, ...]
+    camera_size: tuple[int, int]
     times_ns: Int64[np.ndarray, " n"]
     odometry: tuple[Odometry | None, ...]
     skipped: Counter[str] = field(default_factory=Counter)
@@ -155,7 +157,7 @@ def _files(entry: Path | str) -> set[Path]:
 
 def load_training_set(
     sequences: Mapping[str, Iterable[Frame]],
-    frame_size: tuple[int, int],
+    frame_size: tuple[int, int] | Callable[[int, int], tuple[int, int]],
     *,
     central: bool = True,
     progress: Callable[[int], None] = lambda _: None,
@@ -164,7 +166,7 @@ def load_training_set(
 
     Args:
         sequences: Frames by the name of their file or folder; frames without a pose are left out.
-        frame_size: Width and height of that frame, pixels.
+        frame_size: Width and height of that frame, pixels, or what gives them for those of the first image.
         central: Keep that much of the middle only, so that images may differ in size; else the whole image, and all
             must have the aspect of the first.
         progress: Called with the number of images read so far.
@@ -179,6 +181,8 @@ def load_training_set(
     times_ns: list[int] = []
     odometry: list[Odometry | None] = []
     shape: tuple[int, ...] | None = None
+    camera_size: tuple[int, int] | None = None
+    size = (0, 0)  # of the frame, known with the first image
     with tempfile.TemporaryFile() as file:
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
@@ -187,8 +191,11 @@ def load_training_set(
                 if frame.world_from_camera is None:
                     follows = False
                     continue
-                image = scale_to_cover(frame.image, *frame_size)
-                image = centre_crop(image, *frame_size) if central else image
+                if camera_size is None:
+                    camera_size = frame.image.shape[1], frame.image.shape[0]
+                    size = frame_size(*camera_size) if callable(frame_size) else frame_size
+                image = scale_to_cover(frame.image, *size)
+                image = centre_crop(image, *size) if central else image
                 shape = shape or image.shape
                 if image.shape != shape:
                     number = len(sources) - num_before + 1
@@ -210,7 +217,7 @@ def load_training_set(
             if isinstance(frames, PosedFrames):
                 skipped += frames.skipped
                 notices += frames.notices
-        if shape is None:
+        if shape is None or camera_size is None:
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
@@ -223,6 +230,7 @@ def load_training_set(
         poses,
         np.cumsum(begins),
         _sequence_names(list(sequences), [sources[i] for i in [0, *np.flatnonzero(begins)]]),
+        camera_size,
         np.array(times_ns, np.int64),
         tuple(odometry),
         skipped,

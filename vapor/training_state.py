@@ -18,7 +18,7 @@ from vapor.network import PoseRegressor
 from vapor.validation import Validation
 
 FORMAT = "vapor-track training state"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass
@@ -29,7 +29,8 @@ class TrainingState:
         network: The network being trained.
         average: Its exponential moving average, which is validated and kept.
         optimizer: Adam, with its moments.
-        epoch: Epochs done.
+        epochs: How many there will be before the model is judged.
+        epoch: Epochs done; more than that while it goes on with everything.
         history: Figures of the epochs done, where there are held-out images.
         best: Weights of the best epoch so far, on the CPU.
     """
@@ -37,6 +38,7 @@ class TrainingState:
     network: PoseRegressor
     average: PoseRegressor
     optimizer: torch.optim.Optimizer
+    epochs: int = 0
     epoch: int = 0
     history: list[Validation] = field(default_factory=list)
     best: dict[str, Tensor] = field(default_factory=dict)
@@ -64,6 +66,7 @@ def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     tensors = {k: v.detach().cpu().clone(memory_format=torch.contiguous_format) for k, v in tensors.items()}
     config = {
         "identity": json.loads(json.dumps(identity)),
+        "epochs": state.epochs,
         "epoch": state.epoch,
         "history": [asdict(validation) for validation in state.history],
     }
@@ -102,7 +105,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     except (RuntimeError, ValueError, IndexError) as error:
         raise CheckpointError(f"{path}: {' '.join(str(error).split())}, expected the network's tensors") from error
     state.best = groups["best"]
-    state.epoch = int(config["epoch"])
+    state.epochs, state.epoch = int(config["epochs"]), int(config["epoch"])
     state.history = [parse_config(path, "history", Validation, entry) for entry in config["history"]]
 
 

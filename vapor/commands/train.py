@@ -32,12 +32,12 @@ class Options:
     """Model file to write (.safetensors)."""
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Held-out data, of other images; without it passes over ground that others cover are held out."""
-    preset: Preset = "demo"
+    preset: Preset = "auto"
     """Named settings, of which the options below change single ones; tables: small and fast, for the scenes of that
     name; paper-...: the paper's."""
     method: Method = "variational"
     """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one."""
-    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["demo"]
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
 
@@ -70,19 +70,29 @@ def main(arguments: Sequence[str]) -> None:
 @contextmanager
 def _log() -> Iterator[Callable[[Progress], None]]:
     """For a log file: a line an epoch."""
-    last = 0
+    last: Progress | None = None
+
+    def say(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
 
     def report(progress: Progress) -> None:
         nonlocal last
         for note in progress.notes:
-            print(note, file=sys.stderr, flush=True)
-        figures = progress.validation
-        if figures is not None and figures.epoch > last:
-            last = figures.epoch
-            line = f"epoch {last}/{progress.epochs}  loss {figures.train_loss:.3f}  held out: {_recalls(figures)}"
-            print(f"{line}, log density {figures.log_density:.2f}", file=sys.stderr, flush=True)
+            say(note)
+        if last is not None and last.epoch and (last.epoch, last.stage) != (progress.epoch, progress.stage):
+            say(_line(last, progress.validation or progress.best))
+        if last is None or progress.stage != last.stage:
+            say(progress.stage)
+        last = progress
 
     yield report
+
+
+def _line(progress: Progress, validation: Validation | None) -> str:
+    told = f"epoch {progress.epoch}/{progress.epochs}  loss {progress.loss or 0.0:.3f}"
+    if validation is not None and validation.epoch == progress.epoch:
+        told += f"  held out: {_recalls(validation)}, log density {validation.log_density:.2f}"
+    return f"{told}  {progress.left_s / 60:.1f} min left"
 
 
 @contextmanager
