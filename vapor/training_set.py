@@ -64,6 +64,11 @@ class TrainingSet:
     def __len__(self) -> int:
         return len(self.sequence)
 
+    @property
+    def focal_px(self) -> tuple[float, float] | None:
+        """Focal lengths of `images`, pixels; None where the camera is not known."""
+        return None
+
     def unload(self) -> None:
         """Give back the memory that images read from disk take; they are read again when they are used."""
         if isinstance(self.images.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
