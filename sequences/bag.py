@@ -9,15 +9,20 @@ import zlib
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO
 
 from mcap.reader import McapReader, NonSeekingReader, SeekingReader
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 
+from sequences import encodings, foxglove
 from sequences.errors import SequenceError
+from sequences.messages import frame_name
 
+TF_STATIC, TF = "/tf_static", "/tf"
 _MAGIC = b"\x89MCAP0\r\n"
 _FOREIGN = {
     b"#ROSBAG V": "a ROS 1 bag; convert it first, for example with `rosbags-convert --src IN.bag --dst OUT`",
@@ -31,7 +36,7 @@ class Topic:
 
     Attributes:
         name: Name of the topic.
-        type: Message type, as `nav_msgs/Odometry`.
+        type: Message type as the file names it, without `/msg`: `nav_msgs/Odometry`, `foxglove.PoseInFrame`.
         num_messages: How many messages it has, all files of the bag together.
         encoding: How messages are serialized; ROS 2 has "cdr".
     """
@@ -41,14 +46,45 @@ class Topic:
     num_messages: int
     encoding: str
 
+    @property
+    def read_as(self) -> str:
+        """The ROS 2 type whose fields its messages get."""
+        return foxglove.read_as(self.type)
+
+    @property
+    def encodings(self) -> tuple[str, ...]:
+        """The encodings in which its type is read."""
+        return foxglove.encodings(self.type)
+
+    @property
+    def is_foxglove_tf(self) -> bool:
+        """Whether it has transforms of Foxglove's, which may have any name, and stand for /tf and /tf_static."""
+        return foxglove.is_transforms(self.type) and self.encoding in self.encodings
+
 
 @dataclass(frozen=True)
 class RawMessage:
-    """One message, not yet decoded: its topic, the time it was logged, and its bytes."""
+    """One message, not yet decoded.
+
+    Attributes:
+        topic: The topic that was asked for: of Foxglove's transforms /tf or /tf_static.
+        log_time_ns: The time it was logged.
+        data: Its bytes.
+        type: Its type, as of `Topic`.
+        encoding: How it is serialized.
+        definition: What the file says of its type.
+    """
 
     topic: str
     log_time_ns: int
     data: bytes
+    type: str
+    encoding: str
+    definition: bytes
+
+    def decode(self) -> SimpleNamespace:
+        """Its fields, named as in ROS 2. What it raises where it is damaged depends on the encoding."""
+        return encodings.decoder(self.type, self.encoding, self.definition)(self.data)
 
 
 class Bag:
@@ -71,13 +107,51 @@ class Bag:
         for file in bag_files(self.path):
             self._open(file)
 
+    def __contains__(self, topic: str) -> bool:
+        """Whether messages of a topic can be asked for."""
+        return any(topic in self._stands_for(known) for known in self.topics.values())
+
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Messages of some topics: by log time within an indexed file, as written otherwise; file after file."""
+        """Messages of some topics: by log time within an indexed file, as written otherwise; file after file.
+
+        Those of Foxglove's transforms come once as /tf_static and once as /tf, where both are asked for.
+        """
+        asked = {t.name: [name for name in self._stands_for(t) if name in topics] for t in self.topics.values()}
+        names = [name for name, stands_for in asked.items() if stands_for]
         for file, indexed in self._indexed.items():
             with _reading(file) as stream:
                 reader = _reader(stream, indexed)
-                for _, channel, message in reader.iter_messages(topics=list(topics), log_time_order=indexed):
-                    yield RawMessage(channel.topic, message.log_time, message.data)
+                for schema, channel, message in reader.iter_messages(topics=names, log_time_order=indexed):
+                    type_name, definition = (_type_name(schema), schema.data) if schema is not None else ("", b"")
+                    for name in asked[channel.topic]:
+                        yield RawMessage(
+                            name, message.log_time, message.data, type_name, channel.message_encoding, definition
+                        )
+
+    @cached_property
+    def fixed_links(self) -> frozenset[tuple[str, str]]:
+        """Parent and child of those of Foxglove's transforms that say the same from the first message to the last.
+
+        Foxglove has no topic for what never changes; a transform that is told only once holds throughout.
+        """
+        first: dict[tuple[str, str], SimpleNamespace] = {}
+        moving: set[tuple[str, str]] = set()
+        if not any(topic.is_foxglove_tf for topic in self.topics.values()):
+            return frozenset()
+        for raw in self.messages([TF]):
+            try:
+                message = raw.decode()
+            except Exception:  # said where it is used
+                continue
+            for stamped in message.transforms:
+                link = link_of(stamped)
+                if first.setdefault(link, stamped.transform) != stamped.transform:
+                    moving.add(link)
+        return frozenset(first.keys() - moving)
+
+    @staticmethod
+    def _stands_for(topic: Topic) -> tuple[str, ...]:
+        return (TF_STATIC, TF) if topic.is_foxglove_tf else (topic.name,)
 
     def _open(self, file: Path) -> None:
         _check_ends(file)
@@ -99,12 +173,15 @@ class Bag:
                 schemas, channels, counts = _list_by_reading(stream)
         self._indexed[file] = indexed
         for channel in channels.values():
-            type_name = schemas[channel.schema_id].name if channel.schema_id in schemas else ""
+            type_name = _type_name(schemas[channel.schema_id]) if channel.schema_id in schemas else ""
             known = self.topics.get(channel.topic)
             count = counts.get(channel.id, 0) + (known.num_messages if known else 0)
-            self.topics[channel.topic] = Topic(
-                channel.topic, type_name.replace("/msg/", "/"), count, channel.message_encoding
-            )
+            self.topics[channel.topic] = Topic(channel.topic, type_name, count, channel.message_encoding)
+
+
+def link_of(stamped: SimpleNamespace) -> tuple[str, str]:
+    """Names of parent and child of geometry_msgs/TransformStamped."""
+    return frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -187,6 +264,10 @@ def _reading(file: Path) -> Iterator[IO[bytes]]:
             raise SequenceError(
                 f"{file}: damaged MCAP near byte {stream.tell()}: {reason}; expected a readable record"
             ) from error
+
+
+def _type_name(schema: Schema) -> str:
+    return schema.name.replace("/msg/", "/")
 
 
 def _reader(stream: IO[bytes], indexed: bool) -> McapReader:

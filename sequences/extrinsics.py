@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 from filtering.se3 import Poses
-from sequences.bag import Bag, RawMessage
+from sequences.bag import TF, TF_STATIC, Bag, RawMessage
 from sequences.errors import SequenceError
 from sequences.messages import transforms_from_message
 from sequences.topics import decode
 from sequences.transforms import Step, TransformTree, along
 
-TF_STATIC, TF = "/tf_static", "/tf"
 _FIXED_M, _FIXED_RAD = 0.02, 0.035  # within which a camera that is said to be fixed may shake
 
 
@@ -100,7 +99,7 @@ def read_tree(
     """
     tree = TransformTree()
     for name in (TF_STATIC, TF):
-        if name not in bag.topics:
+        if name not in bag:
             continue
         begin_ns: int | None = None
         for raw in bag.messages([name]):

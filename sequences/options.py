@@ -26,7 +26,8 @@ class SequenceOptions:
     """What to read of a sequence. Topics are found by their type where there is only one."""
 
     image_topic: str | None = None
-    """Topic of the images, sensor_msgs/Image or CompressedImage."""
+    """Topic of the images: sensor_msgs/Image or CompressedImage, foxglove.RawImage or CompressedImage; or of video:
+    foxglove.CompressedVideo, ffmpeg_image_transport's FFMPEGPacket."""
     odometry_topic: str | None = None
     """Topic of the odometry, nav_msgs/Odometry."""
     odometry_frame: str | None = None
@@ -34,7 +35,7 @@ class SequenceOptions:
     of odometry and tf says how the camera moves in a frame of that name."""
     ground_truth_topic: str | None = None
     """Topic of true poses: geometry_msgs/PoseStamped, PoseWithCovarianceStamped or TransformStamped, nav_msgs/Odometry
-    or Path; '' for none."""
+    or Path, foxglove.PoseInFrame or PosesInFrame; '' for none."""
     ground_truth_frame: str | None = None
     """Take true poses from tf instead: the frame that they are in, such as map."""
     poses: Path | None = None
@@ -48,7 +49,8 @@ class SequenceOptions:
     ground_truth_origin: tuple[float, float, float] | None = None
     """Point to subtract from the positions of true poses, x y z in metres: for coordinates far from zero, as of UTM."""
     camera_info_topic: str | None = None
-    """Topic of the intrinsics, sensor_msgs/CameraInfo; '' for none. Default: the one beside the image topic."""
+    """Topic of the intrinsics, sensor_msgs/CameraInfo or foxglove.CameraCalibration; '' for none. Default: the one
+    beside the image topic."""
     camera_frame: str | None = None
     """Frame of the camera, for tf. Default: the frame in the header of the images."""
     base_from_camera: tuple[float, float, float, float, float, float, float] | None = None

@@ -12,9 +12,8 @@ from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from sequences.bag import Bag, Topic
+from sequences.bag import TF, Bag, Topic
 from sequences.errors import SequenceError
-from sequences.extrinsics import TF
 from sequences.frame import Trajectory
 from sequences.messages import frame_name, pose_from_message, pose_from_transform, stamp_ns, transforms_from_message
 from sequences.pairing import Motion, PoseWindow, is_jump, pose_at
@@ -205,7 +204,7 @@ class TabledPoses(PoseSource):
 
 def poses_of_topic(topic: Topic, body_from_camera: Poses, *, max_gap_s: float) -> LinkedPoses:
     """Poses of a body that a topic tells, of any type but a path, and of the camera that is fixed on it."""
-    link, pose_of = ("", topic.name), _POSE_OF[topic.type]
+    link, pose_of = ("", topic.name), _POSE_OF[topic.read_as]
 
     def read(message: SimpleNamespace) -> list[Sample]:
         return [Sample(link, stamp_ns(message.header), pose_of(message))]
@@ -270,7 +269,12 @@ def read_path(bag: Bag, topic: Topic) -> Trajectory:
 def _extend(
     rows: list[tuple[int, Float64[np.ndarray, " 7"]]], message: SimpleNamespace, bag: Bag, topic: Topic
 ) -> None:
-    """Add the poses of a path that are later than those there are."""
+    """Add the poses of a path that are later than those there are. Raises SequenceError where they share a stamp."""
+    if len(message.poses) > 1 and len({stamp_ns(stamped.header) for stamped in message.poses}) == 1:
+        raise SequenceError(
+            f"{bag.path}: {topic.name} ({topic.type}): {len(message.poses)} poses of one stamp, expected each at a"
+            " stamp of its own"
+        )
     for stamped in message.poses:
         time_ns = stamp_ns(stamped.header)
         if rows and time_ns <= rows[-1][0]:

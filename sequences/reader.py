@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +15,7 @@ from filtering.se3 import Poses
 from sequences.bag import Bag, RawMessage, Topic
 from sequences.errors import SequenceError
 from sequences.frame import Camera, Frame
+from sequences.images import Picture
 from sequences.messages import (
     camera_from_message,
     odometry_from_message,
@@ -23,7 +24,7 @@ from sequences.messages import (
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.pairing import MAX_ODOMETRY_GAP_S, PoseWindow
 from sequences.pose_sources import PoseSource
-from sequences.roles import IMAGE_DECODERS, Roles, TruePoseUse
+from sequences.roles import Roles, TruePoseUse
 from sequences.topics import decode, first
 
 METADATA_NAME = "vapor-track"  # of the record in which a file says where its odometry comes from
@@ -147,12 +148,12 @@ class _Pairing:
         self._options = options
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
         self._camera = camera
-        self._decode_image = IMAGE_DECODERS[roles.image.type]
+        self._images = roles.open_images()
         self._odometry = PoseWindow(MAX_ODOMETRY_GAP_S)
         self._odometry_source = roles.tree_odometry.open() if roles.tree_odometry is not None else None
         self._truth = roles.truth.open() if roles.truth is not None else None
         self._origin = np.array(options.ground_truth_origin or (0.0, 0.0, 0.0))
-        self._waiting: deque[tuple[int, SimpleNamespace]] = deque()
+        self._waiting: deque[tuple[int, SimpleNamespace | None]] = deque()  # stamps and messages; None for lost ones
         self._begin: tuple[int, int] | None = None  # stamp and log time of the first image
         self._previous_ns: int | None = None  # stamp of the last frame
         self._previous_covered = False  # by odometry
@@ -172,6 +173,8 @@ class _Pairing:
         if message is None:
             is_image = raw.topic == self._roles.image.name
             self._skip("undecodable image" if is_image else "unusable odometry", raw.log_time_ns)
+            if is_image:
+                self._lose_image()
             return
         if raw.topic == self._roles.image.name:
             self._take_image(raw, message)
@@ -202,11 +205,23 @@ class _Pairing:
         time_ns = stamp_ns(message.header)
         if self._jumps_ahead(raw, time_ns, raw.topic):
             self._skip("time stamp far ahead", raw.log_time_ns)
+            self._lose_image()
             return
         self._begin = self._begin or (time_ns, raw.log_time_ns)
-        since_s = (time_ns - self._begin[0]) * 1e-9 - self._options.start_s
-        if since_s >= 0 and (self._options.duration_s is None or since_s <= self._options.duration_s):
+        if self._images.remembers or self._is_asked_for(time_ns):
             self._waiting.append((time_ns, message))
+
+    def _lose_image(self) -> None:
+        """A message of images is left out: no matter for the others, unless they build on it."""
+        if self._images.remembers:
+            self._waiting.append((self._waiting[-1][0] if self._waiting else 0, None))
+
+    def _is_asked_for(self, time_ns: int) -> bool:
+        """Whether an image is of the stretch asked for; of video the first packet need not have the first image."""
+        assert self._begin is not None
+        start_s, duration_s = self._options.start_s, self._options.duration_s
+        since_s = (time_ns - self._begin[0]) * 1e-9 - start_s
+        return (since_s >= 0 or start_s == 0) and (duration_s is None or since_s <= duration_s)
 
     def _take_odometry(self, raw: RawMessage, message: SimpleNamespace) -> None:
         time_ns = stamp_ns(message.header)
@@ -256,7 +271,13 @@ class _Pairing:
     def ready_frames(self, *, at_end: bool = False) -> Iterator[Frame]:
         """Frames of the images that need to wait no longer."""
         while self._waiting and (at_end or len(self._waiting) > _MAX_WAITING or self._is_reached(self._waiting[0][0])):
-            frame = self._frame(*self._waiting.popleft())
+            yield from self._frames(self._images.take(*self._waiting.popleft()))
+        if at_end:
+            yield from self._frames(self._images.finish())
+
+    def _frames(self, pictures: Iterable[Picture]) -> Iterator[Frame]:
+        for picture in pictures:
+            frame = self._frame(picture) if self._is_asked_for(picture.time_ns) else None
             if frame is not None:
                 yield frame
 
@@ -267,16 +288,18 @@ class _Pairing:
             and (self._truth is None or self._truth.reaches(time_ns))
         )
 
-    def _frame(self, time_ns: int, message: SimpleNamespace) -> Frame | None:
+    def _frame(self, picture: Picture) -> Frame | None:
         """The frame of an image; None, and a count of why, where it is skipped."""
-        previous_ns = self._previous_ns
+        time_ns, previous_ns = picture.time_ns, self._previous_ns
+        if picture.skipped:
+            return self._skip(picture.skipped, time_ns)
         if previous_ns is not None and time_ns <= previous_ns:
             return self._skip("time stamp not increasing", time_ns)
         covered = self._is_covered(time_ns)
         if self._roles.odometry_required and not covered:
             return self._skip("odometry does not cover", time_ns)
         try:
-            image = self._decode_image(message)
+            image = picture.decode()
         except SequenceError as error:
             return self._skip("undecodable image", time_ns, error)
         odometry = None

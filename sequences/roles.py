@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
+from functools import partial
 from typing import Literal
-
-import numpy as np
-from jaxtyping import UInt8
 
 from filtering.se3 import Poses
 from sequences.bag import Bag, Topic
 from sequences.errors import SequenceError
 from sequences.extrinsics import Extrinsics, find_extrinsics
 from sequences.frame import Trajectory
+from sequences.images import ImageStream, Stills
 from sequences.messages import decode_compressed_image, decode_image, frame_name
 from sequences.options import OdometryUse, SequenceOptions, pose_of_numbers
 from sequences.pairing import MAX_ODOMETRY_GAP_S
@@ -27,28 +25,32 @@ from sequences.true_poses import (
     odometry_track,
     tree_odometry,
 )
+from sequences.video import Video
 
 TruePoseUse = Literal["required", "optional"]
-ImageDecoder = Callable[[SimpleNamespace], UInt8[np.ndarray, "height width 3"]]
-IMAGE_DECODERS: dict[str, ImageDecoder] = {
-    "sensor_msgs/Image": decode_image,
-    "sensor_msgs/CompressedImage": decode_compressed_image,
+_IMAGE_STREAMS: dict[str, Callable[[], ImageStream]] = {
+    "sensor_msgs/Image": partial(Stills, decode_image),
+    "sensor_msgs/CompressedImage": partial(Stills, decode_compressed_image),
+    "foxglove_msgs/CompressedVideo": partial(Video, "format"),
+    "ffmpeg_image_transport_msgs/FFMPEGPacket": partial(Video, "encoding"),
 }
+_TRANSPORTS = ("compressed", "ffmpeg", "foxglove")  # by the habit of image_transport, the last part of a topic's name
 
 
 class Roles:
     """Which topic, frame or file plays which role: the one named by an option, or the only one of its kind."""
 
     def __init__(self, bag: Bag, options: SequenceOptions, odometry: OdometryUse, true_poses: TruePoseUse):
-        image = choose(bag, "image", tuple(IMAGE_DECODERS), options.image_topic, required=True)
+        image = choose(bag, "image", tuple(_IMAGE_STREAMS), options.image_topic, required=True)
         assert image is not None
         self.image = image
+        self._bag, self._options = bag, options
+        self.open_images()  # what it needs may not be installed
         self.odometry_required = odometry == "required"
         self.truth_required = true_poses == "required"
         self.odometry: Topic | None = None
         self.tree_odometry: PoseRoute | None = None
         self.extrinsics: Extrinsics | None = None
-        self._bag, self._options = bag, options
         given = options.base_from_camera
         rig = Rig(self._camera_frame(), base_from_camera=None if given is None else pose_of_numbers(given))
         if odometry != "unread":
@@ -63,10 +65,19 @@ class Roles:
         self.truth = find_true_poses(bag, options, rig, required=needed, odometry=self._odometry_track)
         info_name = options.camera_info_topic
         if info_name is None:
-            # By the habit of ROS, the intrinsics lie beside the image topic.
-            beside = image.name.removesuffix("/compressed").rsplit("/", 1)[0] + "/camera_info"
-            info_name = beside if beside in bag.topics else None
+            # By the habit of ROS and of Foxglove, the intrinsics lie beside the image topic.
+            parts = image.name.split("/")
+            folder = "/".join(parts[: -2 if parts[-1] in _TRANSPORTS else -1])
+            beside = (f"{folder}/{name}" for name in ("camera_info", "calibration"))
+            info_name = next((name for name in beside if name in bag.topics), None)
         self.camera_info = choose(bag, "camera-info", ("sensor_msgs/CameraInfo",), info_name)
+
+    def open_images(self) -> ImageStream:
+        """A stream of the images that no message was taken into yet. Raises SequenceError where PyAV is wanting."""
+        try:
+            return _IMAGE_STREAMS[self.image.read_as]()
+        except SequenceError as error:
+            raise SequenceError(f"{self._bag.path}: {self.image.name} ({self.image.type}): {error}") from error
 
     def _camera_frame(self) -> str:
         """Frame of the camera; '' where nothing says it."""
@@ -139,4 +150,4 @@ class Roles:
         names = [self.image.name, self.odometry.name if self.odometry is not None else ""]
         names += [name for route in routes for name in (route.topic, *route.extrinsics.told_on)]
         names += self.extrinsics.told_on if self.extrinsics is not None else ()
-        return [name for name in dict.fromkeys(names) if name in self._bag.topics]
+        return [name for name in dict.fromkeys(names) if name in self._bag]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from types import SimpleNamespace
 
-from sequences.bag import Bag, RawMessage, Topic
+from sequences import foxglove
+from sequences.bag import TF_STATIC, Bag, RawMessage, Topic, link_of
 from sequences.errors import SequenceError
-from sequences.message_definitions import decoder
 
 
 def choose(
@@ -18,13 +18,13 @@ def choose(
     Args:
         bag: The recording.
         role: What it is for, as in the name of its option.
-        types: Message types that it may have.
+        types: ROS 2 types as which its messages may be read.
         name: Its name; None to find it.
         required: Whether to fail where there is none.
         besides: Name of a topic that has another role, and is not found.
 
     Raises:
-        SequenceError: no topic of that name, one of another type or not in CDR, or several where none is named.
+        SequenceError: no topic of that name, one of another type or encoding, or several where none is named.
     """
     option, expected = f"--{role}-topic", " or ".join(types)
     if name == "" and not required:
@@ -33,11 +33,11 @@ def choose(
         if name not in bag.topics:
             raise SequenceError(f"{bag.path}: no topic {name} ({option}); {listing(bag.topics.values())}")
         chosen = bag.topics[name]
-        if chosen.type not in types:
+        if chosen.read_as not in types:
             raise SequenceError(f"{bag.path}: {name} is {chosen.type}, expected {expected} for {option}")
     else:
         known = [topic for topic in bag.topics.values() if topic.name != besides]
-        candidates = [topic for topic in known if topic.type in types and topic.num_messages]
+        candidates = [topic for topic in known if topic.read_as in types and topic.num_messages]
         if not candidates and not required:
             return None
         if not candidates:
@@ -51,8 +51,11 @@ def choose(
                 f" {listing(candidates)}"
             )
         chosen = candidates[0]
-    if chosen.encoding != "cdr":
-        raise SequenceError(f"{bag.path}: {chosen.name} is encoded as {chosen.encoding!r}, expected ROS 2's 'cdr'")
+    if chosen.encoding not in chosen.encodings:
+        raise SequenceError(
+            f"{bag.path}: {chosen.name} ({chosen.type}) is encoded as {chosen.encoding!r}, expected"
+            f" {' or '.join(map(repr, chosen.encodings))}"
+        )
     return chosen
 
 
@@ -62,17 +65,24 @@ def listing(topics: Iterable[Topic]) -> str:
 
 
 def decode(bag: Bag, raw: RawMessage, *, tolerate: bool = False) -> SimpleNamespace | None:
-    """Fields of a message; where its bytes are no such message, an error or, if tolerated, None."""
-    message_type = bag.topics[raw.topic].type
+    """Fields of a message; where its bytes are no such message, an error or, if tolerated, None.
+
+    Of Foxglove's transforms, those that never change are on /tf_static, the others on /tf.
+    """
     try:
-        return decoder(message_type)(raw.data)
-    except Exception as error:  # the library lets struct, index and unicode errors through
+        message = raw.decode()
+    except Exception as error:  # the libraries let struct, index and unicode errors through
         if tolerate:
             return None
+        reason = str(error) if isinstance(error, SequenceError) else f"{type(error).__name__}: {error}"
         raise SequenceError(
             f"{bag.path}: {raw.topic}: message logged at {raw.log_time_ns} ns has {len(raw.data)} bytes that are no"
-            f" {message_type}: {type(error).__name__}: {error}"
+            f" {raw.type}: {reason}"
         ) from error
+    if foxglove.is_transforms(raw.type):
+        static = raw.topic == TF_STATIC
+        message.transforms = [t for t in message.transforms if (link_of(t) in bag.fixed_links) == static]
+    return message
 
 
 def first(bag: Bag, topic: Topic) -> SimpleNamespace:

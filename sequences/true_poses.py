@@ -11,9 +11,9 @@ import numpy as np
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from sequences.bag import Bag, Topic
+from sequences.bag import TF, Bag, Topic
 from sequences.errors import SequenceError
-from sequences.extrinsics import TF, Extrinsics, find_extrinsics, read_tree
+from sequences.extrinsics import Extrinsics, find_extrinsics, read_tree
 from sequences.frame import Trajectory
 from sequences.messages import frame_name
 from sequences.options import SequenceOptions
@@ -166,15 +166,15 @@ def find_true_poses(
 def _only_candidate(bag: Bag, options: SequenceOptions, rig: Rig, *, required: bool) -> PoseRoute | None:
     topics, others = [], []
     for topic in bag.topics.values():
-        enough = topic.num_messages > (topic.type != "nav_msgs/Path")  # one pose is a goal or a start
-        if topic.type in POSE_TYPES and enough and topic.encoding == "cdr":
+        enough = topic.num_messages > (topic.read_as != "nav_msgs/Path")  # one pose is a goal or a start
+        if topic.read_as in POSE_TYPES and enough and topic.encoding in topic.encodings:
             try:
                 frame, _ = frames_of_topic(bag, topic)
             except SequenceError:  # nothing readable on it
                 continue
             is_odometry = topic.name == rig.odometry_topic or _is_odometry(frame, rig)
             (others if is_odometry else topics).append(topic)
-    tree = read_tree(bag, within_s=_SURVEY_S, tolerate=True) if TF in bag.topics else TransformTree()
+    tree = read_tree(bag, within_s=_SURVEY_S, tolerate=True) if TF in bag else TransformTree()
     frames = _frames_that_could(tree, rig)
     number = len(topics) + bool(frames)
     if number == 1:
@@ -224,15 +224,15 @@ def _of_topic(bag: Bag, options: SequenceOptions, rig: Rig, topic: Topic) -> Pos
         child = frames_of_topic(bag, topic)[1]
     extrinsics = rig.on(bag, child, f" ({topic.name})")
     notices = []
-    if not child and topic.type != _CAMERA_POSES:
+    if not child and topic.read_as != _CAMERA_POSES:
         notices.append(
             f"{topic.name} ({topic.type}) names no child frame: taken for poses of the camera itself"
             " (--ground-truth-child-frame says otherwise)"
         )
-    if topic.type == "nav_msgs/Path":
+    if topic.read_as == "nav_msgs/Path":
         table = TabledPoses(read_path(bag, topic), extrinsics.body_from_camera)
         return PoseRoute(topic.name, "", lambda: table, extrinsics, resolved, notices)
-    gap_s = MAX_TRUE_POSE_GAP_S if topic.type == _CAMERA_POSES else MAX_GAP_S
+    gap_s = MAX_TRUE_POSE_GAP_S if topic.read_as == _CAMERA_POSES else MAX_GAP_S
 
     def source() -> LinkedPoses:
         return poses_of_topic(topic, extrinsics.body_from_camera, max_gap_s=gap_s)
