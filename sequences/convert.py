@@ -18,6 +18,7 @@ from sequences.messages import decode_image_bytes
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.pairing import MAX_ODOMETRY_GAP_S, interpolate
 from sequences.tum import read_tum
+from sequences.undistortion import Lens
 from sequences.writer import SequenceWriter
 
 BASE_FROM_CAMERA = Poses(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
@@ -151,7 +152,7 @@ def _covered(images: PosedImages, track: _OdometryTrack | None, skipped: Counter
     return images.select(np.flatnonzero(covered))
 
 
-def _one_camera(images: PosedImages, dataset: Path) -> Camera:
+def _one_camera(images: PosedImages, dataset: Path) -> Camera | Lens:
     cameras = set(images.cameras)
     if len(cameras) > 1:
         raise SequenceError(f"{dataset}: images of {len(cameras)} cameras, expected one: a sequence has one")

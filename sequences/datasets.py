@@ -10,14 +10,38 @@ from pathlib import Path
 
 from sequences.errors import SequenceError
 from sequences.frame import Frame
-from sequences.layouts import ambiguous, cambridge, ceiling, colmap, seven_scenes, tum_rgbd
+from sequences.layouts import (
+    ambiguous,
+    cambridge,
+    ceiling,
+    colmap,
+    euroc,
+    nerfstudio,
+    record3d,
+    seven_scenes,
+    stray_scanner,
+    tum_rgbd,
+)
 from sequences.layouts.image_files import read_image_bytes
 from sequences.layouts.posed_images import PosedImages
 from sequences.messages import decode_image_bytes
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
+from sequences.undistortion import Lens, undistorted
 
-_LAYOUTS = (tum_rgbd, seven_scenes, ambiguous, ceiling, cambridge, colmap)
+_LAYOUTS = (
+    tum_rgbd,
+    euroc,
+    seven_scenes,
+    ambiguous,
+    ceiling,
+    cambridge,
+    stray_scanner,
+    record3d,
+    nerfstudio,
+    colmap,
+)
+_FILES_OF_LAYOUTS = (".txt", ".json", ".r3d")  # a file of another kind is a recording
 _SPLITS = ("train", "test", "TrainSplit.txt", "TestSplit.txt", "dataset_train.txt", "dataset_test.txt")
 
 
@@ -44,7 +68,8 @@ def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOp
     Args:
         path: MCAP file, rosbag2 folder, or a data set as `list_images` takes it.
         frames: Which of them; for MCAP, of those with a true pose, and not counted from the end.
-        options: What to read of an MCAP sequence, and where its true poses are; folders of images ignore it.
+        options: What to read of an MCAP sequence, and where its true poses are; of that, folders of images heed
+            `undistort` only.
 
     Raises:
         SequenceError: the layout is unknown, a file is missing or damaged, or no frame is left; with the first frame.
@@ -77,7 +102,7 @@ def _posed_frames(
     else:
         images = list_images(path)
         skipped.update(images.skipped)
-        for frame in _load(images[frames], skipped):
+        for frame in _load(images[frames], skipped, undistort=options is None or options.undistort):
             number += 1
             yield frame
     if number == 0:
@@ -97,9 +122,10 @@ def list_images(path: Path) -> PosedImages:
     """Images and true poses of a data set, none of them read yet.
 
     Args:
-        path: A folder of TUM RGB-D, a 7-Scenes sequence or scene, a sequence or split of the Ambiguous Relocalization
-            data set or of the Ceiling recording, or a COLMAP text model; or the file by which 7-Scenes or Cambridge
-            Landmarks list a split, such as `chess/TrainSplit.txt` or `ShopFacade/dataset_test.txt`.
+        path: A folder of TUM RGB-D or EuRoC MAV, a 7-Scenes sequence or scene, a sequence or split of the Ambiguous
+            Relocalization data set or of the Ceiling recording, a recording of Stray Scanner or Record3D, a nerfstudio
+            folder or a COLMAP model; or a file: by which 7-Scenes or Cambridge Landmarks list a split, such as
+            `chess/TrainSplit.txt` or `ShopFacade/dataset_test.txt`, an `.r3d`, or nerfstudio's `transforms_train.json`.
 
     Raises:
         SequenceError: the layout is unknown, a file is missing or damaged, or no image has a true pose.
@@ -129,7 +155,7 @@ def _looked_for() -> str:
 
 def is_recording(path: Path) -> bool:
     """Whether a path is taken for an MCAP file or rosbag2 folder, rather than images on disk or the list of a split."""
-    return (path.is_file() and path.suffix != ".txt") or (path / "metadata.yaml").is_file()
+    return (path.is_file() and path.suffix not in _FILES_OF_LAYOUTS) or (path / "metadata.yaml").is_file()
 
 
 def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:
@@ -143,8 +169,8 @@ def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:
         follows = frame.world_from_camera is not None
 
 
-def _load(images: PosedImages, skipped: Counter[str]) -> Iterator[Frame]:
-    """Decode images; those that cannot be are left out, unless it is all of them."""
+def _load(images: PosedImages, skipped: Counter[str], *, undistort: bool) -> Iterator[Frame]:
+    """Decode and undistort images; those that cannot be are left out, unless it is all of them."""
     problem = None
     num_loaded = 0
     for i, file in enumerate(images.files):
@@ -155,7 +181,14 @@ def _load(images: PosedImages, skipped: Counter[str]) -> Iterator[Frame]:
             skipped["undecodable image"] += 1
             continue
         num_loaded += 1
+        camera = images.cameras[i]
+        if isinstance(camera, Lens) and not undistort:
+            camera = camera.camera
+        try:
+            image, camera = undistorted(image, camera)
+        except SequenceError as error:
+            raise SequenceError(f"{file}: {error}") from error
         sequence = 0 if images.sequence is None else int(images.sequence[i])
-        yield Frame(int(images.times_ns[i]), image, None, images.world_from_camera[i], images.cameras[i], sequence)
+        yield Frame(int(images.times_ns[i]), image, None, images.world_from_camera[i], camera, sequence)
     if problem and not num_loaded:
         raise SequenceError(f"no image left: {problem}")

@@ -25,6 +25,17 @@ class Camera:
     cx: float
     cy: float
 
+    def scaled(self, width: int, height: int) -> Camera:
+        """The same camera at another image size; the edge, half a pixel from the first centre, stays the edge."""
+        if (width, height) == (self.width, self.height):
+            return self
+        sx, sy = width / self.width, height / self.height
+        return Camera(width, height, self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5)
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """The same camera when so many pixels are cut out of its image."""
+        return Camera(width, height, self.fx, self.fy, self.cx - left, self.cy - top)
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -32,11 +43,11 @@ class Frame:
 
     Attributes:
         time_ns: Header stamp of the image, integer nanoseconds.
-        image: RGB, uint8; empty where there is none.
+        image: RGB, uint8, undistorted; empty where there is none.
         odometry: Motion of the camera since the previous frame that was yielded; None for the first frame, and where
             no odometry covers it.
         world_from_camera: True pose, one pose; None where unknown.
-        camera: Intrinsics, None where unknown.
+        camera: Intrinsics of that image, a pinhole camera's; None where unknown.
         sequence: Which sequence of its data set it is from, counted from 0, where a data set has several.
     """
 

@@ -17,7 +17,6 @@ from jaxtyping import Float64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.frame import Camera
 
 # Encoding -> element type, channels, OpenCV conversion to RGB. OpenCV's newer Bayer names (RGGB) name the mosaic
 # as ROS does; its older ones (BG) name the second row, and are off by one.
@@ -186,14 +185,6 @@ def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
             raise VaporTrackError(f"twist covariance has the negative eigenvalue {eigenvalue:.3g}")
     covariance[unmeasured, unmeasured] = np.inf
     return OdometrySample(stamp_ns(message.header), pose, covariance)
-
-
-def camera_from_message(message: SimpleNamespace) -> Camera | None:
-    """sensor_msgs/CameraInfo -> intrinsics of the stored (not rectified) image; None for an uncalibrated camera."""
-    k = [float(value) for value in message.k]
-    if not (np.isfinite(k).all() and k[0] > 0 and k[4] > 0):
-        return None
-    return Camera(int(message.width), int(message.height), fx=k[0], fy=k[4], cx=k[2], cy=k[5])
 
 
 def transforms_from_message(

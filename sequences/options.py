@@ -51,6 +51,8 @@ class SequenceOptions:
     camera_info_topic: str | None = None
     """Topic of the intrinsics, sensor_msgs/CameraInfo or foxglove.CameraCalibration; '' for none. Default: the one
     beside the image topic."""
+    undistort: bool = True
+    """Undistort images by their intrinsics (CameraInfo, COLMAP), to those of a pinhole camera of the same size."""
     camera_frame: str | None = None
     """Frame of the camera, for tf. Default: the frame in the header of the images."""
     base_from_camera: tuple[float, float, float, float, float, float, float] | None = None

@@ -12,20 +12,17 @@ import numpy as np
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from sequences.bag import Bag, RawMessage, Topic
+from sequences.bag import Bag, RawMessage
+from sequences.camera_info import ImageCamera
 from sequences.errors import SequenceError
-from sequences.frame import Camera, Frame
+from sequences.frame import Frame
 from sequences.images import Picture
-from sequences.messages import (
-    camera_from_message,
-    odometry_from_message,
-    stamp_ns,
-)
+from sequences.messages import odometry_from_message, stamp_ns
 from sequences.options import OdometryUse, SequenceOptions
 from sequences.pairing import MAX_ODOMETRY_GAP_S, PoseWindow
 from sequences.pose_sources import PoseSource
 from sequences.roles import Roles, TruePoseUse
-from sequences.topics import decode, first
+from sequences.topics import decode
 
 METADATA_NAME = "vapor-track"  # of the record in which a file says where its odometry comes from
 _MAX_WAITING = 64  # images held, still encoded, until odometry and true poses reach them
@@ -39,8 +36,8 @@ class SequenceReader:
         path: The file or folder.
         skipped: How many images and messages of the latest iteration were left out, by reason.
         across_jumps: How many frames of the latest iteration have no true pose as it jumps about them.
-        notices: What a person should know of the odometry and the true poses; complete after an iteration.
-        camera: Intrinsics, None where the file has none.
+        notices: What a person should know of the camera, the odometry and the true poses; complete after an iteration.
+        camera: Intrinsics of the undistorted images, as the file states their size; None where it has none.
         base_from_camera: Extrinsics, one pose; None where odometry is not read.
         num_images: Images in the file, all of it: for progress.
         odometry_description: What the file says of where its odometry comes from; None where it says nothing.
@@ -66,7 +63,8 @@ class SequenceReader:
 
         Raises:
             SequenceError: the file is damaged, a topic is missing or ambiguous, no transform leads from the odometry's
-                or the true poses' child frame to the camera, or what an option names for true poses gives none.
+                or the true poses' child frame to the camera, what an option names for true poses gives none, or the
+                intrinsics or the distortion are none of a camera.
         """
         self.path = Path(path)
         self.skipped: Counter[str] = Counter()
@@ -75,7 +73,10 @@ class SequenceReader:
         self._bag = Bag(self.path)
         self._roles = Roles(self._bag, self._options, odometry, true_poses)
         self.num_images = self._roles.image.num_messages
-        self.camera = _read_camera(self._bag, self._roles.camera_info)
+        self._image_camera = ImageCamera(
+            self._bag, self._roles.camera_info, self._roles.image, undistort=self._options.undistort
+        )
+        self.camera = self._image_camera.camera
         extrinsics = self._roles.extrinsics
         self.base_from_camera: Poses | None = extrinsics.body_from_camera if extrinsics is not None else None
         self.odometry_description = self._bag.metadata.get(METADATA_NAME, {}).get("odometry")
@@ -108,7 +109,7 @@ class SequenceReader:
             SequenceError: the file is damaged, no image is left, a camera that should be fixed moves, or true poses are
                 required and none is of the time of an image.
         """
-        pairing = _Pairing(self.path, self._roles, self._options, self.camera)
+        pairing = _Pairing(self.path, self._roles, self._options, self._image_camera)
         self.skipped, self.across_jumps, self.notices = pairing.skipped, 0, list(self._found_notices)
         num_frames = 0
         for raw in self._bag.messages(self._roles.streamed):
@@ -133,13 +134,13 @@ class SequenceReader:
             if self._roles.truth_required:
                 raise SequenceError(f"{self.path}: {apart}")
             self.notices.append(apart)
-        self.notices += pairing.jumps()
+        self.notices += [*self._image_camera.notices, *pairing.jumps()]
 
 
 class _Pairing:
     """The state of one iteration: images wait, still encoded, until odometry and true poses have come as far."""
 
-    def __init__(self, path: Path, roles: Roles, options: SequenceOptions, camera: Camera | None):
+    def __init__(self, path: Path, roles: Roles, options: SequenceOptions, camera: ImageCamera):
         self._path = path
         self.skipped: Counter[str] = Counter()
         self.first_problem = ""
@@ -317,7 +318,8 @@ class _Pairing:
                 source.forget_before(time_ns)
         self._previous_ns, self._previous_covered = time_ns, covered
         self._span_ns = (self._span_ns[0] if self._span_ns else time_ns, time_ns)
-        return Frame(time_ns, image, odometry, truth, self._camera)
+        image, camera = self._camera.seen(image)
+        return Frame(time_ns, image, odometry, truth, camera)
 
     def _is_covered(self, time_ns: int) -> bool:
         """Whether odometry tells where the base was; of a tree it becomes a pose like those of a topic."""
@@ -365,10 +367,6 @@ class _Pairing:
         if not self.skipped:
             self.first_problem = f" (first at {time_ns} ns{f': {error}' if error else ''})"
         self.skipped[reason] += 1
-
-
-def _read_camera(bag: Bag, topic: Topic | None) -> Camera | None:
-    return camera_from_message(first(bag, topic)) if topic is not None and topic.num_messages else None
 
 
 def _seconds(time_ns: int) -> str:

@@ -19,6 +19,7 @@ from sequences.frame import Camera
 from sequences.message_definitions import schema_name, schema_text
 from sequences.messages import covariance_to_ros
 from sequences.reader import METADATA_NAME
+from sequences.undistortion import Lens, pinhole_of
 
 MAP_FRAME, ODOM_FRAME, BASE_FRAME, CAMERA_FRAME = "map", "odom", "base_link", "camera_optical_frame"
 ESTIMATE_FRAME = "camera_estimate"
@@ -72,7 +73,7 @@ class SequenceWriter(_MessageWriter):
         self,
         path: Path,
         *,
-        camera: Camera,
+        camera: Camera | Lens,
         base_from_camera: Poses,
         metadata: Mapping[str, str] = {},
         jpeg_quality: int = 92,
@@ -81,7 +82,7 @@ class SequenceWriter(_MessageWriter):
 
         Args:
             path: File to write.
-            camera: Intrinsics of the images.
+            camera: Intrinsics of the images as they are written, with the distortion of a lens.
             base_from_camera: Extrinsics, one pose.
             metadata: What the file should say of itself; `odometry` says where its odometry comes from.
             jpeg_quality: Quality of images that are given as pixels, 0 to 100.
@@ -112,16 +113,19 @@ class SequenceWriter(_MessageWriter):
         header = self._header(time_ns, CAMERA_FRAME)
         image = {"header": header, "format": format, "data": data}
         self._write("/camera/image/compressed", "sensor_msgs/CompressedImage", image, time_ns)
-        c = self._camera
+        lens = self._camera if isinstance(self._camera, Lens) else Lens(self._camera, "plumb_bob", (0.0,) * 5)
+        c, p, d = lens.camera, pinhole_of(self._camera), list(lens.coefficients)
+        if lens.model == "equidistant" and not any(d):
+            d[-1] = 1e-12  # zeros would say that nothing is distorted
         info = {
             "header": header,
             "height": c.height,
             "width": c.width,
-            "distortion_model": "plumb_bob",
-            "d": [0.0] * 5,
+            "distortion_model": lens.model,
+            "d": d,
             "k": [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0],
             "r": np.eye(3).ravel().tolist(),
-            "p": [c.fx, 0.0, c.cx, 0.0, 0.0, c.fy, c.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+            "p": [p.fx, 0.0, p.cx, 0.0, 0.0, p.fy, p.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         }
         self._write("/camera/camera_info", "sensor_msgs/CameraInfo", info, time_ns)
 

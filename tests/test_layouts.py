@@ -11,6 +11,11 @@ from filtering.se3 import Poses
 from sequences.convert import convert
 from sequences.datasets import count_frames, list_images, posed_frames
 from sequences.errors import SequenceError
+from sequences.frame import Camera
+from sequences.messages import decode_image_bytes
+from sequences.options import SequenceOptions
+from sequences.reader import SequenceReader
+from sequences.undistortion import Lens, pinhole_of, undistorted
 from tests.test_datasets import make_7scenes, make_tum, same, write_image
 
 THIRTIETH_NS = 1_000_000_000 / 30
@@ -343,7 +348,7 @@ def test_a_cambridge_list_that_is_wrong_is_named(content: str, said: str, tmp_pa
 
 # --- COLMAP ----------------------------------------------------------------------------------------
 
-CAMERAS = "# Camera list\n1 PINHOLE 64 48 60 58 32 24\n2 SIMPLE_RADIAL 32 24 30 16 12 -0.02\n"
+CAMERAS = "# Camera list\n1 PINHOLE 64 48 60 58 32 24\n2 SIMPLE_RADIAL 32 24 30 16 12 0\n"
 COLMAP_NAMES = {0: "a/frame9.png", 1: "a/frame10.png", 2: "b/view 1.png"}
 
 
@@ -393,28 +398,52 @@ def test_colmap_cameras_are_each_image_s_own_at_its_size(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("parameters", "focal"),
+    ("parameters", "focal", "distortion"),
     [
-        ("SIMPLE_PINHOLE 32 24 30 16 12", (30, 30)),
-        ("PINHOLE 32 24 30 29 16 12", (30, 29)),
-        ("SIMPLE_RADIAL 32 24 30 16 12 0.1", (30, 30)),
-        ("RADIAL 32 24 30 16 12 0.1 0.2", (30, 30)),
-        ("OPENCV 32 24 30 29 16 12 0.1 0.2 0.3 0.4", (30, 29)),
+        ("SIMPLE_PINHOLE 32 24 30 16 12", (30.0, 30.0), None),
+        ("PINHOLE 32 24 30 29 16 12", (30.0, 29.0), None),
+        ("SIMPLE_RADIAL 32 24 30 16 12 0", (30.0, 30.0), None),
+        ("SIMPLE_RADIAL 32 24 30 16 12 0.1", (30.0, 30.0), ("plumb_bob", 0.1, 0, 0, 0)),
+        ("RADIAL 32 24 30 16 12 0.1 0.2", (30.0, 30.0), ("plumb_bob", 0.1, 0.2, 0, 0)),
+        ("OPENCV 32 24 30 29 16 12 0.1 0.2 0.03 0.04", (30.0, 29.0), ("plumb_bob", 0.1, 0.2, 0.03, 0.04)),
+        (
+            "FULL_OPENCV 32 24 30 29 16 12 0.1 0.2 0.03 0.04 0.05 0.06 0.07 0.08",
+            (30.0, 29.0),
+            ("rational_polynomial", 0.1, 0.2, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08),
+        ),
+        ("SIMPLE_RADIAL_FISHEYE 32 24 30 16 12 0", (30.0, 30.0), ("equidistant", 0, 0, 0, 0)),
+        ("RADIAL_FISHEYE 32 24 30 16 12 0.1 0.2", (30.0, 30.0), ("equidistant", 0.1, 0.2, 0, 0)),
+        ("OPENCV_FISHEYE 32 24 30 29 16 12 0.1 0.2 0.3 0.4", (30.0, 29.0), ("equidistant", 0.1, 0.2, 0.3, 0.4)),
     ],
 )
-def test_colmap_camera_models(parameters: str, focal: tuple[float, float], tmp_path: Path) -> None:
+def test_colmap_camera_models(
+    parameters: str, focal: tuple[float, float], distortion: tuple | None, tmp_path: Path
+) -> None:
     root = make_colmap(tmp_path / "scene", "sparse/0", "images")
     (root / "sparse" / "0" / "cameras.txt").write_text(f"1 {parameters}\n2 {parameters}\n")
-    camera = next(posed_frames(root)).camera
-    assert camera is not None
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (*focal, 15.5, 11.5)
+    stated = Camera(32, 24, *focal, 15.5, 11.5)
+    lens = Lens(stated, distortion[0], tuple(map(float, distortion[1:]))) if distortion else stated
+    assert list_images(root).cameras == [lens] * 3
+    shown = decode_image_bytes((root / "images" / COLMAP_NAMES[0]).read_bytes())
+    frame = next(posed_frames(root))
+    assert frame.camera == pinhole_of(lens)
+    np.testing.assert_array_equal(frame.image, undistorted(shown, lens)[0])
+    as_it_is = next(posed_frames(root, options=SequenceOptions(undistort=False)))
+    assert as_it_is.camera == stated
+    np.testing.assert_array_equal(as_it_is.image, shown)
+    # Images are copied with their distortion, which is undone in reading.
     assert convert(root, tmp_path / "out.mcap").num_images == 3
+    reader = SequenceReader(tmp_path / "out.mcap", odometry="unread")
+    assert reader.camera is not None
+    assert frame.camera is not None
+    assert reader.camera.fx == pytest.approx(frame.camera.fx, rel=1e-6)
+    np.testing.assert_array_equal(next(iter(reader)).image, frame.image)
 
 
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("1 OPENCV_FISHEYE 32 24 30 29 16 12 0 0 0 0", "camera model OPENCV_FISHEYE, expected one of SIMPLE_PINHOLE"),
+        ("1 FOV 32 24 30 29 16 12 0.9", "camera model FOV, expected one of SIMPLE_PINHOLE.*image_undistorter"),
         ("1 PINHOLE 32 24 30 16 12", "3 parameters, expected the 4 of PINHOLE"),
         ("1 PINHOLE 32", "3 columns, expected `CAMERA_ID MODEL WIDTH HEIGHT PARAMS"),
         ("1 PINHOLE 32 24 30 x 16 12", "could not convert string to float: 'x'"),
@@ -465,13 +494,6 @@ def test_what_a_colmap_model_leaves_out_is_counted(tmp_path: Path) -> None:
     assert list_images(root).skipped == counted
 
 
-def test_a_binary_colmap_model_is_asked_for_as_text(tmp_path: Path) -> None:
-    (tmp_path / "sparse" / "0").mkdir(parents=True)
-    (tmp_path / "sparse" / "0" / "images.bin").write_bytes(b"\0")
-    with pytest.raises(SequenceError, match=r"images\.bin: a binary model, expected it as text"):
-        list_images(tmp_path)
-
-
 # --- all of them -----------------------------------------------------------------------------------
 
 
@@ -483,7 +505,7 @@ def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Pat
             list(posed_frames(path))
         for file in (
             *("metadata.yaml", "groundtruth.txt", "frame-*.pose.txt", "TrainSplit.txt", "poses_seq*.txt", "poses.txt"),
-            *("dataset_train.txt", "images.txt and cameras.txt"),
+            *("dataset_train.txt", "images and cameras, .bin or .txt"),
         ):
             assert file in str(error.value)
 

@@ -11,7 +11,6 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.message_definitions import DEFINITIONS, decoder, schema_text
 from sequences.messages import (
-    camera_from_message,
     covariance_from_ros,
     covariance_to_ros,
     decode_compressed_image,
@@ -207,13 +206,6 @@ def test_covariance_to_ros_and_back_is_the_same() -> None:
     pose = Poses.exp(rng.normal(size=6))
     back = covariance_from_ros(covariance_to_ros(root @ root.T, pose), pose)
     np.testing.assert_allclose(back, root @ root.T, atol=1e-12)
-
-
-def test_an_uncalibrated_camera_has_no_intrinsics() -> None:
-    assert camera_from_message(SimpleNamespace(width=640, height=480, k=[0.0] * 9)) is None
-    camera = camera_from_message(SimpleNamespace(width=640, height=480, k=[500.0, 0, 320, 0, 510, 240, 0, 0, 1]))
-    assert camera is not None
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (500.0, 510.0, 320.0, 240.0)
 
 
 def test_frame_names_lose_their_leading_slash() -> None:

@@ -106,9 +106,41 @@ class RunResult:
     notices: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model ready for runs, whatever the number of sequences.
+
+    Attributes:
+        name: Name of its file, or the name it ships by.
+        sha256: Of its file.
+        observation: The model itself.
+    """
+
+    name: str
+    sha256: str
+    observation: VaporObservationModel
+
+
+def load_model(model: str, config: RunConfig) -> LoadedModel:
+    """Load a model for runs with some settings.
+
+    Args:
+        model: Model file, or name of a model that ships with the package.
+        config: Settings.
+
+    Raises:
+        VaporTrackError: no such model, an unusable file, or no such device.
+    """
+    checkpoint = find_model(model)
+    observation = VaporObservationModel.from_checkpoint(
+        str(checkpoint), num_samples=config.num_samples, device=config.device
+    )
+    return LoadedModel(Path(model).name, hashlib.sha256(checkpoint.read_bytes()).hexdigest(), observation)
+
+
 def run(
     sequence: Path,
-    model: str,
+    model: str | LoadedModel,
     output: Path,
     config: RunConfig | None = None,
     *,
@@ -119,7 +151,8 @@ def run(
 
     Args:
         sequence: MCAP file or rosbag2 folder.
-        model: Model file, or name of a model that ships with the package.
+        model: Model file, name of a model that ships with the package, or what `load_model` made of one with these
+            settings.
         output: Directory for the results; made if absent. Its files appear when the run is complete, or not at all.
         config: Settings.
         reading: What to read of the sequence; None for all of it, as found.
@@ -130,23 +163,20 @@ def run(
     """
     config, reading = config or RunConfig(), reading or SequenceOptions()
     refuse_file(output)
-    checkpoint = find_model(model)
+    loaded = load_model(model, config) if isinstance(model, str) else model
     reader = SequenceReader(sequence, reading)
-    observation_model = VaporObservationModel.from_checkpoint(
-        str(checkpoint), num_samples=config.num_samples, device=config.device
-    )
 
     with complete_directory(output) as partial, limited_threads(config.threads):
-        calibration = observation_model.checkpoint.calibration
+        calibration = loaded.observation.checkpoint.calibration
         fit = calibration.odometry if config.fitted_odometry else None
         record = localize(
-            reader, observation_model, partial, config, calibration.errors, odometry_fit=fit, progress=progress
+            reader, loaded.observation, partial, config, calibration.errors, odometry_fit=fit, progress=progress
         )
-        device = str(observation_model.device)
+        device = str(loaded.observation.device)
         settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
         settings = {
             "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
-            "model": {"name": Path(model).name, "sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest()},
+            "model": {"name": loaded.name, "sha256": loaded.sha256},
             **settings,
         }
         result = write_results(record, partial, settings, title=sequence.name)

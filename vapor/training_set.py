@@ -22,6 +22,7 @@ from filtering.se3 import Poses
 from sequences.bag import bag_files
 from sequences.datasets import PosedFrames, is_recording, list_images, posed_frames
 from sequences.frame import Frame
+from sequences.layouts.packed import ImageFile
 from sequences.options import SequenceOptions
 from vapor.images import centre_crop, scale_to_cover
 
@@ -153,8 +154,8 @@ def _source(entry: Path | str) -> tuple[Path, slice]:
     return path.resolve(), frames
 
 
-def _files(entry: Path | str) -> set[Path]:
-    """Image files of `PATH` or `PATH@START:STOP`; of a recording all that it is made of, whichever frames."""
+def _files(entry: Path | str) -> set[ImageFile]:
+    """Images of `PATH` or `PATH@START:STOP`; of a recording all that it is made of, whichever frames."""
     path, frames = parse_entry(entry)
     files = bag_files(path) if is_recording(path) else list_images(path)[frames].files
     return {file.resolve() for file in files}

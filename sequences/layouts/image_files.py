@@ -7,16 +7,29 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from sequences.errors import SequenceError
+from sequences.layouts.packed import ImageFile
+from sequences.messages import decode_image_bytes
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
-def read_image_bytes(file: Path) -> bytes:
-    """Bytes of an image file. Raises SequenceError where it cannot be read."""
+def read_image_bytes(file: ImageFile) -> bytes:
+    """Bytes of a JPEG or PNG. Raises SequenceError where it cannot be read."""
     try:
         return file.read_bytes()
     except OSError as error:
         raise SequenceError(f"{file}: cannot read the image: {error.strerror or error}") from error
+
+
+def size_of_first(files: Iterable[ImageFile]) -> tuple[int, int] | None:
+    """Width and height of the first of the images that can be read; None where none can."""
+    for file in files:
+        try:
+            height, width = decode_image_bytes(read_image_bytes(file)).shape[:2]
+        except SequenceError:
+            continue  # counted when it is its turn
+        return width, height
+    return None
 
 
 def images_in(folder: Path) -> list[Path]:

@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TypeVar
 
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.image_files import read_image_bytes
-from sequences.messages import decode_image_bytes
+from sequences.layouts.image_files import size_of_first
+from sequences.layouts.packed import ImageFile
 from sequences.tum import read_lines
+from sequences.undistortion import Lens
+
+Seen = TypeVar("Seen", Camera, Lens, Camera | Lens)
 
 
-def find_camera(folders: Iterable[Path], files: Iterable[Path], known: Camera | None = None) -> Camera | None:
+def find_camera(folders: Iterable[Path], files: Iterable[ImageFile], known: Camera | None = None) -> Camera | None:
     """Intrinsics from the first `intrinsics.json` in these folders, else the known ones; scaled to the images.
 
     Raises:
@@ -24,15 +28,10 @@ def find_camera(folders: Iterable[Path], files: Iterable[Path], known: Camera | 
     return camera if camera is None else scaled_to(camera, files)
 
 
-def scaled_to(camera: Camera, files: Iterable[Path]) -> Camera:
-    """The same camera at the size of the first of the images that can be read."""
-    for file in files:
-        try:
-            height, width = decode_image_bytes(read_image_bytes(file)).shape[:2]
-        except SequenceError:
-            continue  # counted when it is its turn
-        return _scaled(camera, width, height)
-    return camera
+def scaled_to(camera: Seen, files: Iterable[ImageFile]) -> Seen:
+    """The same camera or lens at the size of the first of the images that can be read."""
+    size = size_of_first(files)
+    return camera if size is None else camera.scaled(*size)
 
 
 def _read_intrinsics(file: Path) -> Camera:
@@ -45,13 +44,3 @@ def _read_intrinsics(file: Path) -> Camera:
             f"{file}: {type(error).__name__}: {error}; expected JSON with {', '.join(keys)} in pixels"
         ) from error
     return Camera(int(width), int(height), fx, fy, cx, cy)
-
-
-def _scaled(camera: Camera, width: int, height: int) -> Camera:
-    """The same camera at another image size; the image's edge, half a pixel from the first centre, stays the edge."""
-    if (width, height) == (camera.width, camera.height):
-        return camera
-    sx, sy = width / camera.width, height / camera.height
-    return Camera(
-        width, height, camera.fx * sx, camera.fy * sy, (camera.cx + 0.5) * sx - 0.5, (camera.cy + 0.5) * sy - 0.5
-    )

@@ -1,4 +1,4 @@
-"""Poses as rows of text, with whatever columns beside them."""
+"""Poses as rows of text, with whatever columns beside them, and as matrices; camera axes of others -> OpenCV's."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 
 NOT_FINITE = "true pose not finite"  # why an image is left out, as of a frame that was not tracked
+_MAX_MATRIX_ERROR = 0.01  # of a rotation's elements
 _MAX_LENGTH_ERROR = 0.01  # of a quaternion; beyond, these are other numbers
 
 
@@ -41,6 +42,40 @@ def read_pose_row(fields: Sequence[str], columns: str, where: str) -> Poses | No
     if abs(length - 1) > _MAX_LENGTH_ERROR:
         raise SequenceError(f"{where}: quaternion of length {length:g}, expected a unit quaternion in `{columns}`")
     return Poses.from_quat_xyzw(row[:3], row[3:])
+
+
+def read_pose_matrix(matrix: object, where: str) -> Poses | None:
+    """The pose of a 4 x 4 camera-to-world matrix, its rotation made exact; its axes as they stand.
+
+    Args:
+        matrix: Rows of numbers.
+        where: Begins the message of an error.
+
+    Returns:
+        One pose; None where it is not finite.
+
+    Raises:
+        SequenceError: no 4 x 4 numbers, or not those of a rotation and a translation.
+    """
+    try:
+        values = np.array(matrix, np.float64)
+    except (ValueError, TypeError) as error:
+        raise SequenceError(f"{where}: {error}; expected a 4 x 4 matrix of numbers") from error
+    if values.shape != (4, 4):
+        raise SequenceError(f"{where}: shape {values.shape}, expected a 4 x 4 matrix")
+    if not np.isfinite(values).all():
+        return None
+    u, _, vt = np.linalg.svd(values[:3, :3])
+    if np.abs(u @ vt - values[:3, :3]).max() > _MAX_MATRIX_ERROR or np.linalg.det(u @ vt) < 0:
+        raise SequenceError(f"{where}: the upper left 3 x 3 is no rotation, expected a camera-to-world matrix")
+    if np.abs(values[3] - (0, 0, 0, 1)).max() > 1e-3:
+        raise SequenceError(f"{where}: last row {values[3].tolist()}, expected 0 0 0 1 of a camera-to-world matrix")
+    return Poses(u @ vt, values[:3, 3].copy())
+
+
+def from_opengl(pose: Poses) -> Poses:
+    """The pose of a camera whose axes are OpenGL's (y up, z backward), with OpenCV's (y down, z forward)."""
+    return Poses(pose.rotation * np.array([1.0, -1.0, -1.0]), pose.translation)
 
 
 def stack_poses(poses: Sequence[Poses]) -> Poses:

@@ -6,13 +6,14 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int64
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
+from sequences.layouts.packed import ImageFile
+from sequences.undistortion import Lens
 
 ASSUMED_HZ = 30
 """The rate assumed where a layout has no time stamps: that of the sensor of 7-Scenes."""
@@ -24,20 +25,20 @@ class PosedImages:
 
     Attributes:
         layout: Name of the layout, such as "TUM RGB-D" or "7-Scenes".
-        files: Image files.
+        files: Image files, or images in an archive or a video.
         times_ns: Their stamps, strictly increasing.
         world_from_camera: True poses, batch (n,).
-        cameras: Intrinsics of each, in pixels of the image; None where unknown.
+        cameras: Intrinsics of each, in pixels of the image, and distortion where it is stated; None where unknown.
         assumed_hz: The rate that stamps were made up with; None where they were recorded.
         skipped: Images and poses left out, by reason.
         sequence: Index of the sequence each image is from, (n,); None where all are from one.
     """
 
     layout: str
-    files: list[Path]
+    files: Sequence[ImageFile]
     times_ns: Int64[np.ndarray, " n"]
     world_from_camera: Poses
-    cameras: list[Camera | None]
+    cameras: list[Camera | Lens | None]
     assumed_hz: int | None = None
     skipped: Counter[str] = field(default_factory=Counter)
     sequence: Int64[np.ndarray, " n"] | None = None
@@ -46,11 +47,11 @@ class PosedImages:
     def numbered(
         cls,
         layout: str,
-        files: list[Path],
+        files: Sequence[ImageFile],
         world_from_camera: Poses,
         numbers: Sequence[Sequence[int]],
         skipped: Counter[str],
-        camera: Camera | None = None,
+        camera: Camera | Lens | None = None,
     ) -> PosedImages:
         """Images of sequences without time stamps, which are made up at the assumed rate.
 

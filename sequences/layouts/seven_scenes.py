@@ -16,7 +16,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.layouts.intrinsics import find_camera
-from sequences.layouts.pose_rows import NOT_FINITE
+from sequences.layouts.pose_rows import NOT_FINITE, read_pose_matrix, stack_poses
 from sequences.layouts.posed_images import PosedImages
 from sequences.tum import read_lines
 
@@ -72,25 +72,24 @@ def _holds_frames(folder: Path) -> bool:
 def _list(sequences: list[Path]) -> PosedImages:
     skipped: Counter[str] = Counter()
     files: list[Path] = []
-    matrices: list[np.ndarray] = []
+    poses: list[Poses] = []
     numbers: list[list[int]] = []
     for folder in sequences:
         images = {_frame_number(p): p for ext in ("png", "jpg") for p in folder.glob(f"frame-*.color.{ext}")}
-        poses = {_frame_number(p): p for p in folder.glob("frame-*.pose.txt")}
-        skipped["no true pose"] += len(images.keys() - poses.keys())
-        skipped["no image"] += len(poses.keys() - images.keys())
+        posed = {_frame_number(p): p for p in folder.glob("frame-*.pose.txt")}
+        skipped["no true pose"] += len(images.keys() - posed.keys())
+        skipped["no image"] += len(posed.keys() - images.keys())
         numbers.append([])
-        for number in sorted(images.keys() & poses.keys()):
-            matrix = _read_matrix(poses[number])
-            if matrix is None:
+        for number in sorted(images.keys() & posed.keys()):
+            pose = _read_pose(posed[number])
+            if pose is None:
                 skipped[NOT_FINITE] += 1
                 continue
             files.append(images[number])
-            matrices.append(matrix)
+            poses.append(pose)
             numbers[-1].append(number)
     camera = find_camera((sequences[0], sequences[0].parent), files, _CAMERA)
-    poses = Poses.from_matrix(np.array(matrices).reshape(-1, 4, 4))
-    return PosedImages.numbered("7-Scenes", files, poses, numbers, skipped, camera)
+    return PosedImages.numbered("7-Scenes", files, stack_poses(poses), numbers, skipped, camera)
 
 
 def _frame_number(path: Path) -> int:
@@ -100,20 +99,10 @@ def _frame_number(path: Path) -> int:
     return int(match[1])
 
 
-def _read_matrix(file: Path) -> np.ndarray | None:
-    """A 4 x 4 camera-to-world matrix, its rotation made exact; None where it is not finite."""
+def _read_pose(file: Path) -> Poses | None:
+    """One pose; None where it is not finite."""
     try:
         matrix = np.array([[float(value) for value in line.split()] for line in read_lines(file) if line.strip()])
     except ValueError as error:
         raise SequenceError(f"{file}: {error}; expected a 4 x 4 matrix of numbers") from error
-    if matrix.shape != (4, 4):
-        raise SequenceError(f"{file}: shape {matrix.shape}, expected a 4 x 4 matrix")
-    if not np.isfinite(matrix).all():
-        return None
-    u, _, vt = np.linalg.svd(matrix[:3, :3])
-    if np.abs(u @ vt - matrix[:3, :3]).max() > 1e-2 or np.linalg.det(u @ vt) < 0:
-        raise SequenceError(f"{file}: the upper left 3 x 3 is no rotation, expected a camera-to-world matrix")
-    if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-3:
-        raise SequenceError(f"{file}: last row {matrix[3].tolist()}, expected 0 0 0 1 of a camera-to-world matrix")
-    matrix[:3, :3] = u @ vt
-    return matrix
+    return read_pose_matrix(matrix, str(file))

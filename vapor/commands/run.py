@@ -9,22 +9,33 @@ from typing import Annotated
 
 import tyro
 
+from filtering.errors import VaporTrackError
 from sequences.options import SequenceOptions
-from vapor.commands.console import bar, parse, show, show_files, show_notices, show_skipped
+from vapor.commands.console import (
+    bar,
+    parse,
+    progress_of,
+    show,
+    show_files,
+    show_notices,
+    show_skipped,
+    usage_error,
+)
+from vapor.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
 from vapor.report import format_table
 from vapor.run import RunConfig, run
 
 
 @dataclass(frozen=True)
 class Options:
-    """Localize the camera of a recorded sequence; write trajectories, report, pictures and recordings."""
+    """Localize the camera of recorded sequences; write trajectories, report, pictures and recordings of each."""
 
-    sequence: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SEQUENCE")]
-    """MCAP file or rosbag2 folder with images and odometry."""
+    sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
+    """MCAP files or rosbag2 folders with images and odometry; any other folder stands for all that are in it."""
     model: str
     """Model file, or name of a model that ships with the package: staircase, ceiling."""
     output: Path
-    """Directory for the results."""
+    """Directory for the results; of several sequences it gets a folder each, and summary.json."""
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
     config: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
 
@@ -32,9 +43,19 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     options = parse("run", Options, arguments)
+    if not options.sequences:
+        usage_error("run", "no sequence, expected at least one MCAP file or rosbag2 folder")
+    if is_fleet(options.sequences):
+        _run_fleet(options)
+    else:
+        _run_one(options)
+
+
+def _run_one(options: Options) -> None:
+    (sequence,) = options.sequences
     with bar("localizing") as advance:
         result = run(
-            options.sequence,
+            sequence,
             options.model,
             options.output,
             options.config,
@@ -43,9 +64,46 @@ def main(arguments: Sequence[str]) -> None:
         )
     report = result.report
     if report["frames_with_true_pose"]:
-        show(format_table(report, title=options.sequence.name))
+        show(format_table(report, title=sequence.name))
     verdicts = ", ".join(f"{100 * share:.0f} % {verdict}" for verdict, share in report["status"].items())
     show(f"{report['frames']} images: {verdicts}")
     show_skipped(report["skipped"])
     show_notices(result.notices)
     show_files(options.output, result.pictures, recording=options.config.recording)
+
+
+def _run_fleet(options: Options) -> None:
+    sequences = find_sequences(options.sequences, options.output)
+    numbers = {name: f"{name}, {number} of {len(sequences)}" for number, name in enumerate(sequences, start=1)}
+    outcomes: list[Outcome] = []
+    try:
+        with progress_of("localizing") as advance:
+            for outcome in run_fleet(
+                sequences,
+                options.model,
+                options.output,
+                options.config,
+                reading=options.reading,
+                progress=lambda name, done, count: advance(numbers[name], done, max(done, count)),
+            ):
+                outcomes.append(outcome)
+    finally:  # after Ctrl-C too: what is done is whole
+        if outcomes:
+            _show_outcomes(outcomes, options.output)
+    failed = [outcome.name for outcome in outcomes if outcome.error is not None]
+    if failed:
+        raise VaporTrackError(f"{len(failed)} of {len(outcomes)} sequences failed: {', '.join(failed)}")
+
+
+def _show_outcomes(outcomes: Sequence[Outcome], output: Path) -> None:
+    show(format_fleet(outcomes))
+    for outcome in outcomes:
+        if outcome.error is not None or outcome.skipped or outcome.notices:
+            show(f"{outcome.name}{f': failed: {outcome.error}' if outcome.error is not None else ''}")
+            show_skipped(outcome.skipped)
+            show_notices(outcome.notices)
+    summed = total(outcomes)
+    converged = "" if summed["converged"] is None else f", {100 * summed['converged']:.0f} % converged"
+    success = f"; success in {summed['successes']} of {summed['judged']}" if summed["judged"] else ""
+    show(f"{len(outcomes)} sequence{'s' * (len(outcomes) != 1)}, {summed['images']} images{converged}{success}")
+    show(f"summary    {output / SUMMARY}")

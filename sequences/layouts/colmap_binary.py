@@ -1,0 +1,104 @@
+"""COLMAP's binary model: `cameras.bin` and `images.bin`, little endian, as the rows that the text model has."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+from sequences.errors import SequenceError
+
+# Models in the order of their numbers, and how many parameters each has: what follows cannot be found without.
+_MODELS = (
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+)
+_KEYPOINT_BYTES = 24
+
+
+def camera_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Number and fields `CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]` of each camera.
+
+    Raises:
+        SequenceError: the file cannot be read, is cut off, or has a camera of an unknown model.
+    """
+    with _Records(file) as records:
+        for number in range(1, records.take("Q")[0] + 1):
+            camera_id, model, width, height = records.take("iiQQ")
+            if not 0 <= model < len(_MODELS):
+                known = ", ".join(f"{i} {name}" for i, (name, _) in enumerate(_MODELS))
+                raise SequenceError(f"{file}:{number}: camera model {model}, expected one of {known}")
+            name, num_parameters = _MODELS[model]
+            parameters = records.take(f"{num_parameters}d")
+            yield number, [str(camera_id), name, str(width), str(height), *map(repr, parameters)]
+
+
+def image_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Number and fields `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME` of each image; keypoints are passed over.
+
+    Raises:
+        SequenceError: the file cannot be read or is cut off, or a name is no UTF-8.
+    """
+    with _Records(file) as records:
+        for number in range(1, records.take("Q")[0] + 1):
+            image_id, *pose, camera_id = records.take("i7di")
+            name = records.text()
+            records.skip(_KEYPOINT_BYTES * records.take("Q")[0])
+            yield number, [str(image_id), *map(repr, pose), str(camera_id), name]
+
+
+class _Records:
+    """A file read number by number."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+
+    def __enter__(self) -> _Records:
+        try:
+            self._stream = open(self._file, "rb")
+        except OSError as error:
+            raise SequenceError(f"{self._file}: cannot read: {error.strerror or error}") from error
+        self._size = os.fstat(self._stream.fileno()).st_size
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+
+    def take(self, numbers: str) -> tuple:
+        """The next numbers, in the notation of `struct`."""
+        return struct.unpack(f"<{numbers}", self._bytes(struct.calcsize(f"<{numbers}")))
+
+    def text(self) -> str:
+        """Text up to a zero byte."""
+        found = bytearray()
+        while (byte := self._bytes(1)) != b"\0":
+            found += byte
+        try:
+            return found.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise SequenceError(f"{self._file}: name {bytes(found[:40])!r} is no UTF-8 text") from error
+
+    def skip(self, count: int) -> None:
+        """Pass over some bytes."""
+        if count > self._size - self._stream.tell():
+            self._cut_off()
+        self._stream.seek(count, os.SEEK_CUR)
+
+    def _bytes(self, count: int) -> bytes:
+        data = self._stream.read(count)
+        if len(data) < count:
+            self._cut_off()
+        return data
+
+    def _cut_off(self) -> None:
+        raise SequenceError(f"{self._file}: ends at byte {self._size} within a record, expected a complete file")
