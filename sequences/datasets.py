@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 from sequences.errors import SequenceError
-from sequences.frame import Frame
+from sequences.frame import Camera, Frame
 from sequences.layouts import (
     ambiguous,
     cambridge,
@@ -27,7 +27,7 @@ from sequences.layouts.posed_images import PosedImages
 from sequences.messages import decode_image_bytes
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
-from sequences.undistortion import Lens, undistorted
+from sequences.undistortion import Lens, pinhole_of, undistorted
 
 _LAYOUTS = (
     tum_rgbd,
@@ -56,10 +56,32 @@ class PosedFrames(Iterator[Frame]):
     def __init__(self, path: Path, frames: slice, options: SequenceOptions | None) -> None:
         self.skipped: Counter[str] = Counter()
         self.notices: list[str] = []
-        self._frames = _posed_frames(path, frames, options, self.skipped, self.notices)
+        self._path, self._slice, self._options = path, frames, options
+        self._source: SequenceReader | PosedImages | None = None
+        self._frames = _posed_frames(path, frames, options, self._open, self.skipped, self.notices)
 
     def __next__(self) -> Frame:
         return next(self._frames)
+
+    def _open(self) -> SequenceReader | PosedImages:
+        if self._source is None and is_recording(self._path):
+            self._source = SequenceReader(self._path, self._options, odometry="optional", true_poses="required")
+        elif self._source is None:
+            self._source = list_images(self._path)
+        return self._source
+
+    def cameras(self) -> Counter[Camera]:
+        """How many images are of which camera, undistorted; of a recording all of its images, whether used or not.
+
+        Raises:
+            SequenceError: as the first frame would.
+        """
+        source = self._open()
+        if isinstance(source, SequenceReader):
+            return Counter({source.camera: source.num_images} if source.camera is not None else {})
+        undistort = self._options is None or self._options.undistort
+        known = [_used(camera, undistort) for camera in source[self._slice].cameras]
+        return Counter(pinhole_of(camera) for camera in known if camera is not None)
 
 
 def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOptions | None = None) -> PosedFrames:
@@ -78,7 +100,12 @@ def posed_frames(path: Path, *, frames: slice = slice(None), options: SequenceOp
 
 
 def _posed_frames(
-    path: Path, frames: slice, options: SequenceOptions | None, skipped: Counter[str], notices: list[str]
+    path: Path,
+    frames: slice,
+    options: SequenceOptions | None,
+    opened: Callable[[], SequenceReader | PosedImages],
+    skipped: Counter[str],
+    notices: list[str],
 ) -> Iterator[Frame]:
     number = 0
     if is_recording(path):
@@ -87,7 +114,8 @@ def _posed_frames(
                 f"{path}: frames {frames.start}:{frames.stop}:{frames.step} count from the end, which"
                 " a stream does not know; expected numbers from 0 on"
             )
-        reader = SequenceReader(path, options, odometry="optional", true_poses="required")
+        reader = opened()
+        assert isinstance(reader, SequenceReader)
         posed = _posed(reader, skipped)
         for number, frame in enumerate(islice(posed, frames.start, frames.stop, frames.step), start=1):
             follows = number > 1 and frames.step in (None, 1)
@@ -100,7 +128,8 @@ def _posed_frames(
                 del skipped["no true pose"]
         notices += [f"{path}: {notice}" for notice in reader.notices]
     else:
-        images = list_images(path)
+        images = opened()
+        assert isinstance(images, PosedImages)
         skipped.update(images.skipped)
         for frame in _load(images[frames], skipped, undistort=options is None or options.undistort):
             number += 1
@@ -169,6 +198,11 @@ def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:
         follows = frame.world_from_camera is not None
 
 
+def _used(camera: Camera | Lens | None, undistort: bool) -> Camera | Lens | None:
+    """The camera, without its distortion where that is to be left alone."""
+    return camera.camera if isinstance(camera, Lens) and not undistort else camera
+
+
 def _load(images: PosedImages, skipped: Counter[str], *, undistort: bool) -> Iterator[Frame]:
     """Decode and undistort images; those that cannot be are left out, unless it is all of them."""
     problem = None
@@ -181,11 +215,8 @@ def _load(images: PosedImages, skipped: Counter[str], *, undistort: bool) -> Ite
             skipped["undecodable image"] += 1
             continue
         num_loaded += 1
-        camera = images.cameras[i]
-        if isinstance(camera, Lens) and not undistort:
-            camera = camera.camera
         try:
-            image, camera = undistorted(image, camera)
+            image, camera = undistorted(image, _used(images.cameras[i], undistort))
         except SequenceError as error:
             raise SequenceError(f"{file}: {error}") from error
         sequence = 0 if images.sequence is None else int(images.sequence[i])

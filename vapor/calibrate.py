@@ -112,8 +112,12 @@ def calibrate_model(
     checkpoint = load_checkpoint(file)
     config = checkpoint.network
     require_apart(training, data)
-    held_out = load_training_set(open_sequences(data, reading), config.frame_size)
-    trained_on = load_training_set(open_sequences(training, reading), config.frame_size) if training else None
+    held_out = load_training_set(open_sequences(data, reading), config.frame_size, camera=checkpoint.camera)
+    trained_on = (
+        load_training_set(open_sequences(training, reading), config.frame_size, camera=checkpoint.camera)
+        if training
+        else None
+    )
     if len(held_out) < LEAST_IMAGES:
         names = ", ".join(Path(str(entry)).name for entry in data)
         raise VaporTrackError(f"{names}: {len(held_out)} images with true poses, expected at least {LEAST_IMAGES}")

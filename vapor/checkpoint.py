@@ -22,7 +22,9 @@ from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
+from sequences.frame import Camera
 from sequences.odometry_fit import OdometryFit
+from sequences.undistortion import require_camera
 from vapor.baselines import make_regressor
 from vapor.familiarity import Familiarity, description_size
 from vapor.network import NetworkConfig, PoseRegressor, SceneBox
@@ -86,6 +88,7 @@ class Checkpoint:
         state_dict: Parameters and BatchNorm statistics of the `PoseRegressor`, float32 on the CPU.
         training: Where it came from (data names, seed, images seen, validation figures); any JSON.
         familiarity: What training images look like to the network; None where that was never looked at.
+        camera: What took the training images, undistorted; None where unknown.
     """
 
     network: NetworkConfig
@@ -95,6 +98,7 @@ class Checkpoint:
     state_dict: Mapping[str, Tensor]
     training: dict[str, Any] = field(default_factory=dict)
     familiarity: Familiarity | None = None
+    camera: Camera | None = None
 
     def build_network(self) -> PoseRegressor:
         """The network with its weights, on the CPU, in evaluation mode."""
@@ -112,10 +116,12 @@ class Checkpoint:
         return digest.hexdigest()
 
     def seen_sha256(self) -> str:
-        """What the network says of an image depends on it: samples, and how unlike the training images it is."""
+        """What the network says of an image depends on it: samples, how unlike training images it is, what it sees."""
         seen = hashlib.sha256(self.network_sha256().encode())
         for name, value in vars(self.familiarity).items() if self.familiarity else ():
             seen.update(name.encode() + np.asarray(value).tobytes())
+        if self.camera is not None:
+            seen.update(json.dumps(asdict(self.camera)).encode())
         return seen.hexdigest()
 
 
@@ -149,6 +155,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, half: bool = False) -
         "box": asdict(checkpoint.box),
         "calibration": asdict(checkpoint.calibration),
         "training": checkpoint.training,
+        "camera": None if checkpoint.camera is None else asdict(checkpoint.camera),
     }
     metadata = {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config, allow_nan=False)}
     with atomic_output(path) as temporary:
@@ -202,7 +209,24 @@ def load_checkpoint(path: Path) -> Checkpoint:
     else:
         parse = partial(_calibration, unsaid=_EVEN if version == _BEFORE_GROWTH else {})
     calibration = parse(path, config.get("calibration"))
-    return Checkpoint(network, box, calibration, poses, state, training, _familiarity(path, tensors) if known else None)
+    familiarity = _familiarity(path, tensors) if known else None
+    camera = _camera(path, config.get("camera"))
+    return Checkpoint(network, box, calibration, poses, state, training, familiarity, camera)
+
+
+def _camera(path: Path, values: Any) -> Camera | None:
+    """From JSON; files written before cameras were stored say nothing of one."""
+    if values is None:
+        return None
+    for name, value in values.items() if isinstance(values, dict) else ():
+        if type(value) not in ((int,) if name in ("width", "height") else (int, float)):
+            raise CheckpointError(f"{path}: camera configuration has {name} {value!r}, expected a number")
+    camera = parse_config(path, "camera", Camera, values)
+    try:
+        require_camera(camera)
+    except VaporTrackError as error:
+        raise CheckpointError(f"{path}: {error}") from error
+    return camera
 
 
 def _calibration(path: Path, values: Any, *, unsaid: Mapping[str, float]) -> Calibration:

@@ -10,13 +10,19 @@ from filtering.errors import VaporTrackError
 from vapor.network import NetworkConfig
 
 
+def cover_size(columns: int, rows: int, width: int, height: int) -> tuple[int, int]:
+    """Width and height of an image of so many columns and rows once it is scaled to just cover a frame."""
+    scale = max(width / columns, height / rows)
+    return max(width, round(columns * scale)), max(height, round(rows * scale))
+
+
 def scale_to_cover(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -> UInt8[np.ndarray, "h2 w2 3"]:
     """The image scaled so that it just covers a frame of so many pixels, each the mean of the area it covers."""
     rows, columns = image.shape[:2]
     scale = max(width / columns, height / rows)
     if scale == 1.0:
         return image
-    size = max(width, round(columns * scale)), max(height, round(rows * scale))
+    size = cover_size(columns, rows, width, height)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR))
 
 
@@ -32,6 +38,11 @@ def prepare(image: np.ndarray, config: NetworkConfig) -> UInt8[np.ndarray, "imag
     Raises:
         VaporTrackError: the image is not (H, W, 3) uint8.
     """
+    require_rgb(image)
+    return centre_crop(scale_to_cover(image, *config.frame_size), config.image_width, config.image_height)
+
+
+def require_rgb(image: np.ndarray) -> None:
+    """Raise VaporTrackError where an image is not (H, W, 3) uint8."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
         raise VaporTrackError(f"image has shape {image.shape} and type {image.dtype}, expected (H, W, 3) uint8 RGB")
-    return centre_crop(scale_to_cover(image, *config.frame_size), config.image_width, config.image_height)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Literal
 
 import numpy as np
@@ -12,9 +13,11 @@ from torch import Tensor
 from filtering.errors import VaporTrackError
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.frame import Camera
+from vapor.cameras import AsTakenBy
 from vapor.checkpoint import Checkpoint, find_model, load_checkpoint
 from vapor.familiarity import Describer
-from vapor.images import prepare
+from vapor.images import prepare, require_rgb
 
 Device = Literal["auto", "cpu", "cuda"]
 
@@ -31,14 +34,25 @@ class VaporObservationModel:
         checkpoint: A trained model.
         num_samples: Posterior samples per image.
         device: Where the network runs.
+        camera: What takes the images, undistorted, such as `SequenceReader.camera`; None where unknown. Where it sees
+            something else than the camera that the model learned with, images are resampled.
     """
 
-    def __init__(self, checkpoint: Checkpoint, *, num_samples: int = 1000, device: Device = "auto") -> None:
+    def __init__(
+        self,
+        checkpoint: Checkpoint,
+        *,
+        num_samples: int = 1000,
+        device: Device = "auto",
+        camera: Camera | None = None,
+    ) -> None:
         if num_samples < 1:
             raise VaporTrackError(f"num_samples is {num_samples}, expected at least 1")
         self.checkpoint = checkpoint
         self.num_samples = num_samples
+        self.camera = camera
         self.device = resolve_device(device)
+        self._as_learned = AsTakenBy(checkpoint.camera, checkpoint.network.frame_size)
         network = checkpoint.build_network().to(self.device)
         # Channels-last convolutions take about two thirds of the time here.
         self._network = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
@@ -46,7 +60,7 @@ class VaporObservationModel:
 
     @staticmethod
     def from_checkpoint(
-        model: str | Checkpoint, *, num_samples: int = 1000, device: Device = "auto"
+        model: str | Checkpoint, *, num_samples: int = 1000, device: Device = "auto", camera: Camera | None = None
     ) -> VaporObservationModel:
         """The model of a file, of a name that ships with the package, or of a loaded checkpoint.
 
@@ -54,7 +68,18 @@ class VaporObservationModel:
             CheckpointError: no such model, or an unusable file.
         """
         checkpoint = model if isinstance(model, Checkpoint) else load_checkpoint(find_model(model))
-        return VaporObservationModel(checkpoint, num_samples=num_samples, device=device)
+        return VaporObservationModel(checkpoint, num_samples=num_samples, device=device, camera=camera)
+
+    def seen_by(self, camera: Camera | None) -> VaporObservationModel:
+        """The same model, network and all, for images of a camera, which says nothing of images so far."""
+        other = copy(self)
+        other.camera, other._as_learned = camera, AsTakenBy(self.checkpoint.camera, self.checkpoint.network.frame_size)
+        return other
+
+    @property
+    def notices(self) -> list[str]:
+        """What a person should know of the camera, from the images observed so far."""
+        return self._as_learned.notices
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
         """The posterior of one image, and how unlike the training images it is, of one pass.
@@ -67,7 +92,8 @@ class VaporObservationModel:
             VaporTrackError: the image is not (H, W, 3) uint8.
         """
         config = self.checkpoint.network
-        prepared = np.ascontiguousarray(prepare(image, config)[None])
+        require_rgb(image)
+        prepared = np.ascontiguousarray(prepare(self._as_learned(image, self.camera), config)[None])
         noise = rng.standard_normal((1, self.num_samples, self._network.noise_dim), dtype=np.float32)
         with torch.inference_mode():
             seen = torch.from_numpy(prepared).to(self.device)

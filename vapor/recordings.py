@@ -164,8 +164,8 @@ def record_file(settings: FileSettings, file: Path, checkpoint: Checkpoint, dire
         VaporTrackError: the file cannot be read or lacks some of it, or the directory cannot be written to.
     """
     rng = np.random.default_rng([settings.seed, settings.num_samples])
-    model = VaporObservationModel(checkpoint, num_samples=settings.num_samples, device="cpu")
-    _keep(settings, directory, lambda folder: _observe(file, model, folder, rng=rng))
+    num_samples = settings.num_samples
+    _keep(settings, directory, lambda folder: _observe(file, checkpoint, num_samples, folder, rng=rng))
 
 
 def load_recording(settings: RecordingSettings | FileSettings, directory: Path) -> Recording:
@@ -256,20 +256,20 @@ def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -
     seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
     file = folder / "sequence.mcap"
     write_synthetic(sequence, file)
-    model = VaporObservationModel(checkpoint, num_samples=settings.num_samples, device="cpu")
     rng = np.random.default_rng([settings.seed, settings.num_samples])
     changing = np.random.default_rng([settings.seed, settings.num_samples, 1])
 
     def changed(image: Image) -> Image:
         return image if settings.change is None else np.ascontiguousarray(FOREIGN[settings.change](image, changing))
 
-    _observe(file, model, folder, rng=rng, seen=seen, changed=changed)
+    _observe(file, checkpoint, settings.num_samples, folder, rng=rng, seen=seen, changed=changed)
     file.unlink()
 
 
 def _observe(
     file: Path,
-    model: VaporObservationModel,
+    checkpoint: Checkpoint,
+    num_samples: int,
     folder: Path,
     *,
     rng: np.random.Generator,
@@ -278,8 +278,9 @@ def _observe(
 ) -> None:
     """Ask the network about every image of a file, and write the answers and all that is known beside them."""
     reader = SequenceReader(file)
+    model = VaporObservationModel(checkpoint, num_samples=num_samples, device="cpu", camera=reader.camera)
     n = reader.num_images if seen is None else len(seen)
-    samples = np.lib.format.open_memmap(folder / _SAMPLES, "w+", np.float32, (n, model.num_samples, 12))
+    samples = np.lib.format.open_memmap(folder / _SAMPLES, "w+", np.float32, (n, num_samples, 12))
     times_ns, odometry, covariance, truth = np.empty(n, np.int64), [Poses.identity()], np.zeros((n, 6, 6)), []
     unfamiliarity = np.zeros(n)
     count = 0

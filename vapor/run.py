@@ -165,14 +165,13 @@ def run(
     refuse_file(output)
     loaded = load_model(model, config) if isinstance(model, str) else model
     reader = SequenceReader(sequence, reading)
+    observation = loaded.observation.seen_by(reader.camera)
 
     with complete_directory(output) as partial, limited_threads(config.threads):
-        calibration = loaded.observation.checkpoint.calibration
+        calibration = observation.checkpoint.calibration
         fit = calibration.odometry if config.fitted_odometry else None
-        record = localize(
-            reader, loaded.observation, partial, config, calibration.errors, odometry_fit=fit, progress=progress
-        )
-        device = str(loaded.observation.device)
+        record = localize(reader, observation, partial, config, calibration.errors, odometry_fit=fit, progress=progress)
+        device = str(observation.device)
         settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
         settings = {
             "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
@@ -180,7 +179,7 @@ def run(
             **settings,
         }
         result = write_results(record, partial, settings, title=sequence.name)
-        return replace(result, notices=tuple(reader.notices))
+        return replace(result, notices=(*reader.notices, *observation.notices))
 
 
 def refuse_file(output: Path) -> None:

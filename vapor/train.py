@@ -159,7 +159,8 @@ def train_on(
     )
     if config.aspect == "camera":
         config = replace(config, network=config.network.for_camera(*loaded.camera_size), aspect="network")
-    held_out = load_training_set(validation, config.network.frame_size, central=central) if validation else None
+    frame = config.network.frame_size
+    held_out = load_training_set(validation, frame, central=central, camera=loaded.camera) if validation else None
     names = {"data": list(sequences), "validation_data": list(validation or ())}
     return _train(loaded, held_out, names, output, config, initial, report)
 
@@ -272,6 +273,7 @@ def _fit(
             )
         ),
         familiarity,
+        split.training.camera,
     )
     save_checkpoint(output, checkpoint, half=config.half)
     state_path(output).unlink(missing_ok=True)

@@ -21,11 +21,13 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.bag import bag_files
 from sequences.datasets import PosedFrames, is_recording, list_images, posed_frames
-from sequences.frame import Frame
+from sequences.frame import Camera, Frame
 from sequences.layouts.packed import ImageFile
 from sequences.options import SequenceOptions
-from vapor.images import centre_crop, scale_to_cover
+from vapor.cameras import AsTakenBy, described
+from vapor.images import centre_crop, cover_size, scale_to_cover
 
+_MOST_CAMERAS = 3  # that are named
 _FAR_M = 1e4  # beyond, float32 has steps of a millimetre
 
 
@@ -44,11 +46,12 @@ class TrainingSet:
         poses: world_from_camera, batch (n,).
         sequence: Index of the sequence each image is from; images of one sequence lie together, in its order.
         names: Of the sequences, by that index: of the file or folder that each is from.
-        camera_size: Width and height of the first image before it was scaled, pixels.
+        camera_size: Width and height of the camera's images, pixels: of the first image where no camera is known.
         times_ns: Stamps of the images, integer nanoseconds, (n,).
         odometry: Motion since the image before, n of them; None where that image is not here, or none was recorded.
         skipped: Images and poses of the data that were left out in reading, by reason.
         notices: What a person should know of the data.
+        camera: What took the images, or what they were resampled to; None where unknown.
     """
 
     images: UInt8[np.ndarray, "m h w 3"]
@@ -61,6 +64,7 @@ class TrainingSet:
     odometry: tuple[Odometry | None, ...]
     skipped: Counter[str] = field(default_factory=Counter)
     notices: tuple[str, ...] = ()
+    camera: Camera | None = None
 
     def __len__(self) -> int:
         return len(self.sequence)
@@ -68,7 +72,11 @@ class TrainingSet:
     @property
     def focal_px(self) -> tuple[float, float] | None:
         """Focal lengths of `images`, pixels; None where the camera is not known."""
-        return None
+        if self.camera is None:
+            return None
+        size = cover_size(*self.camera_size, self.images.shape[2], self.images.shape[1])
+        scaled = self.camera.scaled(*size)
+        return scaled.fx, scaled.fy
 
     def unload(self) -> None:
         """Give back the memory that images read from disk take; they are read again when they are used."""
@@ -166,15 +174,17 @@ def load_training_set(
     frame_size: tuple[int, int] | Callable[[int, int], tuple[int, int]],
     *,
     central: bool = True,
+    camera: Camera | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> TrainingSet:
     """Read frames once, scale each image to cover a frame, and keep it in a temporary file.
 
     Args:
         sequences: Frames by the name of their file or folder; frames without a pose are left out.
-        frame_size: Width and height of that frame, pixels, or what gives them for those of the first image.
+        frame_size: Width and height of that frame, pixels, or what gives them for those of the camera.
         central: Keep that much of the middle only, so that images may differ in size; else the whole image, and all
             must have the aspect of the first.
+        camera: Whose images they shall be, where intrinsics are known; None for the camera of most of them.
         progress: Called with the number of images read so far.
 
     Raises:
@@ -187,8 +197,9 @@ def load_training_set(
     times_ns: list[int] = []
     odometry: list[Odometry | None] = []
     shape: tuple[int, ...] | None = None
-    camera_size: tuple[int, int] | None = None
-    size = (0, 0)  # of the frame, known with the first image
+    camera = camera or _commonest_camera(sequences)
+    camera_size = (camera.width, camera.height) if camera else None
+    as_taken: AsTakenBy | None = None
     with tempfile.TemporaryFile() as file:
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
@@ -197,11 +208,12 @@ def load_training_set(
                 if frame.world_from_camera is None:
                     follows = False
                     continue
-                if camera_size is None:
-                    camera_size = frame.image.shape[1], frame.image.shape[0]
+                if as_taken is None or camera_size is None:  # the first image
+                    camera_size = camera_size or (frame.image.shape[1], frame.image.shape[0])
                     size = frame_size(*camera_size) if callable(frame_size) else frame_size
-                image = scale_to_cover(frame.image, *size)
-                image = centre_crop(image, *size) if central else image
+                    as_taken = AsTakenBy(camera, size)
+                image = scale_to_cover(as_taken(frame.image, frame.camera), *as_taken.frame_size)
+                image = centre_crop(image, *as_taken.frame_size) if central else image
                 shape = shape or image.shape
                 if image.shape != shape:
                     number = len(sources) - num_before + 1
@@ -223,12 +235,12 @@ def load_training_set(
             if isinstance(frames, PosedFrames):
                 skipped += frames.skipped
                 notices += frames.notices
-        if shape is None or camera_size is None:
+        if shape is None or camera_size is None or as_taken is None:
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
     poses = Poses.from_matrix(np.stack(matrices))
-    notices += _too_far(poses)
+    notices += [*_of_cameras(as_taken, len(sources)), *_too_far(poses)]
     begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
     return TrainingSet(
         images,
@@ -241,7 +253,33 @@ def load_training_set(
         tuple(odometry),
         skipped,
         tuple(notices),
+        as_taken.camera,
     )
+
+
+def _commonest_camera(sequences: Mapping[str, Iterable[Frame]]) -> Camera | None:
+    """The camera of most images, as far as that is known before they are read."""
+    cameras: Counter[Camera] = Counter()
+    for frames in sequences.values():
+        if isinstance(frames, PosedFrames):
+            cameras += frames.cameras()
+        elif isinstance(frames, Sequence):
+            cameras.update(frame.camera for frame in frames if frame.camera is not None)
+    return max(cameras, key=lambda camera: cameras[camera], default=None)
+
+
+def _of_cameras(as_taken: AsTakenBy, total: int) -> list[str]:
+    """What to say where not all images are of one camera."""
+    if as_taken.camera is None or not as_taken.cameras:
+        return as_taken.notices
+    others = [f"{count} of {described(camera)}" for camera, count in as_taken.cameras.most_common(_MOST_CAMERAS)]
+    if len(as_taken.cameras) > _MOST_CAMERAS:
+        others.append("...")
+    return [
+        f"{as_taken.cameras.total()} of {total} images are of other cameras than {described(as_taken.camera)}, and were"
+        f" resampled to it: {', '.join(others)}",
+        *as_taken.notices,
+    ]
 
 
 def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> tuple[str, ...]:

@@ -13,7 +13,8 @@ import tyro
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.datasets import posed_frames
-from vapor.commands.console import parse, show
+from vapor.checkpoint import find_model, load_checkpoint
+from vapor.commands.console import parse, show, show_notices
 from vapor.evaluate import THRESHOLDS
 from vapor.observation import Device, VaporObservationModel
 from vapor.posterior_metrics import posterior_metrics
@@ -51,8 +52,9 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("posterior", Options, arguments)
-    model = VaporObservationModel.from_checkpoint(o.model, num_samples=o.num_samples, device=o.device)
+    checkpoint = load_checkpoint(find_model(o.model))
     frame = next(posed_frames(o.data, frames=slice(o.image, o.image + 1)))
+    model = VaporObservationModel(checkpoint, num_samples=o.num_samples, device=o.device, camera=frame.camera)
     truth = frame.world_from_camera
     assert truth is not None  # `posed_frames` yields no other
     samples = model.observe(frame.image, rng=np.random.default_rng(o.seed)).samples
@@ -68,3 +70,4 @@ def main(arguments: Sequence[str]) -> None:
         f"{o.output}: {figures['modes']:.0f} modes, the best one {best['translation_m']:.2f} m and"
         f" {best['rotation_deg']:.1f}° off; {within}"
     )
+    show_notices(model.notices)

@@ -1,0 +1,135 @@
+"""Images of any pinhole camera -> as the camera that a network learned with would have taken them."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from sequences.frame import Camera
+from sequences.undistortion import undistorted
+from vapor.images import cover_size
+
+_SAME_PX = 0.5  # of the images that a network sees: so little no network notices
+_LEAST_SHARE = 0.8  # of the view, below which a person is told
+_SAME_ASPECT = 0.02
+
+
+class AsTakenBy:
+    """Images as one camera would have taken them, whichever did.
+
+    What the other camera did not see is filled with the colours of its border, which a network takes best: black makes
+    it see things that are not there, and to enlarge the image instead makes everything seem nearer.
+
+    Attributes:
+        camera: That camera, None where unknown: then images stay as they are.
+        frame_size: As given.
+        cameras: Images so far of each camera that sees something else than that one, by camera.
+        least_share: How much of that camera's view the least of them saw.
+        notices: What a person should know of the images so far, each once.
+    """
+
+    def __init__(self, camera: Camera | None, frame_size: tuple[int, int]) -> None:
+        """Set up for images that will be scaled to cover a frame of so many pixels, width and height."""
+        self.camera, self.frame_size = camera, frame_size
+        self.cameras: Counter[Camera] = Counter()
+        self.least_share = 1.0
+        self._like = None if camera is None else camera.scaled(*cover_size(camera.width, camera.height, *frame_size))
+        self._aspects: Counter[tuple[int, int]] = Counter()
+
+    def __call__(self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None) -> UInt8[np.ndarray, "h2 w2 3"]:
+        """An image; where it has to be resampled, it is as large as to just cover the frame.
+
+        Args:
+            image: Undistorted.
+            camera: What took it, at this or another image size; None where unknown.
+        """
+        if self._like is None or self.camera is None:
+            return image
+        _, camera = undistorted(image, camera)
+        if camera is None:
+            height, width = image.shape[:2]
+            if abs(width * self.camera.height - height * self.camera.width) > _SAME_ASPECT * height * self.camera.width:
+                self._aspects[width, height] += 1
+            return image
+        if _same_view(camera, self._like):
+            return image
+        self.cameras[camera] += 1
+        if self.cameras[camera] == 1:
+            self.least_share = min(self.least_share, share_seen(camera, of=self._like))
+        return resampled(image, camera, self._like)
+
+    @property
+    def notices(self) -> list[str]:
+        """What a person should know of the images so far, each once."""
+        if self.camera is None:
+            return []
+        said = [
+            f"{count} images of {width} x {height} pixels from a camera of unknown intrinsics: their middle is used,"
+            f" but the camera learned with is {described(self.camera)}"
+            for (width, height), count in self._aspects.items()
+        ]
+        if self.least_share < _LEAST_SHARE:
+            said.append(
+                f"the camera ({described(next(iter(self.cameras)))}) sees {self.least_share:.0%} of what the camera"
+                f" learned with saw ({described(self.camera)}): expect larger errors, and certainty later"
+            )
+        return said
+
+
+def described(camera: Camera) -> str:
+    """A camera in words: size and horizontal field of view."""
+    return f"{camera.width} x {camera.height} pixels, {_degrees(camera):.0f}° wide"
+
+
+def share_seen(camera: Camera, *, of: Camera) -> float:
+    """How much of what one camera sees another one sees, as a share of its image."""
+    low, high = _corners(camera, of)
+    size = np.array([of.width, of.height])
+    return float((np.minimum(high, size) - np.maximum(low, 0.0)).clip(0.0).prod() / size.prod())
+
+
+def resampled(image: UInt8[np.ndarray, "h w 3"], camera: Camera, like: Camera) -> UInt8[np.ndarray, "height width 3"]:
+    """The image that another camera would have taken from the same place, looking the same way.
+
+    What shrinks is averaged over areas, what grows is interpolated. What the camera did not see has the colour of the
+    nearest pixel that it did see.
+
+    Args:
+        image: Of the camera's size.
+        camera: What took it.
+        like: The other camera, which says the size.
+    """
+    # Areas of whole pixels first; the rest, less than a pixel, is interpolated.
+    size = (
+        max(1, round(camera.width * min(1.0, like.fx / camera.fx))),
+        max(1, round(camera.height * min(1.0, like.fy / camera.fy))),
+    )
+    if size != (camera.width, camera.height):
+        image, camera = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA)), camera.scaled(*size)
+    sx, sy = camera.fx / like.fx, camera.fy / like.fy
+    from_like = np.array([[sx, 0.0, camera.cx - sx * like.cx], [0.0, sy, camera.cy - sy * like.cy]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(
+        cv2.warpAffine(image, from_like, (like.width, like.height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    )
+
+
+def _same_view(camera: Camera, like: Camera) -> bool:
+    """Whether both see the same, to within half a pixel of the latter at every edge."""
+    low, high = _corners(camera, like)
+    return bool(max(np.abs(low).max(), np.abs(high - (like.width, like.height)).max()) <= _SAME_PX)
+
+
+def _corners(camera: Camera, of: Camera) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
+    """Upper left and lower right corner of a camera's image, in pixels of another one from its upper left corner."""
+    ratio = np.array([of.fx / camera.fx, of.fy / camera.fy])
+    low = np.array([of.cx, of.cy]) + 0.5 - ratio * (np.array([camera.cx, camera.cy]) + 0.5)
+    return low, low + ratio * (camera.width, camera.height)
+
+
+def _degrees(camera: Camera) -> float:
+    half = (camera.cx + 0.5) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
+    return float(np.degrees(np.arctan(half).sum()))
