@@ -26,12 +26,17 @@ _MAX_DEVIATION_S = 0.004  # as the correlation tells it
 _LEAST_TURN_RAD_PER_S = 0.02  # standard deviation of how fast it turns
 
 
-def find_time_offset(odometry: Trajectory, poses: Trajectory) -> float:
+def find_time_offset(odometry: Trajectory, poses: Trajectory, *, within_s: float = np.inf) -> float:
     """Seconds to add to the stamps of poses for those of odometry, to a fraction of their intervals.
 
     Turn rates, over 0.4 s, are correlated at every offset with ten seconds
     and half of the shorter recording in common; a parabola through the largest correlation and its neighbours tells
     more than the grid of 20 ms.
+
+    Args:
+        odometry: One recording of the motion.
+        poses: The other.
+        within_s: Only offsets up to this are possible, either way: a motion that repeats itself tells them, too.
 
     Raises:
         SequenceError: too short, too little or too regular a rotation, or rotations that do not agree.
@@ -46,6 +51,9 @@ def find_time_offset(odometry: Trajectory, poses: Trajectory) -> float:
                 f" expected at least {_LEAST_TURN_RAD_PER_S:g}; give --time-offset-s a number"
             )
     correlation, seconds = _correlation(rates, covered, its_rates, its_covered)
+    begin_s = (int(odometry.times_ns[0]) - int(poses.times_ns[0])) * 1e-9
+    offsets_s = begin_s + (np.arange(len(correlation)) - (len(its_rates) - 1)) * _STEP_S
+    correlation = np.where(np.abs(offsets_s) <= within_s, correlation, 0.0)
     best = int(np.argmax(correlation))
     peak = float(correlation[best])
     others = find_peaks(correlation)[0]
@@ -61,8 +69,7 @@ def find_time_offset(odometry: Trajectory, poses: Trajectory) -> float:
             f" best, to {1e3 * deviation_s:.1f} ms, and by {rival:.2f} at another offset, expected at least"
             f" {_LEAST_CORRELATION:g}, {1e3 * _MAX_DEVIATION_S:g} ms and a clear best; give --time-offset-s a number"
         )
-    lag = best - (len(its_rates) - 1) + 0.5 * (right - left) / bend
-    return (int(odometry.times_ns[0]) - int(poses.times_ns[0])) * 1e-9 + lag * _STEP_S
+    return float(offsets_s[best]) + 0.5 * (right - left) / bend * _STEP_S
 
 
 def _turn_rate(track: Trajectory, what: str) -> tuple[Float64[np.ndarray, " n"], np.ndarray]:

@@ -3,16 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
-from jaxtyping import Bool, Int64
+from jaxtyping import Bool, Float64, Int64
+from scipy.signal import find_peaks
 
 from filtering.se3 import Poses
 from sequences.scenes import corridor
 
 FLOOR_HEIGHT_M: Mapping[str, float] = MappingProxyType({"corridor": corridor.FLOOR_HEIGHT})
 """From floor to floor, metres along z, in the scenes whose floors look alike from end to end."""
+
+_LEAST_APART_M, _MOST_APART_M = 1.8, 8.0  # less is no storey; a higher one is cut no lower than this
+_LEAST_ABOVE = 0.02  # of the cells of a plan must have something above them
+_BINS = 12  # of the histogram of heights, a storey
+
+
+def find_floors(
+    heights_m: Float64[np.ndarray, " n"], cells: Int64[np.ndarray, " n"]
+) -> tuple[Int64[np.ndarray, " n"], int]:
+    """Which floor each of n positions is on, from 0 at the bottom, and how many floors there are.
+
+    Floors are where positions lie above each other by 1.8 m and more; they are cut where the fewest positions are.
+    Stairs go to the floor that is nearer.
+
+    Args:
+        heights_m: Of the positions.
+        cells: Number of the cell of the plan that each is in.
+    """
+    one = np.zeros(len(heights_m), np.int64), 1
+    order = np.lexsort((heights_m, cells))
+    gaps = np.diff(heights_m[order])
+    within = np.diff(cells[order]) == 0
+    above = within & (gaps >= _LEAST_APART_M)
+    if not above.any() or len(np.unique(cells[order][1:][above])) < _LEAST_ABOVE * len(np.unique(cells)):
+        return one
+    apart_m = min(float(np.quantile(gaps[above], 0.25)), _MOST_APART_M)
+    step_m = apart_m / _BINS
+    low = float(heights_m.min()) - step_m
+    bins = np.floor((heights_m - low) / step_m).astype(np.int64)
+    # How many cells have something at a height: a camera that stands counts once.
+    counts = np.bincount(np.unique(np.column_stack([bins, cells]), axis=0)[:, 0], minlength=int(bins.max()) + 2)
+    smooth = np.convolve(counts, np.hanning(_BINS // 2 + 3)[1:-1], mode="same")
+    peaks = find_peaks(np.concatenate([[0.0], smooth, [0.0]]), distance=round(0.7 * _BINS))[0] - 1
+    if len(peaks) < 2:
+        return one
+    cuts = []
+    for low_bin, high_bin in pairwise(peaks.tolist()):
+        between = smooth[low_bin:high_bin]
+        cuts.append(low_bin + int(np.median(np.flatnonzero(between <= between.min() + 0.05 * between.max()))))
+    floor = np.searchsorted(cuts, bins, side="left")
+    return np.unique(floor, return_inverse=True)[1].astype(np.int64), len(np.unique(floor))
 
 
 def floors_off(poses: Poses, truth: Poses, floor_height_m: float) -> Int64[np.ndarray, " n"]:

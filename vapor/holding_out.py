@@ -21,8 +21,9 @@ DIRECTION_RAD = float(np.deg2rad(45.0))
 _CHORD = 2.0 * np.sin(DIRECTION_RAD / 2.0)
 _NEAREST, _FARTHEST = 0.1, 0.3  # what counts as near, in typical sides of the scene, at least and at most
 _USUAL = 4.0  # times what lies between an image and the nearest of another pass in a quarter of them
-_WHOLE_OF = 4  # recordings from which on one is held out as a whole
+WHOLE_OF = 4  # recordings from which on one is held out as a whole
 _LEAST_SHOWN = 0.25  # of a pass that is held out
+AWAY = 1.5  # times what counts as near: elsewhere
 _COMPARED = 4000  # images by which passes are compared
 _LOOKED_AT = 8  # of the nearest
 _TOLD_RUNS, _TOLD_NAMES = 3, 5
@@ -38,6 +39,7 @@ class Split:
         judged: Held out, (n,): trained images show what is around each, and none of them is next to it in time.
         notes: What was done, in sentences.
         everything: Images to learn from once the model was judged.
+        near_m: How far away a place counts as shown, metres.
     """
 
     training: TrainingSet
@@ -45,6 +47,7 @@ class Split:
     judged: Bool[np.ndarray, " n"]
     notes: tuple[str, ...]
     everything: TrainingSet
+    near_m: float
 
     @cached_property
     def held_out(self) -> TrainingSet:
@@ -64,10 +67,10 @@ def hold_out(images: TrainingSet, share: float) -> Split:
         share: Of them, in [0, 1); 0 for none.
     """
     nothing = np.zeros(len(images), bool)
-    if share == 0.0:
-        return Split(images, images, nothing, (), images)
     side = typical_side_m(images.poses)
-    way = _way(images, _FARTHEST * side)
+    if share == 0.0:
+        return Split(images, images, nothing, (), images, _NEAREST * side)
+    way = way_of(images)
     rows = spaced(len(images), _COMPARED)
     chosen, near_m = _chosen(images.select(rows), way[rows], share, side)
     like = np.searchsorted(rows, np.arange(len(images)), side="right") - 1  # the last compared image, or the next one
@@ -76,7 +79,7 @@ def hold_out(images: TrainingSet, share: float) -> Split:
     others = ~candidate & ~_touching(way, images.sequence, candidate)
     shown = candidate.copy()
     shown[candidate] = _nearest_m(images.poses[candidate], images.poses[others], _FARTHEST * side) <= near_m
-    alone = _long_runs(candidate & ~shown, way, images.sequence)
+    alone = long_runs(candidate & ~shown, way, images.sequence)
     training = ~candidate | alone
     held_out = shown & ~_touching(way, images.sequence, training)
     if held_out.sum() < LEAST_IMAGES:
@@ -84,7 +87,7 @@ def hold_out(images: TrainingSet, share: float) -> Split:
             f"nothing is held out: no {LEAST_IMAGES} images in a row lead over ground that others show, too; the last"
             " epoch is kept, and how images err is assumed, not found: record another pass, or give held-out data"
         )
-        return Split(images, images, nothing, (note,), images)
+        return Split(images, images, nothing, (note,), images, near_m)
     notes = [f"held out: {_told(images, held_out)}; other passes show what is there"]
     if alone.any():
         notes.append(
@@ -93,7 +96,7 @@ def hold_out(images: TrainingSet, share: float) -> Split:
     left = int((~training & ~held_out).sum())
     if left:
         notes.append(f"{left} images are left out, as they are next to images that are trained on or not shown by any")
-    return Split(images.select(np.flatnonzero(training)), images, held_out, tuple(notes), images)
+    return Split(images.select(np.flatnonzero(training)), images, held_out, tuple(notes), images, near_m)
 
 
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
@@ -103,7 +106,48 @@ def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
     near_m = _near_m(distances_m, side)
     shown = distances_m <= near_m
     outside = f"not judged by, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
-    return Split(training, held_out, shown, () if shown.all() else (outside,), training)
+    return Split(training, held_out, shown, () if shown.all() else (outside,), training, near_m)
+
+
+def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
+    """Whether each of n images is shown by each of r recordings: by another pass of it where the image is its own.
+
+    Another pass is one before which the camera was elsewhere, or looked away by more than 90°.
+
+    Args:
+        images: Of r recordings.
+        near_m: How far away a place counts as shown, metres, as `hold_out` found it.
+    """
+    scale_m = _FARTHEST * typical_side_m(images.poses)
+    way = way_of(images)
+    found = np.zeros((len(images), len(images.names)), bool)
+    for number in range(len(images.names)):
+        of_it = images.sequence == number
+        found[~of_it, number] = _nearest_m(images.poses[~of_it], images.poses[of_it], scale_m) <= near_m
+        own = np.flatnonzero(of_it)
+        at, ahead = images.poses.translation[own], images.poses.rotation[own, :, 2]
+        pieces = np.floor(4.0 * (way[own] - way[own[:1]]))
+        for piece in np.split(np.arange(len(own)), np.flatnonzero(np.diff(pieces)) + 1) if len(own) else ():
+            middle = piece[len(piece) // 2]
+            away = np.linalg.norm(at - at[middle], axis=1) > AWAY * near_m
+            away |= ahead @ ahead[middle] < 0.0
+            leaves = np.flatnonzero(away)
+            split = np.searchsorted(leaves, middle)
+            begin = leaves[split - 1] + 1 if split else 0
+            end = leaves[split] if split < len(leaves) else len(own)
+            others = np.concatenate([own[:begin], own[end:]])
+            apart_m = _nearest_m(images.poses[own[piece]], images.poses[others], scale_m)
+            found[own[piece], number] = apart_m <= near_m
+    return found
+
+
+def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
+    """How far the camera has come, (n,): 1 where it is elsewhere, and for each 45° turned."""
+    steps = np.zeros(len(images))
+    if len(images) > 1:
+        moved_m, turned = images.poses[:-1].distance(images.poses[1:])
+        steps[1:] = moved_m / (_FARTHEST * typical_side_m(images.poses)) + turned / DIRECTION_RAD
+    return np.cumsum(steps)
 
 
 def _chosen(
@@ -135,7 +179,7 @@ def _passes(sequence: Int64[np.ndarray, " n"], share: float) -> Iterator[slice]:
     begins = np.flatnonzero(np.diff(sequence, prepend=sequence[0] - 1))
     for begin, end in pairwise([*begins.tolist(), len(sequence)]):
         length = end - begin
-        if len(begins) < _WHOLE_OF:
+        if len(begins) < WHOLE_OF:
             length = min(max(int(share * len(sequence)), 2), length)
         for first in range(begin, end - length + 1, max(length // 4, 1)):
             yield slice(first, first + length)
@@ -165,15 +209,6 @@ def _nearest_m(poses: Poses, others: Poses, scale_m: float) -> Float64[np.ndarra
     return np.where(np.linalg.norm(difference[..., 3:], axis=-1) <= 1.0, distance, np.inf).min(axis=1)
 
 
-def _way(images: TrainingSet, near_m: float) -> Float64[np.ndarray, " n"]:
-    """How far the camera has come, (n,): 1 for each `near_m` moved and for each 45° turned."""
-    steps = np.zeros(len(images))
-    if len(images) > 1:
-        moved_m, turned = images.poses[:-1].distance(images.poses[1:])
-        steps[1:] = moved_m / near_m + turned / DIRECTION_RAD
-    return np.cumsum(steps)
-
-
 def _touching(
     way: Float64[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"], mask: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
@@ -188,17 +223,17 @@ def _touching(
     return touching & ~mask
 
 
-def _long_runs(
+def long_runs(
     mask: Bool[np.ndarray, " n"], way: Float64[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
     """The runs of a mask in which the camera comes somewhere else."""
     kept = np.zeros(len(mask), bool)
-    for run in _runs(mask, sequence):
+    for run in runs(mask, sequence):
         kept[run] = way[run.stop - 1] - way[run.start] >= 1.0
     return kept
 
 
-def _runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Iterator[slice]:
+def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Iterator[slice]:
     """Consecutive images of one recording that are in the mask."""
     rows = np.flatnonzero(mask)
     if len(rows):
@@ -216,9 +251,9 @@ def _told(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
         if mask[own].all():
             parts.append(f"{name} ({len(own)} images)")
             continue
-        runs = [run for run in _runs(mask, images.sequence) if images.sequence[run.start] == number]
-        told = [f"{run.start - own[0]} to {run.stop - 1 - own[0]}" for run in runs[:_TOLD_RUNS]]
-        told += [f"{len(runs) - _TOLD_RUNS} more"] if len(runs) > _TOLD_RUNS else []
+        own_runs = [run for run in runs(mask, images.sequence) if images.sequence[run.start] == number]
+        told = [f"{run.start - own[0]} to {run.stop - 1 - own[0]}" for run in own_runs[:_TOLD_RUNS]]
+        told += [f"{len(own_runs) - _TOLD_RUNS} more"] if len(own_runs) > _TOLD_RUNS else []
         parts.append(f"{name}, images {' and '.join([*([', '.join(told[:-1])] if told[:-1] else []), told[-1]])}")
     return "; ".join(parts[:_TOLD_NAMES]) + (
         f"; and {len(parts) - _TOLD_NAMES} more" if len(parts) > _TOLD_NAMES else ""

@@ -13,6 +13,7 @@ COMMANDS = {
     "run": "localize the camera of a recorded sequence",
     "demo": "synthesize a sequence, localize in it with a model that ships, and compare",
     "fuse": "localize from pose estimates of others, given as text, and odometry",
+    "inspect": "say of recordings whether they are good enough to train on, and what to record again",
     "train": "train a pose regressor on sequences or data sets with true poses",
     "calibrate": "calibrate a trained model on held-out sequences with true poses",
     "synthesize": "render a sequence through a synthetic scene",

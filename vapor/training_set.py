@@ -106,15 +106,24 @@ def open_sequences(data: Sequence[Path | str], reading: SequenceOptions | None =
     Raises:
         TrainingError: what follows the @ is no range.
     """
-    opened: dict[str, Iterable[Frame]] = {}
+    return {
+        name: posed_frames(path, frames=frames, options=reading) for name, (path, frames) in name_entries(data).items()
+    }
+
+
+def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
+    """Path and frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
+
+    Raises:
+        TrainingError: what follows the @ is no range.
+    """
+    named: dict[str, tuple[Path, slice]] = {}
     for number, entry in enumerate(data):
         path, frames = parse_entry(entry)
         parts = Path(str(entry)).parts[-2 if path.suffix == ".txt" else -1 :]  # lists of splits are all named alike
         name = "/".join(parts)
-        opened[name if name not in opened else f"{name} ({number + 1})"] = posed_frames(
-            path, frames=frames, options=reading
-        )
-    return opened
+        named[name if name not in named else f"{name} ({number + 1})"] = path, frames
+    return named
 
 
 def parse_entry(entry: Path | str) -> tuple[Path, slice]:
@@ -240,7 +249,7 @@ def load_training_set(
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
     poses = Poses.from_matrix(np.stack(matrices))
-    notices += [*_of_cameras(as_taken, len(sources)), *_too_far(poses)]
+    notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
     begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
     return TrainingSet(
         images,
@@ -288,7 +297,7 @@ def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> t
     return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)
 
 
-def _too_far(poses: Poses) -> list[str]:
+def too_far(poses: Poses) -> list[str]:
     """What to say of positions so far from zero that the network's arithmetic rounds them."""
     furthest_m = float(np.abs(poses.translation).max())
     if furthest_m < _FAR_M:

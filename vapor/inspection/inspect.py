@@ -1,0 +1,97 @@
+"""The whole inspection of recordings: read once, looked at from every side, and a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from filtering.posterior import ObservationModel
+from sequences.frame import Frame
+from sequences.options import SequenceOptions
+from vapor.inspection.coverage import Coverage
+from vapor.inspection.odometry import OdometryCheck, check_odometry
+from vapor.inspection.predictions import Predictions, Said
+from vapor.inspection.verdict import verdict
+from vapor.inspection.walks import Walk, posed_images, read_walks
+from vapor.training_set import too_far
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What was found.
+
+    Attributes:
+        walks: The recordings, at least one.
+        coverage: What they show; None without true poses.
+        odometry: How it compares with true poses; None without both.
+        predictions: What a model says of the images; None without a model.
+        notices: What a person should know of the true poses.
+        verdict: Sentences, the most important first.
+    """
+
+    walks: tuple[Walk, ...]
+    coverage: Coverage | None
+    odometry: OdometryCheck | None
+    predictions: Predictions | None
+    notices: tuple[str, ...]
+    verdict: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """The content of `report.json`."""
+        return {
+            "walks": [walk.as_json() for walk in self.walks],
+            "coverage": None if self.coverage is None else self.coverage.as_json(),
+            "odometry": None if self.odometry is None else self.odometry.as_json(),
+            "model": None if self.predictions is None else self.predictions.as_json(self.coverage),
+            "notices": list(self.notices),
+            "verdict": list(self.verdict),
+        }
+
+
+def inspect(
+    data: Sequence[Path | str],
+    reading: SequenceOptions | None = None,
+    *,
+    model: ObservationModel | None = None,
+    seed: int = 0,
+    progress: Callable[[str, int, int | None], None] = lambda stage, done, total: None,
+) -> Inspection:
+    """Inspect recordings.
+
+    Args:
+        data: Each `PATH` or `PATH@START:STOP`, as `train` takes them; true poses and odometry may be missing.
+        reading: What to read of recordings; None for all of it, as found.
+        model: Asked about every image, where given.
+        seed: Of its latent noise.
+        progress: Called with the stage, how much of it is done, and of how much.
+
+    Raises:
+        TrainingError: no data, a bad range, or a pose that is not finite.
+        SequenceError: data that cannot be read.
+    """
+    said: list[Said] = []
+    rng = np.random.default_rng(seed)
+
+    def see(frame: Frame) -> None:
+        if model is not None:
+            said.append(Said.of(model.observe(frame.image, rng=rng)))
+
+    walks = read_walks(data, reading, see=see, progress=lambda done: progress("reading images", done, None))
+    images = posed_images(walks)
+    coverage = odometry = predictions = None
+    notices: tuple[str, ...] = ()
+    if images is not None:
+        progress("where it was", 0, None)
+        coverage = Coverage.of(images)
+        progress("odometry", 0, None)
+        odometry = check_odometry(images)
+        notices = tuple(too_far(images.poses))
+    if model is not None:
+        posed = np.concatenate([walk.posed for walk in walks])
+        predictions = Predictions.of(said, images.poses if images is not None else walks[0].poses, posed)
+    found = verdict(walks, coverage, odometry, predictions)
+    return Inspection(tuple(walks), coverage, odometry, predictions, notices, found)

@@ -1,0 +1,226 @@
+"""Odometry against true poses: which way its axes point, its clock, and how wrong it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.motion import Odometry
+from filtering.se3 import Poses, nearest_rotation
+from sequences.errors import SequenceError
+from sequences.frame import Trajectory
+from sequences.odometry_fit import OdometryFit, OdometryStretch, fit_odometry
+from sequences.time_offset import find_time_offset
+from vapor.passes import odometry_stretches
+from vapor.training_set import TrainingSet
+
+_WINDOW_S = 1.0  # over which motions are compared: noise of single images counts little
+_LEAST_WINDOWS = 20
+_USUAL_OFFSET_S = 1.0  # at most, within one recording
+_AGREES, _BETTER = 0.7, 0.2  # correlation of motions, and by how much another way must be better
+_TURNED_RAD = float(np.deg2rad(10.0))
+_DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))  # of a camera's axes: there and back
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Which way odometry's axes point, seen by true poses.
+
+    Attributes:
+        correlation: Of the motions as they are, translation and rotation: 1 where they are the same but for scale.
+        turned: The turn of the camera on its base, of all turns by quarters, that makes them most alike, (3, 3).
+        correlation_turned: Of the motions with it.
+        off_rad: Of the best turn of all, how far it is from none.
+        correlation_best: Of the motions with that.
+    """
+
+    correlation: float
+    turned: Float64[np.ndarray, "3 3"]
+    correlation_turned: float
+    off_rad: float
+    correlation_best: float
+
+    @property
+    def swapped(self) -> bool:
+        """Whether quarter turns explain the motions much better than none."""
+        return self.correlation_turned >= _AGREES and self.correlation_turned > self.correlation + _BETTER
+
+    @property
+    def tilted(self) -> bool:
+        """Whether another turn does, of 10° and more."""
+        better = 1.0 - self.correlation_best < 0.8 * (1.0 - self.correlation)
+        return not self.swapped and self.correlation_best >= _AGREES and better and self.off_rad > _TURNED_RAD
+
+    @property
+    def unlike(self) -> bool:
+        """Whether no turn makes the motions alike."""
+        return max(self.correlation, self.correlation_turned, self.correlation_best) < _AGREES
+
+    def said(self) -> str:
+        """What looks like what, of the swapped axes."""
+        parts = []
+        for axis in (2, 0, 1):
+            seen = self.turned[:, axis]
+            number = int(np.argmax(np.abs(seen)))
+            if number != axis or seen[number] < 0:
+                parts.append(
+                    f"{_DIRECTIONS[axis][0]} looks like the true poses' {_DIRECTIONS[number][int(seen[number] < 0)]}"
+                )
+        return "odometry's " + ", its ".join(parts)
+
+
+@dataclass(frozen=True)
+class OdometryCheck:
+    """What true poses say of odometry.
+
+    Attributes:
+        increments: Images to which odometry leads from the one before, where both have true poses.
+        axes: Which way its axes point; None where it moves too little to say.
+        late_ms: By recording: how much later odometry's stamps are than those of the true poses, of the same moment.
+        unknown_late: By recording: why that cannot be said.
+        fit: How wrong it is, with its axes turned as they should be; None where that cannot be said.
+        no_fit: Why not.
+    """
+
+    increments: int
+    axes: Axes | None
+    late_ms: dict[str, float]
+    unknown_late: dict[str, str]
+    fit: OdometryFit | None
+    no_fit: str
+
+    @property
+    def typical_late_ms(self) -> float | None:
+        """Median over recordings."""
+        return float(np.median(list(self.late_ms.values()))) if self.late_ms else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Figures for the report."""
+        axes = self.axes
+        return {
+            "increments": self.increments,
+            "axes": None
+            if axes is None
+            else {
+                "correlation": axes.correlation,
+                "correlation_turned": axes.correlation_turned,
+                "turned": axes.turned.tolist(),
+                "swapped": axes.swapped,
+                "off_deg": float(np.degrees(axes.off_rad)),
+                "tilted": axes.tilted,
+            },
+            "late_ms": dict(self.late_ms),
+            "unknown_late": dict(self.unknown_late),
+            "fit": None if self.fit is None else asdict(self.fit),
+            "no_fit": self.no_fit,
+        }
+
+
+def check_odometry(images: TrainingSet) -> OdometryCheck | None:
+    """Compare odometry with the true poses of the same images; None without any odometry between them."""
+    stretches = odometry_stretches(images)
+    if not stretches:
+        return None
+    axes = _axes([_track(stretch) for stretch in stretches])
+    if axes is not None and axes.swapped:
+        stretches = [_turned(stretch, axes.turned) for stretch in stretches]
+    fit, no_fit = None, ""
+    try:
+        fit = fit_odometry(stretches)
+    except SequenceError as error:
+        no_fit = str(error)
+    late_ms: dict[str, float] = {}
+    unknown: dict[str, str] = {}
+    for number in sorted({stretch.recording for stretch in stretches}):
+        own = [_track(stretch) for stretch in stretches if stretch.recording == number]
+        odometry, truth = max(own, key=lambda tracks: len(tracks[0]))
+        name = images.names[number]
+        try:
+            late_ms[name] = 1e3 * _late_s(odometry, truth)
+        except SequenceError as error:
+            unknown[name] = str(error).removesuffix("; give --time-offset-s a number")
+    increments = sum(len(stretch.odometry) for stretch in stretches)
+    return OdometryCheck(increments, axes, late_ms, unknown, fit, no_fit)
+
+
+def _late_s(odometry: Trajectory, truth: Trajectory) -> float:
+    """How much later odometry is; where a motion that repeats itself allows for several, the one below a second."""
+    try:
+        return find_time_offset(odometry, truth)
+    except SequenceError:
+        return find_time_offset(odometry, truth, within_s=_USUAL_OFFSET_S)
+
+
+def _track(stretch: OdometryStretch) -> tuple[Trajectory, Trajectory]:
+    """Odometry from its first image on, and the true poses, at the same times."""
+    poses = [Poses.identity()]
+    for step in stretch.odometry:
+        poses.append(poses[-1] @ step.previous_from_current)
+    seconds = np.concatenate([[0.0], np.cumsum([step.duration_s for step in stretch.odometry])])
+    times_ns = np.round(seconds * 1e9).astype(np.int64)
+    kept = np.flatnonzero(np.diff(times_ns, prepend=-1) > 0)
+    return Trajectory(times_ns[kept], Poses.stack(poses)[kept]), Trajectory(times_ns[kept], stretch.truth[kept])
+
+
+def _turned(stretch: OdometryStretch, turn: Float64[np.ndarray, "3 3"]) -> OdometryStretch:
+    """The same with the axes of odometry turned."""
+    about = Poses(turn, np.zeros(3))
+    carry = about.adjoint()
+    steps = [
+        Odometry(
+            about @ step.previous_from_current @ about.inverse(), carry @ step.covariance @ carry.T, step.duration_s
+        )
+        for step in stretch.odometry
+    ]
+    return OdometryStretch(steps, stretch.truth, stretch.recording)
+
+
+def _axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None:
+    """Compare motions over a second, translations and rotations, each in units of its own size."""
+    pairs = [_motions(*track) for track in tracks]
+    odometry, truth = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
+    if len(odometry) < _LEAST_WINDOWS:
+        return None
+    products, sizes = np.zeros((3, 3)), 0.0
+    for part in (slice(0, 3), slice(3, 6)):
+        size = float(np.linalg.norm(odometry[:, part]) * np.linalg.norm(truth[:, part]))
+        if size > 1e-9:
+            products += truth[:, part].T @ odometry[:, part] / size
+            sizes += 1.0
+    if sizes == 0.0:
+        return None
+
+    def correlation(turn: np.ndarray) -> float:
+        return float(np.sum(turn * products)) / sizes
+
+    quarters = [np.eye(3), *(turn for turn in _quarter_turns() if not np.allclose(turn, np.eye(3)))]
+    turned = max(quarters, key=lambda turn: round(correlation(turn), 3))  # the first of equals
+    best = nearest_rotation(products)
+    _, off_rad = Poses(best, np.zeros(3)).distance(Poses.identity())
+    return Axes(correlation(np.eye(3)), turned, correlation(turned), float(off_rad), correlation(best))
+
+
+def _motions(odometry: Trajectory, truth: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Motions (k, 6) over a second each, by both."""
+    begins, at_ns = [0], odometry.times_ns
+    while (after := int(np.searchsorted(at_ns, at_ns[begins[-1]] + round(_WINDOW_S * 1e9)))) < len(at_ns):
+        begins.append(after)
+    at = np.array(begins)
+    moved = [(track.poses[at[:-1]].inverse() @ track.poses[at[1:]]).log() for track in (odometry, truth)]
+    return moved[0], moved[1]
+
+
+def _quarter_turns() -> list[Float64[np.ndarray, "3 3"]]:
+    """The 24 rotations that carry axes to axes."""
+    found = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        turn = np.zeros((3, 3))
+        turn[list(order), range(3)] = signs
+        if np.linalg.det(turn) > 0:
+            found.append(turn)
+    return found

@@ -1,0 +1,169 @@
+"""What a model says of recorded images: where it is ambiguous, where it errs, and what it does not know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from vapor.evaluate import is_right
+from vapor.inspection.coverage import Coverage
+
+_COUNTED = 0.1  # of the samples, for a place to count
+_REACH = 0.9  # of the samples, within the spread
+_LEAST_IMAGES = 3  # of a place that errs
+_WRONG_SHARE = 0.5  # of its images
+
+
+class Said(NamedTuple):
+    """What is kept of one image's posterior.
+
+    Attributes:
+        places: How many places hold a tenth of the samples or more.
+        spread_m: Distance from the best place within which nine tenths of the samples are, metres.
+        best: world_from_camera of the place with most samples; None where there is no place.
+        unfamiliarity: 0 an image of the training, above 1 a foreign one.
+    """
+
+    places: int
+    spread_m: float
+    best: Poses | None
+    unfamiliarity: float
+
+    @staticmethod
+    def of(posterior: PosePosterior) -> Said:
+        """The figures of one posterior."""
+        best = posterior.means[int(np.argmax(posterior.shares))] if len(posterior.shares) else None
+        centre = posterior.samples.translation.mean(axis=0) if best is None else best.translation
+        apart_m = np.linalg.norm(posterior.samples.translation - centre, axis=1)
+        places = int((posterior.shares >= _COUNTED).sum())
+        return Said(places, float(np.quantile(apart_m, _REACH)), best, posterior.unfamiliarity)
+
+
+@dataclass(frozen=True)
+class WeakPlace:
+    """Images of a cell of the map, looking one way, most of which the model gets wrong.
+
+    Attributes:
+        position: Their middle, world, metres.
+        looking: Which way, in words.
+        images: How many.
+        median_m: Their median error, metres.
+        places: In how many places it thinks that they may be, median.
+        passes: How many passes show it.
+    """
+
+    position: tuple[float, float, float]
+    looking: str
+    images: int
+    median_m: float
+    places: int
+    passes: int
+
+    def __str__(self) -> str:
+        at = ", ".join(f"{value:.1f}" for value in self.position)
+        passes = "one pass only" if self.passes == 1 else f"{self.passes} passes"
+        possible = f", {self.places} places possible" if self.places > 1 else ""
+        images = "1 image" if self.images == 1 else f"{self.images} images"
+        error = f"median error {self.median_m:.2g} m over {images} of {passes}"
+        return f"near ({at}) m, looking {self.looking}: {error}{possible}"
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """What a model says of n images.
+
+    Attributes:
+        places: In how many places each may be, (n,).
+        spread_m: How far the samples of each reach, metres, (n,).
+        unfamiliarity: (n,).
+        error_m: Of the best place, against the true poses of those k that have one, metres, (k,); NaN without a place.
+        right: Within 0.3 m and 20°, (k,).
+        posed: Which images have a true pose, (n,).
+    """
+
+    places: Int64[np.ndarray, " n"]
+    spread_m: Float64[np.ndarray, " n"]
+    unfamiliarity: Float64[np.ndarray, " n"]
+    error_m: Float64[np.ndarray, " k"]
+    right: Bool[np.ndarray, " k"]
+    posed: Bool[np.ndarray, " n"]
+
+    @staticmethod
+    def of(said: Sequence[Said], truth: Poses, posed: Bool[np.ndarray, " n"]) -> Predictions:
+        """What was said of images (n,), of which k have true poses."""
+        own = [each.best for each, known in zip(said, posed, strict=True) if known]
+        error_m, right = np.full(len(truth), np.nan), np.zeros(len(truth), bool)
+        known = np.array([best is not None for best in own], bool)
+        if known.any():
+            best = Poses.stack([pose for pose in own if pose is not None])
+            error_m[known] = best.distance(truth[known])[0]
+            right[known] = is_right(best, truth[known])
+        return Predictions(
+            np.array([each.places for each in said], np.int64),
+            np.array([each.spread_m for each in said]),
+            np.array([each.unfamiliarity for each in said]),
+            error_m,
+            right,
+            posed,
+        )
+
+    def weak_places(self, coverage: Coverage) -> list[WeakPlace]:
+        """Where most images are wrong, from the most of them down."""
+        passes = {
+            (cell.floor, cell.column, cell.row, sector): number
+            for cell in coverage.passes
+            for sector, number in cell.looked.items()
+        }
+        keys = np.column_stack([coverage.floor, coverage.cells, coverage.sectors])
+        groups, group = np.unique(keys, axis=0, return_inverse=True)
+        group, found = group.ravel(), []
+        for number, (floor, column, row, sector) in enumerate(groups.tolist()):
+            own = np.flatnonzero(group == number)
+            wrong = int((~self.right[own]).sum())
+            if wrong < _LEAST_IMAGES or wrong < _WRONG_SHARE * len(own):
+                continue
+            x, y, z = np.median(coverage.images.poses.translation[own], axis=0).tolist()
+            errors_m = np.where(np.isnan(self.error_m[own]), np.inf, self.error_m[own])
+            median_m = float(np.median(errors_m))
+            place = WeakPlace(
+                (x, y, z),
+                coverage.plan.told(sector),
+                len(own),
+                median_m if np.isfinite(median_m) else 0.0,
+                int(np.median(self.places[self.posed][own])),
+                passes[floor, column, row, sector],
+            )
+            found.append((wrong, place))
+        return [place for _, place in sorted(found, key=lambda each: -each[0])]
+
+    @property
+    def ambiguous(self) -> float:
+        """Share of the images that may be in several places."""
+        return float((self.places > 1).mean())
+
+    @property
+    def foreign(self) -> float:
+        """Share of the images that are taken for those of another place."""
+        return float((self.unfamiliarity > 1.0).mean())
+
+    def as_json(self, coverage: Coverage | None) -> dict[str, Any]:
+        """Figures for the report."""
+        known = self.error_m[~np.isnan(self.error_m)]
+        return {
+            "images": len(self.places),
+            "ambiguous": self.ambiguous,
+            "foreign": self.foreign,
+            "median_spread_m": float(np.median(self.spread_m)),
+            "median_unfamiliarity": float(np.median(self.unfamiliarity)),
+            "median_error_m": float(np.median(known)) if len(known) else None,
+            "right": float(self.right.mean()) if len(self.right) else None,
+            "weak_places": []
+            if coverage is None
+            else [vars(place) | {"said": str(place)} for place in self.weak_places(coverage)],
+        }

@@ -1,0 +1,193 @@
+"""What to do about a recording before training on it, in sentences, the most important first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from vapor.inspection.coverage import Coverage, Floor, height
+from vapor.inspection.odometry import OdometryCheck
+from vapor.inspection.predictions import Predictions
+from vapor.inspection.walks import Walk
+
+GOOD_ENOUGH = "good enough: nothing found that another recording would mend"
+
+_FEW_IMAGES = 100
+_STANDS_M, _STANDS_RAD = 0.05, float(np.deg2rad(5.0))
+_BLURRED, _BADLY_EXPOSED, _FROZEN, _LOST, _JUMPS = 0.1, 0.05, 0.02, 0.05, 0.01  # shares of a recording
+_LONG_GAP_S = 2.0
+_ALONE = 0.1  # of all images
+_LATE_MS, _SCALE, _CERTAIN = 20.0, 0.05, 3.0  # the last in standard errors
+_UNKNOWN = 0.05  # of the images
+_SCARCE = 0.5  # of what a floor would have if all had as many images
+_TOLD = 3
+
+
+def verdict(
+    walks: Sequence[Walk],
+    coverage: Coverage | None,
+    odometry: OdometryCheck | None,
+    predictions: Predictions | None,
+) -> tuple[str, ...]:
+    """Sentences, each with what to do; one that says that it is good enough where there is nothing."""
+    found = [*_useless(walks, coverage)]
+    if odometry is not None:
+        found += _odometry(odometry)
+    if coverage is not None:
+        found += _coverage(coverage)
+    for walk in walks:
+        found += _images(walk)
+    found += _without(walks)
+    if coverage is not None and predictions is not None:
+        found += _model(coverage, predictions)
+    return tuple(found) or (GOOD_ENOUGH,)
+
+
+def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
+    """What makes a training senseless."""
+    for walk in walks:
+        if walk.looks.repeated[1:].all() and len(walk) > 1:
+            yield f"record {walk.name} again: its {len(walk)} images are all one and the same"
+        if not len(walk.poses):
+            reason = walk.lacks.get("true poses") or next(iter(walk.notices), "no image has one")
+            yield f"give {walk.name} true poses, which `train` needs: {reason}"
+    if coverage is None:
+        return
+    count, poses = len(coverage.images), coverage.images.poses
+    if count < _FEW_IMAGES:
+        yield f"record more: {_images_said(count)} with true poses, expected some hundreds at least"
+    moved_m, turned = poses.distance(poses[0])
+    if count > 1 and moved_m.max() < _STANDS_M and turned.max() < _STANDS_RAD:
+        yield (
+            f"walk about: the camera does not move (by {100 * moved_m.max():.1f} cm and"
+            f" {np.degrees(turned.max()):.1f}° at most)"
+        )
+
+
+def _odometry(check: OdometryCheck) -> Iterator[str]:
+    axes, late_ms, fit = check.axes, check.typical_late_ms, check.fit
+    if axes is not None and axes.swapped:
+        yield f"check the extrinsics (tf, --base-from-camera): {axes.said()}"
+    elif axes is not None and axes.tilted:
+        yield (
+            f"check the extrinsics (tf, --base-from-camera): odometry moves as if the camera were turned by"
+            f" {np.degrees(axes.off_rad):.0f}° on its base, against the true poses"
+        )
+    elif axes is not None and axes.unlike:
+        yield (
+            f"check odometry and true poses: their motions have little in common (correlation {axes.correlation:.2f}),"
+            " whichever way the axes are turned"
+        )
+    if late_ms is not None and abs(late_ms) >= _LATE_MS:
+        late = "late" if late_ms > 0 else "early"
+        yield (
+            f"odometry is {abs(late_ms):.0f} ms {late} against the true poses: use --time-offset-s auto where these are"
+            " a file (--poses), else correct the stamps"
+        )
+    if fit is not None and abs(fit.scale) > max(_SCALE, _CERTAIN * fit.scale_error):
+        far = "long" if fit.scale > 0 else "short"
+        yield (
+            f"check the scale of odometry (wheel radius, baseline) or of the true poses: distances are"
+            f" {100 * abs(fit.scale):.0f} % too {far}"
+        )
+
+
+def _coverage(coverage: Coverage) -> Iterator[str]:
+    if not coverage.split.judged.any():
+        yield (
+            "record another walk over the same ground: nothing can be held out of this, so `train` would assume how"
+            " images err, and not find it"
+        )
+    several = len(coverage.images.names) > 1
+    floors = coverage.floors()
+    told = set()
+    for number, floor in enumerate(floors):
+        name = f"floor {number + 1} of {len(floors)} ({height(floor.low_m, floor.high_m)})"
+        if several and len(floor.names) == 1:
+            told.add(number)
+            yield f"record {name} in another walk: only {floor.names[0]} comes there"
+        elif several and floor.trained <= 1:
+            told.add(number)
+            yield (
+                f"record {name} in another walk: of the {len(floor.names)} recordings that come there"
+                f" {floor.trained or 'none'} would be trained on"
+            )
+        elif _scarce(floor, floors):
+            yield f"record more of {name}: it has {_images_said(floor.images)} of {len(coverage.images)}{_late(floor)}"
+    alone = float((coverage.others == 0).mean())
+    stretches = [stretch for stretch in coverage.alone() if stretch.floor not in told]
+    if alone > _ALONE and stretches:
+        more = f"; and {len(stretches) - _TOLD} more" if len(stretches) > _TOLD else ""
+        named = "; ".join(map(str, stretches[:_TOLD]))
+        whose = "no other recording shows" if coverage.by_recordings else "no other pass shows"
+        yield f"record again what {whose}, {100 * alone:.0f} % of the images: {named}{more}"
+
+
+def _scarce(floor: Floor, floors: Sequence[Floor]) -> bool:
+    return floor.images < _SCARCE * sum(each.images for each in floors) / len(floors)
+
+
+def _late(floor: Floor) -> str:
+    if floor.late is None:
+        return ""
+    who = floor.names[0] if len(floor.names) == 1 else f"all {len(floor.names)} recordings that do"
+    return f", and {who} come{'s' if len(floor.names) == 1 else ''} there only in the last {100 * floor.late:.0f} %"
+
+
+def _images(walk: Walk) -> Iterator[str]:
+    looks, name = walk.looks, walk.name
+    blurred = float(looks.blurred.mean())
+    if blurred > _BLURRED:
+        how = {"turns": "turn more slowly", "speed": "walk slower", None: "walk slower, or in more light"}
+        yield f"{how[walk.blur_comes_with]}: {100 * blurred:.0f} % of the images of {name} are blurred"
+    dark, blown, jumps = (float(each.mean()) for each in (looks.dark, looks.blown, looks.jumps))
+    if dark > _BADLY_EXPOSED:
+        yield f"make light, or expose for longer: {100 * dark:.0f} % of the images of {name} are nearly black"
+    if blown > _BADLY_EXPOSED:
+        yield f"expose for less long: {100 * blown:.0f} % of the images of {name} are blown out"
+    if jumps > _JUMPS and looks.jumps.sum() > 1:
+        yield (
+            f"fix the exposure, or walk without sudden light: {name} gets half a stop brighter or darker from one image"
+            f" to the next {looks.jumps.sum()} times"
+        )
+    frozen = sum(last - first for first, last in walk.frozen)
+    if frozen > _FROZEN * len(walk) and not looks.repeated[1:].all():
+        first, last = max(walk.frozen, key=lambda run: run[1] - run[0])
+        yield (
+            f"look at the camera's driver: {frozen} images of {name} repeat the one before, such as {first} to {last}"
+        )
+    gaps = walk.gaps
+    lost = sum(long_s for _, long_s in gaps)
+    if gaps and (gaps[0][1] > _LONG_GAP_S or lost > _LOST * walk.seconds[-1]):
+        at_s, long_s = gaps[0]
+        times = f"{len(gaps)} gaps, {lost:.1f} s in all, the longest" if len(gaps) > 1 else "a gap"
+        yield f"find out why images are missing: {name} has {times} of {long_s:.1f} s, {at_s:.1f} s after its start"
+
+
+def _without(walks: Sequence[Walk]) -> Iterator[str]:
+    """What is missing, which training can do without."""
+    lacking = [walk for walk in walks if walk.recorded and not any(step is not None for step in walk.odometry)]
+    if lacking:
+        who = lacking[0].name if len(lacking) == 1 else f"{len(lacking)} of {len(walks)} recordings"
+        reason = lacking[0].lacks.get("odometry", "none is of the time of the images")
+        yield (
+            f"record odometry too: {who} ha{'s' if len(lacking) == 1 else 've'} none ({reason});"
+            " training does without, localizing does not"
+        )
+
+
+def _model(coverage: Coverage, predictions: Predictions) -> Iterator[str]:
+    weak = [place for place in predictions.weak_places(coverage) if place.passes == 1 or place.places <= 1]
+    if weak:
+        more = f"; and {len(weak) - _TOLD} more" if len(weak) > _TOLD else ""
+        yield f"another walk should show, as the model errs there: {'; '.join(map(str, weak[:_TOLD]))}{more}"
+    if predictions.foreign > _UNKNOWN:
+        yield (
+            f"train on more of this: {100 * predictions.foreign:.0f} % of the images look unlike all that the model was"
+            " trained on"
+        )
+
+
+def _images_said(count: int) -> str:
+    return "1 image" if count == 1 else f"{count} images"
