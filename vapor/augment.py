@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Float32, Float64, Int64, UInt8
 from scipy.spatial.transform import Rotation
 from torch import Tensor
+from torch.nn import functional
 
 from filtering.errors import require_within
 
@@ -38,6 +39,8 @@ class AugmentConfig:
     """Largest standard deviation of the Gaussian blur, pixels; each is drawn from half of it up."""
     turn_deg: float = 6.0
     """Largest angle by which each camera is turned about each of its axes, pose and image alike, where it is known."""
+    light: float = 0.3
+    """Standard deviation of the logarithm of light that falls unevenly, as lamps throw it at another hour."""
     erase_probability: float = 0.0
     """Share of the images of which a rectangle is painted over, as by someone who stands there."""
     erase_share: float = 0.3
@@ -47,6 +50,7 @@ class AugmentConfig:
         require_within(
             self,
             turn_deg=(0.0, 45.0),
+            light=(0.0, 3.0),
             erase_probability=(0.0, 1.0),
             erase_share=(0.0, 1.0),
             brightness=(0.0, 1.0),
@@ -152,6 +156,13 @@ def colour_jitter(
     return matrix, gain * ((1 - contrast) * mean_grey)[:, None]
 
 
+def _uneven_light(shape: tuple[int, ...], amount: float, *, rng: np.random.Generator) -> Float[Tensor, "b h w 1"]:
+    """Factors by which light on images of a shape (b, h, w, 3) changes: smooth fields through three by three points."""
+    points = torch.from_numpy(np.exp(amount * rng.standard_normal((shape[0], 1, 3, 3)))).float()
+    field = functional.interpolate(points, size=shape[1:3], mode="bilinear", align_corners=True)
+    return field.permute(0, 2, 3, 1)
+
+
 def jitter_and_normalise(
     crops: UInt8[Tensor, "b h w 3"],
     pixel_mean: Float[Tensor, "3"],
@@ -168,6 +179,9 @@ def jitter_and_normalise(
     )
     matrix = matrix / pixel_std[:, None]
     offset = (offset - pixel_mean) / pixel_std
-    pixels = crops.flatten(1, 2).float()
+    pixels = crops.float()
+    if config.light > 0.0:
+        pixels.mul_(_uneven_light(crops.shape, config.light, rng=rng).to(crops.device)).clamp_(max=255.0)
+    pixels = pixels.flatten(1, 2)
     mapped = torch.baddbmm(offset[:, None], pixels, matrix.transpose(1, 2))
     return mapped.unflatten(1, crops.shape[1:3]).permute(0, 3, 1, 2)

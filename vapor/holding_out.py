@@ -19,8 +19,8 @@ from vapor.training_set import TrainingSet
 
 DIRECTION_RAD = float(np.deg2rad(45.0))
 _CHORD = 2.0 * np.sin(DIRECTION_RAD / 2.0)
-_NEAREST, _FARTHEST = 0.1, 0.3  # what counts as near, in typical sides of the scene, at least and at most
-_USUAL = 4.0  # times what lies between an image and the nearest of another pass in a quarter of them
+_NEAREST, _FARTHEST = 0.05, 0.15  # what counts as near, in typical sides of the scene, at least and at most
+_USUAL = 4.0  # times what lies between an image and the nearest of another pass in a quarter of those that have one
 WHOLE_OF = 4  # recordings from which on one is held out as a whole
 _LEAST_SHOWN = 0.25  # of a pass that is held out
 AWAY = 1.5  # times what counts as near: elsewhere
@@ -187,7 +187,7 @@ def _passes(sequence: Int64[np.ndarray, " n"], share: float) -> Iterator[slice]:
 
 def _near_m(distances_m: Float64[np.ndarray, " n"], side: float) -> float:
     """How far away counts as near, by how far the nearest images of other passes are."""
-    found = distances_m[np.isfinite(distances_m)]
+    found = distances_m[distances_m <= _FARTHEST * side]
     usual = float(np.quantile(found, 0.25)) if len(found) else np.inf
     return float(np.clip(_USUAL * usual, _NEAREST * side, _FARTHEST * side))
 

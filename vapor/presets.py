@@ -12,6 +12,7 @@ from vapor.network import Head, NetworkConfig
 from vapor.train_config import TrainConfig
 
 _RESNET18 = NetworkConfig("resnet18", image_width=224, image_height=224, shortest_edge=256)
+_FAST = NetworkConfig("efficientnet-lite0", image_width=128, image_height=96, shortest_edge=101)
 _LITE0 = replace(_RESNET18, backbone="efficientnet-lite0")
 
 
@@ -54,7 +55,7 @@ _TABLES = TrainConfig(
 
 PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
     {
-        "auto": TrainConfig(),
+        "auto": TrainConfig(network=_FAST, learning_rate=1e-3),
         "demo": TrainConfig(aspect="network", epochs=30, finish=0.0),
         "resnet18": TrainConfig(network=_RESNET18, aspect="network", learning_rate=1e-3, epochs=30),
         "efficientnet-lite0": TrainConfig(network=_LITE0, aspect="network", learning_rate=1e-3, epochs=30),
