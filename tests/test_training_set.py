@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
+from sequences.frame import Frame
 from tests.sequence_files import Walk, as_split_folder
 from tests.test_datasets import make_7scenes
 from tests.test_train import TINY, make_frames, pose
@@ -137,3 +138,36 @@ def test_sequences_without_usable_poses_are_refused_by_name():
     frames[1] = replace(frames[1], world_from_camera=Poses(np.eye(3), np.array([0.0, np.nan, 0.0])))
     with pytest.raises(TrainingError, match="b: true pose at 1 ns is not finite"):
         load_training_set({"b": frames}, (36, 36))
+
+
+def _variety(count: int, *, moving: bool = True, seeing: bool = True, at: float = 0.0) -> dict[str, list[Frame]]:
+    rng = np.random.default_rng(0)
+    images = (
+        rng.integers(0, 256, (count, 36, 48, 3), dtype=np.uint8)
+        if seeing
+        else rng.integers(9, 12, (count, 36, 48, 3), np.uint8)
+    )
+    where = [np.array([at + 0.1 * i * moving, 0.0, 0.0]) for i in range(count)]
+    return {"walk.mcap": [Frame(i, images[i], None, Poses(np.eye(3), where[i])) for i in range(count)]}
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (_variety(30, moving=False), "walk.mcap: the camera does not move: all 30 true poses are within 5 mm and 0.5°"),
+        (_variety(30, seeing=False), "walk.mcap: all 30 images are alike, to within a level of grey"),
+        (_variety(30, at=5e6), "positions up to 5e\\+06 m from zero.*--ground-truth-origin"),
+    ],
+)
+def test_data_from_which_nothing_can_be_learned_are_refused(data, said, tmp_path):
+    with pytest.raises(TrainingError, match=said):
+        train_on(data, tmp_path / "m.safetensors", TINY)
+    assert not list(tmp_path.iterdir())
+
+
+def test_few_images_are_learned_from_and_told(tmp_path):
+    config = replace(TINY, epochs=1, calibrate=False)
+    assert train_on(_variety(10), tmp_path / "m.safetensors", config).notices == (
+        "10 images to learn from: a place takes hundreds, along all ways that will be gone",
+    )
+    assert train_on(_variety(100), tmp_path / "n.safetensors", config).notices == ()

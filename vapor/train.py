@@ -33,6 +33,8 @@ from vapor.training_set import (
     load_training_set,
     open_sequences,
     require_apart,
+    require_variety,
+    too_few,
 )
 from vapor.training_start import initial_model, start
 from vapor.training_state import TrainingState, load_state, save_state, state_path
@@ -208,10 +210,14 @@ def _train(
     initial: Checkpoint | None,
     report: ProgressCallback,
 ) -> TrainResult:
+    if len(loaded) < 2:
+        raise TrainingError(f"{', '.join(names['data'])}: {len(loaded)} training images, expected at least 2")
+    try:
+        require_variety(loaded)
+    except TrainingError as error:
+        raise TrainingError(f"{', '.join(names['data'])}: {error}") from error
     split = hold_out(loaded, config.validation_share) if held_out is None else within_map(loaded, held_out)
     training = split.training
-    if len(training) < 2:
-        raise TrainingError(f"{', '.join(names['data'])}: {len(training)} training images, expected at least 2")
     box = SceneBox.around(split.everything.poses)
     state = start(config, box.union(initial.box) if initial else box, training.poses, initial)
     return _fit(state, split, names, output, config, report)
@@ -288,7 +294,7 @@ def _fit(
         found.calibrated,
         found.check,
         skipped + split.held_out.skipped if apart else skipped,
-        notices + split.held_out.notices if apart else notices,
+        (*notices, *(split.held_out.notices if apart else ()), *too_few(split.everything)),
     )
 
 

@@ -13,6 +13,7 @@ from itertools import combinations, product
 from math import inf
 from pathlib import Path
 
+import cv2
 import numpy as np
 from jaxtyping import Int64, UInt8
 
@@ -29,6 +30,10 @@ from vapor.images import centre_crop, cover_size, scale_to_cover
 
 _MOST_CAMERAS = 3  # that are named
 _FAR_M = 1e4  # beyond, float32 has steps of a millimetre
+_COARSEST_M = 0.1  # that such a step may have
+_STILL_M, _STILL_RAD = 0.005, float(np.deg2rad(0.5))  # of a camera that stands, at most
+_COMPARED, _COARSE = 50, (8, 6)  # images, and the size at which they are compared, pixels
+_FEW = 100  # images
 
 
 class TrainingError(VaporTrackError):
@@ -295,6 +300,45 @@ def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> t
     """Of sequences by the number of their file or folder and their own; the latter is told where there are several."""
     several = {file for file, count in Counter(file for file, _ in begun).items() if count > 1}
     return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)
+
+
+def require_variety(images: TrainingSet) -> None:
+    """Refuse images from which nothing can be learned: of a camera that stands, or sees nothing, or is out of range.
+
+    Raises:
+        TrainingError: what all of them have in common.
+    """
+    poses, few = images.poses, np.linspace(0, len(images) - 1, min(len(images), _COMPARED)).astype(int)
+    moved_m, turned = poses.distance(poses[[0]])
+    if len(images) > 1 and moved_m.max() < _STILL_M and turned.max() < _STILL_RAD:
+        raise TrainingError(
+            f"the camera does not move: all {len(images)} true poses are within {1e3 * _STILL_M:g} mm and"
+            f" {np.degrees(_STILL_RAD):g}° of the first, expected a walk"
+        )
+    looks = np.stack(
+        [
+            cv2.resize(np.asarray(image), _COARSE, interpolation=cv2.INTER_AREA)
+            for image in images.images[images.rows[few]]
+        ]
+    )
+    if len(images) > 1 and looks.astype(float).std(axis=0).max() < 1.0:
+        raise TrainingError(
+            f"all {len(images)} images are alike, to within a level of grey, expected those of a camera that sees where"
+            " it is"
+        )
+    step_m = float(np.spacing(np.float32(np.abs(poses.translation).max())))
+    if step_m > _COARSEST_M:
+        raise TrainingError(
+            f"positions up to {np.abs(poses.translation).max():.3g} m from zero, of which float32 keeps {step_m:.2g} m"
+            " only, expected coordinates near zero: --ground-truth-origin takes a point off"
+        )
+
+
+def too_few(images: TrainingSet) -> list[str]:
+    """What to say of a number of images with which hardly any place can be learned."""
+    if len(images) >= _FEW:
+        return []
+    return [f"{len(images)} images to learn from: a place takes hundreds, along all ways that will be gone"]
 
 
 def too_far(poses: Poses) -> list[str]:
