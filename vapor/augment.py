@@ -8,8 +8,7 @@ from typing import Literal
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64, Int64, UInt8
-from scipy.spatial.transform import Rotation
+from jaxtyping import Float, Float32, Int64, UInt8
 from torch import Tensor
 from torch.nn import functional
 
@@ -37,22 +36,13 @@ class AugmentConfig:
     """Share of the images that are blurred."""
     blur_sigma_px: float = 1.0
     """Largest standard deviation of the Gaussian blur, pixels; each is drawn from half of it up."""
-    turn_deg: float = 6.0
-    """Largest angle by which each camera is turned about each of its axes, pose and image alike, where it is known."""
     light: float = 0.3
     """Standard deviation of the logarithm of light that falls unevenly, as lamps throw it at another hour."""
-    erase_probability: float = 0.0
-    """Share of the images of which a rectangle is painted over, as by someone who stands there."""
-    erase_share: float = 0.3
-    """Largest share of the image's area that it covers; each is drawn from a tenth of it up."""
 
     def __post_init__(self) -> None:
         require_within(
             self,
-            turn_deg=(0.0, 45.0),
             light=(0.0, 3.0),
-            erase_probability=(0.0, 1.0),
-            erase_share=(0.0, 1.0),
             brightness=(0.0, 1.0),
             contrast=(0.0, 1.0),
             saturation=(0.0, 1.0),
@@ -69,70 +59,18 @@ def random_crops(
     height: int,
     config: AugmentConfig,
     *,
-    focal_px: tuple[float, float] | None = None,
     rng: np.random.Generator,
-) -> tuple[UInt8[np.ndarray, "b height width 3"], Float64[np.ndarray, "b 3 3"]]:
-    """A random part of each chosen image, some of them blurred and painted over; only what is needed is read.
-
-    Args:
-        images: Of cameras whose axes go through the middle.
-        indices: Of those chosen.
-        width: Of the parts, pixels.
-        height: Likewise.
-        config: Amounts.
-        focal_px: Focal lengths of the images, pixels: the parts are what turned cameras see. None where unknown: they
-            are cut out anywhere.
-        rng: Source of all that is random.
-
-    Returns:
-        The parts, and by what the cameras are turned: the pose of each is that of its image times this rotation.
-    """
-    count, (rows, columns) = len(indices), images.shape[1:3]
-    y, x = (rng.integers(0, size, count, endpoint=True) for size in (rows - height, columns - width))
-    turns = np.tile(np.eye(3), (count, 1, 1))
-    if focal_px is not None and config.turn_deg > 0:
-        turns = Rotation.from_rotvec(rng.uniform(-1, 1, (count, 3)) * np.radians(config.turn_deg)).as_matrix()
-    sigma = config.blur_sigma_px * rng.uniform(0.5, 1.0, count)
-    sigma[rng.random(count) >= config.blur_probability] = 0.0
-    crops = np.empty((count, height, width, 3), np.uint8)
-    for crop, i, top, left, turn, s in zip(crops, indices, y, x, turns, sigma, strict=True):
-        if focal_px is not None and config.turn_deg > 0:
-            part = _turned(images[i], turn, width, height, focal_px)
-        else:
-            part = images[i, top : top + height, left : left + width]
+) -> UInt8[np.ndarray, "b height width 3"]:
+    """A random part of each chosen image, some of them blurred; only what is cropped is read."""
+    y = rng.integers(0, images.shape[1] - height, len(indices), endpoint=True)
+    x = rng.integers(0, images.shape[2] - width, len(indices), endpoint=True)
+    sigma = config.blur_sigma_px * rng.uniform(0.5, 1.0, len(indices))
+    sigma[rng.random(len(indices)) >= config.blur_probability] = 0.0
+    crops = np.empty((len(indices), height, width, 3), np.uint8)
+    for crop, i, top, left, s in zip(crops, indices, y, x, sigma, strict=True):
+        part = images[i, top : top + height, left : left + width]
         crop[:] = cv2.GaussianBlur(part, (0, 0), s) if s > 0 else part
-    _erase(crops, config, rng=rng)
-    return crops, turns
-
-
-def _turned(
-    image: UInt8[np.ndarray, "h w 3"],
-    turn: Float64[np.ndarray, "3 3"],
-    width: int,
-    height: int,
-    focal_px: tuple[float, float],
-) -> UInt8[np.ndarray, "height width 3"]:
-    """What the camera sees once it is turned; beyond the image's border the border goes on."""
-    inner, outer = (
-        np.array([[focal_px[0], 0, (w - 1) / 2], [0, focal_px[1], (h - 1) / 2], [0, 0, 1]])
-        for w, h in ((width, height), (image.shape[1], image.shape[0]))
-    )
-    seen = outer @ turn @ np.linalg.inv(inner)
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpPerspective(image, seen, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE))
-
-
-def _erase(crops: UInt8[np.ndarray, "b h w 3"], config: AugmentConfig, *, rng: np.random.Generator) -> None:
-    """Paint rectangles of one random colour over some of the images."""
-    if config.erase_probability == 0.0:
-        return
-    height, width = crops.shape[1:3]
-    for index in np.flatnonzero(rng.random(len(crops)) < config.erase_probability):
-        area, aspect = config.erase_share * rng.uniform(0.1, 1.0), np.exp(rng.uniform(-1.0, 1.0))
-        tall, wide = (min((area * aspect) ** 0.5, 1.0), min((area / aspect) ** 0.5, 1.0))
-        top, left = rng.uniform(0, 1 - tall) * height, rng.uniform(0, 1 - wide) * width
-        rows = slice(int(top), int(top + tall * height))
-        crops[index, rows, int(left) : int(left + wide * width)] = rng.integers(0, 256, 3, dtype=np.uint8)
+    return crops
 
 
 def colour_jitter(

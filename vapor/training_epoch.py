@@ -52,6 +52,7 @@ def train_epoch(
     steps = steps_per_epoch(training, config)
     order = rng.permutation(len(training))[: steps * batch].reshape(steps, batch)
     true_translation = torch.from_numpy(training.poses.translation).float().to(device)
+    true_rotation = torch.from_numpy(training.poses.rotation).float().to(device)
     bfloat16 = _uses_bfloat16(config, device)
     network.train()
     total = 0.0
@@ -63,16 +64,13 @@ def train_epoch(
         for group in state.optimizer.param_groups:
             group["lr"] = rate
         size = config.network.image_width, config.network.image_height
-        crops, turns = random_crops(
-            training.images, training.rows[indices], *size, config.augment, focal_px=training.focal_px, rng=rng
-        )
+        crops = random_crops(training.images, training.rows[indices], *size, config.augment, rng=rng)
         pixels = torch.from_numpy(crops).to(device)
         images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
         samples = samples_per_image(config, step, steps) if config.network.head == "variational" else 1
         shape = len(indices), samples, network.noise_dim
         noise = torch.randn(shape, generator=generator, device=device)
-        true_rotation = torch.from_numpy(training.poses.rotation[indices] @ turns).float().to(device)
-        truth = true_translation[indices], true_rotation
+        truth = true_translation[indices], true_rotation[indices]
         with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
             loss = training_loss(network, images, *truth, noise, config.loss)
         state.optimizer.zero_grad(set_to_none=True)

@@ -26,7 +26,7 @@ from sequences.frame import Camera, Frame
 from sequences.layouts.packed import ImageFile
 from sequences.options import SequenceOptions
 from vapor.cameras import AsTakenBy, described
-from vapor.images import centre_crop, cover_size, scale_to_cover
+from vapor.images import centre_crop, scale_to_cover
 
 _MOST_CAMERAS = 3  # that are named
 _FAR_M = 1e4  # beyond, float32 has steps of a millimetre
@@ -73,15 +73,6 @@ class TrainingSet:
 
     def __len__(self) -> int:
         return len(self.sequence)
-
-    @property
-    def focal_px(self) -> tuple[float, float] | None:
-        """Focal lengths of `images`, pixels; None where the camera is not known."""
-        if self.camera is None:
-            return None
-        size = cover_size(*self.camera_size, self.images.shape[2], self.images.shape[1])
-        scaled = self.camera.scaled(*size)
-        return scaled.fx, scaled.fy
 
     def unload(self) -> None:
         """Give back the memory that images read from disk take; they are read again when they are used."""

@@ -33,8 +33,8 @@ class Options:
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Held-out data, of other images; without it passes over ground that others cover are held out."""
     preset: Preset = "auto"
-    """Named settings, of which the options below change single ones; tables: small and fast, for the scenes of that
-    name; paper-...: the paper's."""
+    """Named settings, of which the options below change single ones; auto: to suit the data in a quarter of an hour;
+    demo: the shipped models' network; tables: small and fast, for the scenes of that name; paper-...: the paper's."""
     method: Method = "variational"
     """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]
@@ -77,12 +77,12 @@ def _log() -> Iterator[Callable[[Progress], None]]:
 
     def report(progress: Progress) -> None:
         nonlocal last
-        for note in progress.notes:
-            say(note)
         if last is not None and last.epoch and (last.epoch, last.stage) != (progress.epoch, progress.stage):
             say(_line(last, progress.validation or progress.best))
         if last is None or progress.stage != last.stage:
             say(progress.stage)
+        for note in progress.notes:
+            say(note)
         last = progress
 
     yield report
