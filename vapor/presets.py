@@ -55,7 +55,7 @@ _TABLES = TrainConfig(
 
 PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
     {
-        "auto": TrainConfig(network=_FAST, learning_rate=1e-3),
+        "auto": TrainConfig(network=_FAST, loss=LossConfig(alpha=0.1), learning_rate=1e-3),
         "demo": TrainConfig(aspect="network", epochs=30, finish=0.0),
         "resnet18": TrainConfig(network=_RESNET18, aspect="network", learning_rate=1e-3, epochs=30),
         "efficientnet-lite0": TrainConfig(network=_LITE0, aspect="network", learning_rate=1e-3, epochs=30),

@@ -30,7 +30,7 @@ _MOST_IMAGES = 600
 _LEAST_JUDGED = 50
 _WORSE_RIGHT, _WORSE_MEDIAN = 0.02, 1.1  # than the single image, in share of the images and times the median error
 _LEAST_COVERAGE = 0.8  # of the 95 % region
-_WIDER = (2.0, 4.0, 8.0)  # variances that are tried
+_WIDER = (2.0, 4.0, 8.0, 16.0)  # variances that are tried
 _HARDLY, _FEW, _SCALE = 0.2, 10.0, 0.1
 
 
@@ -87,10 +87,12 @@ class TrainingCheck:
         return self.coverage is not None and self.coverage["95%"] < _LEAST_COVERAGE
 
     @property
-    def rank(self) -> tuple[bool, bool, float, float]:
-        """Of several the one with the greatest is kept."""
-        ours = self.methods["filter"]
-        return not self.worse, not self.overconfident, ours.right, -ours.median_m
+    def rank(self) -> tuple[bool, float, bool, float, float]:
+        """Of several the one with the greatest is kept: that it is no surer than it may be comes first."""
+        ours, held = self.methods["filter"], 1.0
+        if self.overconfident and self.coverage is not None:
+            held = self.coverage["95%"]
+        return not self.overconfident, held, not self.worse, ours.right, -ours.median_m
 
     @property
     def as_json(self) -> dict[str, Any]:
@@ -158,7 +160,7 @@ def check(
 
     found = tried(fitted.errors)
     kept = fitted.errors
-    if (found.worse or found.overconfident) and found.methods["single_image"].right >= _HARDLY:
+    if found.worse or found.overconfident:
         others = [(factor, False, fitted.errors.inflated(factor)) for factor in _WIDER]
         others.append((1.0, True, default_errors(scene)))
         for inflation, assumed, errors in others:
