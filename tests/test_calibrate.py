@@ -169,7 +169,7 @@ def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
     assert result.check is not None
     assert stored.training["check"] == json.loads(json.dumps(result.check.as_json))
     assert stored.training["check"]["images"] == 135
-    if not result.check.worse and not result.check.overconfident:
+    if result.check.inflation == 1.0 and not result.check.assumed:
         assert stored.calibration == calibrated.calibration
     told = [change["what"] for change in stored.training["calibration"]["changes"]]
     assert told == ["kernel widths", "errors of an image", "how long they last"]

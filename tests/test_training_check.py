@@ -62,9 +62,9 @@ def test_where_errors_are_as_found_the_filter_is_better_and_nothing_is_changed(i
     assert "Beware" not in found.verdict
 
 
-@pytest.mark.parametrize("times", [1.0, 4.5])  # with the larger one hardly an image is right
-def test_errors_found_too_small_are_taken_larger_and_that_is_said(times, images, monkeypatch):
-    small = HONEST.inflated(times**2 / 16)
+@pytest.mark.parametrize(("times", "share"), [(1.0, 1 / 16), (4.5, 1 / 4)])  # with the larger one hardly any is right
+def test_errors_found_too_small_are_taken_larger_and_that_is_said(times, share, images, monkeypatch):
+    small = HONEST.inflated(share * times**2)
     found, kept = checked(images, small, network_that_errs(times * STD, lasting=0.9), monkeypatch)
     assert (found.methods["single_image"].right < 0.2) == (times > 1.0)
     assert found.inflation > 1.0 or found.assumed

@@ -19,7 +19,9 @@ from vapor.training_set import TrainingSet
 
 DIRECTION_RAD = float(np.deg2rad(45.0))
 _CHORD = 2.0 * np.sin(DIRECTION_RAD / 2.0)
-_NEAREST, _FARTHEST = 0.05, 0.15  # what counts as near, in typical sides of the scene, at least and at most
+_FARTHEST = 0.15  # what counts as near, in typical sides of the scene, at most
+_NEAREST = 1 / 3  # of that, at least
+_GIVEN = 2.0  # times as far counts where someone says that data are of the place
 _USUAL = 4.0  # times what lies between an image and the nearest of another pass in a quarter of those that have one
 WHOLE_OF = 4  # recordings from which on one is held out as a whole
 _LEAST_SHOWN = 0.25  # of a pass that is held out
@@ -69,7 +71,7 @@ def hold_out(images: TrainingSet, share: float) -> Split:
     nothing = np.zeros(len(images), bool)
     side = typical_side_m(images.poses)
     if share == 0.0:
-        return Split(images, images, nothing, (), images, _NEAREST * side)
+        return Split(images, images, nothing, (), images, _NEAREST * _FARTHEST * side)
     way = way_of(images)
     rows = spaced(len(images), _COMPARED)
     chosen, near_m = _chosen(images.select(rows), way[rows], share, side)
@@ -102,8 +104,9 @@ def hold_out(images: TrainingSet, share: float) -> Split:
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
     """Judge by those held-out images whose surroundings training images show."""
     side = typical_side_m(training.poses)
-    distances_m = _nearest_m(held_out.poses, training.poses, _FARTHEST * side)
-    near_m = _near_m(distances_m, side)
+    farthest_m = _GIVEN * _FARTHEST * side
+    distances_m = _nearest_m(held_out.poses, training.poses, farthest_m)
+    near_m = _near_m(distances_m, farthest_m)
     shown = distances_m <= near_m
     outside = f"not judged by, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
     return Split(training, held_out, shown, () if shown.all() else (outside,), training, near_m)
@@ -164,7 +167,7 @@ def _chosen(
         others = ~mask & ~_touching(way, images.sequence, mask)
         return _nearest_m(images.poses[mask], images.poses[others], _FARTHEST * side)
 
-    near_m = _near_m(np.concatenate([nearest(which) for which in passes]), side)
+    near_m = _near_m(np.concatenate([nearest(which) for which in passes]), _FARTHEST * side)
     while taken.sum() < share * len(images):
         free = [which for which in passes if not taken[which].any()]
         shown = [float((nearest(which) <= near_m).mean()) for which in free]
@@ -185,11 +188,11 @@ def _passes(sequence: Int64[np.ndarray, " n"], share: float) -> Iterator[slice]:
             yield slice(first, first + length)
 
 
-def _near_m(distances_m: Float64[np.ndarray, " n"], side: float) -> float:
-    """How far away counts as near, by how far the nearest images of other passes are."""
-    found = distances_m[distances_m <= _FARTHEST * side]
+def _near_m(distances_m: Float64[np.ndarray, " n"], farthest_m: float) -> float:
+    """How far away counts as near, by how far the nearest images of other passes are; no further than given."""
+    found = distances_m[distances_m <= farthest_m]
     usual = float(np.quantile(found, 0.25)) if len(found) else np.inf
-    return float(np.clip(_USUAL * usual, _NEAREST * side, _FARTHEST * side))
+    return float(np.clip(_USUAL * usual, _NEAREST * farthest_m, farthest_m))
 
 
 def _nearest_m(poses: Poses, others: Poses, scale_m: float) -> Float64[np.ndarray, " n"]:

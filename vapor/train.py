@@ -361,7 +361,8 @@ class _Course:
     def judge(self, judged: TrainingSet, loss: float) -> None:
         """Compare the weights with the best so far, now and then; mean loss of the epoch as given."""
         state, config = self.state, self.config
-        if not len(judged) or (state.epoch % judging_interval(state.epochs) and state.epoch < state.epochs):
+        interval = judging_interval(len(self._split.training), len(judged))
+        if not len(judged) or (state.epoch % interval and state.epoch < state.epochs):
             return
         widths = Calibration(config.bandwidth_translation_m, config.bandwidth_rotation_rad)
         figures = validate(

@@ -25,7 +25,6 @@ StepCallback = Callable[[int, float, float], None]
 
 _FINISHING_RATE = 0.3  # of the largest learning rate, when a trained model goes on with more data
 _FEWEST, _MOST = 4, 200  # epochs
-_JUDGED = 40  # times, at most
 _WARM_UP, _TIMED = 3, 8  # steps
 _SEEN = 0.5  # of the time of a step an image: to judge by it
 
@@ -92,9 +91,9 @@ def steps_per_epoch(images: TrainingSet, config: TrainConfig) -> int:
     return max(len(images) // config.batch_size, 1)
 
 
-def judging_interval(epochs: int) -> int:
-    """Epochs from one comparison of held-out images to the next: where epochs are short, judging would take longer."""
-    return max(1, epochs // _JUDGED)
+def judging_interval(training: int, judged: int) -> int:
+    """Epochs from one comparison to the next: where fewer images are trained on than judged, it would take longer."""
+    return max(1, math.ceil(judged / training))
 
 
 def finishing(config: TrainConfig) -> TrainConfig:
@@ -119,7 +118,7 @@ def fitting_epochs(state: TrainingState, split: Split, judged: int, config: Trai
     train_epoch(trial, training.select(rows), once, lambda step, loss, rate: stamps.append(perf_counter()))
     per_image = float(np.median(np.diff(stamps[_WARM_UP - 1 :]))) / min(config.batch_size, len(training))
     more = config.finish * len(split.everything) if len(split.everything) > len(training) else 0.0
-    images = len(training) + more + _SEEN * judged
+    images = len(training) + more + _SEEN * judged / judging_interval(len(training), judged)
     return int(np.clip(3600.0 * config.hours / (per_image * images), _FEWEST, _MOST))
 
 
