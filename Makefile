@@ -14,7 +14,7 @@ CEILING_MORE := $(foreach seed,$(shell seq 0 71),$(DATA)/ceiling-$(seed).mcap)
 CEILING := $(foreach seed,$(shell seq 0 99),$(DATA)/ceiling-$(seed).mcap)
 CEILING_HELD_OUT := $(foreach seed,$(shell seq 100 103),$(DATA)/ceiling-$(seed).mcap)
 # What the defaults were when the models that ship were trained; the rate is given with each training.
-FORMER := --network.no-shortcut --loss.position-unit metre --initial-log-variance 0 --batch-size 64
+FORMER := --preset demo --network.no-shortcut --loss.position-unit metre --initial-log-variance 0 --batch-size 64
 SQUARE := $(FORMER) --network.image-width 128 --network.image-height 128 --network.shortest-edge 146
 
 .PHONY: demo test check models clean

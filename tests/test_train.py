@@ -25,7 +25,7 @@ from vapor.training_start import parameter_groups
 from vapor.training_state import TrainingState, state_path
 from vapor.validation import validate
 
-STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0, light=0.0)
+STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0)
 TINY = TrainConfig(
     network=NetworkConfig(
         "resnet18-quarter",

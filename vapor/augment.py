@@ -36,7 +36,7 @@ class AugmentConfig:
     """Share of the images that are blurred."""
     blur_sigma_px: float = 1.0
     """Largest standard deviation of the Gaussian blur, pixels; each is drawn from half of it up."""
-    light: float = 0.3
+    light: float = 0.0
     """Standard deviation of the logarithm of light that falls unevenly, as lamps throw it at another hour."""
 
     def __post_init__(self) -> None:

@@ -55,10 +55,12 @@ _TABLES = TrainConfig(
 
 PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
     {
-        "auto": TrainConfig(network=_FAST, loss=LossConfig(alpha=0.1), learning_rate=1e-3),
+        "auto": TrainConfig(
+            network=_FAST, loss=LossConfig(alpha=0.1), augment=AugmentConfig(light=0.3), learning_rate=1e-3
+        ),
         "demo": TrainConfig(aspect="network", epochs=30, finish=0.0),
-        "resnet18": TrainConfig(network=_RESNET18, aspect="network", learning_rate=1e-3, epochs=30),
-        "efficientnet-lite0": TrainConfig(network=_LITE0, aspect="network", learning_rate=1e-3, epochs=30),
+        "resnet18": TrainConfig(network=_RESNET18, aspect="network", learning_rate=1e-3, epochs=30, finish=0.0),
+        "efficientnet-lite0": TrainConfig(network=_LITE0, aspect="network", learning_rate=1e-3, epochs=30, finish=0.0),
         "tables": _TABLES,
         "paper-7scenes": _paper(10.0, 64, 100, 10),
         "paper-cambridge": _paper(100.0, 64, 500, 50),
