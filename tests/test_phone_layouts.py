@@ -232,7 +232,10 @@ def test_what_is_wrong_with_a_euroc_sequence_is_said(
 ) -> None:
     folder = make_euroc(tmp_path / "MH_01")
     if file.startswith("state"):
-        change = lambda text: text.replace(text.splitlines()[1].split(",")[2], "nan")  # noqa: E731
+
+        def change(text: str) -> str:
+            return text.replace(text.splitlines()[1].split(",")[2], "nan")
+
     edit(folder / "mav0" / file, change)
     refuse(folder, said)
 

@@ -22,8 +22,9 @@ class TrainConfig:
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Shape of the network, and of its images."""
     aspect: Literal["camera", "network"] = "camera"
-    """Aspect of the network's images: that of the first camera image, with as many pixels as `network` says but no more
-    than the camera has; or the network's own, so that what sticks out is cut off."""
+    """Aspect of the network's images: that of the camera of most images (of the first image, where none is known),
+    with as many pixels as `network` says but no more than the camera has; or the network's own, so that what sticks out
+    is cut off."""
     loss: LossConfig = field(default_factory=LossConfig)
     """Weights of the loss."""
     augment: AugmentConfig = field(default_factory=AugmentConfig)
