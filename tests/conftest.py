@@ -3,9 +3,10 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import jaxtyping
 import pytest
 from jaxtyping import install_import_hook
+
+from tests.checks import no_checks
 
 install_import_hook(["filtering", "sequences", "vapor"], "beartype.beartype").__enter__()
 
@@ -38,6 +39,12 @@ def walk_of_25(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def unchecked() -> Iterator[None]:
     """Checks no shapes during a test that takes thousands of steps; others check those of the same calls."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+    with no_checks():
+        yield
+
+
+@pytest.fixture
+def plain_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs draw no pictures and publish few particles, where a test looks at neither."""
+    monkeypatch.setattr("vapor.run.write_pictures", lambda *_, **__: [])
+    monkeypatch.setattr("vapor.run._PUBLISHED_PARTICLES", 20)

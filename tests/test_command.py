@@ -130,6 +130,7 @@ def test_a_truncated_recording_is_refused(share, walk_of_25, tiny_model, earlier
     refuse_run(path, tiny_model, earlier, capsys, path, "truncated", "expected the closing MCAP magic")
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_damage_that_is_met_half_way_leaves_nothing_behind(walk_of_25, tiny_model, earlier, capsys):
     path = rewrite(walk_of_25, earlier.parent / "damaged.mcap", chunk_size=2000)
     content = bytearray(path.read_bytes())
@@ -179,6 +180,7 @@ def with_odometry_of_another_day(walk: Walk) -> None:
     walk.odometry = [(t + 86_400 * 10**9, pose) for t, pose in walk.odometry]
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path, capsys):
     walk, second = Walk(30), 1_000_000_000
     walk.odometry = [(t, pose) for t, pose in walk.odometry if t > BEGIN_NS + 0.25 * second]  # not images 0 to 2
@@ -276,6 +278,7 @@ def test_an_output_that_is_or_lies_in_a_file_is_refused(walk_of_25, tiny_model, 
     assert contents(tmp_path) == {"file": b"mine"}
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_an_interrupted_run_leaves_nothing_and_ends_with_130(walk_of_25, tiny_model, earlier, capsys, monkeypatch):
     before = contents(earlier)
 
@@ -505,11 +508,12 @@ def test_the_process_ends_with_the_status_of_the_command_and_gives_the_same_byte
     assert (wrong.returncode, wrong.stdout) == (2, "")
     misspelt = process(["-m", "vapor.track", "synthesize", "staircase", "s.mcap", "--fraems", "3"], tmp_path)
     assert misspelt.returncode == 2
-    words = words_of_run(walk_of_25, tiny_model, tmp_path / "process")
+    some = ["--duration-s", "0.5"]
+    words = [*words_of_run(walk_of_25, tiny_model, tmp_path / "process"), *some]
     done = process(["-m", "vapor.track", *words], tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert "particle filter" in done.stdout
-    assert main(words_of_run(walk_of_25, tiny_model, tmp_path / "here")) == 0
+    assert main([*words_of_run(walk_of_25, tiny_model, tmp_path / "here"), *some]) == 0
     for name in ("trajectory.tum", "smoothed.tum", "estimate.mcap"):
         assert (tmp_path / "process" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
 
@@ -517,6 +521,7 @@ def test_the_process_ends_with_the_status_of_the_command_and_gives_the_same_byte
 # --- the other commands ----------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_converted_tum_folder_with_recorded_odometry_can_be_run(tiny_model, tmp_path, capsys):
     make_tum(tmp_path / "data")
     write_tum(tmp_path / "odometry.tum", truth_at([BEGIN_NS - 5_000_000 + 20_000_000 * i for i in range(20)]))
@@ -529,6 +534,7 @@ def test_a_converted_tum_folder_with_recorded_odometry_can_be_run(tiny_model, tm
     assert config["sequence"]["odometry"] == "recorded: odometry.tum"
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_converted_7_scenes_folder_with_simulated_odometry_can_be_run(tiny_model, tmp_path, capsys):
     make_7scenes(tmp_path / "data")
     output = tmp_path / "sequence.mcap"
@@ -555,6 +561,7 @@ TRAINING = [
 ]
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_training_that_was_interrupted_goes_on_and_its_model_runs(walk_of_25, tmp_path, capsys, monkeypatch):
     model = tmp_path / "model.safetensors"
     words = ["train", str(walk_of_25), "--output", str(model), *TRAINING]
@@ -612,6 +619,7 @@ def test_a_conversion_of_a_file_says_that_a_folder_was_expected(walk_of_25, tmp_
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_synthetic_sequence_appears_and_can_be_run(tiny_model, tmp_path, capsys):
     output = tmp_path / "ceiling.mcap"
     words = ["synthesize", "ceiling", str(output), "--frames", "8", "--width", "80", "--height", "60", "--seed", "5"]
@@ -637,8 +645,8 @@ def test_a_folder_that_cannot_be_written_to_is_named(tmp_path, capsys):
     words = ["--frames", "2", "--width", "16", "--height", "16"]
     for folder in ("absent", "file"):
         output = tmp_path / folder / "s.mcap"
-        refuse(["synthesize", "staircase", str(output), *words], capsys, output, "expected the folder")
-    refuse(["synthesize", "staircase", str(tmp_path), *words], capsys, tmp_path, "cannot write: Is a directory")
+        refuse(["synthesize", "round-table", str(output), *words], capsys, output, "expected the folder")
+    refuse(["synthesize", "round-table", str(tmp_path), *words], capsys, tmp_path, "cannot write: Is a directory")
     assert contents(tmp_path) == {"file": b"mine"}
 
 

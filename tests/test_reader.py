@@ -177,6 +177,7 @@ def test_raw_images_are_read_and_beside_compressed_ones_must_be_named(tmp_path: 
     np.testing.assert_allclose(frames[3].odometry.previous_from_current.translation, [0.1, 0, 0], atol=1e-12)
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("with_index", [True, False])
 def test_memory_does_not_grow_with_the_file(with_index: bool, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
@@ -462,6 +463,7 @@ def test_garbage_is_refused_by_its_first_bytes(content: bytes, tmp_path: Path) -
         SequenceReader(path)
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("form", [form for form in FORMS if form.__name__ != "as_split_folder"])
 def test_damage_anywhere_is_an_error_that_names_the_file_or_does_no_harm(
     form: Form, walk_file: Path, tmp_path: Path
@@ -522,6 +524,7 @@ def test_a_ros_1_bag_is_told_how_to_become_one_of_ros_2(shared_data: Path) -> No
         SequenceReader(shared_data / "ros_bags" / "t265_trimmed_locoffice.bag")
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_odometry_of_a_real_robot_gets_the_motion_noise(shared_data: Path) -> None:
     """2639 messages with covariances of zero: increments over 0.5 s are those of a robot, and chain to its path."""
     decode = decoder("nav_msgs/Odometry")

@@ -196,6 +196,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(finished, 
     assert (tmp_path / "other" / "trajectory.tum").read_bytes() != (tmp_path / "again" / "trajectory.tum").read_bytes()
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_rosbag2_folder_gives_what_its_file_gives(finished, tiny_model, walk_of_25, tmp_path):
     folder = as_split_folder(walk_of_25, tmp_path)
     assert run(folder, tiny_model, tmp_path / "out", "--no-recording") == 0
@@ -230,6 +231,7 @@ def test_a_run_of_one_image_is_a_run(tiny_model, tmp_path):
     assert set(report) & METHODS == METHODS - {"dead_reckoning"}
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_options_choose_the_stretch_and_leave_out_topics(tiny_model, walk_of_25, tmp_path):
     words = ["--start-s", "0.5", "--duration-s", "1", "--ground-truth-topic", "", "--no-recording"]
     assert run(walk_of_25, tiny_model, tmp_path / "out", *words) == 0
@@ -237,6 +239,7 @@ def test_options_choose_the_stretch_and_leave_out_topics(tiny_model, walk_of_25,
     assert (report["frames"], report["duration_s"], report["frames_with_true_pose"]) == (11, 1.0, 0)
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_true_poses_and_odometry_of_tf_are_used_and_their_jumps_said(tiny_model, tmp_path, capsys):
     at_ns = next(t for t in stamps(every_ms=90, since_ms=-39) if t > BEGIN_NS + 600_000_000)  # behind the seventh image
     out, words = tmp_path / "out", ["--ground-truth-frame", "map", "--no-recording"]
@@ -287,6 +290,7 @@ def test_a_gap_in_the_odometry_widens_the_belief_but_does_not_forget_it(walk_of_
     assert record.filter.distance(record.truth.poses)[0].max() < 0.2
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_foreign_images_make_a_run_lost_and_it_recovers(tmp_path):
     sequence = Walk(60).write(tmp_path / "walk.mcap")
     record = follow(sequence, tmp_path / "out", floors_of(sequence, alone=60, unfamiliar=range(20, 40)))
@@ -309,7 +313,7 @@ class Judged:
         return replace(self.says.observe(image, rng=rng), unfamiliarity=unfamiliarity)
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_black_frames_are_lost_where_the_model_knows_what_is_familiar(tiny_model, tmp_path):
     """They are equal, pixel by pixel: a camera that freezes on a picture of the place is not lost."""
     walk = Walk(60)
@@ -328,7 +332,7 @@ def test_black_frames_are_lost_where_the_model_knows_what_is_familiar(tiny_model
     assert "lost" not in status["unknowing"]
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_the_noise_of_odometry_is_that_of_the_calibration_unless_it_is_told_not_to(tiny_model, walk_of_25, tmp_path):
     six = (0.01,) * 6
     fit = OdometryFit(six, six, six, 30.0, 0.0, 0.1, six, six, six, 0.1, 100, 1, 10.0, 10.0, 0)
@@ -373,12 +377,13 @@ def test_a_users_own_observation_model_drives_the_filter():
     assert np.sqrt(best.covariance[0, 0]) < 0.2  # better than any one image
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_the_ten_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), flags=re.DOTALL)
     block = next((b for b in blocks if "ParticleLocalizer" in b), None)
     assert block is not None, "the README shows no Python block with ParticleLocalizer"
     lines = [line for line in block.splitlines() if line.strip() and not line.startswith(("import", "from"))]
     assert len(lines) <= 12
-    write_synthetic(synthesize("staircase", seed=3, num_frames=6, width=80, height=60), tmp_path / "sequence.mcap")
+    write_synthetic(synthesize("round-table", seed=3, num_frames=6, width=80, height=60), tmp_path / "sequence.mcap")
     monkeypatch.chdir(tmp_path)
     exec(compile(block, "README.md", "exec"), {"__name__": "readme"})
