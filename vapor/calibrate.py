@@ -31,6 +31,7 @@ from vapor.image_fit import LEAST_IMAGES, Change, Seen, Way, fit_errors, fit_wid
 from vapor.network import PoseRegressor
 from vapor.observation import Device, resolve_device
 from vapor.passes import odometry_stretches, pass_numbers, some_runs
+from vapor.retrieval import memory_of
 from vapor.threads import limited_threads
 from vapor.training_set import TrainingSet, load_training_set, open_sequences, require_apart
 from vapor.validation import predict
@@ -220,7 +221,7 @@ def calibrate(
         return CalibrationResult(calibration, odometry=source, notes=(note,))
     chosen = some_runs(len(held_out), max(max_images, LEAST_IMAGES))
     looked = [held_out.select(chosen)]
-    if training is not None and familiarity is not None:
+    if training is not None and familiarity is not None and memory_of(network) is None:  # which errs on no image of it
         exemplars = spaced(len(training), EXEMPLARS)
         looked.append(training.select(exemplars[spaced(len(exemplars), len(chosen))]))
     total, done, seen = sum(len(images) for images in looked), 0, []

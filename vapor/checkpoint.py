@@ -28,6 +28,7 @@ from sequences.undistortion import require_camera
 from vapor.baselines import make_regressor
 from vapor.familiarity import Familiarity, description_size
 from vapor.network import NetworkConfig, PoseRegressor, SceneBox
+from vapor.retrieval import Memory, RetrievalRegressor
 from vapor.scene_scale import default_errors
 
 FORMAT = "vapor-track model"
@@ -41,7 +42,8 @@ MAX_PRIOR_POSES = 2000
 _SHIPPED = Path(__file__).parent / "models"
 NETWORK = "network."
 """What the names of the network's tensors begin with in a file."""
-_FAMILIARITY = "familiarity."
+_FAMILIARITY, _MEMORY = "familiarity.", "memory."
+_MEMORY_HALF = "keys", "views"  # poses are exact
 _ROTATION, _TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
 _SIX = {"floor", "typical_std"}
 _KINDS = {bool: ("true or false", {bool}), int: ("a whole number", {int}), float: ("a number", {int, float})}
@@ -89,6 +91,7 @@ class Checkpoint:
         training: Where it came from (data names, seed, images seen, validation figures); any JSON.
         familiarity: What training images look like to the network; None where that was never looked at.
         camera: What took the training images, undistorted; None where unknown.
+        memory: The training images as a retrieval regressor remembers them; None with any other.
     """
 
     network: NetworkConfig
@@ -99,11 +102,14 @@ class Checkpoint:
     training: dict[str, Any] = field(default_factory=dict)
     familiarity: Familiarity | None = None
     camera: Camera | None = None
+    memory: Memory | None = None
 
     def build_network(self) -> PoseRegressor:
         """The network with its weights, on the CPU, in evaluation mode."""
         network = make_regressor(self.network, self.box)
         network.load_state_dict(dict(self.state_dict))
+        if isinstance(network, RetrievalRegressor):
+            network.memory = self.memory
         return network.eval()
 
     def network_sha256(self) -> str:
@@ -113,6 +119,8 @@ class Checkpoint:
         for name in sorted(self.state_dict):
             digest.update(name.encode())
             digest.update(self.state_dict[name].numpy().tobytes())
+        for value in self.memory.tensors().values() if self.memory else ():
+            digest.update(value.numpy().tobytes())
         return digest.hexdigest()
 
     def seen_sha256(self) -> str:
@@ -150,6 +158,8 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, half: bool = False) -
         tensors[NETWORK + name] = value.to(torch.float16) if smaller else value
     if checkpoint.familiarity is not None:
         tensors |= _familiarity_tensors(checkpoint.familiarity)
+    for name, value in checkpoint.memory.tensors().items() if checkpoint.memory else ():
+        tensors[_MEMORY + name] = value.to(torch.float16) if half and name in _MEMORY_HALF else value
     config = {
         "network": asdict(checkpoint.network),
         "box": asdict(checkpoint.box),
@@ -199,7 +209,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     with torch.device("meta"):  # names and shapes only, no memory
         regressor = make_regressor(network, box)
         expected = regressor.state_dict()
-        known = _familiarity_like(tensors, description_size(regressor))
+        known = _familiarity_like(tensors, description_size(regressor)) | _memory_like(tensors, regressor)
     check_tensors(path, tensors, {NETWORK + name: value for name, value in expected.items()} | known)
     state = {name: tensors[NETWORK + name] for name in expected}
     state = {name: value.float() if value.is_floating_point() else value for name, value in state.items()}
@@ -209,9 +219,10 @@ def load_checkpoint(path: Path) -> Checkpoint:
     else:
         parse = partial(_calibration, unsaid=_EVEN if version == _BEFORE_GROWTH else {})
     calibration = parse(path, config.get("calibration"))
-    familiarity = _familiarity(path, tensors) if known else None
+    familiarity = _familiarity(path, tensors) if any(name.startswith(_FAMILIARITY) for name in known) else None
     camera = _camera(path, config.get("camera"))
-    return Checkpoint(network, box, calibration, poses, state, training, familiarity, camera)
+    memory = _memory(path, tensors) if isinstance(regressor, RetrievalRegressor) else None
+    return Checkpoint(network, box, calibration, poses, state, training, familiarity, camera, memory)
 
 
 def _camera(path: Path, values: Any) -> Camera | None:
@@ -286,6 +297,22 @@ def _familiarity_like(tensors: Mapping[str, Tensor], size: int) -> dict[str, Ten
         "own_distance": (), "threshold": (),
     }  # fmt: skip
     return {_FAMILIARITY + name: torch.empty(shape) for name, shape in shapes.items()}
+
+
+def _memory_like(tensors: Mapping[str, Tensor], regressor: PoseRegressor) -> dict[str, Tensor]:
+    """Tensors of the shapes that a memory has, of as many images as there are keys; none where none is needed."""
+    if not isinstance(regressor, RetrievalRegressor):
+        return {}
+    keys = tensors.get(_MEMORY + "keys")
+    count = max(1, len(keys)) if keys is not None and keys.ndim == 2 else 1
+    return {_MEMORY + name: torch.empty(count, *shape) for name, shape in regressor.memory_shapes().items()}
+
+
+def _memory(path: Path, tensors: Mapping[str, Tensor]) -> Memory:
+    """From tensors that were checked."""
+    memory = Memory(**{field.name: tensors[_MEMORY + field.name].float() for field in fields(Memory)})
+    _require_rotations(path, _MEMORY + "rotation", memory.rotation)
+    return memory
 
 
 def _familiarity(path: Path, tensors: Mapping[str, Tensor]) -> Familiarity:
@@ -396,12 +423,16 @@ def check_tensors(path: Path, tensors: Mapping[str, Tensor], network: Mapping[st
             raise CheckpointError(f"{path}: tensor {name} is of {found.dtype}, expected {' or '.join(map(str, kinds))}")
         if not torch.isfinite(found).all():
             raise CheckpointError(f"{path}: tensor {name} has values that are not finite")
-    rotation = tensors[_ROTATION].double()
+    _require_rotations(path, _ROTATION, tensors[_ROTATION])
+
+
+def _require_rotations(path: Path, name: str, matrices: Tensor) -> None:
+    rotation = matrices.double()
     skew = (rotation.mT @ rotation - torch.eye(3, dtype=torch.float64)).abs().amax(dim=(1, 2))
     wrong = ~((skew <= _ORTHONORMAL_WITHIN) & (torch.linalg.det(rotation) > 0))
     if wrong.any():
         raise CheckpointError(
-            f"{path}: tensor {_ROTATION} has {int(wrong.sum())} matrices that are no rotations, the first is number"
+            f"{path}: tensor {name} has {int(wrong.sum())} matrices that are no rotations, the first is number"
             f" {int(wrong.int().argmax())}; expected RᵀR = I within {_ORTHONORMAL_WITHIN} and det R = 1"
         )
 

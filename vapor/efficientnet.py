@@ -27,6 +27,8 @@ _STAGES = (
     (1, 3, 1, 6, 320),
 )
 
+_STAGE_ENDS = 2, 4, 10, 15  # blocks whose outputs are the image at four depths
+
 
 class _SameConv2d(nn.Conv2d):
     """Convolution whose output is ceil(input / stride), padded as TensorFlow's "SAME"."""
@@ -102,13 +104,20 @@ class EfficientNetLite0(nn.Module):
     @property
     def stages(self) -> tuple[nn.Module, ...]:
         """Modules whose outputs are the image at four depths, with `stage_channels` channels."""
-        return tuple(self._blocks[number] for number in (2, 4, 10, 15))
+        return tuple(self._blocks[number] for number in _STAGE_ENDS)
+
+    def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
+        """What the third of `stages` and the last layer make of images scaled to (pixel − 127)/128."""
+        x = functional.relu6(self._bn0(self._conv_stem(x)))
+        third = x
+        for number, block in enumerate(self._blocks):
+            x = block(x)
+            third = x if number == _STAGE_ENDS[2] else third
+        return third, functional.relu6(self._bn1(self._conv_head(x)))
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
         """Features (b, 1280) of images scaled to (pixel − 127)/128, or scores (b, num_classes)."""
-        x = functional.relu6(self._bn0(self._conv_stem(x)))
-        x = functional.relu6(self._bn1(self._conv_head(self._blocks(x))))
-        x = x.mean(dim=(2, 3))
+        x = self.maps(x)[1].mean(dim=(2, 3))
         return x if self._fc is None else self._fc(x)
 
 

@@ -71,7 +71,7 @@ def hold_out(images: TrainingSet, share: float) -> Split:
     nothing = np.zeros(len(images), bool)
     side = typical_side_m(images.poses)
     if share == 0.0:
-        return Split(images, images, nothing, (), images, _NEAREST * _FARTHEST * side)
+        return Split(images, images, nothing, (), images, near_scale_m(images.poses))
     way = way_of(images)
     rows = spaced(len(images), _COMPARED)
     chosen, near_m = _chosen(images.select(rows), way[rows], share, side)
@@ -151,6 +151,11 @@ def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
         moved_m, turned = images.poses[:-1].distance(images.poses[1:])
         steps[1:] = moved_m / (_FARTHEST * typical_side_m(images.poses)) + turned / DIRECTION_RAD
     return np.cumsum(steps)
+
+
+def near_scale_m(poses: Poses) -> float:
+    """How far away counts as near at least, metres, of the scene that poses (n,) outline."""
+    return _NEAREST * _FARTHEST * typical_side_m(poses)
 
 
 def _chosen(

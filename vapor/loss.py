@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from filtering.errors import VaporTrackError, require_within
-from vapor.baselines import MixtureRegressor, PointRegressor, component_log_density, rodrigues
+from vapor.baselines import MixtureRegressor, PointRegressor
 from vapor.flow import FlowRegressor
+from vapor.mixture import component_log_density, rodrigues
 from vapor.network import PoseRegressor, SceneBox, VariationalPoseRegressor, sample_latent
+from vapor.retrieval import RetrievalRegressor
 
 PositionUnit = Literal["metre", "box"]
 
+_EVEN = 0.05  # retrieval: share of the density that is spread over the scene
 _LARGEST_WEIGHT = 10.0  # of an axis along which cameras hardly move, whose errors are noise
 
 
@@ -118,6 +122,7 @@ def training_loss(
     true_rotation: Float[Tensor, "b 3 3"],
     noise: Float[Tensor, "b m d"],
     config: LossConfig,
+    hidden: Bool[Tensor, "b n"] | None = None,
 ) -> Loss:
     """The loss that a network's head is trained with.
 
@@ -128,8 +133,11 @@ def training_loss(
         true_rotation: Rotation matrices of world_from_camera.
         noise: Standard normal, d = `network.noise_dim`; m = `num_samples` for the variational head, else 1.
         config: Weights of the loss.
+        hidden: Of a retrieval regressor: which of the n images that it remembers it must not recall.
     """
     truth = true_translation, true_rotation
+    if isinstance(network, RetrievalRegressor):
+        return retrieval_loss(network, images, *truth, hidden, config)
     if isinstance(network, MixtureRegressor):
         return mixture_loss(network, images, *truth, config)
     if isinstance(network, FlowRegressor):
@@ -233,6 +241,30 @@ def mixture_loss(
     total = -(share * log_likelihood).sum(dim=1).mean() - log_weights.gather(1, best).mean()
     nearest = distance.gather(1, best).mean()
     return Loss(total, torch.zeros_like(nearest), nearest.detach())
+
+
+def retrieval_loss(
+    network: RetrievalRegressor,
+    images: Float[Tensor, "b 3 h w"],
+    true_translation: Float[Tensor, "b 3"],
+    true_rotation: Float[Tensor, "b 3 3"],
+    hidden: Bool[Tensor, "b n"] | None,
+    config: LossConfig,
+) -> Loss:
+    """Negative log density of the true poses, nats, in the scene's box a twentieth of the density taken as even.
+
+    So an image that nothing else shows, of which there is nothing to learn, cannot outweigh the rest. The distance is
+    that of the heaviest component.
+    """
+    mixture = network.components(network.describe(images), hidden)
+    truth = true_translation[:, None], true_rotation[:, None]
+    even = -float(np.log(network.box.extent.prod() * 8.0 * np.pi**2))
+    found = mixture.log_density(*truth)[:, 0] + math.log1p(-_EVEN)
+    total = -torch.logaddexp(found, found.new_tensor(even + math.log(_EVEN))).mean()
+    row, heaviest = torch.arange(len(images)), mixture.log_weights.argmax(dim=1)
+    poses = mixture.translation[row, heaviest], mixture.rotation[row, heaviest]
+    distance = pose_distance(*poses, true_translation, true_rotation, config, network.box).mean().detach()
+    return Loss(total, torch.zeros_like(distance), distance)
 
 
 def flow_loss(

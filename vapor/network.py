@@ -22,7 +22,7 @@ from vapor.efficientnet import EfficientNetLite0, pretrained_lite0_state
 from vapor.resnet import ResNet18
 
 Backbone = Literal["resnet18", "resnet18-half", "resnet18-quarter", "efficientnet-lite0"]
-Head = Literal["variational", "deterministic", "point", "dropout", "mixture", "flow"]
+Head = Literal["variational", "deterministic", "point", "dropout", "mixture", "flow", "retrieval"]
 
 # Mean and standard deviation of RGB pixels in 0..255 that the published weights expect.
 _IMAGENET = ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375))

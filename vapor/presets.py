@@ -53,11 +53,48 @@ _TABLES = TrainConfig(
     finish=0.0,
 )
 
+
+def _learning(c: TrainConfig) -> TrainConfig:
+    """Of a preset that trains a retrieval regressor, what suits one all of which learns."""
+    if c.network.head != "retrieval":
+        return c
+    return replace(c, network=_FAST, loss=replace(c.loss, alpha=0.1), weight_decay=1e-2, average=0.998)
+
+
+def _head(head: Head, *, relative: float = 0.0, **loss: float) -> Callable[[TrainConfig], TrainConfig]:
+    def configured(c: TrainConfig) -> TrainConfig:
+        c = _learning(c)
+        return replace(c, network=replace(c.network, head=head), loss=replace(c.loss, relative=relative, **loss))
+
+    return configured
+
+
+def _density(head: Head, components: int) -> Callable[[TrainConfig], TrainConfig]:
+    def configured(c: TrainConfig) -> TrainConfig:
+        c = _learning(c)
+        network = replace(c.network, head=head, components=components)
+        return replace(c, network=network, loss=replace(c.loss, relative=0.0))
+
+    return configured
+
+
+def _flow(c: TrainConfig) -> TrainConfig:
+    """Higher rates than 0.001 make it vague."""
+    return replace(_density("flow", 32)(c), learning_rate=min(c.learning_rate, 1e-3))
+
+
+def _retrieval(c: TrainConfig) -> TrainConfig:
+    """On ImageNet's features, which a ResNet's weights must be given for."""
+    network = replace(c.network, head="retrieval", feature_dim=512, hidden_width=256, components=64)
+    if c.pretrained_weights is None:
+        network = replace(network, backbone="efficientnet-lite0")
+    loss = replace(c.loss, relative=0.0)
+    return replace(c, network=network, loss=loss, learning_rate=1e-3, weight_decay=5e-2, average=0.99)
+
+
 PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
     {
-        "auto": TrainConfig(
-            network=_FAST, loss=LossConfig(alpha=0.1), augment=AugmentConfig(light=0.3), learning_rate=1e-3
-        ),
+        "auto": _retrieval(TrainConfig(network=_FAST, augment=AugmentConfig(light=0.3))),
         "demo": TrainConfig(aspect="network", epochs=30, finish=0.0),
         "resnet18": TrainConfig(network=_RESNET18, aspect="network", learning_rate=1e-3, epochs=30, finish=0.0),
         "efficientnet-lite0": TrainConfig(network=_LITE0, aspect="network", learning_rate=1e-3, epochs=30, finish=0.0),
@@ -70,24 +107,6 @@ PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
     }
 )
 
-
-def _head(head: Head, *, relative: float = 0.0, **loss: float) -> Callable[[TrainConfig], TrainConfig]:
-    return lambda c: replace(c, network=replace(c.network, head=head), loss=replace(c.loss, relative=relative, **loss))
-
-
-def _density(head: Head, components: int) -> Callable[[TrainConfig], TrainConfig]:
-    def configured(c: TrainConfig) -> TrainConfig:
-        network = replace(c.network, head=head, components=components)
-        return replace(c, network=network, loss=replace(c.loss, relative=0.0))
-
-    return configured
-
-
-def _flow(c: TrainConfig) -> TrainConfig:
-    """Higher rates than 0.001 make it vague."""
-    return replace(_density("flow", 32)(c), learning_rate=min(c.learning_rate, 1e-3))
-
-
 METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
     {
         "variational": _head("variational"),
@@ -99,7 +118,8 @@ METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
         "mixture-10": _density("mixture", 10),
         "mixture-50": _density("mixture", 50),
         "flow": _flow,
+        "retrieval": _retrieval,
     }
 )
-"""The paper's regressor, the same without its parts, those it is measured against (see `vapor.baselines`), and one that
-is a density (`vapor.flow`): what each makes of a configuration."""
+"""The paper's regressor, the same without its parts, those it is measured against (see `vapor.baselines`), one that is
+a density (`vapor.flow`), and one that remembers (`vapor.retrieval`): what each makes of a configuration."""

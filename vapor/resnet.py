@@ -57,9 +57,13 @@ class ResNet18(nn.Module):
         """Modules whose outputs are the image at four depths, with `stage_channels` channels."""
         return self.layer1, self.layer2, self.layer3, self.layer4
 
+    def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
+        """What the third and the last of `stages` make of ImageNet-normalised images."""
+        x = self.maxpool(torch.relu_(self.bn1(self.conv1(x))))
+        third = self.layer3(self.layer2(self.layer1(x)))
+        return third, self.layer4(third)
+
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
         """Features (b, 8 width) of ImageNet-normalised images, or scores (b, num_classes)."""
-        x = self.maxpool(torch.relu_(self.bn1(self.conv1(x))))
-        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
-        x = x.mean(dim=(2, 3))
+        x = self.maps(x)[1].mean(dim=(2, 3))
         return x if self.fc is None else self.fc(x)

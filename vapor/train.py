@@ -23,10 +23,12 @@ from vapor.checkpoint import MAX_PRIOR_POSES, Calibration, Checkpoint, save_chec
 from vapor.familiarity import EXEMPLARS, Familiarity, learn_familiarity
 from vapor.holding_out import Split, hold_out, within_map
 from vapor.network import PoseRegressor, SceneBox
+from vapor.retrieval import memory_of
 from vapor.scene_scale import default_errors
 from vapor.train_config import TrainConfig
 from vapor.training_check import TrainingCheck, check
-from vapor.training_epoch import finishing, fitting_epochs, judging_interval, steps_per_epoch, train_epoch
+from vapor.training_epoch import finishing, fitting_epochs, judging_interval, see, steps_per_epoch, train_epoch
+from vapor.training_memory import remember
 from vapor.training_set import (
     TrainingError,
     TrainingSet,
@@ -245,6 +247,7 @@ def _fit(
         save_state(state_path(output), state, identity)
     model = deepcopy(state.average)
     model.load_state_dict(state.best or _weights(course.kept))
+    remember(model, see(state, split.training))
     found = _found(model, split, judged, config, lambda *where: report(Progress(*where, best=course.best)))
 
     if course.goes_on and state.epoch == state.epochs:
@@ -256,6 +259,7 @@ def _fit(
     if course.goes_on:
         model.load_state_dict(_weights(course.kept))
     learned = split.everything if course.goes_on else split.training
+    remember(model, see(state, learned))
     familiarity = _familiar(model, split.training, judged) if config.calibrate else None
     checkpoint = Checkpoint(
         config.network,
@@ -280,6 +284,7 @@ def _fit(
         ),
         familiarity,
         split.training.camera,
+        memory_of(model),
     )
     save_checkpoint(output, checkpoint, half=config.half)
     state_path(output).unlink(missing_ok=True)
@@ -364,6 +369,7 @@ class _Course:
         interval = judging_interval(len(self._split.training), len(judged))
         if not len(judged) or (state.epoch % interval and state.epoch < state.epochs):
             return
+        remember(self.kept, state.seen)
         widths = Calibration(config.bandwidth_translation_m, config.bandwidth_rotation_rad)
         figures = validate(
             self.kept,

@@ -16,7 +16,9 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 from vapor.augment import jitter_and_normalise, random_crops
 from vapor.holding_out import Split
 from vapor.loss import training_loss
+from vapor.retrieval import RetrievalRegressor
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
+from vapor.training_memory import Seen, look, remember
 from vapor.training_set import TrainingError, TrainingSet
 from vapor.training_state import TrainingState
 
@@ -27,6 +29,7 @@ _FINISHING_RATE = 0.3  # of the largest learning rate, when a trained model goes
 _FEWEST, _MOST = 4, 200  # epochs
 _WARM_UP, _TIMED = 3, 8  # steps
 _SEEN = 0.5  # of the time of a step an image: to judge by it
+_REMEMBERED = 32  # steps from one to the next time that all images are remembered anew, at least
 
 
 def train_epoch(
@@ -54,8 +57,11 @@ def train_epoch(
     true_rotation = torch.from_numpy(training.poses.rotation).float().to(device)
     bfloat16 = _uses_bfloat16(config, device)
     network.train()
+    seen, interval = see(state, training), max(_REMEMBERED, len(training) // batch // _REMEMBERED)
     total = 0.0
     for number, indices in enumerate(order):
+        if number % interval == 0:
+            remember(network, seen)
         if config.loss.relative > 0.0:
             indices = _paired(indices, training.sequence, config.loss.pair_gap, rng=rng)
         step = (state.epoch - since) * steps + number
@@ -71,7 +77,8 @@ def train_epoch(
         noise = torch.randn(shape, generator=generator, device=device)
         truth = true_translation[indices], true_rotation[indices]
         with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-            loss = training_loss(network, images, *truth, noise, config.loss)
+            hidden = None if seen is None else seen.hidden(indices)
+            loss = training_loss(network, images, *truth, noise, config.loss, hidden)
         state.optimizer.zero_grad(set_to_none=True)
         loss.total.backward()
         state.optimizer.step()
@@ -84,6 +91,17 @@ def train_epoch(
             )
         report(number + 1, total / (number + 1), rate)
     return total / steps
+
+
+def see(state: TrainingState, images: TrainingSet) -> Seen | None:
+    """Images as a retrieval regressor sees them, found once; None for one that remembers nothing."""
+    if not isinstance(state.network, RetrievalRegressor):
+        return None
+    if state.seen is None or state.seen.images is not images:
+        state.seen = look(state.network, images, state.seen)
+        for name in ("centre", "spread"):
+            getattr(state.average, name).copy_(getattr(state.network, name))
+    return state.seen
 
 
 def steps_per_epoch(images: TrainingSet, config: TrainConfig) -> int:
@@ -141,13 +159,13 @@ def _uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
     """Whether the encoder is trained in bfloat16.
 
     With "auto" where that is faster than float32: without instructions for it, it is many times slower, and on a CPU
-    separable convolutions do not gain by it.
+    separable convolutions do not gain by it where they learn.
     """
     if config.precision != "auto":
         return config.precision == "bfloat16"
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
-    if config.network.backbone == "efficientnet-lite0":
+    if config.network.backbone == "efficientnet-lite0" and config.network.head != "retrieval":
         return False
     capabilities = torch.cpu.get_capabilities()
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))

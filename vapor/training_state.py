@@ -15,6 +15,7 @@ from torch import Tensor
 from sequences.atomic import atomic_output
 from vapor.checkpoint import CheckpointError, parse_config, read_json, read_safetensors
 from vapor.network import PoseRegressor
+from vapor.training_memory import Seen
 from vapor.validation import Validation
 
 FORMAT = "vapor-track training state"
@@ -33,6 +34,7 @@ class TrainingState:
         epoch: Epochs done; more than that while it goes on with everything.
         history: Figures of the epochs done, where there are held-out images.
         best: Weights of the best epoch so far, on the CPU.
+        seen: The images of the epoch as a retrieval regressor sees them; found again after an interruption.
     """
 
     network: PoseRegressor
@@ -42,6 +44,7 @@ class TrainingState:
     epoch: int = 0
     history: list[Validation] = field(default_factory=list)
     best: dict[str, Tensor] = field(default_factory=dict)
+    seen: Seen | None = None
 
 
 def state_path(output: Path) -> Path:

@@ -81,7 +81,7 @@ def predict(network: PoseRegressor, images: TrainingSet, num_samples: int, seed:
     device = network.pixel_mean.device
     generator = torch.Generator(device).manual_seed(seed)
     batch = max(1, min(_BATCH, _MAX_NOISE // (num_samples * max(1, network.noise_dim))))
-    for _, crops in _batches(network, images, batch):
+    for _, crops in batches(network, images, batch):
         with torch.inference_mode():
             noise = torch.randn(len(crops), num_samples, network.noise_dim, generator=generator, device=device)
             translation, rotation = (p.cpu().double().numpy() for p in network(crops, noise))
@@ -94,7 +94,7 @@ def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np
     if not isinstance(network, DensityRegressor):
         return None
     found = np.empty(len(images))
-    for rows, crops in _batches(network, images, _BATCH):
+    for rows, crops in batches(network, images):
         truth = (getattr(images.poses[rows], part) for part in ("translation", "rotation"))
         with torch.inference_mode():
             poses = (torch.from_numpy(part)[:, None].to(crops) for part in truth)
@@ -102,7 +102,7 @@ def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np
     return found
 
 
-def _batches(network: PoseRegressor, images: TrainingSet, size: int) -> Iterator[tuple[slice, Tensor]]:
+def batches(network: PoseRegressor, images: TrainingSet, size: int = _BATCH) -> Iterator[tuple[slice, Tensor]]:
     """Which images, and their centre crops, normalised; the network is in evaluation mode until all are done."""
     config, training = network.config, network.training
     network.eval()

@@ -32,7 +32,7 @@ def parse_named(
     """
     chosen = {name: _named(arguments, name, getattr(options, name)) for name in names}
     for name, value in chosen.items():
-        if value not in _KNOWN[name]:
+        if value is not None and value not in _KNOWN[name]:
             usage_error(command, f"unknown {name} {value!r}, expected one of {', '.join(_KNOWN[name])}")
     hints = get_type_hints(options, include_extras=True)
     defaults = {**chosen, "config": config(**chosen)}
@@ -41,7 +41,7 @@ def parse_named(
     return parse(command, named, arguments)
 
 
-def _named(arguments: Sequence[str], name: str, default: str) -> str:
+def _named(arguments: Sequence[str], name: str, default: str | None) -> str | None:
     """Known before the options are read, since their defaults depend on it; the last one counts, as of all options."""
     for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
         if word == f"--{name}":

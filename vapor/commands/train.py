@@ -35,8 +35,9 @@ class Options:
     preset: Preset = "auto"
     """Named settings, of which the options below change single ones; auto: to suit the data in a quarter of an hour;
     demo: the shipped models' network; tables: small and fast, for the scenes of that name; paper-...: the paper's."""
-    method: Method = "variational"
-    """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one."""
+    method: Method | None = None
+    """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one.
+    Default: what the preset says, retrieval of auto, else variational."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
@@ -44,7 +45,11 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     options = parse_named(
-        "train", Options, arguments, ("preset", "method"), lambda preset, method: METHODS[method](PRESETS[preset])
+        "train",
+        Options,
+        arguments,
+        ("preset", "method"),
+        lambda preset, method: METHODS[method](PRESETS[preset]) if method else PRESETS[preset],
     )
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")

@@ -24,7 +24,7 @@ from vapor.training_set import TrainingError, require_apart
 class TableConfig:
     """Settings of the table."""
 
-    methods: tuple[str, ...] = tuple(METHODS)
+    methods: tuple[str, ...] = tuple(name for name in METHODS if name != "retrieval")
     """What is trained, as `vapor-track train --method`."""
     seeds: int = 3
     """Trainings of each method on each scene."""

@@ -1,0 +1,102 @@
+"""What a retrieval regressor remembers while it learns, and which of that it must not recall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float64, Int64
+from torch import Tensor
+
+from vapor.holding_out import near_scale_m, way_of
+from vapor.network import PoseRegressor
+from vapor.retrieval import RetrievalRegressor
+from vapor.training_set import TrainingSet
+from vapor.validation import batches
+
+_ALONE = 0.2  # of the way to elsewhere: so far its own pass is hidden where nothing else shows a place
+_CHUNK = 512
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Training images as a network's backbone, which does not learn, sees them.
+
+    Attributes:
+        images: The images, n of them.
+        features: What `describe` says of each, half precision.
+        translation: True positions, metres, on the network's device.
+        rotation: True rotations, world_from_camera.
+        sequence: Which recording each is of.
+        way: How far the camera has come, in units of what counts as elsewhere.
+        reach: So much further on the way, and back, images of the same recording are hidden from each.
+    """
+
+    images: TrainingSet
+    features: Float[Tensor, "n f"]
+    translation: Float[Tensor, "n 3"]
+    rotation: Float[Tensor, "n 3 3"]
+    sequence: Int64[Tensor, " n"]
+    way: Float[Tensor, " n"]
+    reach: Float[Tensor, " n"]
+
+    def hidden(self, indices: Int64[np.ndarray, " b"]) -> Bool[Tensor, "b n"]:
+        """Of the images, those that each of some must not recall: of its own pass, as no image to come is of it."""
+        rows = torch.from_numpy(indices).to(self.way.device)
+        near = (self.way[rows][:, None] - self.way).abs() < self.reach[rows][:, None]
+        return near & (self.sequence[rows][:, None] == self.sequence)
+
+
+def look(network: RetrievalRegressor, images: TrainingSet, known: Seen | None = None) -> Seen:
+    """Training images as the network's backbone sees them, once for all of a training.
+
+    Args:
+        network: Whose numbers are standardised by these images where that was not done yet.
+        images: In order of time.
+        known: Some of them, or others, that were seen before.
+    """
+    device = network.pixel_mean.device
+    features = torch.empty(len(images), len(network.centre), dtype=torch.float16, device=device)
+    new = np.ones(len(images), bool)
+    if known is not None and known.images.images is images.images:
+        at = np.searchsorted(known.images.rows, images.rows).clip(max=len(known.images) - 1)
+        new = known.images.rows[at] != images.rows
+        features[~new] = known.features[at[~new]]
+    with torch.no_grad():
+        found = [network.describe(crops) for _, crops in batches(network, images.select(np.flatnonzero(new)))]
+        if not network.standardised:
+            network.standardise(torch.cat(found))
+            found = [(part - network.centre) / network.spread for part in found]
+        if found:
+            features[new] = torch.cat(found).half()
+    way = way_of(images)
+    return Seen(
+        images,
+        features,
+        torch.from_numpy(images.poses.translation).float().to(device),
+        torch.from_numpy(images.poses.rotation).float().to(device),
+        torch.from_numpy(images.sequence).to(device),
+        torch.from_numpy(way).float().to(device),
+        torch.from_numpy(np.where(_shown_again(images, way), 1.0, _ALONE)).float().to(device),
+    )
+
+
+def remember(network: PoseRegressor, seen: Seen | None) -> None:
+    """Let a network remember images as its weights see them now; nothing where it is none that remembers."""
+    if isinstance(network, RetrievalRegressor) and seen is not None:
+        network.remember(seen.features, seen.translation, seen.rotation)
+
+
+def _shown_again(images: TrainingSet, way: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Whether another pass, or another recording, shows what each image shows."""
+    at = (images.poses.translation / near_scale_m(images.poses)).astype(np.float32)
+    ahead = images.poses.rotation[:, :, 2].astype(np.float32)
+    square, shown = (at**2).sum(axis=1), np.zeros(len(images), bool)
+    for begin in range(0, len(images), _CHUNK):
+        own = slice(begin, begin + _CHUNK)
+        near = square[own, None] + square - 2.0 * at[own] @ at.T < 1.0
+        near &= ahead[own] @ ahead.T > np.cos(np.pi / 4)
+        apart = np.abs(way[own, None] - way) >= 1.0
+        shown[own] = (near & (apart | (images.sequence[own, None] != images.sequence))).any(axis=1)
+    return shown
