@@ -18,7 +18,8 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
 _GATE = 36.0  # squared, in standard deviations: what is further apart is not looked at
-_PLACE = 3.0  # standard deviations of the error: details finer than that do not tell one place from another
+PLACE = 3.0
+"""Standard deviations of the error: details finer than that do not tell one place from another."""
 _LEAST = 1e-3  # share of a hypothesis that goes on as one of its own
 UNUSUAL = 1.25
 """An image whose error has a variance by so much larger than an ordinary one errs in a way of its own."""
@@ -85,7 +86,7 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
     """
     errors, count = posterior.errors, len(belief)
     pairs = _near_pairs(belief, posterior, camera, way)
-    near = posterior.shares[pairs.place] * np.exp(-0.5 * pairs.squared / _PLACE**2)
+    near = posterior.shares[pairs.place] * np.exp(-0.5 * pairs.squared / PLACE**2)
     support = np.bincount(pairs.hypothesis, near, minlength=count)
     possible = support / (support + errors.possible_share)
     log_evidence = np.log(errors.outlier_share + (1.0 - errors.outlier_share) * possible)

@@ -51,6 +51,9 @@ class ErrorModel:
     """Distance over which that fades to 1/e, and a view becomes a new one, metres."""
     length_rad: float = 0.4
     """Likewise the angle, radians."""
+    mistaken_lengths: float = 1.0
+    """Over so many of these lengths one image's mistake about the place is the next one's: what takes one floor for
+    another does so along all of a corridor."""
     constant_share: float = 0.1
     """Share of the typical variance below which no number of images brings the uncertainty of a pose."""
     unfamiliar_power: float = 0.0
@@ -74,6 +77,7 @@ class ErrorModel:
             lasting_share=(0.0, 0.999),
             length_m=(1e-9, 1e9),
             length_rad=(1e-6, 1e3),
+            mistaken_lengths=(1.0, 1e3),
             constant_share=(0.0, 1e3),
             unfamiliar_power=(0.0, 3.0),
             unfamiliar_score=(0.01, 1.0),

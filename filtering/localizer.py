@@ -128,11 +128,13 @@ class View:
 
 @dataclass(frozen=True)
 class _Camera:
-    """A camera that was seen before: its place in the state, how new its view is, and how much it errs."""
+    """A camera that was seen before: its place in the state, how much it errs, and how far it came: in lengths over
+    which its errors last (`meter`), and over which it mistakes one place for another (`places`)."""
 
     number: int
     errors: ErrorModel
     meter: ViewMeter
+    places: ViewMeter
     reference_from_camera: Poses
     scale: ErrorScale
 
@@ -146,6 +148,7 @@ class _Camera:
     def moved(self, odom: Odometry) -> tuple[_Camera, float]:
         """After a motion of the reference frame; the way in lengths."""
         meter, way = self.meter.moved(odom.previous_from_current)
+        places, _ = self.places.moved(odom.previous_from_current)
         camera_from_reference = self.reference_from_camera.inverse()
         carry = camera_from_reference.adjoint()
         motion = Odometry(
@@ -153,7 +156,7 @@ class _Camera:
             carry @ odom.covariance @ carry.T,
             odom.duration_s,
         )
-        return replace(self, meter=meter, scale=self.scale.moved(motion, way)), way
+        return replace(self, meter=meter, places=places, scale=self.scale.moved(motion, way)), way
 
 
 _ONLY = "camera"
@@ -280,7 +283,8 @@ class ParticleLocalizer:
             after = {}
             for name, camera in self._cameras.items():
                 meter, way = camera.meter.across_gap(*likely)
-                after[name] = replace(camera, meter=meter, scale=replace(camera.scale, place=None)), way
+                places, _ = camera.places.across_gap(*likely)
+                after[name] = replace(camera, meter=meter, places=places, scale=replace(camera.scale, place=None)), way
             odom = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s)
             self._belief = widened(self._belief, gap.covariance(elapsed_s))
         self._cameras = {name: camera for name, (camera, _) in after.items()}
@@ -302,14 +306,14 @@ class ParticleLocalizer:
         belief = self._known(told)
         fits: list[float] = []
         seen_by: list[tuple[PosePosterior, int]] = []
-        looks = {view.camera: self._cameras[view.camera].meter.looked() for view in told}
+        looks = {view.camera: self._cameras[view.camera].places.looked() for view in told}
         novelty = max([novelty, *(new for _, new in looks.values())])
         for view in told:
-            camera, (meter, new) = self._cameras[view.camera], looks[view.camera]
+            camera, (places, new) = self._cameras[view.camera], looks[view.camera]
             camera = camera.seen_through(view.reference_from_camera)
-            way = camera.meter.way
+            way, meter = camera.meter.way, camera.meter.looked()[0]
             scale = camera.scale.looked(view.posterior, way)
-            self._cameras = self._cameras | {view.camera: replace(camera, meter=meter, scale=scale)}
+            self._cameras = self._cameras | {view.camera: replace(camera, meter=meter, places=places, scale=scale)}
             posterior = view.posterior.inflated(scale.factor).seen_from(view.reference_from_camera)
             seen = associate(belief, posterior, camera.number, novelty=new, way=way)
             seen_by.append((posterior, camera.number))
@@ -379,9 +383,11 @@ class ParticleLocalizer:
     def _add_camera(self, view: View) -> None:
         errors = view.posterior.errors
         # The first image of a camera is all new: it looks from a length away.
-        meter = ViewMeter(errors.length_m, errors.length_rad, unknown=0.0 if self._belief is None else 1.0)
+        unknown, longer = 0.0 if self._belief is None else 1.0, errors.mistaken_lengths
+        meter = ViewMeter(errors.length_m, errors.length_rad, unknown=unknown)
+        places = ViewMeter(longer * errors.length_m, longer * errors.length_rad, unknown=unknown)
         scale = ErrorScale(self.config.adapt_errors)
-        camera = _Camera(len(self._cameras), errors, meter, view.reference_from_camera, scale)
+        camera = _Camera(len(self._cameras), errors, meter, places, view.reference_from_camera, scale)
         self._cameras = self._cameras | {view.camera: camera}
 
     def _estimate(self, belief: Hypotheses, novelty: float, unfamiliarity: float) -> Estimate:

@@ -107,7 +107,7 @@ HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, None), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '7' or '6', or '4'"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '8', '7' or '6', or '4'"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "not JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
@@ -222,24 +222,30 @@ def test_of_models_of_an_earlier_filter_the_kernel_widths_stay_and_errors_follow
 
 def test_in_models_from_before_growth_errors_do_not_depend_on_the_score(tmp_path):
     path, saved = tmp_path / "m.safetensors", make_checkpoint()
-    grown = replace(saved.calibration.errors, unfamiliar_power=0.75, unfamiliar_score=0.3)
+    grown = replace(saved.calibration.errors, unfamiliar_power=0.75, unfamiliar_score=0.3, mistaken_lengths=3.0)
     save_checkpoint(path, replace(saved, calibration=replace(saved.calibration, errors=grown, odometry=ODOMETRY)))
     metadata, tensors = read_safetensors(path)
-    assert metadata["version"] == "7"
+    assert metadata["version"] == "8"
     assert load_checkpoint(path).calibration.errors == grown
 
+    def before_mistakes(config):
+        config["calibration"]["errors"].pop("mistaken_lengths")
+
     def former(config):
-        for name in ("unfamiliar_power", "unfamiliar_score"):
+        for name in ("unfamiliar_power", "unfamiliar_score", "mistaken_lengths"):
             config["calibration"]["errors"].pop(name)
 
+    save_file(tensors, path, _edit_config({**metadata, "version": "7"}, before_mistakes))
+    assert load_checkpoint(path).calibration.errors == replace(grown, mistaken_lengths=1.0)
     save_file(tensors, path, _edit_config({**metadata, "version": "6"}, former))
     loaded = load_checkpoint(path)
-    assert loaded.calibration.errors == replace(grown, unfamiliar_power=0.0, unfamiliar_score=0.5)
+    expected = replace(grown, unfamiliar_power=0.0, unfamiliar_score=0.5, mistaken_lengths=1.0)
+    assert loaded.calibration.errors == expected
     assert (loaded.calibration.odometry, loaded.network_sha256()) == (ODOMETRY, saved.network_sha256())
     save_checkpoint(path, loaded)
     assert load_checkpoint(path).calibration == loaded.calibration
-    save_file(tensors, path, _edit_config(metadata, former))  # of format 7 both are expected
-    with pytest.raises(CheckpointError, match=r"lacks .*unfamiliar_power"):
+    save_file(tensors, path, _edit_config(metadata, former))  # of format 8 all are expected
+    with pytest.raises(CheckpointError, match=r"lacks .*mistaken_lengths"):
         load_checkpoint(path)
 
 

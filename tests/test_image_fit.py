@@ -89,7 +89,7 @@ def test_what_changed_is_told_with_its_gain():
     assert image.before["tail"] == ErrorModel().tail
     assert image.gain is not None
     assert image.gain > 0.5
-    assert (set(lasting.after), lasting.gain) == ({"lasting_share", "length_m"}, None)
+    assert (set(lasting.after), lasting.gain) == ({"lasting_share", "length_m", "mistaken_lengths"}, None)
     again = fit(*simulated(), before=fitted().errors).changes[0]
     assert again.gain == pytest.approx(0.0, abs=1e-6)
 
@@ -210,6 +210,35 @@ def test_how_long_errors_last_is_found(length_m, share):
     expected = 1 + STEP * 500 / (2 * found.errors.length_m)
     assert found.effective_images == pytest.approx(expected, rel=0.05)
     assert found.errors.outlier_share == 0.05
+
+
+def mistaking(lasts: float, *, count: int = 500, seed: int = 0) -> ErrorModel:
+    """The fit of a walk of which two fifths of the images take one wall for another, over stretches so long."""
+    rng = np.random.default_rng(seed)
+    truth = walk(count, STEP, rng=rng)
+    fade = np.exp(-STEP / lasts) if lasts else 0.0
+    mood = rng.standard_normal(count)
+    for i in range(1, count):
+        mood[i] = fade * mood[i - 1] + np.sqrt(1 - fade**2) * mood[i]
+    seen = Poses(truth.rotation, truth.translation + np.outer(mood < -0.25, [0.0, 0.0, 45.0]))
+    normal = lasting(count, 0.5, 0.6, rng=rng)
+    samples = posteriors(seen, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
+    scene = Poses.concatenate([truth, Poses(truth.rotation, truth.translation + [0.0, 0.0, 45.0])])
+    way = Way.along(truth, np.zeros(count, np.int64))
+    return fit_errors(Seen(samples, truth, None), way, scene, default_errors(scene)).errors
+
+
+def test_how_long_a_place_is_mistaken_for_another_is_found_apart_from_how_long_errors_last():
+    by_chance, one, ten = mistaking(0.0), mistaking(1.0), mistaking(4.0)
+    assert by_chance.mistaken_lengths < 2.0
+    assert 1.5 < one.mistaken_lengths < ten.mistaken_lengths
+    assert one.mistaken_lengths * one.length_m == pytest.approx(2.0, rel=0.6)  # both ways of the correlation
+    assert ten.mistaken_lengths * ten.length_m > 3.0
+
+
+def test_images_that_never_mistake_the_place_are_worth_one_a_length():
+    rng = np.random.default_rng(1)
+    assert fit_walk(lasting(500, 0.5, 0.65, rng=rng), rng=rng).errors.mistaken_lengths == pytest.approx(1.0, abs=0.5)
 
 
 @pytest.mark.parametrize(("share", "taken"), [(1.0, 0.7), (0.3, 0.5)])

@@ -32,9 +32,11 @@ from vapor.retrieval import Memory, RetrievalRegressor
 from vapor.scene_scale import default_errors
 
 FORMAT = "vapor-track model"
-VERSION = 7
+VERSION = 8
+_BEFORE_MISTAKES = "7"  # mistakes about the place were taken to last as long as errors within it
 _BEFORE_GROWTH = "6"  # images of all scores were taken to err alike
-_EVEN = {"unfamiliar_power": 0.0, "unfamiliar_score": 0.5}  # what error models of that version are and did not say
+_ALIKE = {"mistaken_lengths": 1.0}  # what error models of those versions are and did not say
+_EVEN = {"unfamiliar_power": 0.0, "unfamiliar_score": 0.5, **_ALIKE}
 _BEFORE_ERRORS = ("4", "5")  # their calibrations are of another filter: all but the kernel widths is left out
 _BEFORE_SHORTCUT = "4"
 _UNSAID = {"shortcut": False}  # what networks of that version are and did not say
@@ -178,7 +180,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
     Of files of format 4 and 5 the calibration is that of an earlier filter: its kernel widths are taken, and for the
     rest the errors of a model that was not calibrated (`default_errors`). Calibrating such a model anew makes it whole.
-    In files of format 6 errors do not grow with how unfamiliar an image is.
+    In files of format 6 errors do not grow with how unfamiliar an image is; in those and in files of format 7 mistakes
+    about the place last as long as errors within it.
 
     Raises:
         CheckpointError: no such file, no safetensors file, another format or version, a configuration with missing,
@@ -190,11 +193,11 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if found != FORMAT:
         raise CheckpointError(f"{path}: format is {found!r} in its metadata, expected {FORMAT!r}")
     version = metadata.get("version")
-    if version not in (str(VERSION), _BEFORE_GROWTH, *_BEFORE_ERRORS):
+    if version not in (str(VERSION), _BEFORE_MISTAKES, _BEFORE_GROWTH, *_BEFORE_ERRORS):
         older = " or ".join(f"'{number}'" for number in _BEFORE_ERRORS)
         raise CheckpointError(
-            f"{path}: format version is {version!r}, expected '{VERSION}' or '{_BEFORE_GROWTH}', or {older} of which"
-            " network and scene are taken; train the model anew"
+            f"{path}: format version is {version!r}, expected '{VERSION}', '{_BEFORE_MISTAKES}' or '{_BEFORE_GROWTH}',"
+            f" or {older} of which network and scene are taken; train the model anew"
         )
     config = read_json(path, metadata.get("config"))
     network = config.get("network")
@@ -217,7 +220,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if version in _BEFORE_ERRORS:
         parse = partial(_former_calibration, prior_poses=poses)
     else:
-        parse = partial(_calibration, unsaid=_EVEN if version == _BEFORE_GROWTH else {})
+        parse = partial(_calibration, unsaid={_BEFORE_MISTAKES: _ALIKE, _BEFORE_GROWTH: _EVEN}.get(version, {}))
     calibration = parse(path, config.get("calibration"))
     familiarity = _familiarity(path, tensors) if any(name.startswith(_FAMILIARITY) for name in known) else None
     camera = _camera(path, config.get("camera"))

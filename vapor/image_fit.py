@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 from scipy.stats import f as fisher
 from torch import Tensor
 
+from filtering.association import PLACE
 from filtering.density import KernelDensity
 from filtering.error_model import FOREIGN, LEAST_SCORE, ErrorModel, Six
 from filtering.moments import group_moments
@@ -35,6 +36,9 @@ _LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
 _LASTING = (0.5, 0.7)
 _LAGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 _LEAST_PAIRS = 50
+_NO_MISTAKE = 1e-3  # nats by which evidence for the true place varies, at least
+_MISTAKEN = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])  # lengths over which mistakes fade
+_FARTHEST_LENGTHS, _MOST_MISTAKEN = 100.0, 40.0
 _ALIKE = 10.0  # images that say that all axes err alike
 _UNSEEN = 2.0  # over the number of images: share of the variance that may be an error that lasts through all
 _UNSURE = 10.0  # images by which the variances of a fit to few are too small
@@ -128,9 +132,9 @@ def fit_errors(seen: Seen, way: Way, scene: Poses, before: ErrorModel, *, traine
 
     The wider place is taken where the likelihood hardly tells. By how much more unfamiliar images err comes from images
     that were trained on: the power of the score of highest likelihood. How long errors last comes by least squares from
-    the products of the directions of normalised errors of two images, against the way between them. As neighbouring
-    images err alike, the data are worth fewer images than there are: the fewer, the more alike the axes and the larger
-    the variances.
+    the products of the directions of normalised errors of two images, against the way between them, and for how long
+    mistakes about the place do from what two images say for the true one. As neighbouring images err alike, the data
+    are worth fewer images than there are: the fewer, the more alike the axes and the larger the variances.
 
     Args:
         seen: Held-out images, n.
@@ -158,6 +162,7 @@ def fit_errors(seen: Seen, way: Way, scene: Poses, before: ErrorModel, *, traine
         flat_log_density=flat,
         **found.settings(extent),
     )
+    evidence = places.evidence(errors)
     if seen.score is not None:
         if trained is not None and trained.score is not None:
             errors = _growing(errors, places, seen.score, trained, trained.score)
@@ -175,6 +180,7 @@ def fit_errors(seen: Seen, way: Way, scene: Poses, before: ErrorModel, *, traine
         lasting_share=lasting,
         length_m=length_m,
         length_rad=LENGTH_RAD,
+        mistaken_lengths=_mistaken_lengths(evidence, way, length_m),
         typical_std=places.typical_std(errors),
     )
     formerly = _Places.near(samples, truth, before.radius_m, before.radius_rad)
@@ -184,7 +190,7 @@ def fit_errors(seen: Seen, way: Way, scene: Poses, before: ErrorModel, *, traine
     names = ("radius_m", "spread", "floor", "tail", "outlier_share", "unfamiliar_power")
     changes = (
         _change("errors of an image", names, before, errors, gain),
-        _change("how long they last", ("lasting_share", "length_m"), before, errors),
+        _change("how long they last", ("lasting_share", "length_m", "mistaken_lengths"), before, errors),
     )
     return ErrorFit(errors, changes, places.coverage(errors), effective)
 
@@ -253,6 +259,15 @@ class _Places:
         log_places = _log_sum(torch.from_numpy(self._log_terms(errors)), torch.from_numpy(self.image)).numpy()
         outliers = errors.outlier_share
         return np.logaddexp(np.log(outliers) + errors.flat_log_density, np.log1p(-outliers) + log_places)
+
+    def evidence(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
+        """Log of how possible each image finds the true place, as the filter asks it (`associate`)."""
+        covariance = errors.covariance(self.covariance)
+        solved = np.linalg.solve(covariance, self.residual[..., None])[..., 0]
+        squared = np.einsum("pi,pi->p", self.residual, solved)
+        support = np.bincount(self.image, self.share * np.exp(-0.5 * squared / PLACE**2))
+        possible = support / (support + errors.possible_share)
+        return np.log(errors.outlier_share + (1.0 - errors.outlier_share) * possible)
 
     def residuals(self, errors: ErrorModel) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
         """Errors of the likeliest places in standard deviations, far ones drawn in; and who has more than a flat one.
@@ -419,6 +434,33 @@ def _lasting(
         share = float(np.clip((kernel * products).sum() / max(np.square(kernel).sum(), 1e-300), 0.0, 1.0))
         best = min(best, (float(np.square(products - share * kernel).mean()), share, float(length_m)))
     return float(np.clip(best[1], *_LASTING)), best[2]
+
+
+def _mistaken_lengths(evidence: Float64[np.ndarray, " n"], way: Way, length_m: float) -> float:
+    """Over how many lengths of errors images say alike whether the camera is where it is; 1 where that is not seen.
+
+    Along a pass the evidence of two images, so many lengths apart, correlates by a share that fades; the sum of the
+    correlations of an image with all others a length apart is what its evidence is worth less for their sake.
+    """
+    if len(evidence) < _LEAST_PAIRS or evidence.std() < _NO_MISTAKE:
+        return 1.0
+    value = (evidence - evidence.mean()) / evidence.std()
+    first, second = np.triu_indices(len(value), 1)
+    one = way.number[first] == way.number[second]
+    first, second = first[one], second[one]
+    metres, radians = way.metres[second] - way.metres[first], way.radians[second] - way.radians[first]
+    apart = np.hypot(metres / length_m, radians / LENGTH_RAD)
+    near = apart < _FARTHEST_LENGTHS
+    apart, products = apart[near], (value[first] * value[second])[near]
+    if len(products) < _LEAST_PAIRS:
+        return 1.0
+    best = (np.inf, 1.0)
+    for lengths in _MISTAKEN:
+        kernel = np.exp(-apart / lengths)
+        share = float(np.clip((kernel * products).sum() / np.square(kernel).sum(), 0.0, 1.0))
+        together = 1.0 + 2.0 * share / np.expm1(1.0 / lengths)
+        best = min(best, (float(np.square(products - share * kernel).mean()), float(together)))
+    return min(best[1], _MOST_MISTAKEN)
 
 
 def _effective_images(way: Way, length_m: float) -> float:
