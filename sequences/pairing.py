@@ -20,7 +20,7 @@ MAX_TRUE_POSE_GAP_S = 0.1
 JUMP_CONTEXT = 2  # steps before and after one that tell whether it is a jump
 _LEAST_JUMP_M, _LEAST_JUMP_RAD = 0.1, 0.1
 _JUMP_RATIO = 5.0  # how many times as fast as the steps around it
-_LONGEST_JUMP_S = 2.0  # beyond, it is a gap
+_LONGEST_JUMP_S = 0.5  # in longer steps bodies set off, turn and stop
 _STILL_M, _STILL_RAD = 0.05, 0.05
 
 

@@ -223,17 +223,18 @@ def mistaking(lasts: float, *, count: int = 500, seed: int = 0) -> ErrorModel:
     seen = Poses(truth.rotation, truth.translation + np.outer(mood < -0.25, [0.0, 0.0, 45.0]))
     normal = lasting(count, 0.5, 0.6, rng=rng)
     samples = posteriors(seen, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
-    scene = Poses.concatenate([truth, Poses(truth.rotation, truth.translation + [0.0, 0.0, 45.0])])
+    scene = Poses.concatenate([truth, Poses(truth.rotation, truth.translation + np.array([0.0, 0.0, 45.0]))])
     way = Way.along(truth, np.zeros(count, np.int64))
     return fit_errors(Seen(samples, truth, None), way, scene, default_errors(scene)).errors
 
 
 def test_how_long_a_place_is_mistaken_for_another_is_found_apart_from_how_long_errors_last():
-    by_chance, one, ten = mistaking(0.0), mistaking(1.0), mistaking(4.0)
+    by_chance, one, four = mistaking(0.0), mistaking(1.0), mistaking(4.0)
     assert by_chance.mistaken_lengths < 2.0
-    assert 1.5 < one.mistaken_lengths < ten.mistaken_lengths
-    assert one.mistaken_lengths * one.length_m == pytest.approx(2.0, rel=0.6)  # both ways of the correlation
-    assert ten.mistaken_lengths * ten.length_m > 3.0
+    assert 3.0 < one.mistaken_lengths < four.mistaken_lengths
+    # Both ways of the correlation, and three times that.
+    assert one.mistaken_lengths * one.length_m == pytest.approx(3 * 2.0, rel=0.6)
+    assert four.mistaken_lengths * four.length_m > 3 * 3.0
 
 
 def test_images_that_never_mistake_the_place_are_worth_one_a_length():

@@ -180,11 +180,11 @@ def test_an_empty_window_covers_nothing(asked_s: float) -> None:
 # --- jumps ------------------------------------------------------------------------------------------
 
 
-def watched(metres: list[float]) -> PoseWindow:
+def watched(metres: list[float], step_ns: int = 100_000_000) -> PoseWindow:
     """Poses on a line, ten a second."""
     window = PoseWindow(max_gap_s=0.25, watch_jumps=True)
     for i, x in enumerate(metres):
-        assert window.append(i * 100_000_000, Poses(np.eye(3), np.array([x, 0.0, 0.0])))
+        assert window.append(i * step_ns, Poses(np.eye(3), np.array([x, 0.0, 0.0])))
     return window
 
 
@@ -210,6 +210,12 @@ def test_a_step_much_faster_than_those_around_it_is_a_jump(metres: list[float], 
     window.finish()
     assert window.num_jumps == len(jumps)
     assert window.first_jump_ns == (times[jumps[0]] if jumps else None)
+
+
+def test_a_robot_that_sets_off_between_two_poses_a_second_apart_does_not_jump() -> None:
+    window = watched([0.0, 0.0, 0.0, 0.7, 0.7, 0.7, 1.4], 1_000_000_000)
+    window.finish()
+    assert window.num_jumps == 0
 
 
 def test_a_turn_on_the_spot_may_be_a_jump_and_a_long_step_is_a_gap() -> None:

@@ -39,6 +39,7 @@ _LEAST_PAIRS = 50
 _NO_MISTAKE = 1e-3  # nats by which evidence for the true place varies, at least
 _MISTAKEN = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])  # lengths over which mistakes fade
 _FARTHEST_LENGTHS, _MOST_MISTAKEN = 100.0, 40.0
+_ANOTHER_HOUR = 3.0  # times as far beyond one length mistakes reach where the light is another than on held-out passes
 _ALIKE = 10.0  # images that say that all axes err alike
 _UNSEEN = 2.0  # over the number of images: share of the variance that may be an error that lasts through all
 _UNSURE = 10.0  # images by which the variances of a fit to few are too small
@@ -440,7 +441,8 @@ def _mistaken_lengths(evidence: Float64[np.ndarray, " n"], way: Way, length_m: f
     """Over how many lengths of errors images say alike whether the camera is where it is; 1 where that is not seen.
 
     Along a pass the evidence of two images, so many lengths apart, correlates by a share that fades; the sum of the
-    correlations of an image with all others a length apart is what its evidence is worth less for their sake.
+    correlations of an image with all others a length apart is what its evidence is worth less for their sake. Held-out
+    passes are of the hours of the training, and mistakes last longer at others: what is beyond one length is tripled.
     """
     if len(evidence) < _LEAST_PAIRS or evidence.std() < _NO_MISTAKE:
         return 1.0
@@ -460,7 +462,7 @@ def _mistaken_lengths(evidence: Float64[np.ndarray, " n"], way: Way, length_m: f
         share = float(np.clip((kernel * products).sum() / np.square(kernel).sum(), 0.0, 1.0))
         together = 1.0 + 2.0 * share / np.expm1(1.0 / lengths)
         best = min(best, (float(np.square(products - share * kernel).mean()), float(together)))
-    return min(best[1], _MOST_MISTAKEN)
+    return min(1.0 + _ANOTHER_HOUR * (best[1] - 1.0), _MOST_MISTAKEN)
 
 
 def _effective_images(way: Way, length_m: float) -> float:
