@@ -11,9 +11,10 @@ from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from tests.test_train import STILL, TINY, make_frames, pose
-from vapor.baselines import log_rotation_normaliser, make_regressor
+from vapor.baselines import make_regressor
 from vapor.checkpoint import load_checkpoint
 from vapor.loss import LossConfig, training_loss
+from vapor.mixture import log_rotation_normaliser
 from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import METHODS
