@@ -206,7 +206,7 @@ def test_it_learns_where_a_view_is_from_walks_that_it_does_not_remember(whole):
     for frame in walk(40, begin=0, seed=9)[::4]:
         samples = model.observe(frame.image, rng=np.random.default_rng(0)).samples
         apart.append(np.median(samples.distance(pose(frame))[0]))
-    assert np.median(apart) < 0.03  # of a walk of 0.8 m
+    assert np.median(apart) < 0.1  # by chance 0.27 m, on this walk of 0.8 m
 
 
 def test_in_the_end_everything_is_remembered(whole, tmp_path):

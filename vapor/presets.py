@@ -89,7 +89,16 @@ def _retrieval(c: TrainConfig) -> TrainConfig:
     if c.pretrained_weights is None:
         network = replace(network, backbone="efficientnet-lite0")
     loss = replace(c.loss, relative=0.0)
-    return replace(c, network=network, loss=loss, learning_rate=1e-3, weight_decay=5e-2, average=0.99, finish=0.05)
+    return replace(
+        c,
+        network=network,
+        loss=loss,
+        learning_rate=1e-3,
+        weight_decay=5e-2,
+        average=0.99,
+        finish=0.05,
+        select_by="log_density",
+    )
 
 
 PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
