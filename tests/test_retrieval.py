@@ -290,6 +290,7 @@ def test_auto_remembers_and_every_method_can_be_had_with_it():
     assert PRESETS["auto"].network.head == "retrieval"
     variational = METHODS["variational"](PRESETS["auto"])
     assert variational.network.head == "variational"
+    assert (variational.finish, variational.select_by) == (TINY.finish, "sample_recall")
     assert variational.network.feature_dim == NetworkConfig().feature_dim
     assert METHODS["mixture-10"](PRESETS["auto"]).network.components == 10
     given = METHODS["retrieval"](replace(TINY, pretrained_weights=Path("x.safetensors")))

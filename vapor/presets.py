@@ -58,7 +58,8 @@ def _learning(c: TrainConfig) -> TrainConfig:
     """Of a preset that trains a retrieval regressor, what suits one all of which learns."""
     if c.network.head != "retrieval":
         return c
-    return replace(c, network=_FAST, loss=replace(c.loss, alpha=0.1), weight_decay=1e-2, average=0.998)
+    usual = {name: getattr(TrainConfig(), name) for name in ("weight_decay", "average", "finish", "select_by")}
+    return replace(c, network=_FAST, loss=replace(c.loss, alpha=0.1), **usual)
 
 
 def _head(head: Head, *, relative: float = 0.0, **loss: float) -> Callable[[TrainConfig], TrainConfig]:
