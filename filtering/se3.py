@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from filtering.errors import VaporTrackError
 
+_SMALL_SQ = 1e-4  # rad²: below, series are exact and quotients cancel
+
 
 @dataclass(frozen=True)
 class Poses:
@@ -64,8 +66,8 @@ class Poses:
     def exp(tangent: Float64[np.ndarray, "*batch 6"]) -> Poses:
         """Exponential map of tangent vectors (v, ω)."""
         v, omega = tangent[..., :3], tangent[..., 3:]
-        a, b, c = _exp_coefficients(np.sum(omega**2, axis=-1)[..., None])
-        along = np.sum(omega * v, axis=-1)[..., None]
+        a, b, c = _exp_coefficients(_dot(omega, omega))
+        along = _dot(omega, v)
         translation = a * v + b * _cross(omega, v) + c * along * omega
         return Poses(_rodrigues(omega, a, b), translation)
 
@@ -139,7 +141,7 @@ class Poses:
         omega = rotvec_from_rotation(self.rotation)
         v = self.translation
         turned = _cross(omega, v)
-        coefficient = _log_coefficient(np.sum(omega**2, axis=-1)[..., None])
+        coefficient = _log_coefficient(_dot(omega, omega))
         return np.concatenate([v - 0.5 * turned + coefficient * _cross(omega, turned), omega], axis=-1)
 
     def adjoint(self) -> Float64[np.ndarray, "*batch 6 6"]:
@@ -190,7 +192,7 @@ def rotation_from_quat_xyzw(quat_xyzw: Float64[np.ndarray, "*batch 4"]) -> Float
 
 def rotation_from_rotvec(rotvec: Float64[np.ndarray, "*batch 3"]) -> Float64[np.ndarray, "*batch 3 3"]:
     """Rotation matrices of rotation vectors, radians."""
-    a, b, _ = _exp_coefficients(np.sum(rotvec**2, axis=-1)[..., None])
+    a, b, _ = _exp_coefficients(_dot(rotvec, rotvec))
     return _rodrigues(rotvec, a, b)
 
 
@@ -201,7 +203,7 @@ def rotvec_from_rotation(rotation: Float64[np.ndarray, "*batch 3 3"]) -> Float64
     for axis, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
         sine_axis[..., axis] = (rotation[..., i, j] - rotation[..., j, i]) / 2
     cosine = (rotation[..., 0, 0] + rotation[..., 1, 1] + rotation[..., 2, 2] - 1) / 2
-    sine = np.sqrt(np.sum(sine_axis**2, axis=-1))
+    sine = np.sqrt(_dot(sine_axis, sine_axis))[..., 0]
     ratio = np.divide(np.arctan2(sine, cosine), sine, out=np.ones_like(sine), where=sine > 1e-8)
     rotvec = sine_axis * ratio[..., None]
     far = cosine < -0.9
@@ -214,15 +216,19 @@ def _rodrigues(omega: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(1 − bθ²) I + a [ω]× + b ω ωᵀ, with a = sin θ/θ and 1 − bθ² = cos θ."""
     rotation = (b * omega)[..., :, None] * omega[..., None, :]
     rotation += _skew(a * omega)
-    cosine = 1.0 - b[..., 0] * np.sum(omega**2, axis=-1)
-    for axis in range(3):
-        rotation[..., axis, axis] += cosine
+    diagonal = np.einsum("...ii->...i", rotation)
+    diagonal += 1.0 - b * _dot(omega, omega)
     return rotation
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products (..., 1) of vectors (..., 3)."""
+    return np.add.reduce(a * b, axis=-1, keepdims=True)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross products of vectors (..., 3), several times faster than numpy's."""
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product = np.empty(np.broadcast(a, b).shape)
     for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
         product[..., axis] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
     return product
@@ -241,19 +247,32 @@ def _skew(v: np.ndarray) -> np.ndarray:
 
 def _exp_coefficients(angle_sq: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """sin θ/θ, (1 − cos θ)/θ², (θ − sin θ)/θ³, by series below 1e-2 rad where the quotients cancel."""
-    small = angle_sq < 1e-4
+    small = angle_sq < _SMALL_SQ
+    if small.all():
+        return _exp_series(angle_sq)
     safe = np.where(small, 1.0, angle_sq)
     angle = np.sqrt(safe)
-    a = np.where(small, 1 - angle_sq / 6 + angle_sq**2 / 120, np.sin(angle) / angle)
-    b = np.where(small, 0.5 - angle_sq / 24 + angle_sq**2 / 720, 2 * np.sin(angle / 2) ** 2 / safe)
-    c = np.where(small, 1 / 6 - angle_sq / 120 + angle_sq**2 / 5040, (angle - np.sin(angle)) / (safe * angle))
+    sine = np.sin(angle)
+    quotients = sine / angle, 2 * np.sin(angle / 2) ** 2 / safe, (angle - sine) / (safe * angle)
+    if not small.any():
+        return quotients
+    a, b, c = (np.where(small, near, far) for near, far in zip(_exp_series(angle_sq), quotients, strict=True))
     return a, b, c
+
+
+def _exp_series(angle_sq: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    fourth = angle_sq**2
+    return (
+        1 - angle_sq / 6 + fourth / 120,
+        0.5 - angle_sq / 24 + fourth / 720,
+        1 / 6 - angle_sq / 120 + fourth / 5040,
+    )
 
 
 def _log_coefficient(angle_sq: np.ndarray) -> np.ndarray:
     """1/θ² − (1 + cos θ)/(2 θ sin θ), by series near zero and in a form that is finite at π."""
-    small = angle_sq < 1e-4
+    small = angle_sq < _SMALL_SQ
     safe = np.where(small, 1.0, angle_sq)
     half = np.sqrt(safe) / 2
     value = (1 - half / np.tan(half)) / safe
-    return np.where(small, 1 / 12 + angle_sq / 720 + angle_sq**2 / 30240, value)
+    return np.where(small, 1 / 12 + angle_sq / 720 + angle_sq**2 / 30240, value) if small.any() else value

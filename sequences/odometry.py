@@ -101,11 +101,11 @@ def simulate_odometry(
     measured = true + bias * dt[:, None] + white
     measured[:, :3] += scale * true[:, :3]
     increments = Poses.exp(measured)
-    rotation, translation = np.empty((k, 3, 3)), np.empty((k, 3))
-    rotation[0], translation[0] = np.eye(3), 0.0
+    rotation, translation = np.empty((k, 3, 3)), np.zeros((k, 3))
+    rotation[0] = np.eye(3)
     for i in range(k - 1):
-        rotation[i + 1] = rotation[i] @ increments.rotation[i]
-        translation[i + 1] = rotation[i] @ increments.translation[i] + translation[i]
+        np.matmul(rotation[i], increments.rotation[i], out=rotation[i + 1])
+    np.cumsum(Poses(rotation[:-1], np.zeros((k - 1, 3))).apply(increments.translation), axis=0, out=translation[1:])
     velocity = true[:, :3] / dt[:, None]
     covariance = np.zeros((k, 6, 6))
     covariance[1:, :3, :3] = noise.scale**2 * velocity[:, :, None] * velocity[:, None, :]
@@ -121,9 +121,8 @@ def simulate_odometry(
 def _slow_noise(dt: np.ndarray, time_s: float, rng: np.random.Generator) -> Float64[np.ndarray, "n 6"]:
     """An Ornstein-Uhlenbeck process of unit deviation, from its stationary distribution on."""
     keep = np.exp(-dt / time_s)
-    draws = rng.standard_normal((len(dt), 6))
-    value = np.empty((len(dt), 6))
-    value[0] = draws[0]
+    value = rng.standard_normal((len(dt), 6))
+    value[1:] *= np.sqrt(1 - keep[1:] ** 2)[:, None]
     for i in range(1, len(dt)):
-        value[i] = keep[i] * value[i - 1] + np.sqrt(1 - keep[i] ** 2) * draws[i]
+        value[i] += keep[i] * value[i - 1]
     return value

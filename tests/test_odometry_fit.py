@@ -34,8 +34,8 @@ def walk(times_ns: np.ndarray, seed: int) -> Poses:
     twist[:, 3] = 0.1 * np.sin(2.0 * seconds + phase[2])
     twist[:, 5] = 0.5 * np.sin(0.3 * seconds + phase[3])
     poses = [Poses.identity()]
-    for step in twist * dt[:, None]:
-        poses.append(poses[-1] @ Poses.exp(step))
+    for step in Poses.exp(twist * dt[:, None]):
+        poses.append(poses[-1] @ step)
     return Poses.stack(poses)
 
 

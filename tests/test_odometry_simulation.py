@@ -23,14 +23,14 @@ def walk(speed: float = 0.6, turn: float = 0.3) -> Poses:
 def errors_over(step: int, seeds: int, noise: OdometryNoise) -> tuple[np.ndarray, np.ndarray]:
     """Tangent errors (m, 6) of increments over `step` messages and the covariances stated for them (m, 6, 6)."""
     true = walk()
+    at = np.arange(0, len(TIMES_NS) - step, step)
+    real = true[at].inverse() @ true[at + step]
     errors, stated = [], []
     for seed in range(seeds):
         odom, twist = simulate_odometry(TIMES_NS, true, noise, rng=np.random.default_rng(seed))
-        at = np.arange(0, len(TIMES_NS) - step, step)
-        real = true[at].inverse() @ true[at + step]
         measured = odom[at].inverse() @ odom[at + step]
         errors.append((real.inverse() @ measured).log())
-        stated.append(np.stack([twist[i + 1 : i + step + 1].sum(axis=0) for i in at]) * 0.02**2)
+        stated.append(np.add.reduceat(twist[1:], at)[: len(at)] * 0.02**2)
     return np.concatenate(errors), np.concatenate(stated)
 
 

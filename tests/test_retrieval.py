@@ -222,20 +222,24 @@ class _Interrupted(Exception):
     pass
 
 
-@pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("stage", ["training", "training on everything"])
-def test_an_interrupted_training_ends_with_the_same_weights_and_memory(whole, tmp_path, stage):
+def _interrupt_in(stage: str):
     steps = 0
 
-    def interrupt(p):
+    def progress(p):
         nonlocal steps
         steps += p.stage == stage
         if steps == 35:  # in the middle of an epoch
             raise _Interrupted
 
+    return progress
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_training_that_is_interrupted_twice_ends_with_the_same_weights_and_memory(whole, tmp_path):
     output = tmp_path / "m.safetensors"
-    with pytest.raises(_Interrupted):
-        trained(output, progress=interrupt)
+    for stage in ("training", "training on everything"):
+        with pytest.raises(_Interrupted):
+            trained(output, progress=_interrupt_in(stage))
     resumed, uninterrupted = trained(output).checkpoint, whole[0].checkpoint
     assert all(torch.equal(resumed.state_dict[name], value) for name, value in uninterrupted.state_dict.items())
     assert resumed.memory is not None

@@ -10,6 +10,7 @@ import torch
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
+from tests.checks import no_checks
 from vapor.augment import AugmentConfig
 from vapor.baselines import make_regressor
 from vapor.checkpoint import Calibration, CheckpointError, load_checkpoint
@@ -282,10 +283,17 @@ def walks() -> dict[str, list[Frame]]:
 EVERYTHING = replace(TINY, calibrate=False, finish=0.5)
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_a_model_that_was_judged_learns_from_what_was_held_out(tmp_path):
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A training on everything in the end, and all that it told on the way."""
     told = []
-    result = train_on(walks(), tmp_path / "m.safetensors", EVERYTHING, progress=told.append)
+    with no_checks():
+        return train_on(walks(), tmp_path_factory.mktemp("w") / "m.safetensors", EVERYTHING, progress=told.append), told
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_model_that_was_judged_learns_from_what_was_held_out(finished, tmp_path):
+    result, told = finished
     stages = [p.stage for p in told if p.epoch]
     assert stages == ["training"] * 4 * 9 + ["training on everything"] * 2 * 12  # 72 and 96 images
     assert [p.done for p in told if p.epoch] == list(range(1, 61))
@@ -306,17 +314,16 @@ def test_held_out_data_that_were_given_are_never_learned_from(tmp_path):
 
 
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("step", [20, 50])
-def test_interrupted_before_or_after_it_was_judged_a_training_ends_with_the_same_weights(tmp_path, step):
-    whole = train_on(walks(), tmp_path / "whole.safetensors", EVERYTHING)
+def test_interrupted_before_and_after_it_was_judged_a_training_ends_with_the_same_weights(finished, tmp_path):
+    for step in (20, 50):
 
-    def progress(p):
-        if p.epoch and p.done == step:
-            raise _Interrupted
+        def progress(p, step=step):
+            if p.epoch and p.done == step:
+                raise _Interrupted
 
-    with pytest.raises(_Interrupted):
-        train_on(walks(), tmp_path / "m.safetensors", EVERYTHING, progress=progress)
-    assert _same(train_on(walks(), tmp_path / "m.safetensors", EVERYTHING).checkpoint, whole.checkpoint)
+        with pytest.raises(_Interrupted):
+            train_on(walks(), tmp_path / "m.safetensors", EVERYTHING, progress=progress)
+    assert _same(train_on(walks(), tmp_path / "m.safetensors", EVERYTHING).checkpoint, finished[0].checkpoint)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -98,7 +98,8 @@ class EfficientNetLite0(nn.Module):
         self._bn1 = _norm(self.num_features)
         self._fc = nn.Linear(self.num_features, num_classes) if num_classes is not None else None
         for module in self.modules():
-            if isinstance(module, nn.Conv2d):
+            # Names and shapes only are on the meta device; to draw there loads torch's compiler, which takes seconds.
+            if isinstance(module, nn.Conv2d) and not module.weight.is_meta:
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
 
     @property

@@ -29,6 +29,7 @@ _NEAREST = 8  # places of an image that are fitted: those nearest to the true po
 _STARTS = (0.003, 0.02, 0.1, 0.3)  # of the floor, in extents
 _TRIES, _STEPS = 12, 80  # of the optimiser, from every start and from the best
 _LOG_SPREAD, _LOG_FLOOR, _LOG_TAIL, _LOGIT_OUTLIERS = (-5.0, 4.0), (-9.0, 0.0), (0.7, 4.0), (-5.0, 0.0)
+_LIMITS = (_LOG_SPREAD, *[_LOG_FLOOR] * 6, _LOGIT_OUTLIERS, _LOG_TAIL)
 _PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the floor's logarithms, where the data say nothing
 _LEAST_OUTLIERS = 0.05  # neighbouring images err alike: none in 500 does not say that there are none
 _POWERS = np.linspace(0.0, 1.5, 13)  # by which errors grow with the score
@@ -238,17 +239,21 @@ class _Places:
     @staticmethod
     def near(samples: Sequence[Poses], truth: Poses, radius_m: float, radius_rad: float) -> _Places:
         parts = []
-        for i, poses in enumerate(samples):
+        for poses in samples:
             label, count = find_places(poses, radius_m, radius_rad)
             own = np.flatnonzero(label >= 0)
-            sizes = np.bincount(label[own], minlength=count)
             means, covariances, _ = group_moments(poses[own], np.ones(len(own)), label[own], count)
-            residual = (means.inverse() @ truth[i]).log()
-            apart = np.linalg.norm(residual[:, :3], axis=1) / radius_m
-            apart += np.linalg.norm(residual[:, 3:], axis=1) / radius_rad
-            kept = np.argsort(apart, kind="stable")[:_NEAREST]
-            parts.append((residual[kept], covariances[kept], sizes[kept] / len(poses), np.full(len(kept), i)))
-        return _Places(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+            parts.append((means, covariances, np.bincount(label[own], minlength=count) / len(poses)))
+        image = np.repeat(np.arange(len(samples)), [len(share) for _, _, share in parts])
+        means = Poses.concatenate([part for part, _, _ in parts])
+        residual = (means.inverse() @ truth[image]).log()
+        apart = np.linalg.norm(residual[:, :3], axis=1) / radius_m
+        apart += np.linalg.norm(residual[:, 3:], axis=1) / radius_rad
+        order = np.lexsort([apart, image])
+        rank = np.arange(len(image)) - np.searchsorted(image, image)
+        kept = order[rank < _NEAREST]
+        covariance, share = (np.concatenate(part) for part in list(zip(*parts, strict=True))[1:])
+        return _Places(residual[kept], covariance[kept], share[kept], image[kept])
 
     def grown(self, errors: ErrorModel, score: Float64[np.ndarray, " n"]) -> _Places:
         """The same as if every image were as familiar as those that the model is about: g⁻³ t(ξ/√g; Σ) is t(ξ; g Σ)."""
@@ -306,28 +311,45 @@ class _Places:
         return order[np.flatnonzero(np.diff(self.image, prepend=-1))]
 
     def _log_terms(self, errors: ErrorModel) -> Float64[np.ndarray, " p"]:
-        with torch.no_grad():
-            return _log_places(
-                torch.from_numpy(self.residual),
-                torch.from_numpy(self.covariance),
-                torch.from_numpy(self.share),
-                torch.tensor(errors.spread, dtype=torch.float64),
-                torch.tensor(errors.floor, dtype=torch.float64),
-                torch.tensor(errors.tail, dtype=torch.float64),
-            ).numpy()
+        terms, _ = _log_places(
+            torch.from_numpy(self.residual),
+            torch.from_numpy(self.covariance),
+            torch.from_numpy(self.share),
+            torch.tensor(errors.spread, dtype=torch.float64),
+            torch.tensor(errors.floor, dtype=torch.float64),
+            torch.tensor(errors.tail, dtype=torch.float64),
+        )
+        return terms.numpy()
 
 
 def _log_places(
     residual: Tensor, covariance: Tensor, share: Tensor, spread: Tensor, floor: Tensor, tail: Tensor
-) -> Tensor:
-    """Log of share times Student t density of each residual (p, 6)."""
-    scale = spread * covariance + torch.diag(floor.square())
-    factor = torch.linalg.cholesky(scale)
-    normal = torch.linalg.solve_triangular(factor, residual[..., None], upper=False)[..., 0]
+) -> tuple[Tensor, Tensor]:
+    """Log of share times Student t density of each residual (p, 6), and its slopes (p, 8).
+
+    The slopes are by the logarithms of spread, floor (6) and tail. Written out, they take half the time of automatic
+    ones.
+    """
+    factor = torch.linalg.cholesky(spread * covariance + torch.diag(floor.square()))
+    inverse = torch.cholesky_inverse(factor)
+    solved = (inverse @ residual[..., None])[..., 0]
+    squared = (residual * solved).sum(dim=1)
+    half = (tail + 6.0) / 2.0
     log_volume = torch.diagonal(factor, dim1=1, dim2=2).log().sum(dim=1)
-    log_constant = torch.lgamma((tail + 6.0) / 2.0) - torch.lgamma(tail / 2.0) - 3.0 * torch.log(tail * np.pi)
-    squared = normal.square().sum(dim=1)
-    return share.log() + log_constant - log_volume - (tail + 6.0) / 2.0 * torch.log1p(squared / tail)
+    log_constant = torch.lgamma(half) - torch.lgamma(tail / 2.0) - 3.0 * torch.log(tail * np.pi)
+    log_far = torch.log1p(squared / tail)
+    by_scale = solved[:, :, None] * solved[:, None, :] * (half / (tail + squared))[:, None, None] - 0.5 * inverse
+    by_tail = 0.5 * (torch.digamma(half) - torch.digamma(tail / 2.0) - log_far) - 3.0 / tail
+    by_tail += half * squared / (tail * (tail + squared))
+    slopes = torch.cat(
+        [
+            spread * (by_scale * covariance).sum(dim=(1, 2))[:, None],
+            2.0 * floor.square() * torch.diagonal(by_scale, dim1=1, dim2=2),
+            tail * by_tail[:, None],
+        ],
+        dim=1,
+    )
+    return share.log() + log_constant - log_volume - half * log_far, slopes
 
 
 def _log_sum(terms: Tensor, image: Tensor) -> Tensor:
@@ -355,12 +377,25 @@ def _likeliest(places: _Places, extent: float, flat: float, also: Tensor | None)
     share, image = torch.from_numpy(places.share), torch.from_numpy(places.image)
     log_unit = 3.0 * np.log(extent)
 
-    def loss(parameters: Tensor) -> Tensor:
+    low, high = (torch.tensor(limits, dtype=torch.float64) for limits in zip(*_LIMITS, strict=True))
+
+    def loss(parameters: Tensor) -> tuple[float, Tensor]:
+        """Negative mean log likelihood, with the pull of the floor, and its gradient."""
         spread, floor, outliers, tail = _unpack(parameters)
-        log_places = _log_sum(_log_places(residual, covariance, share, spread, floor, tail), image) - log_unit
+        terms, slopes = _log_places(residual, covariance, share, spread, floor, tail)
+        log_places = _log_sum(terms, image)
         out, right = torch.nn.functional.logsigmoid(outliers), torch.nn.functional.logsigmoid(-outliers)
-        pull = _PULL * (parameters[1:7] - _PULLED_TO).square().sum()
-        return pull - torch.logaddexp(out + flat, right + log_places).mean()
+        log_right = right + log_places - log_unit
+        log_likelihood = torch.logaddexp(out + flat, log_right)
+        by_right = (log_right - log_likelihood).exp()  # of each image: the chance that it is no outlier
+        by_place = (terms - log_places[image]).exp() * by_right[image] / len(by_right)
+        off = parameters[1:7] - _PULLED_TO
+        gradient = torch.empty_like(parameters)
+        gradient[[0, 1, 2, 3, 4, 5, 6, 8]] = -(by_place @ slopes)
+        gradient[7] = by_right.mean() - right.exp()
+        gradient[(parameters < low) | (parameters > high)] = 0.0
+        gradient[1:7] += 2.0 * _PULL * off
+        return float(_PULL * off.square().sum() - log_likelihood.mean()), gradient
 
     def search(start: Tensor, steps: int) -> tuple[float, Tensor]:
         parameters = start.clone().requires_grad_(True)
@@ -369,15 +404,12 @@ def _likeliest(places: _Places, extent: float, flat: float, also: Tensor | None)
         )
 
         def closure() -> float:
-            optimiser.zero_grad()
-            value = loss(parameters)
-            value.backward()
-            return float(value.detach())
+            value, parameters.grad = loss(parameters.detach())
+            return value
 
         optimiser.step(closure)
         found = parameters.detach()
-        with torch.no_grad():
-            value = float(loss(found))
+        value, _ = loss(found)
         return (value, found) if np.isfinite(value) and torch.isfinite(found).all() else (np.inf, start)
 
     starts = []

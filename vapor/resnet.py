@@ -49,7 +49,8 @@ class ResNet18(nn.Module):
         self.layer4 = nn.Sequential(BasicBlock(4 * width, 8 * width, 2), BasicBlock(8 * width, 8 * width, 1))
         self.fc = nn.Linear(8 * width, num_classes) if num_classes is not None else None
         for module in self.modules():
-            if isinstance(module, nn.Conv2d):
+            # Names and shapes only are on the meta device; to draw there loads torch's compiler, which takes seconds.
+            if isinstance(module, nn.Conv2d) and not module.weight.is_meta:
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
 
     @property
