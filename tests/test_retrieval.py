@@ -15,7 +15,7 @@ from tests.checks import no_checks
 from tests.test_train import STILL, TINY, make_frames, pose
 from vapor.baselines import make_regressor
 from vapor.checkpoint import CheckpointError, load_checkpoint
-from vapor.loss import training_loss
+from vapor.loss import retrieval_loss
 from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import METHODS, PRESETS
@@ -135,7 +135,8 @@ def test_the_backbone_never_changes():
     network.train()
     optimizer = torch.optim.AdamW(network.parameters(), lr=0.1)
     truth = torch.from_numpy(poses.translation[:4]).float(), torch.from_numpy(poses.rotation[:4]).float()
-    training_loss(network, torch.randn(4, 3, 32, 32), *truth, torch.empty(4, 1, 8), RETRIEVAL.loss).total.backward()
+    feature = network.describe(torch.randn(4, 3, 32, 32))
+    retrieval_loss(network, feature, *truth, None, RETRIEVAL.loss).total.backward()
     weight = network.key.weight.detach().clone()
     optimizer.step()
     assert not torch.equal(network.key.weight, weight)

@@ -122,9 +122,8 @@ def training_loss(
     true_rotation: Float[Tensor, "b 3 3"],
     noise: Float[Tensor, "b m d"],
     config: LossConfig,
-    hidden: Bool[Tensor, "b n"] | None = None,
 ) -> Loss:
-    """The loss that a network's head is trained with.
+    """The loss that a network's head is trained with, but for a retrieval regressor's (`retrieval_loss`).
 
     Args:
         network: In training mode.
@@ -133,11 +132,8 @@ def training_loss(
         true_rotation: Rotation matrices of world_from_camera.
         noise: Standard normal, d = `network.noise_dim`; m = `num_samples` for the variational head, else 1.
         config: Weights of the loss.
-        hidden: Of a retrieval regressor: which of the n images that it remembers it must not recall.
     """
     truth = true_translation, true_rotation
-    if isinstance(network, RetrievalRegressor):
-        return retrieval_loss(network, images, *truth, hidden, config)
     if isinstance(network, MixtureRegressor):
         return mixture_loss(network, images, *truth, config)
     if isinstance(network, FlowRegressor):
@@ -245,7 +241,7 @@ def mixture_loss(
 
 def retrieval_loss(
     network: RetrievalRegressor,
-    images: Float[Tensor, "b 3 h w"],
+    feature: Float[Tensor, "b f"],
     true_translation: Float[Tensor, "b 3"],
     true_rotation: Float[Tensor, "b 3 3"],
     hidden: Bool[Tensor, "b n"] | None,
@@ -255,13 +251,21 @@ def retrieval_loss(
 
     So an image that nothing else shows, of which there is nothing to learn, cannot outweigh the rest. The distance is
     that of the heaviest component.
+
+    Args:
+        network: In training mode.
+        feature: Of the images, from `describe`.
+        true_translation: Metres, of world_from_camera.
+        true_rotation: Rotation matrices of world_from_camera.
+        hidden: Which of the n images that it remembers it must not recall; None for none.
+        config: Weights of the distance.
     """
-    mixture = network.components(network.describe(images), hidden)
+    mixture = network.components(feature, hidden)
     truth = true_translation[:, None], true_rotation[:, None]
     even = -float(np.log(network.box.extent.prod() * 8.0 * np.pi**2))
     found = mixture.log_density(*truth)[:, 0] + math.log1p(-_EVEN)
     total = -torch.logaddexp(found, found.new_tensor(even + math.log(_EVEN))).mean()
-    row, heaviest = torch.arange(len(images)), mixture.log_weights.argmax(dim=1)
+    row, heaviest = torch.arange(len(feature)), mixture.log_weights.argmax(dim=1)
     poses = mixture.translation[row, heaviest], mixture.rotation[row, heaviest]
     distance = pose_distance(*poses, true_translation, true_rotation, config, network.box).mean().detach()
     return Loss(total, torch.zeros_like(distance), distance)

@@ -63,7 +63,7 @@ class NetworkConfig:
     """variational, deterministic: a linear map from the latent vector to the pose beside the hidden layers of the pose
     map, with which poses are learned from fewer images; the paper's network has none."""
     dropout: float = 0.5
-    """dropout: share of the feature's units that is left out."""
+    """dropout: share of the feature's units that is left out; retrieval: of what describes a training image."""
     components: int = 10
     """mixture: its components; flow: bins of each of its splines."""
 

@@ -58,7 +58,9 @@ def _learning(c: TrainConfig) -> TrainConfig:
     """Of a preset that trains a retrieval regressor, what suits one all of which learns."""
     if c.network.head != "retrieval":
         return c
-    usual = {name: getattr(TrainConfig(), name) for name in ("weight_decay", "average", "finish", "select_by")}
+    usual = {
+        name: getattr(TrainConfig(), name) for name in ("weight_decay", "average", "finish", "most_epochs", "select_by")
+    }
     return replace(c, network=_FAST, loss=replace(c.loss, alpha=0.1), **usual)
 
 
@@ -86,7 +88,7 @@ def _flow(c: TrainConfig) -> TrainConfig:
 
 def _retrieval(c: TrainConfig) -> TrainConfig:
     """On ImageNet's features, which a ResNet's weights must be given for."""
-    network = replace(c.network, head="retrieval", feature_dim=512, hidden_width=256, components=64)
+    network = replace(c.network, head="retrieval", feature_dim=512, hidden_width=256, components=64, dropout=0.3)
     if c.pretrained_weights is None:
         network = replace(network, backbone="efficientnet-lite0")
     loss = replace(c.loss, relative=0.0)
@@ -98,6 +100,7 @@ def _retrieval(c: TrainConfig) -> TrainConfig:
         weight_decay=5e-2,
         average=0.99,
         finish=0.05,
+        most_epochs=20,
         select_by="log_density",
     )
 

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
@@ -23,12 +24,12 @@ from vapor.checkpoint import MAX_PRIOR_POSES, Calibration, Checkpoint, save_chec
 from vapor.familiarity import EXEMPLARS, Familiarity, learn_familiarity
 from vapor.holding_out import Split, hold_out, within_map
 from vapor.network import PoseRegressor, SceneBox
-from vapor.retrieval import memory_of
+from vapor.retrieval import RetrievalRegressor, memory_of
 from vapor.scene_scale import default_errors
 from vapor.train_config import TrainConfig
 from vapor.training_check import TrainingCheck, check
 from vapor.training_epoch import finishing, fitting_epochs, judging_interval, see, steps_per_epoch, train_epoch
-from vapor.training_memory import remember
+from vapor.training_memory import described, remember
 from vapor.training_set import (
     TrainingError,
     TrainingSet,
@@ -322,6 +323,7 @@ class _Course:
         self.epochs = state.epochs + (finishing(config).known_epochs if self.goes_on else 0)
         self.best = _best(state.history, config)
         self._split, self._report = split, report
+        self._judged: Tensor | None = None  # what a backbone that does not learn says of the images judged by
 
     @property
     def kept(self) -> PoseRegressor:
@@ -369,21 +371,25 @@ class _Course:
         interval = judging_interval(len(self._split.training), len(judged))
         if not len(judged) or (state.epoch % interval and state.epoch < state.epochs):
             return
-        remember(self.kept, state.seen)
+        kept = self.kept
+        remember(kept, state.seen)
+        if self._judged is None and isinstance(kept, RetrievalRegressor):
+            self._judged = described(kept, judged)
         widths = Calibration(config.bandwidth_translation_m, config.bandwidth_rotation_rad)
         figures = validate(
-            self.kept,
+            kept,
             judged,
             widths,
             num_samples=config.loss.num_samples,
             seed=config.seed,
             epoch=state.epoch,
             train_loss=loss,
+            feature=self._judged,
         )
         state.history.append(figures)
         self.best = _best(state.history, config)
         if self.best is figures:
-            state.best = _weights(self.kept)
+            state.best = _weights(kept)
 
     def _images(self, epoch: int) -> TrainingSet:
         return self._split.training if epoch < self.state.epochs else self._split.everything

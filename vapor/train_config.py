@@ -49,7 +49,9 @@ class TrainConfig:
     map can use early what the encoder learns, which noise would hide; 0, as in the paper, is where an image that says
     nothing ends."""
     epochs: int | None = None
-    """Times every training image is seen; None for as many as `hours` allow, from 4 to 200."""
+    """Times every training image is seen; None for as many as `hours` allow, from 4 to `most_epochs`."""
+    most_epochs: int = 200
+    """None: that many at most."""
     hours: float = 0.2
     """How long a training takes whose epochs are not given; how long a step takes is measured first."""
     finish: float = 0.2
@@ -102,7 +104,15 @@ class TrainConfig:
     """Go on with an interrupted training of the same output, configuration and data."""
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "hours", "batch_size", "learning_rate", "decay_epochs", "validation_images"):
+        for name in (
+            "epochs",
+            "most_epochs",
+            "hours",
+            "batch_size",
+            "learning_rate",
+            "decay_epochs",
+            "validation_images",
+        ):
             if (value := getattr(self, name)) is not None and not value > 0:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
         if self.batch_size < 2:

@@ -11,14 +11,15 @@ from time import perf_counter
 import numpy as np
 import torch
 from jaxtyping import Int64
+from torch import Tensor
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from vapor.augment import jitter_and_normalise, random_crops
 from vapor.holding_out import Split
-from vapor.loss import training_loss
+from vapor.loss import retrieval_loss, training_loss
 from vapor.retrieval import RetrievalRegressor
 from vapor.train_config import TrainConfig, learning_rate, samples_per_image
-from vapor.training_memory import Seen, look, remember
+from vapor.training_memory import VARIANTS, Seen, look, remember
 from vapor.training_set import TrainingError, TrainingSet
 from vapor.training_state import TrainingState
 
@@ -26,7 +27,7 @@ StepCallback = Callable[[int, float, float], None]
 """Told after every step how many of this epoch are done, the mean loss so far and the learning rate."""
 
 _FINISHING_RATE = 0.3  # of the largest learning rate, when a trained model goes on with more data
-_FEWEST, _MOST = 4, 200  # epochs
+_FEWEST = 4  # epochs
 _WARM_UP, _TIMED = 3, 8  # steps
 _SEEN = 0.5  # of the time of a step an image: to judge by it
 _REMEMBERED = 32  # steps from one to the next time that all images are remembered anew, at least
@@ -58,27 +59,33 @@ def train_epoch(
     bfloat16 = _uses_bfloat16(config, device)
     network.train()
     seen, interval = see(state, training), max(_REMEMBERED, len(training) // batch // _REMEMBERED)
+    varied = None
+    if seen is not None and isinstance(network, RetrievalRegressor):
+        varied = seen.varied(network, state.epoch, config, bfloat16=bfloat16)
     total = 0.0
     for number, indices in enumerate(order):
-        if number % interval == 0:
-            remember(network, seen)
         if config.loss.relative > 0.0:
             indices = _paired(indices, training.sequence, config.loss.pair_gap, rng=rng)
         step = (state.epoch - since) * steps + number
         rate = learning_rate(config, step, steps)
         for group in state.optimizer.param_groups:
             group["lr"] = rate
-        size = config.network.image_width, config.network.image_height
-        crops = random_crops(training.images, training.rows[indices], *size, config.augment, rng=rng)
-        pixels = torch.from_numpy(crops).to(device)
-        images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
-        samples = samples_per_image(config, step, steps) if config.network.head == "variational" else 1
-        shape = len(indices), samples, network.noise_dim
-        noise = torch.randn(shape, generator=generator, device=device)
         truth = true_translation[indices], true_rotation[indices]
-        with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-            hidden = None if seen is None else seen.hidden(indices)
-            loss = training_loss(network, images, *truth, noise, config.loss, hidden)
+        if seen is not None and varied is not None and isinstance(network, RetrievalRegressor):
+            if number % interval == 0:
+                remember(network, seen)
+            feature = _dropped_out(varied[indices].float(), config.network.dropout, generator)
+            loss = retrieval_loss(network, feature, *truth, seen.hidden(indices), config.loss)
+        else:
+            size = config.network.image_width, config.network.image_height
+            crops = random_crops(training.images, training.rows[indices], *size, config.augment, rng=rng)
+            pixels = torch.from_numpy(crops).to(device)
+            images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
+            samples = samples_per_image(config, step, steps) if config.network.head == "variational" else 1
+            shape = len(indices), samples, network.noise_dim
+            noise = torch.randn(shape, generator=generator, device=device)
+            with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
+                loss = training_loss(network, images, *truth, noise, config.loss)
         state.optimizer.zero_grad(set_to_none=True)
         loss.total.backward()
         state.optimizer.step()
@@ -129,15 +136,22 @@ def fitting_epochs(state: TrainingState, split: Split, judged: int, config: Trai
         judged: Held-out images by which epochs are judged.
         config: How.
     """
-    trial, training = deepcopy(state), split.training
-    rows = np.resize(np.arange(len(training)), (_WARM_UP + _TIMED) * min(config.batch_size, len(training)))
-    stamps: list[float] = []
+    trial, training, most = deepcopy(state), split.training, config.most_epochs
+    batch = min(config.batch_size, len(training))
+    rows = np.resize(np.arange(len(training)), (_WARM_UP + _TIMED) * batch)
+    stamps = [perf_counter()]
     once = replace(config, epochs=1)
     train_epoch(trial, training.select(rows), once, lambda step, loss, rate: stamps.append(perf_counter()))
-    per_image = float(np.median(np.diff(stamps[_WARM_UP - 1 :]))) / min(config.batch_size, len(training))
+    per_image = float(np.median(np.diff(stamps[_WARM_UP:]))) / batch
     more = config.finish * len(split.everything) if len(split.everything) > len(training) else 0.0
-    images = len(training) + more + _SEEN * judged / judging_interval(len(training), judged)
-    return int(np.clip(3600.0 * config.hours / (per_image * images), _FEWEST, _MOST))
+    judging = _SEEN * judged / judging_interval(len(training), judged)
+    looks = np.zeros(most)
+    if trial.seen is not None:  # twice at all images, once more for each way in which they are varied; judging is quick
+        per_look = (stamps[1] - stamps[0]) / (2 * len(rows))
+        varied = np.minimum(np.arange(1, most + 1), VARIANTS)
+        looks, judging = per_look * len(split.everything) * (2 + varied), 0.0
+    seconds = looks + np.arange(1, most + 1) * per_image * (len(training) + more + judging)
+    return max(min(_FEWEST, most), int((seconds <= 3600.0 * config.hours).sum()))
 
 
 def _paired(
@@ -169,6 +183,12 @@ def _uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
         return False
     capabilities = torch.cpu.get_capabilities()
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
+
+
+def _dropped_out(feature: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """Features (b, f) with a share of their numbers left out, the others larger in return."""
+    kept = torch.rand(feature.shape, generator=generator, device=feature.device) >= share
+    return feature * kept / (1.0 - share)
 
 
 @torch.no_grad()

@@ -1,22 +1,28 @@
-"""What a retrieval regressor remembers while it learns, and which of that it must not recall."""
+"""What a retrieval regressor learns from: images as its backbone sees them, and which of them it must not recall."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
+from vapor.augment import jitter_and_normalise, random_crops
 from vapor.holding_out import near_scale_m, way_of
 from vapor.network import PoseRegressor
 from vapor.retrieval import RetrievalRegressor
+from vapor.train_config import TrainConfig
 from vapor.training_set import TrainingSet
 from vapor.validation import batches
 
 _ALONE = 0.2  # of the way to elsewhere: so far its own pass is hidden where nothing else shows a place
 _CHUNK = 512
+VARIANTS = 6
+"""Ways in which every training image is varied, at most."""
+_VARIANTS_BYTES = 10**9
+_BATCH = 64
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,7 @@ class Seen:
         sequence: Which recording each is of.
         way: How far the camera has come, in units of what counts as elsewhere.
         reach: So much further on the way, and back, images of the same recording are hidden from each.
+        variants: What `describe` says of them varied by augmentation, in one way and another, as far as asked for.
     """
 
     images: TrainingSet
@@ -40,6 +47,37 @@ class Seen:
     sequence: Int64[Tensor, " n"]
     way: Float[Tensor, " n"]
     reach: Float[Tensor, " n"]
+    variants: dict[int, Float[Tensor, "n f"]] = field(default_factory=dict)
+
+    @property
+    def num_variants(self) -> int:
+        """In so many ways the images are varied."""
+        return int(np.clip(_VARIANTS_BYTES // (self.features.nbytes + 1), 1, VARIANTS))
+
+    def varied(
+        self, network: RetrievalRegressor, number: int, config: TrainConfig, *, bfloat16: bool
+    ) -> Float[Tensor, "n f"]:
+        """What `describe` says of the images when they are varied, half precision; the same for the same number.
+
+        Args:
+            network: The one that saw them.
+            number: Of the epoch; beyond `num_variants` they come again.
+            config: How they are varied.
+            bfloat16: Whether the backbone may be of that precision.
+        """
+        way = number % self.num_variants
+        if way not in self.variants:
+            size, device = (config.network.image_width, config.network.image_height), self.features.device
+            rng, features = np.random.default_rng([config.seed, way]), torch.empty_like(self.features)
+            for begin in range(0, len(features), _BATCH):
+                part = slice(begin, begin + _BATCH)
+                crops = random_crops(self.images.images, self.images.rows[part], *size, config.augment, rng=rng)
+                pixels = torch.from_numpy(crops).to(device)
+                varied = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
+                with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
+                    features[part] = network.describe(varied)
+            self.variants[way] = features
+        return self.variants[way]
 
     def hidden(self, indices: Int64[np.ndarray, " b"]) -> Bool[Tensor, "b n"]:
         """Of the images, those that each of some must not recall: of its own pass, as no image to come is of it."""
@@ -63,13 +101,11 @@ def look(network: RetrievalRegressor, images: TrainingSet, known: Seen | None = 
         at = np.searchsorted(known.images.rows, images.rows).clip(max=len(known.images) - 1)
         new = known.images.rows[at] != images.rows
         features[~new] = known.features[at[~new]]
-    with torch.no_grad():
-        found = [network.describe(crops) for _, crops in batches(network, images.select(np.flatnonzero(new)))]
-        if not network.standardised:
-            network.standardise(torch.cat(found))
-            found = [(part - network.centre) / network.spread for part in found]
-        if found:
-            features[new] = torch.cat(found).half()
+    found = described(network, images.select(np.flatnonzero(new)))
+    if not network.standardised:
+        network.standardise(found)
+        found = (found - network.centre) / network.spread
+    features[new] = found.half()
     way = way_of(images)
     return Seen(
         images,
@@ -80,6 +116,13 @@ def look(network: RetrievalRegressor, images: TrainingSet, known: Seen | None = 
         torch.from_numpy(way).float().to(device),
         torch.from_numpy(np.where(_shown_again(images, way), 1.0, _ALONE)).float().to(device),
     )
+
+
+@torch.no_grad()
+def described(network: RetrievalRegressor, images: TrainingSet) -> Float[Tensor, "n f"]:
+    """What a network's backbone, which does not learn, says of the centre crops of images."""
+    none = torch.empty(0, len(network.centre), device=network.pixel_mean.device)
+    return torch.cat([none, *(network.describe(crops) for _, crops in batches(network, images))])
 
 
 def remember(network: PoseRegressor, seen: Seen | None) -> None:

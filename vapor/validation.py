@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 from torch import Tensor
 
 from filtering.se3 import Poses
@@ -52,6 +52,7 @@ def validate(
     seed: int,
     epoch: int,
     train_loss: float,
+    feature: Float[Tensor, "n f"] | None = None,
 ) -> Validation:
     """Judge the posteriors of held-out images, with the same latent noise every time.
 
@@ -63,9 +64,10 @@ def validate(
         seed: Of the latent noise.
         epoch: Passed through.
         train_loss: Passed through.
+        feature: As of `predict`.
     """
     figures = []
-    for i, samples in enumerate(predict(network, held_out, num_samples, seed)):
+    for i, samples in enumerate(predict(network, held_out, num_samples, seed, feature)):
         truth = held_out.poses[[i]]
         density = calibration.density(samples)
         log_density = density.log_density(Poses.concatenate([samples, truth]))
@@ -76,16 +78,36 @@ def validate(
     return Validation(epoch, train_loss, float(sample_recall), float(mode_recall), float(log_density))
 
 
-def predict(network: PoseRegressor, images: TrainingSet, num_samples: int, seed: int) -> Iterator[Poses]:
-    """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic."""
+def predict(
+    network: PoseRegressor,
+    images: TrainingSet,
+    num_samples: int,
+    seed: int,
+    feature: Float[Tensor, "n f"] | None = None,
+) -> Iterator[Poses]:
+    """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic.
+
+    Args:
+        network: In any mode.
+        images: Scaled as for training.
+        num_samples: Posterior samples per image.
+        seed: Of the latent noise.
+        feature: What `describe` of a network that is a density says of them, where that is known; the images are then
+            not looked at.
+    """
     device = network.pixel_mean.device
     generator = torch.Generator(device).manual_seed(seed)
     batch = max(1, min(_BATCH, _MAX_NOISE // (num_samples * max(1, network.noise_dim))))
-    for _, crops in batches(network, images, batch):
+    given = feature.split(batch) if feature is not None else (crops for _, crops in batches(network, images, batch))
+    for part in given:
         with torch.inference_mode():
-            noise = torch.randn(len(crops), num_samples, network.noise_dim, generator=generator, device=device)
-            translation, rotation = (p.cpu().double().numpy() for p in network(crops, noise))
-        for i in range(len(crops)):
+            noise = torch.randn(len(part), num_samples, network.noise_dim, generator=generator, device=device)
+            if feature is not None and isinstance(network, DensityRegressor):
+                drawn = network.sample(part, noise)
+            else:
+                drawn = network(part, noise)
+            translation, rotation = (p.cpu().double().numpy() for p in drawn)
+        for i in range(len(part)):
             yield Poses(rotation[i], translation[i])
 
 
