@@ -77,13 +77,13 @@ class Estimate:
 
     Attributes:
         modes: Hypotheses; the first is the best one reported, the others follow by falling weight.
-        status: "converged" when one narrow mode holds most of the belief and the images of the last second fit it,
+        status: "converged" when one narrow mode holds most of the belief and the latest images fit it,
             "lost" when these fit nothing in it, "ambiguous" otherwise.
         particles: All hypotheses, world_from_camera, batch (n,): Rao-Blackwellised particles, each the middle of a
             Gaussian.
         covariances: Of each, of ξ = (v, ω) in the tangent at it, (n, 6, 6).
         log_weights: Their normalised log weights, (n,).
-        agreement: Share of the belief that the images of the last second fitted, in [0, 1].
+        agreement: Share of the belief that the latest images fitted, in [0, 1].
         novelty: How much of what the image says was not said by the images before it, in [0, 1].
         way: How far the camera came since the image before, in lengths over which the errors of its images change.
         unfamiliarity: Of the image, see `PosePosterior`; 0 where there was none.

@@ -71,11 +71,13 @@ class LocalizerConfig:
     """And at most this share of the size of the map (`ErrorModel.map_size_m`): who knows no more than that they are in
     the room knows nothing."""
     converged_agreement: float = 0.7
-    """And while the images of the last second fit at least this share of what they could of the belief."""
+    """And while the latest images fit at least this share of what they could of the belief."""
     lost_agreement: float = 0.3
     """Status is "lost" while they fit less than this."""
     agreement_s: float = 1.0
     """Time over which that is averaged, seconds."""
+    agreement_images: int = 5
+    """And so many images at least: one that comes a second after the other does not decide alone."""
     switch_ratio: float = 1.5
     """Another mode becomes the best one when it outweighs the present best by this factor."""
     slow_errors: SlowErrors = field(default_factory=lambda: SlowErrors(relative_drift=0.6))
@@ -99,6 +101,7 @@ class LocalizerConfig:
             converged_agreement=(0.0, 1.0),
             lost_agreement=(0.0, 1.0),
             agreement_s=(1e-6, 1e6),
+            agreement_images=(1, 10**6),
             switch_ratio=(1.0, 1e9),
         )
         if self.converged_std_m is not None:
@@ -180,7 +183,7 @@ class ParticleLocalizer:
         self._belief: Hypotheses | None = None
         self._cameras: dict[str, _Camera] = {}
         self._best: Poses | None = None
-        self._agreement = 1.0  # of the images of the last second with the belief
+        self._agreement = 1.0  # of the latest images with the belief
         self._unseen_s = 0.0  # since an image that says something
         self._provisional = False  # the next image that says something replaces the belief
         self._way = 0.0
@@ -327,7 +330,8 @@ class ParticleLocalizer:
             belief = self._reduced(belief)
         self._belief = belief
         if fits or foreign:
-            follow = -np.expm1(-self._unseen_s / self.config.agreement_s)
+            c = self.config
+            follow = min(-np.expm1(-self._unseen_s / c.agreement_s), 1.0 / c.agreement_images)
             self._agreement += follow * (sum(fits) / (len(fits) + len(foreign)) - self._agreement)
             self._unseen_s = 0.0
         return self._estimate(belief, novelty, max((v.posterior.unfamiliarity for v in views), default=0.0))

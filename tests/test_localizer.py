@@ -312,21 +312,22 @@ def test_an_elapsed_time_that_is_none_is_refused(elapsed_s):
 # --- status -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rate", [3, 10, 30])
-def test_foreign_images_are_lost_after_about_a_second_at_any_rate_and_the_map_in_view_again_is_found(rate):
+@pytest.mark.parametrize("rate", [1, 3, 10, 30])
+def test_foreign_images_are_lost_after_about_a_second_or_six_images_and_the_map_in_view_again_is_found(rate):
     localizer = new_localizer()
     walk(localizer, 30)
     step = motion(0, 0, 0, 0, 0, 0, std=ODOMETRY_STD / np.sqrt(rate / 10), duration_s=1 / rate)
     foreign = seen_at(Poses.exp(np.array([[9.0, 0, 0, 0, 0, 0]])), unfamiliarity=2.0)
-    statuses = [localizer.update(foreign, step).status for _ in range(3 * rate)]
+    statuses = [localizer.update(foreign, step).status for _ in range(max(3 * rate, 10))]
     since_s = (statuses.index("lost") + 1) / rate
-    assert since_s == pytest.approx(1.2, abs=0.34)  # e^(−1.2) is the least agreement
+    # e^(−1.2) is the least agreement, and so is 0.8 to the 5.4
+    assert since_s == pytest.approx(max(1.2, 5.4 / rate), abs=max(0.34, 1.0 / rate))
     assert statuses[-1] == "lost"
     pose = localizer.predict(motion(0, 0, 0, 0, 0, 0, std=np.zeros(6), duration_s=0.0)).modes[0].world_from_camera
-    statuses = [localizer.update(seen_at(pose), step).status for _ in range(4 * rate)]
+    statuses = [localizer.update(seen_at(pose), step).status for _ in range(max(4 * rate, 10))]
     since_s = (statuses.index("converged") + 1) / rate
-    assert since_s < 3.0
-    assert "lost" not in statuses[rate:]
+    assert since_s < max(3.0, 8.0 / rate)
+    assert "lost" not in statuses[max(rate, 3) :]
 
 
 def test_a_belief_whose_shares_say_sure_is_lost_all_the_same_when_images_fit_it_nowhere():

@@ -83,7 +83,9 @@ def test_a_network_that_knows_nothing_is_told(images, monkeypatch):
     assert found.methods["single_image"].right < 0.2
     assert found.worse or found.overconfident
     assert found.verdict.endswith("because the network hardly knows the place: record more of it, or train for longer")
-    assert kept.errors.typical_std[0] > HONEST.typical_std[0]  # if not sure, at least no surer
+    assert kept.errors == HONEST  # no others are any better, and none is chosen by luck
+    assert found.inflation == 1.0
+    assert not found.assumed
 
 
 def test_causes_are_told_apart(images):

@@ -57,7 +57,7 @@ class RunRecord:
         best_weight: Weight of the reported hypothesis, (n,).
         num_particles: Number of particles, (n,).
         effective_sample_size: In particles, (n,).
-        agreement: Share of the belief that the images of the last second fitted, (n,).
+        agreement: Share of the belief that the latest images fitted, (n,).
         unfamiliarity: How unlike the training data each image was, see `PosePosterior`, (n,).
         step_ms: Wall-clock milliseconds of each step, (n,).
         dead_reckoning: Poses from odometry alone, (n,), started at the first true pose, or at the first estimate

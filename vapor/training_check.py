@@ -87,12 +87,13 @@ class TrainingCheck:
         return self.coverage is not None and self.coverage["95%"] < _LEAST_COVERAGE
 
     @property
-    def rank(self) -> tuple[bool, float, bool, float, float]:
-        """Of several the one with the greatest is kept: that it is no surer than it may be comes first."""
-        ours, held = self.methods["filter"], 1.0
+    def rank(self) -> tuple[bool, float, bool]:
+        """Of several the one with the greatest is kept, the first of equals: that it is no surer than it may be comes
+        first. Which of two is worse by less says nothing: it is luck which wrong place a filter stays at."""
+        held = 1.0
         if self.overconfident and self.coverage is not None:
             held = self.coverage["95%"]
-        return not self.overconfident, held, not self.worse, ours.right, -ours.median_m
+        return not self.overconfident, held, not self.worse
 
     @property
     def as_json(self) -> dict[str, Any]:
