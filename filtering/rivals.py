@@ -45,7 +45,7 @@ class GaussianSumLocalizer(ParticleLocalizer):
 class DoubtingLocalizer(ParticleLocalizer):
     """The belief begins anew only while images agree with it less than usual, as in augmented Monte Carlo localization.
 
-    The share that does is 1 − fast/slow, fast being their agreement of the last second or so, slow that of the last ten.
+    The share that does is 1 − fast/slow, fast being their agreement of the last second, slow that of the last ten.
     """
 
     def __init__(
