@@ -1,12 +1,17 @@
 """Shapes and types in annotations are executed while the tests run."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from jaxtyping import install_import_hook
 
 from tests.checks import no_checks
+
+if TYPE_CHECKING:
+    from sequences.scenes.surface import Scene
 
 install_import_hook(["filtering", "sequences", "vapor"], "beartype.beartype").__enter__()
 
@@ -44,7 +49,32 @@ def unchecked() -> Iterator[None]:
 
 
 @pytest.fixture
-def plain_results(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs draw no pictures and publish few particles, where a test looks at neither."""
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs draw no pictures, where a test does not look at them: they take a second a run."""
     monkeypatch.setattr("vapor.run.write_pictures", lambda *_, **__: [])
+
+
+@pytest.fixture
+def plain_results(no_pictures: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs draw no pictures and publish few particles, where a test looks at neither."""
     monkeypatch.setattr("vapor.run._PUBLISHED_PARTICLES", 20)
+
+
+@cache
+def _roughly_lit(build: "Callable[[str], Scene]", name: str) -> "Scene":
+    from sequences import place  # after the hook
+    from sequences.scenes.light import Sampling
+    from sequences.scenes.surface import build_scene
+
+    with pytest.MonkeyPatch.context() as patch:
+        rough = Sampling(grid_m=0.5, shadow_rays=1, bounce_rays=4, reach_m=5.0)
+        patch.setattr(place, "build_scene", partial(build_scene, sampling=rough))
+        return build(name)
+
+
+@pytest.fixture
+def rough_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes other than buildings are lit roughly, where a test does not look at light: it takes seconds a scene."""
+    from sequences import place  # after the hook
+
+    monkeypatch.setattr(place, "load_scene", partial(_roughly_lit, place.load_scene.__wrapped__))

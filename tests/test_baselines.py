@@ -220,13 +220,15 @@ def test_pairs_are_of_one_sequence_and_near_each_other():
 def test_every_method_learns_where_images_are_and_drives_a_posterior(method, tmp_path):
     density = method in ("mixture-10", "flow")  # which image it is makes little of their loss, and is learned last
     frames = make_frames(3 if density else 6, seed=3)
-    epochs = 8 if density else 6 if METHODS[method](TINY).network.head in ("point", "dropout") else 4
-    config = replace(TINY, augment=STILL, epochs=epochs, batch_size=12, learning_rate=3e-3, average=0.9)
+    head = METHODS[method](TINY).network.head
+    epochs = 8 if density else 6 if head in ("point", "dropout") else 4
+    repeats, rate = (80, 3e-3) if density else (60, 3e-3) if head == "dropout" else (30, 6e-3)
+    config = replace(TINY, augment=STILL, epochs=epochs, batch_size=12, learning_rate=rate, average=0.9)
     config = METHODS[method](config)
     config = replace(config, validation_share=0.0, resume=False, loss=replace(config.loss, pair_gap=2))
     network = replace(config.network, dropout=0.1, components=min(config.network.components, 4))
     path = tmp_path / "m.safetensors"
-    result = train_on({"a": frames * (240 // len(frames) if density else 60)}, path, replace(config, network=network))
+    result = train_on({"a": frames * repeats}, path, replace(config, network=network))
     model = VaporObservationModel.from_checkpoint(load_checkpoint(path), num_samples=200, device="cpu")
     errors = []
     for i, frame in enumerate(frames):

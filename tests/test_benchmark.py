@@ -164,6 +164,7 @@ def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, 
     assert {each["kind"]: each["images"] for each in runs} == {"rate-3": 15, "rate-10": 50, "rate-30": 150}
 
 
+@pytest.mark.usefixtures("rough_light")
 def test_walks_where_floors_look_alike_are_judged_but_for_the_floor_and_once_on_it(tiny_model, tmp_path, capsys):
     words = ["benchmark", "localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
     assert main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "0.02"]) == 0

@@ -143,7 +143,7 @@ def test_a_fleet_gives_each_sequence_what_it_gets_alone_and_one_summary(
         assert (tmp_path / "alone" / name).read_bytes() == (out / "bag" / name).read_bytes()
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_an_interrupted_fleet_keeps_what_was_finished_whole(bags, tiny_model, tmp_path, capsys, monkeypatch):
     real, out = fleet_module.run, tmp_path / "out"
 

@@ -183,8 +183,11 @@ def test_evaluate_takes_other_true_poses(finished, tmp_path):
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(finished, tiny_model, walk_of_25, tmp_path):
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(
+    finished, tiny_model, walk_of_25, tmp_path, request
+):
     assert run(walk_of_25, tiny_model, tmp_path / "again") == 0
+    request.getfixturevalue("no_pictures")
     assert run(walk_of_25, tiny_model, tmp_path / "other", "--seed", "1", "--no-recording") == 0
     for name in TRAJECTORIES | {"config.json", "estimate.mcap", "trajectory.png", "particles.png", "errors.png"}:
         assert (tmp_path / "again" / name).read_bytes() == (finished.directory / name).read_bytes(), name
