@@ -13,16 +13,22 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.checks import no_checks
 from tests.test_train import STILL, TINY, make_frames, pose
+from vapor import training_memory
+from vapor.augment import AugmentConfig
 from vapor.baselines import make_regressor
 from vapor.checkpoint import CheckpointError, load_checkpoint
+from vapor.holding_out import hold_out
 from vapor.loss import retrieval_loss
 from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import METHODS, PRESETS
 from vapor.retrieval import RetrievalRegressor, memory_of
 from vapor.train import train_on
-from vapor.training_memory import look
+from vapor.training_epoch import fitting_epochs
+from vapor.training_memory import VARIANTS, described, look
 from vapor.training_set import load_training_set
+from vapor.training_start import start
+from vapor.validation import predict
 
 BOX = SceneBox((-2.0, -1.0, 0.0), (2.0, 3.0, 1.0))
 SMALL = NetworkConfig(
@@ -181,6 +187,34 @@ def test_numbers_are_standardised_once_and_images_that_were_seen_are_not_looked_
     torch.testing.assert_close(everything.features.float(), fresh.float(), atol=0.02, rtol=0.01)
 
 
+def test_images_are_varied_in_a_few_ways_each_found_once(monkeypatch):
+    images = load_training_set({"a": walk(30, begin=0, seed=1)}, (36, 36))
+    network = make_regressor(SMALL, BOX)
+    assert isinstance(network, RetrievalRegressor)
+    config = replace(RETRIEVAL, augment=AugmentConfig())
+    seen = look(network, images)
+    assert seen.num_variants == VARIANTS
+    looked, describe = [], network.describe
+    monkeypatch.setattr(network, "describe", lambda x: (looked.append(len(x)), describe(x))[1])
+    first, second = (seen.varied(network, number, config, bfloat16=False) for number in (0, 1))
+    assert (first - second).abs().max() > 0.1
+    assert seen.varied(network, VARIANTS, config, bfloat16=False) is first
+    assert sum(looked) == 2 * 30
+    again = look(network, images).varied(network, 1, config, bfloat16=False)  # as after an interruption
+    assert torch.equal(again, second)
+    monkeypatch.setattr(training_memory, "_VARIANTS_BYTES", 2 * seen.features.nbytes + 10)
+    assert seen.num_variants == 2
+
+
+def test_what_is_known_of_images_gives_the_samples_that_looking_at_them_gives():
+    network, _, _ = made()
+    images = load_training_set({"a": walk(9, begin=0, seed=1)}, (36, 36))
+    looked = list(predict(network, images, 20, 0))
+    known = list(predict(network, images, 20, 0, described(network, images)))
+    for one, other in zip(looked, known, strict=True):
+        np.testing.assert_array_equal(one.as_matrix(), other.as_matrix())
+
+
 # --- training --------------------------------------------------------------------------------------
 
 
@@ -217,6 +251,16 @@ def test_in_the_end_everything_is_remembered(whole, tmp_path):
     without = trained(tmp_path / "m.safetensors", changes={"finish": 0.0, "epochs": 1}).checkpoint.memory
     assert without is not None
     assert len(without.keys) < 5 * 40
+
+
+@pytest.mark.parametrize(("hours", "epochs"), [(1e-9, 4), (100.0, 6)])
+def test_epochs_are_as_many_as_fit_but_no_more_than_help(hours, epochs):
+    images = load_training_set({"a": walk(40, begin=0, seed=1), "b": walk(40, begin=0, seed=2)}, (36, 36))
+    split = hold_out(images, 0.0)
+    config = replace(RETRIEVAL, epochs=None, hours=hours, most_epochs=6)
+    state = start(config, SceneBox.around(images.poses), images.poses, None)
+    assert fitting_epochs(state, split, 0, config) == epochs
+    assert state.seen is None
 
 
 class _Interrupted(Exception):
