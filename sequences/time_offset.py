@@ -77,8 +77,14 @@ def _turn_rate(track: Trajectory, what: str) -> tuple[Float64[np.ndarray, " n"],
     span_ns = int(track.times_ns[-1] - track.times_ns[0])
     if not _LEAST_OVERLAP_S <= span_ns * 1e-9 <= _MAX_STEPS * _STEP_S:
         raise SequenceError(
-            f"the {what} take {span_ns * 1e-9:.3g} s, expected {_LEAST_OVERLAP_S:g} to {_MAX_STEPS * _STEP_S:.3g} s to"
-            " find a time offset in; give --time-offset-s a number"
+            f"{span_ns * 1e-9:.3g} s of {what}, expected {_LEAST_OVERLAP_S:g} to {_MAX_STEPS * _STEP_S:.3g} s to find"
+            " a time offset in; give --time-offset-s a number"
+        )
+    apart_s = float(np.median(np.diff(track.times_ns))) * 1e-9
+    if apart_s > _MAX_GAP_S:
+        raise SequenceError(
+            f"{what} {apart_s:.3g} s apart, expected at most {_MAX_GAP_S:g} s to find a time offset in;"
+            " give --time-offset-s a number"
         )
     half_ns = round(_SPAN / 2 * _STEP_S * 1e9)
     grid = track.times_ns[0] + np.arange(int(span_ns * 1e-9 / _STEP_S) + 1) * round(_STEP_S * 1e9)

@@ -79,3 +79,10 @@ def test_two_walks_of_other_days_do_not_agree() -> None:
     _, poses = two_records(WALKS[0](60.0, rng), 30, 0.0, rng)
     with pytest.raises(SequenceError, match="rotation says too little about the time offset: that of odometry and"):
         find_time_offset(odometry, poses)
+
+
+def test_poses_a_second_apart_say_when_they_were_too_far_apart() -> None:
+    rng = np.random.default_rng(0)
+    odometry, poses = two_records(WALKS[0](60.0, rng), 1, 0.0, rng)
+    with pytest.raises(SequenceError, match=r"poses 1 s apart, expected at most 0\.5 s to find a time offset in; give"):
+        find_time_offset(odometry, poses)
