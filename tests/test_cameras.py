@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
@@ -16,6 +17,7 @@ from tests.test_undistortion import taken_by
 from tests.tiny_model import Metadata, Tensors, altered
 from vapor.cameras import AsTakenBy, resampled, share_seen
 from vapor.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from vapor.familiarity import Describer, Familiarity
 from vapor.observation import VaporObservationModel
 from vapor.train import train_on
 from vapor.training_set import load_training_set
@@ -83,12 +85,31 @@ def test_what_a_person_should_know_is_said_once() -> None:
         "3 images of 160 x 90 pixels from a camera of unknown intrinsics: their middle is used, but the camera learned"
         " with is 160 x 120 pixels, 67° wide",
         "the camera (160 x 120 pixels, 51° wide) sees 51% of what the camera learned with saw (160 x 120 pixels, 67°"
-        " wide): expect larger errors, and certainty later",
+        " wide): expect larger errors, and certainty later; none of its images is taken for one of another place",
     ]
     silent = AsTakenBy(None, (40, 30))
     image = taken_by(narrow)
     assert silent(image, narrow) is image
     assert silent.notices == []
+
+
+def test_what_is_filled_in_makes_no_image_foreign() -> None:
+    checkpoint = replace(make_checkpoint(), camera=A)
+    network, size = checkpoint.build_network(), checkpoint.network
+    describer = Describer(network)
+    seen = torch.zeros(1, size.image_height, size.image_width, 3, dtype=torch.uint8)
+    with torch.inference_mode():
+        network(network.normalise(seen), torch.zeros(1, 5, network.noise_dim))
+        count = describer.last(seen).shape[1]
+    numbers = np.zeros(count, np.float32)
+    far = np.full((1, 1), 1e6, np.float32)  # from all that is learned
+    known = Familiarity(numbers, numbers + 1, np.eye(count, 1, dtype=np.float32), numbers[:1] + 1, far, 1.0, 1.0)
+    model = VaporObservationModel(replace(checkpoint, familiarity=known), num_samples=5, device="cpu")
+    for closer, foreign in ((1.05, True), (1.4, False)):
+        narrow = replace(A, fx=closer * A.fx, fy=closer * A.fy)
+        posterior = model.seen_by(narrow).observe(taken_by(narrow), rng=np.random.default_rng(0))
+        assert posterior.is_foreign == foreign
+        assert posterior.unfamiliarity > 1e3 if foreign else posterior.unfamiliarity == 1.0
 
 
 # --- the model file --------------------------------------------------------------------------------

@@ -62,6 +62,11 @@ class AsTakenBy:
         return resampled(image, camera, self._like)
 
     @property
+    def sees_less(self) -> bool:
+        """Whether images so far show much less than that camera would have seen: what is filled in looks foreign."""
+        return self.least_share < _LEAST_SHARE
+
+    @property
     def notices(self) -> list[str]:
         """What a person should know of the images so far, each once."""
         if self.camera is None:
@@ -71,10 +76,11 @@ class AsTakenBy:
             f" but the camera learned with is {described(self.camera)}"
             for (width, height), count in self._aspects.items()
         ]
-        if self.least_share < _LEAST_SHARE:
+        if self.sees_less:
             said.append(
                 f"the camera ({described(next(iter(self.cameras)))}) sees {self.least_share:.0%} of what the camera"
-                f" learned with saw ({described(self.camera)}): expect larger errors, and certainty later"
+                f" learned with saw ({described(self.camera)}): expect larger errors, and certainty later;"
+                " none of its images is taken for one of another place"
             )
         return said
 

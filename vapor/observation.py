@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from filtering.error_model import FOREIGN
 from filtering.errors import VaporTrackError
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -107,7 +108,8 @@ class VaporObservationModel:
         """Of the image that went through the network last; 0 where the model file does not say what is familiar."""
         if self._describer is None or self.checkpoint.familiarity is None:
             return 0.0
-        return float(self.checkpoint.familiarity.unfamiliarity(self._describer.last(seen))[0])
+        score = float(self.checkpoint.familiarity.unfamiliarity(self._describer.last(seen))[0])
+        return min(score, FOREIGN) if self._as_learned.sees_less else score
 
 
 def _to_poses(translation: Float[Tensor, "1 m 3"], rotation: Float[Tensor, "1 m 3 3"]) -> Poses:
