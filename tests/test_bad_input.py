@@ -141,6 +141,7 @@ def after_a_jump(odometry_of_jump, true_jump, num_frames=150):
     return error_m[19:], statuses[19:]
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("std_m", [0.005, 50.0])
 def test_an_increment_of_50_m_that_is_wrong_is_no_reason_to_be_sure_and_images_bring_the_belief_back(std_m):
     """It is a motion like any other. One that is stated to be as uncertain as it is long leaves the image to decide."""

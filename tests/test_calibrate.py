@@ -104,6 +104,7 @@ def errs_by(score, factor):
     return predict
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("factor", "power"), [(lambda score: score / 0.5, 1.0), (lambda score: 1.0, 0.0)], ids=["growing", "alike"]
 )

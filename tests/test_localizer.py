@@ -72,6 +72,7 @@ def localize(seed, num_frames, unique, config=None):
     return estimates, best.distance(truth)[0], truth
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("seed", range(3))
 def test_an_ambiguous_belief_collapses_to_the_truth_once_a_unique_place_is_seen(seed):
     estimates, error_m, _ = localize(seed, 60, unique=range(20, 45))
@@ -81,6 +82,7 @@ def test_an_ambiguous_belief_collapses_to_the_truth_once_a_unique_place_is_seen(
     assert estimates[-1].status == "converged"
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_without_a_unique_place_the_true_floor_stays_among_the_modes_and_convergence_is_never_claimed():
     estimates, _, truth = localize(11, 40, unique=range(0))
     assert all(estimate.status == "ambiguous" for estimate in estimates)
@@ -117,6 +119,7 @@ def test_weights_are_normalised_and_hypotheses_no_more_than_asked():
 # --- the beginning ----------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_first_image_that_is_all_but_sure_of_a_wrong_place_does_not_decide():
     """95 % of its samples are where the camera is not; later images cannot tell the two places apart."""
     localizer = new_localizer()
@@ -190,6 +193,7 @@ def test_odometry_that_errs_along_but_not_across_stays_so():
     assert up < 0.02
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("too_long", [0.05, -0.05])
 def test_odometry_that_is_5_percent_off_is_found_out(too_long):
     localizer = new_localizer(slow_errors=SlowErrors(scale=0.05, relative_drift=0.1))
@@ -209,6 +213,7 @@ def test_odometry_that_is_5_percent_off_is_found_out(too_long):
 # --- unit of length ---------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("factor", [0.1, 30.0, 1000.0])
 def test_nothing_depends_on_the_unit_of_length(factor):
     """Another place every ten images, outliers, a gap: the same weights and statuses, and poses times the factor."""
@@ -312,6 +317,7 @@ def test_an_elapsed_time_that_is_none_is_refused(elapsed_s):
 # --- status -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("rate", [1, 3, 10, 30])
 def test_foreign_images_are_lost_after_about_a_second_or_six_images_and_the_map_in_view_again_is_found(rate):
     localizer = new_localizer()
@@ -341,6 +347,7 @@ def test_a_belief_whose_shares_say_sure_is_lost_all_the_same_when_images_fit_it_
     assert estimate.agreement < 0.3
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_kidnapped_camera_is_followed_within_a_few_lengths_and_meanwhile_the_belief_is_not_sure():
     localizer = new_localizer()
     before, pose = walk(localizer, 40)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from io import StringIO
@@ -212,10 +213,10 @@ def test_a_rosbag2_folder_gives_what_its_file_gives(finished, tiny_model, walk_o
 
 @pytest.mark.usefixtures("unchecked")
 def test_without_true_poses_nothing_is_judged_and_nothing_of_an_earlier_run_stays(
-    tiny_model, walk_of_25, tmp_path, capsys
+    finished, tiny_model, walk_of_25, tmp_path, capsys
 ):
     out = tmp_path / "out"
-    assert run(walk_of_25, tiny_model, out) == 0
+    shutil.copytree(finished.directory, out)
     (out / "notes.txt").write_text("not a result")
     blind = rewrite(walk_of_25, tmp_path / "blind.mcap", keep=lambda topic, _: topic != "/ground_truth/pose")
     capsys.readouterr()

@@ -103,11 +103,12 @@ def test_causes_are_told_apart(images):
 
 
 def test_a_pass_leads_on_over_images_left_out_and_ends_where_odometry_does(images, monkeypatch):
-    judged = np.ones(180, bool)
-    judged[40:50] = False
+    judged = np.zeros(180, bool)
+    judged[[*range(20, 40), *range(50, 70), *range(100, 130)]] = True
     found, _ = checked(images, HONEST, network_that_errs(STD), monkeypatch, judged)
-    assert (found.images, found.passes) == (170, 2)
-    judged[:75] = judged[120:] = False  # fifteen images at the end of a recording, and thirty of the next
+    assert (found.images, found.passes) == (70, 2)
+    judged[:] = False
+    judged[75:120] = True  # fifteen images at the end of a recording, and thirty of the next
     found, _ = checked(images, HONEST, network_that_errs(STD), monkeypatch, judged)
     assert (found.images, found.passes) == (30, 1)
     bare = load_training_set({"a": frames_of(60, odometry=False)}, (36, 36))
