@@ -65,19 +65,19 @@ class Seen:
             config: How they are varied.
             bfloat16: Whether the backbone may be of that precision.
         """
-        way = number % self.num_variants
-        if way not in self.variants:
+        variant = number % self.num_variants
+        if variant not in self.variants:
             size, device = (config.network.image_width, config.network.image_height), self.features.device
-            rng, features = np.random.default_rng([config.seed, way]), torch.empty_like(self.features)
+            rng, features = np.random.default_rng([config.seed, variant]), torch.empty_like(self.features)
             for begin in range(0, len(features), _BATCH):
                 part = slice(begin, begin + _BATCH)
                 crops = random_crops(self.images.images, self.images.rows[part], *size, config.augment, rng=rng)
                 pixels = torch.from_numpy(crops).to(device)
-                varied = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
+                images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
                 with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-                    features[part] = network.describe(varied)
-            self.variants[way] = features
-        return self.variants[way]
+                    features[part] = network.describe(images)
+            self.variants[variant] = features
+        return self.variants[variant]
 
     def hidden(self, indices: Int64[np.ndarray, " b"]) -> Bool[Tensor, "b n"]:
         """Of the images, those that each of some must not recall: of its own pass, as no image to come is of it."""
