@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
+from vapor.ground import told_unshown
 from vapor.holding_out import Split, hold_out, within_map
 from vapor.training_set import TrainingSet
 
@@ -152,6 +153,19 @@ def test_given_images_outside_the_map_are_not_judged_by_and_told():
     same = within_map(training, training)
     assert same.judged.all()
     assert same.notes == ()
+
+
+def test_a_run_over_ground_that_training_images_do_not_show_is_told_so():
+    training = stairwell(top=(), walks=3).poses
+    told = told_unshown(stairwell(walks=1).poses, training)
+    assert told is not None
+    assert told.startswith(
+        "25% of the images were taken, by the smoothed trajectory, where no training image is within"
+    )
+    assert "images 300 to 399;" in told
+    assert told_unshown(training[np.arange(300)], training) is None
+    back = corridor(10, 0, ahead=False)  # the same ground, but what was behind the camera is ahead
+    assert told_unshown(back, training) is not None
 
 
 def test_many_images_take_seconds():

@@ -9,26 +9,27 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.spatial import KDTree
 
-from filtering.se3 import Poses
 from vapor.checkpoint import spaced
+from vapor.ground import (
+    DIRECTION_RAD,
+    FARTHEST,
+    near_m_of,
+    near_scale_m,
+    nearest_m,
+    runs,
+    shown_around,
+    told_runs,
+)
 from vapor.image_fit import LEAST_IMAGES
 from vapor.scene_scale import typical_side_m
 from vapor.training_set import TrainingSet
 
-DIRECTION_RAD = float(np.deg2rad(45.0))
-_CHORD = 2.0 * np.sin(DIRECTION_RAD / 2.0)
-_FARTHEST = 0.15  # what counts as near, in typical sides of the scene, at most
-_NEAREST = 1 / 3  # of that, at least
-_GIVEN = 2.0  # times as far counts where someone says that data are of the place
-_USUAL = 4.0  # times what lies between an image and the nearest of another pass in a quarter of those that have one
 WHOLE_OF = 4  # recordings from which on one is held out as a whole
 _LEAST_SHOWN = 0.25  # of a pass that is held out
 AWAY = 1.5  # times what counts as near: elsewhere
 _COMPARED = 4000  # images by which passes are compared
-_LOOKED_AT = 8  # of the nearest
-_TOLD_RUNS, _TOLD_NAMES = 3, 5
+_TOLD_NAMES = 5
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ def hold_out(images: TrainingSet, share: float) -> Split:
     candidate = chosen[like]
     others = ~candidate & ~_touching(way, images.sequence, candidate)
     shown = candidate.copy()
-    shown[candidate] = _nearest_m(images.poses[candidate], images.poses[others], _FARTHEST * side) <= near_m
+    shown[candidate] = nearest_m(images.poses[candidate], images.poses[others], FARTHEST * side) <= near_m
     alone = long_runs(candidate & ~shown, way, images.sequence)
     training = ~candidate | alone
     held_out = shown & ~_touching(way, images.sequence, training)
@@ -103,11 +104,7 @@ def hold_out(images: TrainingSet, share: float) -> Split:
 
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
     """Judge by those held-out images whose surroundings training images show."""
-    side = typical_side_m(training.poses)
-    farthest_m = _GIVEN * _FARTHEST * side
-    distances_m = _nearest_m(held_out.poses, training.poses, farthest_m)
-    near_m = _near_m(distances_m, farthest_m)
-    shown = distances_m <= near_m
+    shown, near_m = shown_around(held_out.poses, training.poses)
     outside = f"not judged by, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
     return Split(training, held_out, shown, () if shown.all() else (outside,), training, near_m)
 
@@ -121,12 +118,12 @@ def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
         images: Of r recordings.
         near_m: How far away a place counts as shown, metres, as `hold_out` found it.
     """
-    scale_m = _FARTHEST * typical_side_m(images.poses)
+    scale_m = FARTHEST * typical_side_m(images.poses)
     way = way_of(images)
     found = np.zeros((len(images), len(images.names)), bool)
     for number in range(len(images.names)):
         of_it = images.sequence == number
-        found[~of_it, number] = _nearest_m(images.poses[~of_it], images.poses[of_it], scale_m) <= near_m
+        found[~of_it, number] = nearest_m(images.poses[~of_it], images.poses[of_it], scale_m) <= near_m
         own = np.flatnonzero(of_it)
         at, ahead = images.poses.translation[own], images.poses.rotation[own, :, 2]
         pieces = np.floor(4.0 * (way[own] - way[own[:1]]))
@@ -139,7 +136,7 @@ def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
             begin = leaves[split - 1] + 1 if split else 0
             end = leaves[split] if split < len(leaves) else len(own)
             others = np.concatenate([own[:begin], own[end:]])
-            apart_m = _nearest_m(images.poses[own[piece]], images.poses[others], scale_m)
+            apart_m = nearest_m(images.poses[own[piece]], images.poses[others], scale_m)
             found[own[piece], number] = apart_m <= near_m
     return found
 
@@ -149,13 +146,8 @@ def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
     steps = np.zeros(len(images))
     if len(images) > 1:
         moved_m, turned = images.poses[:-1].distance(images.poses[1:])
-        steps[1:] = moved_m / (_FARTHEST * typical_side_m(images.poses)) + turned / DIRECTION_RAD
+        steps[1:] = moved_m / (FARTHEST * typical_side_m(images.poses)) + turned / DIRECTION_RAD
     return np.cumsum(steps)
-
-
-def near_scale_m(poses: Poses) -> float:
-    """How far away counts as near at least, metres, of the scene that poses (n,) outline."""
-    return _NEAREST * _FARTHEST * typical_side_m(poses)
 
 
 def _chosen(
@@ -170,9 +162,9 @@ def _chosen(
         mask = taken.copy()
         mask[which] = True
         others = ~mask & ~_touching(way, images.sequence, mask)
-        return _nearest_m(images.poses[mask], images.poses[others], _FARTHEST * side)
+        return nearest_m(images.poses[mask], images.poses[others], FARTHEST * side)
 
-    near_m = _near_m(np.concatenate([nearest(which) for which in passes]), _FARTHEST * side)
+    near_m = near_m_of(np.concatenate([nearest(which) for which in passes]), FARTHEST * side)
     while taken.sum() < share * len(images):
         free = [which for which in passes if not taken[which].any()]
         shown = [float((nearest(which) <= near_m).mean()) for which in free]
@@ -191,30 +183,6 @@ def _passes(sequence: Int64[np.ndarray, " n"], share: float) -> Iterator[slice]:
             length = min(max(int(share * len(sequence)), 2), length)
         for first in range(begin, end - length + 1, max(length // 4, 1)):
             yield slice(first, first + length)
-
-
-def _near_m(distances_m: Float64[np.ndarray, " n"], farthest_m: float) -> float:
-    """How far away counts as near, by how far the nearest images of other passes are; no further than given."""
-    found = distances_m[distances_m <= farthest_m]
-    usual = float(np.quantile(found, 0.25)) if len(found) else np.inf
-    return float(np.clip(_USUAL * usual, _NEAREST * farthest_m, farthest_m))
-
-
-def _nearest_m(poses: Poses, others: Poses, scale_m: float) -> Float64[np.ndarray, " n"]:
-    """How far the nearest of the others (m,) that looks the same way as each pose (n,) is; infinite without any.
-
-    Args:
-        poses: Of cameras.
-        others: Likewise.
-        scale_m: So far away is as different as 45°.
-    """
-    if not len(poses) or not len(others):
-        return np.full(len(poses), np.inf)
-    places, own = (np.hstack([each.translation / scale_m, each.rotation[:, :, 2] / _CHORD]) for each in (others, poses))
-    apart = KDTree(places).query(own, k=min(_LOOKED_AT, len(others)))[1].reshape(len(own), -1)
-    difference = places[apart] - own[:, None]
-    distance = scale_m * np.linalg.norm(difference[..., :3], axis=-1)
-    return np.where(np.linalg.norm(difference[..., 3:], axis=-1) <= 1.0, distance, np.inf).min(axis=1)
 
 
 def _touching(
@@ -241,15 +209,6 @@ def long_runs(
     return kept
 
 
-def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Iterator[slice]:
-    """Consecutive images of one recording that are in the mask."""
-    rows = np.flatnonzero(mask)
-    if len(rows):
-        breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(sequence[rows]) != 0)) + 1
-        for run in np.split(rows, breaks):
-            yield slice(int(run[0]), int(run[-1]) + 1)
-
-
 def _told(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
     """Which images of which recordings these are."""
     parts = []
@@ -260,9 +219,7 @@ def _told(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
             parts.append(f"{name} ({len(own)} images)")
             continue
         own_runs = [run for run in runs(mask, images.sequence) if images.sequence[run.start] == number]
-        told = [f"{run.start - own[0]} to {run.stop - 1 - own[0]}" for run in own_runs[:_TOLD_RUNS]]
-        told += [f"{len(own_runs) - _TOLD_RUNS} more"] if len(own_runs) > _TOLD_RUNS else []
-        parts.append(f"{name}, images {' and '.join([*([', '.join(told[:-1])] if told[:-1] else []), told[-1]])}")
+        parts.append(f"{name}, images {told_runs(own_runs, int(own[0]))}")
     return "; ".join(parts[:_TOLD_NAMES]) + (
         f"; and {len(parts) - _TOLD_NAMES} more" if len(parts) > _TOLD_NAMES else ""
     )

@@ -39,6 +39,7 @@ from sequences.tum import write_tum
 from sequences.writer import EstimateWriter
 from vapor.checkpoint import find_model
 from vapor.evaluate import FILES
+from vapor.ground import told_unshown
 from vapor.observation import VaporObservationModel
 from vapor.record import RunRecord, RunRecorder
 from vapor.report import build_report, write_pictures, write_report
@@ -179,7 +180,11 @@ def run(
             **settings,
         }
         result = write_results(record, partial, settings, title=sequence.name)
-        return replace(result, notices=(*reader.notices, *observation.notices))
+        notices = [*reader.notices, *observation.notices]
+        if (memory := observation.checkpoint.memory) is not None and record.smoothed is not None:
+            trained = Poses(memory.rotation.double().numpy(), memory.translation.double().numpy())
+            notices += [told] if (told := told_unshown(record.smoothed.poses, trained)) else []
+        return replace(result, notices=tuple(notices))
 
 
 def refuse_file(output: Path) -> None:

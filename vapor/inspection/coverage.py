@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float64, Int64
 
 from filtering.se3 import Poses
 from vapor.floors import find_floors
-from vapor.holding_out import AWAY, DIRECTION_RAD, WHOLE_OF, Split, hold_out, long_runs, runs, shown_by, way_of
+from vapor.ground import DIRECTION_RAD, runs
+from vapor.holding_out import AWAY, WHOLE_OF, Split, hold_out, long_runs, shown_by, way_of
 from vapor.train_config import TrainConfig
 from vapor.training_set import TrainingSet
 
