@@ -35,8 +35,10 @@ class _SameConv2d(nn.Conv2d):
 
     def forward(self, input: Tensor) -> Tensor:
         height, width = (self._total(n) for n in input.shape[-2:])
-        padding = (width // 2, width - width // 2, height // 2, height - height // 2)
-        return super().forward(functional.pad(input, padding) if any(padding) else input)
+        around = height // 2, width // 2  # what is alike on both sides the convolution pads itself, without a copy
+        if height % 2 or width % 2:
+            input, around = functional.pad(input, (around[1], width - around[1], around[0], height - around[0])), (0, 0)
+        return functional.conv2d(input, self.weight, None, self.stride, around, self.dilation, self.groups)
 
     def _total(self, size: int) -> int:
         stride, kernel = self.stride[0], self.kernel_size[0]
@@ -68,8 +70,8 @@ class _Block(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         y = x
         if self._expand_conv is not None and self._bn0 is not None:
-            y = functional.relu6(self._bn0(self._expand_conv(y)))
-        y = functional.relu6(self._bn1(self._depthwise_conv(y)))
+            y = functional.relu6(self._bn0(self._expand_conv(y)), inplace=True)
+        y = functional.relu6(self._bn1(self._depthwise_conv(y)), inplace=True)
         y = self._bn2(self._project_conv(y))
         return x + y if self._residual else y
 
@@ -109,12 +111,12 @@ class EfficientNetLite0(nn.Module):
 
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
         """What the third of `stages` and the last layer make of images scaled to (pixel − 127)/128."""
-        x = functional.relu6(self._bn0(self._conv_stem(x)))
+        x = functional.relu6(self._bn0(self._conv_stem(x)), inplace=True)
         third = x
         for number, block in enumerate(self._blocks):
             x = block(x)
             third = x if number == _STAGE_ENDS[2] else third
-        return third, functional.relu6(self._bn1(self._conv_head(x)))
+        return third, functional.relu6(self._bn1(self._conv_head(x)), inplace=True)
 
     def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
         """Features (b, 1280) of images scaled to (pixel − 127)/128, or scores (b, num_classes)."""
