@@ -37,7 +37,7 @@ _LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
 _LASTING = (0.5, 0.7)
 _LAGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 _LEAST_PAIRS = 50
-_NO_MISTAKE = 1e-3  # nats by which evidence for the true place varies, at least
+_NO_MISTAKE = 0.02  # of the images that find the true place less likely than not: with fewer none mistake it
 _MISTAKEN = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])  # lengths over which mistakes fade
 _FARTHEST_LENGTHS, _MOST_MISTAKEN = 100.0, 40.0
 _ANOTHER_HOUR = 3.0  # times as far beyond one length mistakes reach where the light is another than on held-out passes
@@ -470,13 +470,14 @@ def _lasting(
 
 
 def _mistaken_lengths(evidence: Float64[np.ndarray, " n"], way: Way, length_m: float) -> float:
-    """Over how many lengths of errors images say alike whether the camera is where it is; 1 where that is not seen.
+    """Over how many lengths of errors images say alike whether the camera is where it is; 1 where none mistakes it.
 
     Along a pass the evidence of two images, so many lengths apart, correlates by a share that fades; the sum of the
     correlations of an image with all others a length apart is what its evidence is worth less for their sake. Held-out
-    passes are of the hours of the training, and mistakes last longer at others: what is beyond one length is tripled.
+    passes are of the hours of the training, and mistakes last longer at others: what is beyond one length is tripled,
+    and at least one length is taken to be.
     """
-    if len(evidence) < _LEAST_PAIRS or evidence.std() < _NO_MISTAKE:
+    if len(evidence) < _LEAST_PAIRS or (evidence < np.log(0.5)).mean() < _NO_MISTAKE:
         return 1.0
     value = (evidence - evidence.mean()) / evidence.std()
     first, second = np.triu_indices(len(value), 1)
@@ -494,7 +495,7 @@ def _mistaken_lengths(evidence: Float64[np.ndarray, " n"], way: Way, length_m: f
         share = float(np.clip((kernel * products).sum() / np.square(kernel).sum(), 0.0, 1.0))
         together = 1.0 + 2.0 * share / np.expm1(1.0 / lengths)
         best = min(best, (float(np.square(products - share * kernel).mean()), float(together)))
-    return min(1.0 + _ANOTHER_HOUR * (best[1] - 1.0), _MOST_MISTAKEN)
+    return min(1.0 + _ANOTHER_HOUR * max(best[1] - 1.0, 1.0), _MOST_MISTAKEN)
 
 
 def _effective_images(way: Way, length_m: float) -> float:
