@@ -338,6 +338,18 @@ def test_epochs_that_are_not_given_fit_into_the_hours(tmp_path, monkeypatch):
     assert train_on(walks(), tmp_path / "n.safetensors", replace(config, hours=1e-9)).history[-1].epoch == 4
 
 
+def test_given_hours_images_are_larger_but_not_than_the_camera_s():
+    auto = PRESETS["auto"]
+    sizes = [
+        (network.image_width, network.image_height)
+        for config in (auto, replace(auto, hours=2.0), replace(auto, hours=2.0, epochs=5), replace(auto, hours=0.9))
+        for network in (config.network_for(640, 480),)
+    ]
+    assert sizes == [(128, 96), (224, 168), (128, 96), (128, 96)]
+    small = replace(auto, hours=2.0).network_for(160, 120)
+    assert (small.image_width, small.image_height) == (160, 120)
+
+
 def test_the_network_sees_the_camera_s_aspect_with_as_many_pixels(tmp_path):
     config = replace(TINY, aspect="camera", epochs=1)
     network = train_on_most(make_frames(24), tmp_path / "m.safetensors", config).checkpoint.network

@@ -95,6 +95,11 @@ class NetworkConfig:
         scale = self.shortest_edge / min(self.image_width, self.image_height)
         return round(self.image_width * scale), round(self.image_height * scale)
 
+    def larger(self, factor: float) -> NetworkConfig:
+        """The same for images whose edges are so many times as long."""
+        edges = {name: round(factor * getattr(self, name)) for name in ("image_width", "image_height", "shortest_edge")}
+        return replace(self, **edges)
+
     def for_camera(self, width: int, height: int) -> NetworkConfig:
         """The same for images of another aspect: about as many pixels, but no more than the camera has.
 

@@ -29,7 +29,7 @@ from vapor.scene_scale import default_errors
 from vapor.train_config import TrainConfig
 from vapor.training_check import TrainingCheck, check
 from vapor.training_epoch import finishing, fitting_epochs, judging_interval, see, steps_per_epoch, train_epoch
-from vapor.training_memory import described, remember
+from vapor.training_memory import VARIANTS, described, remember
 from vapor.training_set import (
     TrainingError,
     TrainingSet,
@@ -155,15 +155,13 @@ def train_on(
     report = progress or (lambda _: None)
     central = config.augment.crop == "central"
 
-    def frame_size(width: int, height: int) -> tuple[int, int]:
-        network = config.network if config.aspect == "network" else config.network.for_camera(width, height)
-        return network.frame_size
-
     loaded = load_training_set(
-        sequences, frame_size, central=central, progress=lambda n: report(Progress("reading", n))
+        sequences,
+        lambda width, height: config.network_for(width, height).frame_size,
+        central=central,
+        progress=lambda n: report(Progress("reading", n)),
     )
-    if config.aspect == "camera":
-        config = replace(config, network=config.network.for_camera(*loaded.camera_size), aspect="network")
+    config = replace(config, network=config.network_for(*loaded.camera_size), aspect="network")
     frame = config.network.frame_size
     held_out = load_training_set(validation, frame, central=central, camera=loaded.camera) if validation else None
     names = {"data": list(sequences), "validation_data": list(validation or ())}
@@ -323,6 +321,7 @@ class _Course:
         self.epochs = state.epochs + (finishing(config).known_epochs if self.goes_on else 0)
         self.best = _best(state.history, config)
         self._split, self._report = split, report
+        self._per_step_s = 0.0  # of the last steps
         self._judged: Tensor | None = None  # what a backbone that does not learn says of the images judged by
 
     @property
@@ -336,14 +335,25 @@ class _Course:
 
     def epoch(self) -> float:
         """Learn from all images once; returns the mean loss."""
-        state, begin_s = self.state, perf_counter() - self.seconds
+        state, seconds_before, begin_s = self.state, self.seconds, perf_counter() - self.seconds
         judged = state.epoch < state.epochs
         config, since = (self.config, 0) if judged else (finishing(self.config), state.epochs)
         steps = [steps_per_epoch(self._images(epoch), config) for epoch in range(self.epochs)]
-        before, begun = sum(steps[: state.epoch]), sum(steps[: self.begun])
+        before = sum(steps[: state.epoch])
+        looks = 1 if state.seen is not None else 2  # at all images: as they are, and varied in this epoch's way
+        first_s = 0.0
 
         def report(step: int, loss: float, rate: float) -> None:
+            nonlocal first_s
             seconds, done = perf_counter() - begin_s, before + step
+            if step == 1:
+                first_s = seconds
+                self._per_step_s = self._per_step_s or seconds / (done - sum(steps[: self.begun]))
+            else:
+                self._per_step_s = (seconds - first_s) / (step - 1)
+            left_s = self._per_step_s * (sum(steps) - done)
+            if state.seen is not None:
+                left_s += (first_s - seconds_before) / looks * max(min(VARIANTS, state.epochs) - state.epoch - 1, 0)
             self._report(
                 Progress(
                     "training" if judged else "training on everything",
@@ -354,7 +364,7 @@ class _Course:
                     loss=loss,
                     learning_rate=rate,
                     seconds=seconds,
-                    left_s=seconds * (sum(steps) - done) / (done - begun),
+                    left_s=left_s,
                     validation=state.history[-1] if state.history else None,
                     best=self.best,
                 )

@@ -14,6 +14,8 @@ from vapor.network import NetworkConfig
 from vapor.observation import Device
 from vapor.training_set import TrainingError
 
+_LARGER = 1.75  # edges of images, where a training may take longer
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -54,6 +56,9 @@ class TrainConfig:
     """None: that many at most."""
     hours: float = 0.2
     """How long a training takes whose epochs are not given; how long a step takes is measured first."""
+    larger_from_hours: float | None = None
+    """aspect camera: given so many hours, and where `epochs` follow from them, images are 1.75 times as large along
+    each edge as `network` says; None for never."""
     finish: float = 0.2
     """Share of the epochs after which the model, judged by then, goes on learning with what was held out of the data as
     well: 0 for none, and it never sees that."""
@@ -108,6 +113,7 @@ class TrainConfig:
             "epochs",
             "most_epochs",
             "hours",
+            "larger_from_hours",
             "batch_size",
             "learning_rate",
             "decay_epochs",
@@ -138,6 +144,13 @@ class TrainConfig:
         for name in ("evolve", "average", "validation_share", "warmup"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
+
+    def network_for(self, width: int, height: int) -> NetworkConfig:
+        """The network's shape for a camera's images of a size, pixels: with `aspect` network as it is."""
+        if self.aspect == "network":
+            return self.network
+        larger = self.epochs is None and self.larger_from_hours is not None and self.hours >= self.larger_from_hours
+        return (self.network.larger(_LARGER) if larger else self.network).for_camera(width, height)
 
     @property
     def known_epochs(self) -> int:

@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
 from vapor.augment import jitter_and_normalise, random_crops
-from vapor.holding_out import near_scale_m, way_of
+from vapor.ground import near_scale_m
+from vapor.holding_out import way_of
 from vapor.network import PoseRegressor
 from vapor.retrieval import RetrievalRegressor
 from vapor.train_config import TrainConfig
