@@ -1,8 +1,53 @@
-"""The one exception type that every error of this project derives from, and the check of settings that raises it."""
+"""The one exception type that every error of this project derives from, how it quotes what was found, and the check of
+settings that raises it."""
+
+from __future__ import annotations
+
+import re
+import reprlib
+
+MAX_MESSAGE = 300
+"""Characters of a message, at most."""
+_MAX_QUOTED = 60
+_LONG_PATH, _PATH_END = re.compile(r"/[^\s'\"]{50,}"), 40  # the end of a path says most
+_MAX_BITS = 256  # of an integer that is written out: beyond some thousand digits Python refuses to
 
 
 class VaporTrackError(Exception):
     """An input cannot be used; the message names what, where, what was found and what was expected."""
+
+    def __str__(self) -> str:
+        """The message; one that is too long loses the beginnings of long paths, and then its middle."""
+        text = super().__str__()
+        if len(text) > MAX_MESSAGE:
+            text = _LONG_PATH.sub(lambda path: f"...{path[0][-_PATH_END:]}", text)
+        return shortened(text, MAX_MESSAGE)
+
+
+def shortened(text: str, most: int) -> str:
+    """A text of at most so many characters: of a longer one, the middle is left out."""
+    if len(text) <= most:
+        return text
+    begin = (most - 5) * 3 // 5
+    return f"{text[:begin]} ... {text[len(text) - (most - 5 - begin) :]}"
+
+
+def quoted(value: object) -> str:
+    """A value that was found in an input, as a message shows it: on one line, in 60 characters or fewer."""
+    return shortened(_Short().repr(value), _MAX_QUOTED)
+
+
+class _Short(reprlib.Repr):
+    """`repr` of the first few of many things, and of the outer few of nested ones."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxlist, self.maxtuple, self.maxdict = 3, 6, 6, 4
+        self.maxstring = self.maxother = _MAX_QUOTED
+
+    def repr_int(self, x: int, level: int) -> str:
+        """An integer, or how large it is."""
+        return repr(x) if x.bit_length() <= _MAX_BITS else f"an integer of {x.bit_length()} bits"
 
 
 def require_within(settings: object, **ranges: tuple[int | float, int | float]) -> None:
@@ -18,4 +63,4 @@ def require_within(settings: object, **ranges: tuple[int | float, int | float]) 
     for name, (low, high) in ranges.items():
         value = getattr(settings, name)
         if not low <= value <= high:  # NaN compares as false
-            raise VaporTrackError(f"{name} is {value}, expected between {low} and {high}")
+            raise VaporTrackError(f"{name} is {quoted(value)}, expected between {low} and {high}")

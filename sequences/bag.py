@@ -18,9 +18,11 @@ from mcap.reader import McapReader, NonSeekingReader, SeekingReader
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 
+from filtering.errors import quoted
 from sequences import encodings, foxglove
 from sequences.errors import SequenceError
 from sequences.messages import frame_name
+from sequences.values import read_text, require_inside
 
 TF_STATIC, TF = "/tf_static", "/tf"
 _MAGIC = b"\x89MCAP0\r\n"
@@ -193,15 +195,17 @@ def bag_files(path: Path) -> list[Path]:
     listing = path / "metadata.yaml"
     if not listing.is_file():
         raise SequenceError(f"{path}: folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder")
-    names = _relative_file_paths(listing.read_text(encoding="utf-8", errors="replace"))
+    names = _relative_file_paths(read_text(listing))
     if not names:
         raise SequenceError(f"{listing}: names no files, expected `relative_file_paths:` with one or more .mcap files")
     for name in names:
         if not name.endswith(".mcap"):
-            raise SequenceError(f"{listing}: names {name}, expected .mcap files (see `ros2 bag convert`)")
-        if not (path / name).is_file():
-            raise SequenceError(f"{listing}: names {name}, which is not in the folder")
-    return [path / name for name in names]
+            raise SequenceError(f"{listing}: names {quoted(name)}, expected .mcap files (see `ros2 bag convert`)")
+        if not os.path.isfile(path / name):
+            raise SequenceError(f"{listing}: names {quoted(name)}, which is not in the folder")
+    files = [path / name for name in names]
+    require_inside(path, files)
+    return files
 
 
 def _relative_file_paths(text: str) -> list[str]:

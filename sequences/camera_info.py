@@ -12,7 +12,7 @@ from sequences.bag import Bag, Topic
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.topics import first
-from sequences.undistortion import DistortionModel, Lens, pinhole_of, require_camera, undistorted
+from sequences.undistortion import DistortionModel, Lens, pinhole_of, undistorted
 
 _MODELS: dict[str, DistortionModel] = {
     "": "plumb_bob",
@@ -66,7 +66,6 @@ class ImageCamera:
         p = [float(value) for value in message.p] if rectified else []
         fx, fy, cx, cy = (p[0], p[5], p[2], p[6]) if any(p) else (k[0], k[4], k[2], k[5])
         camera = Camera(int(message.width), int(message.height), fx, fy, cx, cy)
-        require_camera(camera)
         d = tuple(float(value) for value in message.d)
         name = message.distortion_model
         lens: Camera | Lens = camera

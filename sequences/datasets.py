@@ -178,8 +178,7 @@ def _what_is_there(path: Path) -> str:
 
 
 def _looked_for() -> str:
-    bags = "an .mcap file, a rosbag2 folder (metadata.yaml)"
-    return f"{bags}, {', '.join(layout.LOOKED_FOR for layout in _LAYOUTS)}"
+    return f"an .mcap file, metadata.yaml, {', '.join(layout.LOOKED_FOR for layout in _LAYOUTS)}"
 
 
 def is_recording(path: Path) -> bool:

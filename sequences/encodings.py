@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from functools import lru_cache
 from types import SimpleNamespace
@@ -12,6 +11,7 @@ from mcap.records import Schema
 
 from sequences import foxglove, message_definitions
 from sequences.errors import SequenceError
+from sequences.values import parse_json
 
 
 @lru_cache(maxsize=256)
@@ -40,13 +40,16 @@ def decoder(message_type: str, encoding: str, definition: bytes) -> Callable[[by
 
 
 def _json_fields(data: bytes) -> SimpleNamespace:
-    try:
-        fields = json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))
-    except (ValueError, RecursionError) as error:  # no JSON, or no UTF-8
-        raise SequenceError(f"no JSON: {error}") from error
+    fields = _with_attributes(parse_json(data, "message"))
     if not isinstance(fields, SimpleNamespace):
         raise SequenceError("no JSON object")
     return fields
+
+
+def _with_attributes(value: Any) -> Any:
+    if isinstance(value, dict):
+        return SimpleNamespace(**{name: _with_attributes(each) for name, each in value.items()})
+    return [_with_attributes(each) for each in value] if isinstance(value, list) else value
 
 
 def _protobuf_decoder(message_type: str, definition: bytes) -> Callable[[bytes], Any]:

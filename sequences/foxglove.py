@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
+from filtering.errors import quoted
 from sequences.errors import SequenceError
 
 _PREFIXES = {"foxglove.": ("protobuf", "json"), "foxglove_msgs/": ("cdr",)}  # and how such types are encoded
@@ -62,25 +63,25 @@ def _own_name(message_type: str) -> str | None:
 
 def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SequenceError(f"{value!r} where a number is expected")
+        raise SequenceError(f"{quoted(value)} where a number is expected")
     return float(value)
 
 
 def _whole(value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
-        raise SequenceError(f"{value!r} where a whole number is expected")
+        raise SequenceError(f"{quoted(value)} where a whole number is expected")
     return value
 
 
 def _text(value: object) -> str:
     if not isinstance(value, str):
-        raise SequenceError(f"{value!r} where text is expected")
+        raise SequenceError(f"{quoted(value)} where text is expected")
     return value
 
 
 def _list(value: Any) -> Sequence[Any]:
     if isinstance(value, str | bytes | SimpleNamespace) or not hasattr(value, "__len__"):
-        raise SequenceError(f"{value!r} where a list is expected")
+        raise SequenceError(f"{quoted(value)} where a list is expected")
     return value
 
 

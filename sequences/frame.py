@@ -7,8 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int64, UInt8
 
+from filtering.errors import quoted
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from sequences.errors import SequenceError
+
+_PIXELS = 1e6  # beyond any image's side; tele lenses have focal lengths of some of these
+_RANGES = (
+    ("width", 1, _PIXELS),
+    ("height", 1, _PIXELS),
+    ("fx", 1e-6, 1e3 * _PIXELS),
+    ("fy", 1e-6, 1e3 * _PIXELS),
+    ("cx", -1e3 * _PIXELS, 1e3 * _PIXELS),
+    ("cy", -1e3 * _PIXELS, 1e3 * _PIXELS),
+)
 
 
 @dataclass(frozen=True)
@@ -16,6 +28,10 @@ class Camera:
     """Pinhole camera, in pixels; axes x right, y down, z forward (OpenCV).
 
     Pixel centres lie at integer coordinates: the image spans [−½, width − ½] × [−½, height − ½].
+
+    Raises:
+        SequenceError: numbers that are none of a camera: not finite, sizes or focal lengths that are not positive, or
+            any that is too large.
     """
 
     width: int
@@ -24,6 +40,11 @@ class Camera:
     fy: float
     cx: float
     cy: float
+
+    def __post_init__(self) -> None:
+        for name, low, high in _RANGES:
+            if not low <= (value := getattr(self, name)) <= high:  # NaN compares as false
+                raise SequenceError(f"camera with {name} {quoted(value)}, expected between {low:g} and {high:g}")
 
     def scaled(self, width: int, height: int) -> Camera:
         """The same camera at another image size; the edge, half a pixel from the first centre, stays the edge."""

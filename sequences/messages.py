@@ -17,6 +17,7 @@ from jaxtyping import Float64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+from sequences.image_size import require_size
 
 # Encoding -> element type, channels, OpenCV conversion to RGB. OpenCV's newer Bayer names (RGGB) name the mosaic
 # as ROS does; its older ones (BG) name the second row, and are off by one.
@@ -89,8 +90,10 @@ def decode_image_bytes(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     """JPEG, PNG or whatever else OpenCV reads -> RGB. Orientation tags are ignored: intrinsics are of stored pixels.
 
     Raises:
-        SequenceError: the bytes are no image, or a JPEG that is cut off.
+        SequenceError: the bytes are no image, one of more pixels than memory should be asked for, or a JPEG that is
+            cut off.
     """
+    require_size(data)
     # A cut-off JPEG decodes to a picture that is grey below: no image at all is the better answer.
     if data[:2] == b"\xff\xd8" and b"\xff\xd9" not in data[-256:]:
         raise SequenceError(f"JPEG of {len(data)} bytes is cut off, expected an end marker")

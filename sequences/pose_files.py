@@ -9,16 +9,16 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from filtering.errors import VaporTrackError
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.tum import is_number, read_lines, read_tum
+from sequences.tum import poses_of_rows, read_tum
+from sequences.values import is_number, natural, parse_frame_number, parse_numbers, read_rows
 
 Direction = Literal["world-to-camera", "camera-to-world"]
 """Which way the poses of a file map points."""
 
 _COLUMNS = "name qw qx qy qz tx ty tz"
-_MAX_NUMBER = 10**9  # beyond, it counts nanoseconds rather than frames
 
 
 class FrameName(NamedTuple):
@@ -68,11 +68,10 @@ def read_poses(path: Path, direction: Direction | None = None) -> PoseFile:
             direction is missing, or contradicts a TUM trajectory.
     """
     path = Path(path)
-    lines = [(number, line.split()) for number, line in enumerate(read_lines(path), start=1)]
-    lines = [(number, fields) for number, fields in lines if fields and not fields[0].startswith("#")]
-    if not lines:
+    first = next(read_rows(path), None)
+    if first is None:
         raise SequenceError(f"{path}: no poses, expected lines of `{_COLUMNS}` or of a TUM trajectory")
-    if is_number(lines[0][1][0]):
+    if is_number(first[1].split()[0]):
         return _timed(path, direction)
     if direction is None:
         raise SequenceError(
@@ -80,23 +79,21 @@ def read_poses(path: Path, direction: Direction | None = None) -> PoseFile:
         )
     seen: dict[FrameName, int] = {}
     rows: list[list[float]] = []
-    for number, fields in lines:
-        where = f"{path}:{number}"
+    for number, line in read_rows(path):
+        where, fields = f"{path}:{number}", line.split()
         if len(fields) < 8:
             raise SequenceError(f"{where}: {len(fields)} columns, expected the eight of `{_COLUMNS}`")
         frame = _frame_name(fields[0], where)
         if frame in seen:
-            raise SequenceError(f"{where}: {fields[0]} names the same frame as line {seen[frame]}, expected it once")
-        try:
-            row = [float(value) for value in fields[1:8]]
-            _poses(np.array(row))
-        except (ValueError, VaporTrackError) as error:
-            raise SequenceError(f"{where}: {error}; expected numbers `{_COLUMNS}`") from error
+            raise SequenceError(
+                f"{where}: {quoted(fields[0])} names the same frame as line {seen[frame]}, expected it once"
+            )
         seen[frame] = number
-        rows.append(row)
+        rows.append(parse_numbers(fields[1:8], where, f"those of `{_COLUMNS}`"))
     frames = list(seen)
     order = sorted(range(len(frames)), key=lambda i: natural_order(frames[i]))
-    poses = _poses(np.array(rows)[order])
+    table, lines = np.array(rows), list(seen.values())
+    poses = poses_of_rows(path, lines, table[:, 4:], table[:, [1, 2, 3, 0]], _COLUMNS)[order]
     return PoseFile(
         path, False, tuple(frames[i] for i in order), poses.inverse() if direction == "world-to-camera" else poses
     )
@@ -104,8 +101,7 @@ def read_poses(path: Path, direction: Direction | None = None) -> PoseFile:
 
 def natural_order(frame: FrameName) -> tuple[list[tuple[int, str]], int]:
     """Sort key by which `seq-2/frame-10` comes after `seq-2/frame-9` and before `seq-10/frame-1`."""
-    parts = re.split(r"(\d+)", frame.sequence)
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], frame.number
+    return natural(frame.sequence), frame.number
 
 
 def _timed(path: Path, direction: Direction | None) -> PoseFile:
@@ -119,16 +115,5 @@ def _frame_name(name: str, where: str) -> FrameName:
     folder, slash, file = name.rpartition("/")
     match = re.fullmatch(r"(.*?)(\d+)\D*", file.split(".")[0], flags=re.ASCII)
     if match is None:
-        raise SequenceError(f"{where}: name {name!r}, expected a frame number in it, such as frame-000017.png")
-    number = int(match[2])
-    if number > _MAX_NUMBER:
-        raise SequenceError(
-            f"{where}: name {name!r} gives frame number {number}, expected one that counts frames; of stamps, a TUM"
-            " trajectory is read"
-        )
-    return FrameName(folder + slash + match[1], number)
-
-
-def _poses(rows: np.ndarray) -> Poses:
-    """From rows (*batch, 7) of `qw qx qy qz tx ty tz`, as they are."""
-    return Poses.from_quat_xyzw(rows[..., 4:], rows[..., [1, 2, 3, 0]])
+        raise SequenceError(f"{where}: name {quoted(name)}, expected a frame number in it, such as frame-000017.png")
+    return FrameName(folder + slash + match[1], parse_frame_number(match[2], where))

@@ -6,15 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
+from filtering.errors import quoted
 from filtering.se3 import Poses, nearest_rotation
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
-from sequences.tum import parse_time_ns, read_lines, read_tum
+from sequences.tum import read_tum
+from sequences.values import LARGEST, MAX_TIME_NS, parse_numbers, parse_time_ns, parse_whole, read_rows
 
 _EUROC = "time_ns,px,py,pz,qw,qx,qy,qz"
 _KITTI = "twelve numbers, the upper three rows of a matrix"
 _MAX_ERROR = 0.01  # of a unit quaternion's length, and of a rotation's elements; beyond, these are other numbers
-_MAX_TIME_NS = 1 << 62
 
 
 def read_pose_table(path: Path, times: Path | None = None) -> Trajectory:
@@ -33,7 +34,7 @@ def read_pose_table(path: Path, times: Path | None = None) -> Trajectory:
             do not increase, or there are not as many times as poses.
     """
     path = Path(path)
-    rows = _rows(path)
+    rows = list(read_rows(path))
     if not rows:
         raise SequenceError(f"{path}: no poses, expected TUM text, EuRoC's data.csv or KITTI's poses")
     number, line = rows[0]
@@ -52,29 +53,21 @@ def read_pose_table(path: Path, times: Path | None = None) -> Trajectory:
     )
 
 
-def _rows(path: Path) -> list[tuple[int, str]]:
-    """Lines that are no comments, with their numbers."""
-    lines = enumerate(read_lines(path), start=1)
-    return [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
-
-
 def _read_euroc(path: Path, rows: list[tuple[int, str]]) -> Trajectory:
     times_ns: list[int] = []
-    numbers: list[list[float]] = []
-    for number, line in rows:
+    table = np.empty((len(rows), 7))
+    for i, (number, line) in enumerate(rows):
         where, fields = f"{path}:{number}", line.split(",")
-        try:
-            time_ns, row = int(fields[0]), [float(value) for value in fields[1:8]]
-        except ValueError as error:
-            raise SequenceError(f"{where}: {error}; expected `{_EUROC}`") from error
-        if len(row) != 7:
+        if len(fields) < 8:
             raise SequenceError(f"{where}: {len(fields)} columns, expected at least the eight of `{_EUROC}`")
-        if not np.isfinite(row).all() or abs(np.hypot.reduce(row[3:]) - 1) > _MAX_ERROR:
-            raise SequenceError(f"{where}: {row} is no finite position and unit quaternion, expected `{_EUROC}`")
-        times_ns.append(time_ns)
-        numbers.append(row)
+        times_ns.append(parse_whole(fields[0].strip(), f"{where}: nanoseconds", -MAX_TIME_NS, MAX_TIME_NS))
+        row = parse_numbers(fields[1:8], where, f"those of `{_EUROC}`")
+        if not (np.abs(row) <= LARGEST).all() or abs(np.hypot.reduce(row[3:]) - 1) > _MAX_ERROR:
+            raise SequenceError(
+                f"{where}: {quoted(row)} is no finite position and unit quaternion, expected `{_EUROC}`"
+            )
+        table[i] = row
     _require_increasing(path, rows, times_ns)
-    table = np.array(numbers)
     poses = Poses.from_quat_xyzw(table[:, :3], table[:, [4, 5, 6, 3]])
     return Trajectory(np.array(times_ns, np.int64), poses)
 
@@ -82,12 +75,12 @@ def _read_euroc(path: Path, rows: list[tuple[int, str]]) -> Trajectory:
 def _read_kitti(path: Path, rows: list[tuple[int, str]], times: Path) -> Trajectory:
     matrices = np.empty((len(rows), 3, 4))
     for i, (number, line) in enumerate(rows):
-        try:
-            matrices[i] = np.array([float(value) for value in line.split()]).reshape(3, 4)
-        except ValueError as error:
-            raise SequenceError(f"{path}:{number}: {error}; expected {_KITTI}") from error
+        row = parse_numbers(line.split(), f"{path}:{number}", _KITTI)
+        if len(row) != 12:
+            raise SequenceError(f"{path}:{number}: {len(row)} columns, expected {_KITTI}")
+        matrices[i] = np.reshape(row, (3, 4))
         turn = matrices[i, :, :3]
-        if not np.isfinite(matrices[i]).all() or np.abs(turn @ turn.T - np.eye(3)).max() > _MAX_ERROR:
+        if not (np.abs(matrices[i]) <= LARGEST).all() or np.abs(turn @ turn.T - np.eye(3)).max() > _MAX_ERROR:
             raise SequenceError(f"{path}:{number}: no finite rotation and translation, expected {_KITTI}")
         if np.linalg.det(turn) < 0:
             raise SequenceError(f"{path}:{number}: a mirroring, no rotation, expected {_KITTI}")
@@ -95,19 +88,16 @@ def _read_kitti(path: Path, rows: list[tuple[int, str]], times: Path) -> Traject
         raise SequenceError(
             f"{times}: no such file, expected the times of {path.name}, or --poses-times that names them"
         )
-    stamped = _rows(times)
+    stamped = list(read_rows(times))
     if len(stamped) != len(rows):
         raise SequenceError(f"{times}: {len(stamped)} times, expected {len(rows)} as there are poses in {path.name}")
-    times_ns = [parse_time_ns(line.strip(), f"{times}:{number}") for number, line in stamped]
+    times_ns = [parse_time_ns(line, f"{times}:{number}") for number, line in stamped]
     _require_increasing(times, stamped, times_ns)
     poses = Poses(nearest_rotation(matrices[:, :, :3].copy()), matrices[:, :, 3].copy())
     return Trajectory(np.array(times_ns, np.int64), poses)
 
 
 def _require_increasing(path: Path, rows: list[tuple[int, str]], times_ns: list[int]) -> None:
-    beyond = next((i for i, time_ns in enumerate(times_ns) if abs(time_ns) >= _MAX_TIME_NS), None)
-    if beyond is not None:
-        raise SequenceError(f"{path}:{rows[beyond][0]}: time {rows[beyond][1].strip()} is none that a clock shows")
     (stalled,) = np.nonzero(np.diff(np.array(times_ns, np.int64)) <= 0)
     if len(stalled):
         raise SequenceError(

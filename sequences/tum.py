@@ -2,50 +2,74 @@
 
 from __future__ import annotations
 
-from decimal import Decimal, InvalidOperation
+from array import array
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float64
 
-from filtering.errors import VaporTrackError
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
+from sequences.values import LARGEST, parse_numbers, parse_time_ns, read_rows
 
 _COLUMNS = "time tx ty tz qx qy qz qw"
+_SHORTEST = 1e-6  # of a quaternion that says how a pose is turned
 
 
 def read_tum(path: Path) -> Trajectory:
     """Read a trajectory; lines that start with # are comments.
 
     Raises:
-        SequenceError: the file is missing or empty, a line has other than eight numbers, a value is not finite, a
-            quaternion has no length, or times do not increase.
+        SequenceError: the file is missing or empty, a line has other than eight numbers, a value is not finite or
+            beyond what a pose has, a quaternion has no length, or times do not increase.
     """
     path = Path(path)
+    lines: list[int] = []
     times_ns: list[int] = []
-    rows: list[list[float]] = []
-    for number, line in enumerate(read_lines(path), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    values: array[float] = array("d")
+    for number, line in read_rows(path):
         where, fields = f"{path}:{number}", line.split()
         if len(fields) != 8:
             raise SequenceError(f"{where}: {len(fields)} columns, expected the eight of `{_COLUMNS}`")
-        time_ns = parse_time_ns(fields[0], where)
-        if times_ns and time_ns <= times_ns[-1]:
+        found_ns = parse_time_ns(fields[0], where)
+        if times_ns and found_ns <= times_ns[-1]:
             raise SequenceError(f"{where}: time {fields[0]} is not after the line before, expected increasing times")
-        try:
-            row = [float(value) for value in fields[1:]]
-            Poses.from_quat_xyzw(np.array(row[:3]), np.array(row[3:]))
-        except (ValueError, VaporTrackError) as error:
-            raise SequenceError(f"{where}: {error}; expected numbers `{_COLUMNS}`") from error
-        times_ns.append(time_ns)
-        rows.append(row)
-    if not rows:
+        lines.append(number)
+        times_ns.append(found_ns)
+        values.extend(parse_numbers(fields[1:], where, f"those of `{_COLUMNS}`"))
+    if not lines:
         raise SequenceError(f"{path}: no poses, expected lines of `{_COLUMNS}`")
-    table = np.array(rows)
-    return Trajectory(np.array(times_ns, np.int64), Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
+    table = np.array(values).reshape(-1, 7)
+    poses = poses_of_rows(path, lines, table[:, :3], table[:, 3:], _COLUMNS)
+    return Trajectory(np.array(times_ns, np.int64), poses)
+
+
+def poses_of_rows(
+    path: Path,
+    lines: Sequence[int],
+    translation: Float64[np.ndarray, "n 3"],
+    quat_xyzw: Float64[np.ndarray, "n 4"],
+    columns: str,
+) -> Poses:
+    """Poses (n,) of the rows of a file, quaternions of any length.
+
+    Raises:
+        SequenceError: one is not finite or beyond what a pose has, or has no rotation; names the first such line.
+    """
+    rows = np.concatenate([translation, quat_xyzw], axis=1)
+    usable: np.ndarray = (np.abs(rows) <= LARGEST).all(axis=1)
+    turned = np.linalg.norm(np.where(usable[:, None], quat_xyzw, 1.0), axis=1) >= _SHORTEST
+    if not (usable & turned).all():
+        first = int(np.argmin(usable & turned))
+        wrong = f"quaternion {quoted(rows[first, 3:].tolist())} has zero length"
+        if not usable[first]:
+            wrong = f"pose is not finite, or beyond {LARGEST:g}: {quoted(rows[first].tolist())}"
+        raise SequenceError(f"{path}:{lines[first]}: {wrong}, expected numbers `{columns}`")
+    return Poses.from_quat_xyzw(translation, quat_xyzw)
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
@@ -57,37 +81,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
             file.write(f"{format_time(int(time_ns))} {' '.join(f'{value:.9f}' for value in row)}\n")
 
 
-def parse_time_ns(text: str, where: str) -> int:
-    """Seconds as text -> integer nanoseconds, without a float between. `where` begins the message of an error."""
-    try:
-        time = Decimal(text)
-        if time.is_finite():
-            return int(time.scaleb(9).to_integral_value())
-    except InvalidOperation:
-        pass
-    raise SequenceError(f"{where}: time {text!r}, expected a number of seconds")
-
-
 def format_time(time_ns: int) -> str:
     """Integer nanoseconds -> seconds with nine decimals."""
     seconds, rest = divmod(abs(time_ns), 1_000_000_000)
     return f"{'-' if time_ns < 0 else ''}{seconds}.{rest:09d}"
-
-
-def read_lines(path: Path) -> list[str]:
-    """Lines of a text file. Raises SequenceError where it cannot be read, or is no text."""
-    try:
-        return Path(path).read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise SequenceError(f"{path}: cannot read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise SequenceError(f"{path}: byte {error.start} is no UTF-8 text, expected a text file") from error
-
-
-def is_number(text: str) -> bool:
-    """Whether a field of a row is a number, NaN and infinity included."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

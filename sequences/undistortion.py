@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import inf, isfinite, tan
+from math import tan
 from typing import Literal
 
 import cv2
@@ -13,6 +13,7 @@ from jaxtyping import Float64, UInt8
 
 from sequences.errors import SequenceError
 from sequences.frame import Camera
+from sequences.values import LARGEST
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 
@@ -39,8 +40,8 @@ class Lens:
         coefficients: Of the distortion, in OpenCV's order.
 
     Raises:
-        SequenceError: sizes or focal lengths that are not positive, numbers that are not finite, an unknown model or a
-            wrong number of coefficients.
+        SequenceError: coefficients that are not finite or beyond what a lens has, an unknown model or a wrong number
+            of coefficients.
     """
 
     camera: Camera
@@ -48,11 +49,10 @@ class Lens:
     coefficients: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        require_camera(self.camera)
         if self.model not in _COUNTS:
             raise SequenceError(f"distortion model {self.model!r}, expected one of {', '.join(_COUNTS)}")
         for number, value in enumerate(self.coefficients, start=1):
-            if not isfinite(value):
+            if not abs(value) <= LARGEST:  # NaN compares as false
                 raise SequenceError(f"distortion coefficient {number} is {value}, expected finite numbers")
         if len(self.coefficients) not in (counts := _COUNTS[self.model]):
             found, expected = len(self.coefficients), " or ".join(map(str, counts))
@@ -63,17 +63,6 @@ class Lens:
         if (width, height) == (self.camera.width, self.camera.height):
             return self
         return replace(self, camera=self.camera.scaled(width, height))
-
-
-def require_camera(camera: Camera) -> None:
-    """Raise SequenceError where a camera's numbers are none of a camera."""
-    values = vars(camera)
-    for name in ("width", "height", "fx", "fy"):
-        if not 0 < values[name] < inf:
-            raise SequenceError(f"camera with {name} {values[name]:g}, expected a positive number")
-    for name in ("cx", "cy"):
-        if not isfinite(values[name]):
-            raise SequenceError(f"camera with {name} {values[name]}, expected a finite number")
 
 
 def pinhole_of(camera: Camera | Lens) -> Camera:

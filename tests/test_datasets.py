@@ -150,7 +150,7 @@ def test_7_scenes_frames_without_a_pose_or_of_lost_tracking_are_left_out(tmp_pat
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [("1 0 0\n0 1 0\n", r"shape \(2, 3\)"), ("x 0 0 0\n", "could not convert"), ("2 0 0 0\n" * 4, "no rotation")],
+    [("1 0 0\n0 1 0\n", r"shape \(2, 3\)"), ("x 0 0 0\n", "'x' is no number"), ("2 0 0 0\n" * 4, "no rotation")],
 )
 def test_a_7_scenes_pose_that_is_none_is_named(content: str, said: str, tmp_path: Path) -> None:
     scene = make_7scenes(tmp_path / "scene", num_images=2)

@@ -143,10 +143,10 @@ def test_numbered_frames_without_an_image_or_a_usable_pose_are_counted(
     [
         (lambda fields: fields[:-1], "8 columns, expected the 9 of `seq "),
         (lambda fields: [*fields, "1"], "10 columns, expected the 9 of `seq "),
-        (lambda fields: [*fields[:2], "x", *fields[3:]], "could not convert string to float: 'x'; expected numbers"),
+        (lambda fields: [*fields[:2], "x", *fields[3:]], "'x' is no number, expected those"),
         (lambda fields: [*fields[:2], *["0"] * 7], "quaternion of length 0, expected a unit quaternion"),
         (lambda fields: [*fields[:2], *["3"] * 7], "quaternion of length 6, expected a unit quaternion"),
-        (lambda fields: [fields[0], "4.5", *fields[2:]], "'4.5', expected the number of a sequence or frame"),
+        (lambda fields: [fields[0], "4.5", *fields[2:]], "number of a frame: '4.5', expected a whole number"),
         (lambda fields: [fields[0], "17", *fields[2:]], "frame 17 is on line 1 too, expected it once"),
         (lambda fields: ["6", *fields[1:]], "sequence 6 after sequence 0, expected one a file"),
     ],
@@ -333,9 +333,9 @@ def test_what_a_cambridge_list_leaves_out_is_counted(tmp_path: Path) -> None:
     ("content", "said"),
     [
         (HEADER + "seq2/frame00009.png 1 2 3 1 0 0\n", "4: 7 columns, expected the 8 of `file tx ty tz qw qx qy qz`"),
-        (HEADER + "seq2/frame00009.png 1 2 3 1 0 0 a\n", "4: could not convert string to float: 'a'"),
+        (HEADER + "seq2/frame00009.png 1 2 3 1 0 0 a\n", "4: 'a' is no number"),
         (HEADER + "seq2/frame00009.png 1 2 3 0 0 0 0\n", "4: quaternion of length 0, expected a unit quaternion"),
-        (HEADER + "seq2/frame00009.png 1 2 3 1 0 0 0\n" * 2, "5: seq2/frame00009.png is on line 4 too"),
+        (HEADER + "seq2/frame00009.png 1 2 3 1 0 0 0\n" * 2, "5: 'seq2/frame00009.png' is on line 4 too"),
         ("seq2/frame00009.png 1 2 3 1 0 0 0\n" * 5, "1: .* among the first three lines, expected them to be a header"),
     ],
 )
@@ -443,13 +443,13 @@ def test_colmap_camera_models(
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("1 FOV 32 24 30 29 16 12 0.9", "camera model FOV, expected one of SIMPLE_PINHOLE.*image_undistorter"),
+        ("1 FOV 32 24 30 29 16 12 0.9", "camera model 'FOV', expected one of SIMPLE_PINHOLE.*image_undistorter"),
         ("1 PINHOLE 32 24 30 16 12", "3 parameters, expected the 4 of PINHOLE"),
         ("1 PINHOLE 32", "3 columns, expected `CAMERA_ID MODEL WIDTH HEIGHT PARAMS"),
-        ("1 PINHOLE 32 24 30 x 16 12", "could not convert string to float: 'x'"),
-        ("1 PINHOLE 32 24 30 nan 16 12", "expected finite parameters"),
-        ("1 PINHOLE 32 24 30 0 16 12", "expected finite parameters, positive sizes and focal lengths"),
-        ("2 PINHOLE 32 24 30 29 16 12", "camera 2 for the second time"),
+        ("1 PINHOLE 32 24 30 x 16 12", "'x' is no number"),
+        ("1 PINHOLE 32 24 30 nan 16 12", "fx is nan, expected a number"),
+        ("1 PINHOLE 32 24 30 0 16 12", "camera with fx 0.0, expected between"),
+        ("2 PINHOLE 32 24 30 29 16 12", "camera '2' for the second time"),
     ],
 )
 def test_a_colmap_camera_that_is_wrong_is_named(line: str, said: str, tmp_path: Path) -> None:
@@ -463,11 +463,14 @@ def test_a_colmap_camera_that_is_wrong_is_named(line: str, said: str, tmp_path: 
     ("rows", "said"),
     [
         (["1 1 0 0 0 0 0 0 1"], "1: 9 columns, expected the 10 of `id qw"),
-        (["1 1 0 0 0 0 0 y 1 a/frame9.png", ""], "1: could not convert string to float: 'y'"),
+        (["1 1 0 0 0 0 0 y 1 a/frame9.png", ""], "1: 'y' is no number"),
         (["1 0 0 0 0 0 0 0 1 a/frame9.png", ""], "1: quaternion of length 0"),
-        (["1 1 0 0 0 0 0 0 7 a/frame9.png", ""], r"1: camera 7, expected one of those in cameras\.txt"),
-        (["1 1 0 0 0 0 0 0 1 a/frame9.png", "", "2 1 0 0 0 0 0 0 1 a/frame9.png"], "3: a/frame9.png is on line 1 too"),
-        (["1 1 0 0 0 0 0 0 1 a/frame9.png", "2 1 0 0 0 0 0 0 1 x.png"], "2: 10 columns, expected keypoints of a/fr"),
+        (["1 1 0 0 0 0 0 0 7 a/frame9.png", ""], r"1: camera '7', expected one of those in cameras\.txt"),
+        (
+            ["1 1 0 0 0 0 0 0 1 a/frame9.png", "", "2 1 0 0 0 0 0 0 1 a/frame9.png"],
+            "3: 'a/frame9.png' is on line 1 too",
+        ),
+        (["1 1 0 0 0 0 0 0 1 a/frame9.png", "2 1 0 0 0 0 0 0 1 x.png"], "2: 10 columns, expected keypoints of 'a/fr"),
         (["1 1 0 0 0 0 0 0 1 nowhere.png"], r" none of its images found, looked in .*scene/images,"),
     ],
 )
@@ -505,7 +508,7 @@ def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Pat
             list(posed_frames(path))
         for file in (
             *("metadata.yaml", "groundtruth.txt", "frame-*.pose.txt", "TrainSplit.txt", "poses_seq*.txt", "poses.txt"),
-            *("dataset_train.txt", "images and cameras, .bin or .txt"),
+            *("dataset_train.txt", "cameras and images (.bin or .txt)"),
         ):
             assert file in str(error.value)
 

@@ -129,11 +129,11 @@ def test_a_jump_in_a_file_is_counted(walk: Path, tmp_path: Path) -> None:
         ("a.txt", "", r"a\.txt: no poses, expected TUM text, EuRoC"),
         ("a.txt", "1 2 3\n", r"a\.txt:1: 3 columns, expected TUM text \(8\)"),
         ("a.csv", "1,0,0,0,1,0,0\n", r"a\.csv:1: 7 columns, expected at least the eight"),
-        ("a.csv", "1.5,0,0,0,1,0,0,0\n", r"a\.csv:1: invalid literal"),
+        ("a.csv", "1.5,0,0,0,1,0,0,0\n", r"a\.csv:1: nanoseconds: '1.5', expected a whole number"),
         ("a.csv", "1,0,0,0,2,0,0,0\n", r"a\.csv:1: .*is no finite position and unit quaternion"),
         ("a.csv", "1,0,0,nan,1,0,0,0\n", r"a\.csv:1: .*is no finite position"),
         ("a.csv", "#t\n2,0,0,0,1,0,0,0\n1,0,0,0,1,0,0,0\n", r"a\.csv:3: time 1 ns is not after the line before"),
-        ("a.csv", f"{10**25},0,0,0,1,0,0,0\n", r"a\.csv:1: time .* is none that a clock shows"),
+        ("a.csv", f"{10**25},0,0,0,1,0,0,0\n", r"a\.csv:1: nanoseconds: .* expected a whole number between"),
         (
             "a.txt",
             "1 0 0 0 0 1 0 0 0 0 1 0\n",
@@ -141,7 +141,7 @@ def test_a_jump_in_a_file_is_counted(walk: Path, tmp_path: Path) -> None:
         ),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 2 0\n", r"a\.txt:1: no finite rotation and translation"),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 -1 0\n", r"a\.txt:1: a mirroring, no rotation"),
-        ("a.txt", "1 0 0 0 0 1 0 0 0 0 x 0\n", r"a\.txt:1: could not convert string"),
+        ("a.txt", "1 0 0 0 0 1 0 0 0 0 x 0\n", r"a\.txt:1: 'x' is no number"),
     ],
 )
 def test_what_is_wrong_is_said_with_file_and_line(name: str, text: str, said: str, tmp_path: Path) -> None:

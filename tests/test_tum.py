@@ -65,7 +65,7 @@ def test_comments_and_empty_lines_are_passed_over(tmp_path: Path) -> None:
     [
         ("2.0 0 0 0 0 0 1", "7 columns, expected the eight"),
         ("2.0,0,0,0,0,0,0,1", "1 columns"),
-        ("2.0 0 0 x 0 0 0 1", "could not convert"),
+        ("2.0 0 0 x 0 0 0 1", "'x' is no number"),
         ("two 0 0 0 0 0 0 1", "time 'two'"),
         ("nan 0 0 0 0 0 0 1", "time 'nan'"),
         ("2.0 0 nan 0 0 0 0 1", "not finite"),
@@ -85,7 +85,7 @@ def test_files_that_are_missing_or_no_text_are_named(tmp_path: Path) -> None:
     with pytest.raises(SequenceError, match=r"t\.tum: cannot read: No such file"):
         read_tum(tmp_path / "t.tum")
     (tmp_path / "b.tum").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(SequenceError, match=r"b\.tum: byte 0 is no UTF-8"):
+    with pytest.raises(SequenceError, match=r"b\.tum:1: byte 0 is no UTF-8"):
         read_tum(tmp_path / "b.tum")
 
 

@@ -19,12 +19,12 @@ from torch import Tensor
 
 from filtering.density import KernelDensity
 from filtering.error_model import ErrorModel
-from filtering.errors import VaporTrackError, require_within
+from filtering.errors import VaporTrackError, quoted, require_within
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from sequences.frame import Camera
 from sequences.odometry_fit import OdometryFit
-from sequences.undistortion import require_camera
+from sequences.values import parse_json
 from vapor.baselines import make_regressor
 from vapor.familiarity import Familiarity, description_size
 from vapor.network import NetworkConfig, PoseRegressor, SceneBox
@@ -191,7 +191,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     metadata, tensors = read_safetensors(path)
     found = metadata.get("format")
     if found != FORMAT:
-        raise CheckpointError(f"{path}: format is {found!r} in its metadata, expected {FORMAT!r}")
+        raise CheckpointError(f"{path}: format is {quoted(found)} in its metadata, expected {FORMAT!r}")
     version = metadata.get("version")
     if version not in (str(VERSION), _BEFORE_MISTAKES, _BEFORE_GROWTH, *_BEFORE_ERRORS):
         older = " or ".join(f"'{number}'" for number in _BEFORE_ERRORS)
@@ -234,13 +234,8 @@ def _camera(path: Path, values: Any) -> Camera | None:
         return None
     for name, value in values.items() if isinstance(values, dict) else ():
         if type(value) not in ((int,) if name in ("width", "height") else (int, float)):
-            raise CheckpointError(f"{path}: camera configuration has {name} {value!r}, expected a number")
-    camera = parse_config(path, "camera", Camera, values)
-    try:
-        require_camera(camera)
-    except VaporTrackError as error:
-        raise CheckpointError(f"{path}: {error}") from error
-    return camera
+            raise CheckpointError(f"{path}: camera configuration has {name} {quoted(value)}, expected a number")
+    return parse_config(path, "camera", Camera, values)
 
 
 def _calibration(path: Path, values: Any, *, unsaid: Mapping[str, float]) -> Calibration:
@@ -253,13 +248,13 @@ def _calibration(path: Path, values: Any, *, unsaid: Mapping[str, float]) -> Cal
             found = errors[name]
             if not (isinstance(found, list) and len(found) == 6 and all(type(v) in (int, float) for v in found)):
                 raise CheckpointError(
-                    f"{path}: calibration.errors configuration has {name} {found!r}, expected six numbers"
+                    f"{path}: calibration.errors configuration has {name} {quoted(found)}, expected six numbers"
                 )
         errors = errors | {name: tuple(map(float, errors[name])) for name in _SIX & errors.keys()} | dict(unsaid)
     odometry = values.get("odometry")
     if odometry is not None:
         if not isinstance(odometry, dict):
-            raise CheckpointError(f"{path}: calibration.odometry is {odometry!r}, expected an object or null")
+            raise CheckpointError(f"{path}: calibration.odometry is {quoted(odometry)}, expected an object or null")
         try:
             odometry = OdometryFit.from_dict(odometry)
         except VaporTrackError as error:
@@ -367,11 +362,11 @@ def read_json(path: Path, text: str | None) -> dict[str, Any]:
         CheckpointError: absent, or no JSON object.
     """
     try:
-        value = json.loads(text or "null")
-    except json.JSONDecodeError as error:
-        raise CheckpointError(f"{path}: configuration in its metadata is not JSON ({error})") from error
+        value = parse_json(text or "null", f"{path}: configuration in its metadata")
+    except VaporTrackError as error:
+        raise CheckpointError(str(error)) from error
     if not isinstance(value, dict):
-        raise CheckpointError(f"{path}: configuration in its metadata is {text!r}, expected a JSON object")
+        raise CheckpointError(f"{path}: configuration in its metadata is {quoted(value)}, expected a JSON object")
     return value
 
 
@@ -385,13 +380,15 @@ def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Conf
     found = set(values) if isinstance(values, dict) else set()
     if found != expected:
         raise CheckpointError(
-            f"{path}: {name} configuration lacks {sorted(expected - found)} and has surplus {sorted(found - expected)},"
-            f" expected {sorted(expected)}"
+            f"{path}: {name} configuration lacks {quoted(sorted(expected - found))} and has surplus"
+            f" {quoted(sorted(found - expected))}, expected {', '.join(sorted(expected))}"
         )
     for f in fields(kind):  # pyright: ignore[reportArgumentType]
         what, kinds = _KINDS.get(type(f.default), ("", None))
         if kinds and type(values[f.name]) not in kinds:
-            raise CheckpointError(f"{path}: {name} configuration has {f.name} {values[f.name]!r}, expected {what}")
+            raise CheckpointError(
+                f"{path}: {name} configuration has {f.name} {quoted(values[f.name])}, expected {what}"
+            )
     try:
         return kind(**values)
     except (VaporTrackError, TypeError) as error:
@@ -446,5 +443,5 @@ def _with_triples(path: Path, box: Any) -> Any:
         return box
     for name, values in box.items():
         if not (isinstance(values, list) and len(values) == 3 and all(isinstance(v, int | float) for v in values)):
-            raise CheckpointError(f"{path}: box configuration has {name} {values!r}, expected three numbers")
+            raise CheckpointError(f"{path}: box configuration has {name} {quoted(values)}, expected three numbers")
     return {name: (float(x), float(y), float(z)) for name, (x, y, z) in box.items()}

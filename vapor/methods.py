@@ -27,8 +27,10 @@ from filtering.rivals import GaussianSumLocalizer
 from filtering.se3 import Poses
 from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth
 from sequences.atomic import atomic_output
+from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry_fit import OdometryFit
+from sequences.values import read_json
 from vapor.evaluate import FILES, TRACKING, dead_reckoning, evaluate_trajectory
 from vapor.lengths import scaled_mode, scaled_poses
 from vapor.recordings import digest
@@ -281,8 +283,8 @@ def kept(path: Path, settings: Mapping[str, Any], compute: Callable[[], Any]) ->
     """
     file = path.with_name(f"{path.name}-{digest(settings)}.json")
     try:
-        return json.loads(file.read_text(encoding="utf-8"))["result"]
-    except (OSError, ValueError, KeyError):
+        return read_json(file)["result"]
+    except (SequenceError, KeyError, TypeError):  # none, or a damaged one
         pass
     with limited_threads(1):
         result = compute()

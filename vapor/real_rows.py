@@ -28,6 +28,7 @@ from sequences.estimates import EstimateOptions, EstimateSequence
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.odometry_fit import OdometryStretch, fit_odometry
 from sequences.pairing import odometry_between
+from sequences.values import read_arrays
 from vapor import calibrate as calibration_of_models
 from vapor import familiarity, image_fit, passes, scene_scale
 from vapor.calibrate import calibrate
@@ -316,10 +317,10 @@ class Stored:
 
     def draw(self, place: Place, seed: int, config: LocalizerConfig) -> Draw:
         """The file's own odometry, or another draw of it; all is fitted on the first half."""
-        with np.load(place.data / self.file) as stored:
-            times_ns, previous_from_current = stored["time_ns"], _poses(stored["previous_from_current"])
-            covariance, trained_on = stored["odometry_covariance"], stored["trained_on"]
-            samples, truth = [_poses(each) for each in stored["samples"]], _poses(stored["truth"])
+        stored = read_arrays(place.data / self.file)
+        times_ns, previous_from_current = stored["time_ns"], _poses(stored["previous_from_current"])
+        covariance, trained_on = stored["odometry_covariance"], stored["trained_on"]
+        samples, truth = [_poses(each) for each in stored["samples"]], _poses(stored["truth"])
         n = len(times_ns)
         steps_s = np.diff(times_ns, prepend=times_ns[:1]) * 1e-9
         odometry = tuple(Odometry(previous_from_current[i], covariance[i], float(steps_s[i])) for i in range(n))

@@ -15,14 +15,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, quoted
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from sequences.errors import SequenceError
 from sequences.place import find_place
 from sequences.reader import SequenceReader
 from sequences.render import sees_cue
 from sequences.route import Cues
 from sequences.synthesize import SYNTHESIS, Stand, SyntheticSequence, synthesize, write_synthetic
+from sequences.values import read_arrays, read_json
 from vapor.checkpoint import Checkpoint
 from vapor.familiarity_benchmark import FOREIGN, Image
 from vapor.observation import VaporObservationModel
@@ -181,7 +183,7 @@ def load_recording(settings: RecordingSettings | FileSettings, directory: Path) 
         CameraPath(from_rows(stored["truth"]), stored["sees_cue"]),
         from_rows(stored["odometry"]),
         stored["odometry_covariance"],
-        np.load(folder / _SAMPLES, mmap_mode="r"),
+        np.load(folder / _SAMPLES, mmap_mode="r", allow_pickle=False),
         stored.get("unfamiliarity", np.zeros(len(stored["times_ns"]))),
     )
 
@@ -314,18 +316,20 @@ def _observe(
 def _checked(settings: RecordingSettings | FileSettings, folder: Path) -> Mapping[str, np.ndarray]:
     """What a recording holds beside its samples, once its settings are found to be these."""
     try:
-        found = json.loads((folder / _SETTINGS).read_text(encoding="utf-8"))
-        with np.load(folder / _PATH) as stored:
-            content = dict(stored)
-    except (OSError, ValueError) as error:
+        found, content = read_json(folder / _SETTINGS), read_arrays(folder / _PATH)
+    except SequenceError as error:
         raise VaporTrackError(
             f"{folder}: cannot be read ({error}), expected a recording; remove it to make it anew"
         ) from error
     expected = settings.told
+    if not isinstance(found, dict):
+        raise VaporTrackError(
+            f"{folder / _SETTINGS}: {quoted(found)}, expected a JSON object; remove it to make it anew"
+        )
     for name in expected | found:
         if found.get(name) != expected.get(name):
             raise VaporTrackError(
-                f"{folder}: recorded with {name} {found.get(name)!r}, expected {expected.get(name)!r};"
+                f"{folder}: recorded with {name} {quoted(found.get(name))}, expected {quoted(expected.get(name))};"
                 " remove it to make it anew"
             )
     return content

@@ -12,7 +12,10 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
+from filtering.errors import quoted
 from sequences.atomic import atomic_output
+from sequences.errors import SequenceError
+from sequences.values import parse_number
 from vapor.checkpoint import CheckpointError, parse_config, read_json, read_safetensors
 from vapor.network import PoseRegressor
 from vapor.training_memory import Seen
@@ -108,8 +111,16 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     except (RuntimeError, ValueError, IndexError) as error:
         raise CheckpointError(f"{path}: {' '.join(str(error).split())}, expected the network's tensors") from error
     state.best = groups["best"]
-    state.epochs, state.epoch = int(config["epochs"]), int(config["epoch"])
-    state.history = [parse_config(path, "history", Validation, entry) for entry in config["history"]]
+    try:
+        state.epochs, state.epoch = (
+            int(parse_number(config.get(name), f"{path}: {name}", 0)) for name in ("epochs", "epoch")
+        )
+    except SequenceError as error:
+        raise CheckpointError(str(error)) from error
+    history = config.get("history")
+    if not isinstance(history, list):
+        raise CheckpointError(f"{path}: history is {quoted(history)}, expected a list of the figures of epochs")
+    state.history = [parse_config(path, "history", Validation, entry) for entry in history]
 
 
 def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) -> dict[int, dict[str, Tensor]]:

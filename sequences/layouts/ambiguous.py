@@ -16,9 +16,10 @@ from pathlib import Path
 
 from sequences.errors import SequenceError
 from sequences.layouts.numbered import NumberedLayout
-from sequences.layouts.posed_images import PosedImages, by_name
+from sequences.layouts.posed_images import PosedImages
+from sequences.values import natural
 
-LOOKED_FOR = "an Ambiguous Relocalization sequence (poses_seq*.txt) or a folder of such, train or test"
+LOOKED_FOR = "poses_seq*.txt"
 _LAYOUT = NumberedLayout(
     "Ambiguous Relocalization", "seq frame qw qx qy qz tx ty tz", ",", ("rgb_matched", "rgb", "images"), levels=3
 )
@@ -32,7 +33,7 @@ def list_images(path: Path) -> PosedImages | None:
     """
     if not path.is_dir():
         return None
-    folders = [path, *sorted((p for p in path.iterdir() if p.is_dir()), key=lambda p: by_name(p.name))]
+    folders = [path, *sorted((p for p in path.iterdir() if p.is_dir()), key=lambda p: natural(p.name))]
     found = [files for folder in folders if (files := sorted(folder.glob("poses_seq*.txt")))]
     if not found:
         return None

@@ -19,15 +19,16 @@ from pathlib import Path
 
 import numpy as np
 
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.layouts.intrinsics import find_camera
 from sequences.layouts.named import list_named
 from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row
 from sequences.layouts.posed_images import PosedImages
-from sequences.tum import is_number, read_lines
+from sequences.values import is_number, read_lines
 
-LOOKED_FOR = "the dataset_train.txt or dataset_test.txt of a Cambridge Landmarks scene"
+LOOKED_FOR = "dataset_train.txt"
 _COLUMNS = "file tx ty tz qw qx qy qz"  # X Y Z W P Q R
 _NUM_HEADER_LINES = 3
 _FARTHEST_M = 10_000.0
@@ -43,17 +44,19 @@ def list_images(path: Path) -> PosedImages | None:
         return None
     poses: dict[str, Poses | str] = {}
     lines: dict[str, int] = {}
-    for number, line in enumerate(read_lines(path), start=1):
+    for number, line in read_lines(path):
         where, fields = f"{path}:{number}", line.split()
         if number <= _NUM_HEADER_LINES:
             if len(fields) == len(_COLUMNS.split()) and is_number(fields[-1]):
-                raise SequenceError(f"{where}: {line!r} among the first three lines, expected them to be a header")
+                raise SequenceError(
+                    f"{where}: {quoted(line)} among the first three lines, expected them to be a header"
+                )
             continue
         if not fields:
             continue
         pose, name = read_pose_row(fields, _COLUMNS, where), fields[0]
         if name in lines:
-            raise SequenceError(f"{where}: {name} is on line {lines[name]} too, expected it once")
+            raise SequenceError(f"{where}: {quoted(name)} is on line {lines[name]} too, expected it once")
         lines[name] = number
         if pose is None:
             poses[name] = NOT_FINITE
@@ -62,6 +65,6 @@ def list_images(path: Path) -> PosedImages | None:
         else:
             poses[name] = Poses(np.ascontiguousarray(pose.rotation.T), pose.translation)
     scene = path.absolute().parent
-    images = list_named("Cambridge Landmarks", path.parent, poses)
+    images = list_named("Cambridge Landmarks", path.parent, path.parent, poses)
     camera = find_camera((scene, scene.parent), images.files)
     return replace(images, cameras=[camera] * len(images))

@@ -14,9 +14,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from sequences.layouts.numbered import NumberedLayout
-from sequences.layouts.posed_images import PosedImages, by_name
+from sequences.layouts.posed_images import PosedImages
+from sequences.values import natural
 
-LOOKED_FOR = "a Ceiling sequence (poses.txt with images) or a folder of such, train or test"
+LOOKED_FOR = "poses.txt"
 _LAYOUT = NumberedLayout("Ceiling", "seq image tx ty tz qw qx qy qz", None, ("images", "rgb"), levels=2)
 
 
@@ -28,5 +29,5 @@ def list_images(path: Path) -> PosedImages | None:
     """
     if (path / "poses.txt").is_file():
         return _LAYOUT.list_images([path / "poses.txt"])
-    pose_files = sorted(path.glob("*/poses.txt"), key=lambda file: by_name(file.parent.name))
+    pose_files = sorted(path.glob("*/poses.txt"), key=lambda file: natural(file.parent.name))
     return _LAYOUT.list_images(pose_files) if pose_files else None

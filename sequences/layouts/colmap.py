@@ -12,25 +12,25 @@ pixel's centre at (0.5, 0.5), here it is at (0, 0).
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.layouts.colmap_binary import camera_rows, image_rows
-from sequences.layouts.intrinsics import scaled_to
+from sequences.layouts.intrinsics import camera_of, lens_of, scaled_to
 from sequences.layouts.named import list_named
 from sequences.layouts.packed import ImageFile
 from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row
 from sequences.layouts.posed_images import PosedImages
-from sequences.tum import read_lines
 from sequences.undistortion import DistortionModel, Lens
+from sequences.values import parse_numbers, read_lines, read_rows
 
-LOOKED_FOR = "a COLMAP model (images and cameras, .bin or .txt, in it, in sparse/0 or in sparse)"
+LOOKED_FOR = "cameras and images (.bin or .txt)"
 _IMAGE_COLUMNS = "id qw qx qy qz tx ty tz camera name"
 _CAMERA_COLUMNS = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
 # Of each model: focal lengths among its parameters, which are followed by cx and cy; how it distorts, and the number of
@@ -62,8 +62,8 @@ def list_images(path: Path) -> PosedImages | None:
         return None
     cameras = _read_cameras(found[0])
     poses, camera_ids = _read_images(found[1], cameras)
-    root = _image_folder(found[1], camera_ids)
-    images = list_named("COLMAP", root, poses)
+    base, root = _image_folder(found[1], camera_ids)
+    images = list_named("COLMAP", base, root, poses)
     ids: dict[ImageFile, str] = {root / name: camera_id for name, camera_id in camera_ids.items()}
     used = [ids[file] for file in images.files]
     scaled = {
@@ -82,30 +82,21 @@ def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
             raise SequenceError(f"{where}: {len(fields)} columns, expected `{_CAMERA_COLUMNS}`")
         camera_id, model = fields[:2]
         if camera_id in cameras:
-            raise SequenceError(f"{where}: camera {camera_id} for the second time, expected it once")
+            raise SequenceError(f"{where}: camera {quoted(camera_id)} for the second time, expected it once")
         if model not in _MODELS:
             raise SequenceError(
-                f"{where}: camera model {model}, expected one of {', '.join(_MODELS)} (colmap image_undistorter makes"
-                " PINHOLE of any)"
+                f"{where}: camera model {quoted(model)}, expected one of {', '.join(_MODELS)} (colmap"
+                " image_undistorter makes PINHOLE of any)"
             )
         num_focal, distortion, num_coefficients = _MODELS[model]
         num_parameters = num_focal + 2 + num_coefficients
-        try:
-            width, height = int(fields[2]), int(fields[3])
-            parameters = [float(text) for text in fields[4:]]
-        except ValueError as error:
-            raise SequenceError(f"{where}: {error}; expected numbers in `{_CAMERA_COLUMNS}`") from error
+        parameters = parse_numbers(fields[4:], where, f"those of `{_CAMERA_COLUMNS}`")
         if len(parameters) != num_parameters:
             raise SequenceError(f"{where}: {len(parameters)} parameters, expected the {num_parameters} of {model}")
-        if not np.isfinite(parameters).all() or min(width, height, *parameters[:num_focal]) <= 0:
-            raise SequenceError(
-                f"{where}: {' '.join(fields)!r}, expected finite parameters, positive sizes and focal lengths"
-            )
-        cx, cy = parameters[num_focal : num_focal + 2]
-        camera = Camera(width, height, parameters[0], parameters[num_focal - 1], cx - 0.5, cy - 0.5)
+        centre = [value - 0.5 for value in parameters[num_focal : num_focal + 2]]
+        camera = camera_of(where, fields[2:4], (parameters[0], parameters[num_focal - 1]), centre)
         coefficients = (*parameters[num_focal + 2 :], 0.0, 0.0, 0.0, 0.0)[: max(num_coefficients, 4)]
-        distorts = any(coefficients) or distortion == "equidistant"
-        cameras[camera_id] = Lens(camera, distortion, coefficients) if distorts else camera
+        cameras[camera_id] = lens_of(where, camera, distortion, coefficients)
     return cameras
 
 
@@ -121,10 +112,10 @@ def _read_images(file: Path, cameras: dict[str, Camera | Lens]) -> tuple[dict[st
         camera_id, name = fields[8:]
         if name in seen:
             place = f"image {seen[name]}" if binary else f"on line {seen[name]}"
-            raise SequenceError(f"{where}: {name} is {place} too, expected it once")
+            raise SequenceError(f"{where}: {quoted(name)} is {place} too, expected it once")
         if camera_id not in cameras:
             raise SequenceError(
-                f"{where}: camera {camera_id}, expected one of those in {file.with_stem('cameras').name}"
+                f"{where}: camera {quoted(camera_id)}, expected one of those in {file.with_stem('cameras').name}"
             )
         seen[name] = number
         camera_ids[name] = camera_id
@@ -134,14 +125,13 @@ def _read_images(file: Path, cameras: dict[str, Camera | Lens]) -> tuple[dict[st
 
 def _text_cameras(file: Path) -> Iterator[tuple[int, list[str]]]:
     """Line and fields of each camera."""
-    for number, line in enumerate(read_lines(file), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            yield number, line.split()
+    for number, line in read_rows(file):
+        yield number, line.split()
 
 
 def _text_images(file: Path) -> Iterator[tuple[int, list[str]]]:
     """Line and fields of each image; names may hold blanks."""
-    lines = _lines(file)
+    lines = (row for row in read_lines(file, most=None) if not row[1].startswith("#"))  # keypoints make it large
     for number, line in lines:
         if not line.strip():
             continue
@@ -150,29 +140,19 @@ def _text_images(file: Path) -> Iterator[tuple[int, list[str]]]:
         next_number, keypoints = next(lines, (number + 1, ""))
         if (num_columns := len(keypoints.split())) % 3:
             raise SequenceError(
-                f"{file}:{next_number}: {num_columns} columns, expected keypoints of {fields[-1]}: `X Y POINT3D_ID`,"
-                " none or more of them"
+                f"{file}:{next_number}: {num_columns} columns, expected keypoints of {quoted(fields[-1])}: `X Y"
+                " POINT3D_ID`, none or more of them"
             )
 
 
-def _lines(file: Path) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers, without comments, one at a time: keypoints make such files large."""
-    try:
-        with open(file, encoding="utf-8") as stream:
-            for number, line in enumerate(stream, start=1):
-                if not line.startswith("#"):
-                    yield number, line
-    except OSError as error:
-        raise SequenceError(f"{file}: cannot read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise SequenceError(f"{file}: byte {error.start} is no UTF-8 text, expected a text file") from error
-
-
-def _image_folder(file: Path, names: dict[str, str]) -> Path:
+def _image_folder(file: Path, names: dict[str, str]) -> tuple[Path, Path]:
+    """The folder that holds all, and the one that names are relative to."""
     model = file.absolute().parent
     bases = [model, *model.parents[:2]]
-    folders = [folder for base in bases for folder in (base / "images", base)]
-    for folder in folders:
-        if any((folder / name).is_file() for name in names):
-            return folder
-    raise SequenceError(f"{file}: none of its images found, looked in {', '.join(map(str, folders))}")
+    folders = [(base, folder) for base in bases for folder in (base / "images", base)]
+    for base, folder in folders:
+        if any(os.path.isfile(folder / name) for name in names):
+            return base, folder
+    raise SequenceError(
+        f"{file}: none of its images found, looked in {', '.join(str(folder) for _, folder in folders)}"
+    )

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
+from filtering.errors import quoted
 from sequences.errors import SequenceError
 
 # Models in the order of their numbers, and how many parameters each has: what follows cannot be found without.
@@ -24,6 +25,7 @@ _MODELS = (
     ("THIN_PRISM_FISHEYE", 12),
 )
 _KEYPOINT_BYTES = 24
+_LONGEST_NAME = 4096
 
 
 def camera_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
@@ -83,10 +85,12 @@ class _Records:
         found = bytearray()
         while (byte := self._bytes(1)) != b"\0":
             found += byte
+            if len(found) > _LONGEST_NAME:
+                raise SequenceError(f"{self._file}: name {quoted(bytes(found))} is too long, expected that of a file")
         try:
             return found.decode("utf-8")
         except UnicodeDecodeError as error:
-            raise SequenceError(f"{self._file}: name {bytes(found[:40])!r} is no UTF-8 text") from error
+            raise SequenceError(f"{self._file}: name {quoted(bytes(found))} is no UTF-8 text") from error
 
     def skip(self, count: int) -> None:
         """Pass over some bytes."""

@@ -8,6 +8,7 @@ left camera: intrinsics, distortion, and its pose T_BS in the body. True poses a
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,20 +17,21 @@ from typing import Any
 import numpy as np
 import yaml
 
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.layouts.image_files import num_beside
-from sequences.layouts.intrinsics import scaled_to
+from sequences.layouts.intrinsics import camera_of, lens_of, scaled_to
 from sequences.layouts.packed import ImageFile
 from sequences.layouts.pose_rows import read_pose_matrix
 from sequences.layouts.posed_images import PosedImages
 from sequences.pairing import MAX_TRUE_POSE_GAP_S, interpolate
 from sequences.pose_tables import read_pose_table
-from sequences.tum import read_lines
 from sequences.undistortion import DistortionModel, Lens
+from sequences.values import MAX_TIME_NS, parse_numbers, parse_whole, read_rows, read_text, require_inside
 
-LOOKED_FOR = "a EuRoC MAV sequence (mav0/cam0/data.csv)"
+LOOKED_FOR = "mav0/cam0/data.csv"
 _MODELS: dict[str, DistortionModel] = {
     "radial-tangential": "plumb_bob",
     "radtan": "plumb_bob",
@@ -37,7 +39,7 @@ _MODELS: dict[str, DistortionModel] = {
     "equidistant": "equidistant",
 }
 _PINHOLE = ("none", *(name for name, model in _MODELS.items() if model == "plumb_bob"))  # where coefficients are 0
-_MAX_TIME_NS = 1 << 62
+_MAX_YAML = 1 << 16  # bytes: it is slow to read
 
 
 def list_images(path: Path) -> PosedImages | None:
@@ -75,42 +77,41 @@ def _read_list(listing: Path, skipped: Counter[str]) -> tuple[np.ndarray, list[P
     """Stamps and files of the images that are there, in order of time."""
     times_ns: list[int] = []
     files: list[Path] = []
-    for number, line in enumerate(read_lines(listing), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for number, line in read_rows(listing):
         where, fields = f"{listing}:{number}", [field.strip() for field in line.split(",")]
         if len(fields) != 2 or not fields[1]:
-            raise SequenceError(f"{where}: {line.strip()!r}, expected `timestamp [ns],filename`")
-        try:
-            time_ns = int(fields[0])
-        except ValueError as error:
-            raise SequenceError(f"{where}: time {fields[0]!r}, expected whole nanoseconds") from error
-        if abs(time_ns) > _MAX_TIME_NS:
-            raise SequenceError(f"{where}: time {fields[0]} is none that a clock shows, expected nanoseconds")
+            raise SequenceError(f"{where}: {quoted(line)}, expected `timestamp [ns],filename`")
+        time_ns = parse_whole(fields[0], f"{where}: nanoseconds", -MAX_TIME_NS, MAX_TIME_NS)
         if times_ns and time_ns <= times_ns[-1]:
             skipped["time stamp not increasing"] += 1
             continue
-        if not (file := listing.parent / "data" / fields[1]).is_file():
+        if not os.path.isfile(file := listing.parent / "data" / fields[1]):
             skipped["no image"] += 1
             continue
         times_ns.append(time_ns)
         files.append(file)
+    require_inside(listing.parent, files)
     skipped["image not in the list"] += num_beside(files)
     return np.array(times_ns, np.int64), files
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML without its tags of OpenCV, as some tools write matrices."""
+    """YAML with OpenCV's tag of matrices, and without references, by which few lines become millions of values."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it refers to values by names")
+        return super().compose_node(parent, index)
 
 
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", yaml.SafeLoader.construct_yaml_map)
 
 
 def _read_yaml(file: Path) -> dict[str, Any]:
-    lines = [line for line in read_lines(file) if not line.startswith("%")]  # %YAML:1.0 is OpenCV's, not YAML
+    lines = [line for line in read_text(file, _MAX_YAML).splitlines() if not line.startswith("%")]  # OpenCV's %YAML:1.0
     try:
         content = yaml.load("\n".join(lines), _Loader)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # also what is no date and too long a number
         raise SequenceError(f"{file}: {' '.join(str(error).split())}; expected YAML") from error
     if not isinstance(content, dict):
         raise SequenceError(f"{file}: holds {type(content).__name__}, expected the names and values of a sensor")
@@ -121,7 +122,7 @@ def _body_from_sensor(file: Path) -> Poses:
     content = _read_yaml(file).get("T_BS")
     values = content.get("data") if isinstance(content, dict) else content
     if not isinstance(values, list):
-        raise SequenceError(f"{file}: T_BS is {content!r}, expected its data: 16 numbers")
+        raise SequenceError(f"{file}: T_BS is {quoted(content)}, expected its data: 16 numbers")
     rows = [values[i : i + 4] for i in range(0, len(values), 4)] if len(values) == 16 else values
     pose = read_pose_matrix(rows, f"{file}: T_BS")
     if pose is None:
@@ -132,23 +133,18 @@ def _body_from_sensor(file: Path) -> Poses:
 def _read_camera(file: Path, files: Sequence[ImageFile]) -> Camera | Lens:
     content = _read_yaml(file)
     if content.get("camera_model", "pinhole") != "pinhole":
-        raise SequenceError(f"{file}: camera_model {content['camera_model']}, expected pinhole")
-    numbers: dict[str, list[float]] = {}
+        raise SequenceError(f"{file}: camera_model {quoted(content['camera_model'])}, expected pinhole")
+    found: dict[str, list[float]] = {}
     for name, counts in (("resolution", (2,)), ("intrinsics", (4,)), ("distortion_coefficients", (0, 4, 5))):
-        try:
-            numbers[name] = [float(value) for value in content.get(name) or []]
-        except (TypeError, ValueError) as error:
-            raise SequenceError(f"{file}: {name}: {error}; expected a list of numbers") from error
-        if len(numbers[name]) not in counts or not np.isfinite(numbers[name]).all():
-            raise SequenceError(f"{file}: {name} is {content.get(name)}, expected {counts[-1]} finite numbers")
-    (width, height), (fx, fy, cx, cy) = numbers["resolution"], numbers["intrinsics"]
-    if min(width, height, fx, fy) <= 0:
-        raise SequenceError(f"{file}: resolution or focal length not positive, expected those of a camera")
-    camera = Camera(int(width), int(height), fx, fy, cx, cy)
-    coefficients = numbers["distortion_coefficients"]
+        values = content.get(name) or []
+        found[name] = parse_numbers(values, f"{file}: {name}") if isinstance(values, list) else []
+        if len(found[name]) not in counts:
+            raise SequenceError(f"{file}: {name} is {quoted(values)}, expected {counts[-1]} numbers")
+    camera = camera_of(str(file), found["resolution"], found["intrinsics"][:2], found["intrinsics"][2:])
+    coefficients = found["distortion_coefficients"]
     model = content.get("distortion_model")
     if not coefficients or (model in _PINHOLE and not any(coefficients)):
         return scaled_to(camera, files)
     if model not in _MODELS:
-        raise SequenceError(f"{file}: distortion_model {model}, expected one of {', '.join(_MODELS)}")
-    return scaled_to(Lens(camera, _MODELS[model], tuple(coefficients)), files)
+        raise SequenceError(f"{file}: distortion_model {quoted(model)}, expected one of {', '.join(_MODELS)}")
+    return scaled_to(lens_of(str(file), camera, _MODELS[model], coefficients), files)

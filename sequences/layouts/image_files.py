@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
 
 from sequences.errors import SequenceError
-from sequences.layouts.packed import ImageFile
+from sequences.image_size import stated_size
+from sequences.layouts.packed import ImageFile, PackedImage
 from sequences.messages import decode_image_bytes
+from sequences.values import parse_frame_number, read_bytes
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def read_image_bytes(file: ImageFile) -> bytes:
-    """Bytes of a JPEG or PNG. Raises SequenceError where it cannot be read."""
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise SequenceError(f"{file}: cannot read the image: {error.strerror or error}") from error
+    """Bytes of a JPEG or PNG. Raises SequenceError where it cannot be read, or is none."""
+    data = file.read_bytes() if isinstance(file, PackedImage) else read_bytes(file)
+    if stated_size(data) is None:
+        raise SequenceError(f"{file}: begins with {data[:8]!r}, expected JPEG or PNG with a header")
+    return data
 
 
 def size_of_first(files: Iterable[ImageFile]) -> tuple[int, int] | None:
@@ -34,7 +37,7 @@ def size_of_first(files: Iterable[ImageFile]) -> tuple[int, int] | None:
 
 def images_in(folder: Path) -> list[Path]:
     """PNG and JPEG files directly in a folder, in the order of their names; none where there is no such folder."""
-    if not folder.is_dir():
+    if not os.path.isdir(folder):  # Path.is_dir raises where a name is too long
         return []
     return sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())
 
@@ -52,7 +55,7 @@ def images_by_number(folder: Path, subfolders: tuple[str, ...]) -> dict[int, Pat
         match = re.search(r"(\d+)\D*$", file.stem, flags=re.ASCII)
         if match is None:
             continue
-        number = int(match[1])
+        number = parse_frame_number(match[1], str(file))
         if number in numbered:
             raise SequenceError(f"{file}: frame {number} is {numbered[number].name} too, expected one image a frame")
         numbered[number] = file

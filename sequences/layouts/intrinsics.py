@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -11,8 +10,8 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.layouts.image_files import size_of_first
 from sequences.layouts.packed import ImageFile
-from sequences.tum import read_lines
-from sequences.undistortion import Lens
+from sequences.undistortion import DistortionModel, Lens
+from sequences.values import parse_number, read_json
 
 Seen = TypeVar("Seen", Camera, Lens, Camera | Lens)
 
@@ -36,11 +35,43 @@ def scaled_to(camera: Seen, files: Iterable[ImageFile]) -> Seen:
 
 def _read_intrinsics(file: Path) -> Camera:
     keys = ("width", "height", "fx", "fy", "cx", "cy")
+    values = read_json(file)
+    missing = [key for key in keys if not isinstance(values, dict) or key not in values]
+    if missing:
+        raise SequenceError(f"{file}: no {', '.join(missing)}, expected JSON with {', '.join(keys)} in pixels")
+    width, height, fx, fy, cx, cy = (values[key] for key in keys)
+    return camera_of(str(file), (width, height), (fx, fy), (cx, cy))
+
+
+def camera_of(where: str, size: Sequence[object], focal: Sequence[object], centre: Sequence[object]) -> Camera:
+    """The camera that a file states, in pixels; numbers, or text that is one.
+
+    Args:
+        where: Begins the message of an error.
+        size: Width and height.
+        focal: fx and fy.
+        centre: cx and cy of the principal point, 0 at the centre of the first pixel.
+
+    Raises:
+        SequenceError: numbers that no camera has.
+    """
+    stated = zip(("width", "height", "fx", "fy", "cx", "cy"), (*size, *focal, *centre), strict=True)
+    width, height, *others = (parse_number(value, f"{where}: {name}") for name, value in stated)
     try:
-        values = json.loads("\n".join(read_lines(file)))
-        width, height, fx, fy, cx, cy = (float(values[key]) for key in keys)
-    except (ValueError, KeyError, TypeError) as error:
-        raise SequenceError(
-            f"{file}: {type(error).__name__}: {error}; expected JSON with {', '.join(keys)} in pixels"
-        ) from error
-    return Camera(int(width), int(height), fx, fy, cx, cy)
+        return Camera(int(width), int(height), *others)
+    except SequenceError as error:
+        raise SequenceError(f"{where}: {error}") from error
+
+
+def lens_of(where: str, camera: Camera, model: DistortionModel, coefficients: Sequence[float]) -> Camera | Lens:
+    """The lens of a camera; the camera itself where it does not distort.
+
+    Raises:
+        SequenceError: a distortion that no lens has. `where` begins the message.
+    """
+    if not any(coefficients) and model != "equidistant":
+        return camera
+    try:
+        return Lens(camera, model, tuple(coefficients))
+    except SequenceError as error:
+        raise SequenceError(f"{where}: {error}") from error

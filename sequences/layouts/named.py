@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping
 from itertools import groupby
@@ -10,27 +11,33 @@ from pathlib import Path, PurePosixPath
 from filtering.se3 import Poses
 from sequences.layouts.image_files import num_beside
 from sequences.layouts.pose_rows import stack_poses
-from sequences.layouts.posed_images import PosedImages, by_name
+from sequences.layouts.posed_images import PosedImages
+from sequences.values import natural, require_inside
 
 
-def list_named(layout: str, root: Path, world_from_camera: Mapping[str, Poses | str]) -> PosedImages:
+def list_named(layout: str, folder: Path, root: Path, world_from_camera: Mapping[str, Poses | str]) -> PosedImages:
     """Images in the order of their names, those of one folder as one sequence, without intrinsics yet.
 
     Args:
         layout: Name of the layout.
+        folder: Where the data set lies: no name leads out of it.
         root: What the names are relative to.
         world_from_camera: One pose by the name of each image, or why it has none.
+
+    Raises:
+        SequenceError: a name leads out of the folder.
     """
+    require_inside(folder, (root / name for name in world_from_camera))
     skipped: Counter[str] = Counter()
     files: list[Path] = []
     poses: list[Poses] = []
     numbers: list[list[int]] = []
-    ordered = sorted(world_from_camera, key=lambda name: (by_name(_folder(name)), by_name(name)))
+    ordered = sorted(world_from_camera, key=lambda name: (natural(_folder(name)), natural(name)))
     for _, names in groupby(ordered, key=_folder):
         numbers.append([])
         for number, name in enumerate(names):
             pose = world_from_camera[name]
-            if not (root / name).is_file():
+            if not os.path.isfile(root / name):
                 skipped["no image"] += 1
             elif isinstance(pose, str):
                 skipped[pose] += 1

@@ -10,26 +10,27 @@ rate, those of each folder as a sequence. A split is named by its file, such as 
 
 from __future__ import annotations
 
-import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, tan
+from math import tan
 from pathlib import Path
 from typing import Any
 
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.layouts.image_files import size_of_first
-from sequences.layouts.intrinsics import scaled_to
+from sequences.layouts.intrinsics import camera_of, lens_of, scaled_to
 from sequences.layouts.named import list_named
 from sequences.layouts.packed import ImageFile
 from sequences.layouts.pose_rows import NOT_FINITE, from_opengl, read_pose_matrix
 from sequences.layouts.posed_images import PosedImages
-from sequences.tum import read_lines
 from sequences.undistortion import DistortionModel, Lens
+from sequences.values import LARGEST, parse_number, read_json
 
-LOOKED_FOR = "a nerfstudio folder (transforms.json) or such a file (transforms*.json)"
+LOOKED_FOR = "transforms.json"
 # Of each model: how it distorts, and the names of the coefficients of that in OpenCV's order.
 _MODELS: dict[str, tuple[DistortionModel, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": ("plumb_bob", ()),
@@ -39,6 +40,7 @@ _MODELS: dict[str, tuple[DistortionModel, tuple[str, ...]]] = {
     "OPENCV": ("plumb_bob", ("k1", "k2", "p1", "p2", "k3")),
     "OPENCV_FISHEYE": ("equidistant", ("k1", "k2", "k3", "k4")),
 }
+_SMALLEST = 1e-6  # of what is positive
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg")  # that names may lack
 
 
@@ -54,15 +56,10 @@ def list_images(path: Path) -> PosedImages | None:
     file = path / "transforms.json" if path.is_dir() else path
     if not (file.is_file() and file.name.startswith("transforms") and file.suffix == ".json"):
         return None
-    try:
-        content = json.loads("\n".join(read_lines(file)))
-    except ValueError as error:
-        raise SequenceError(f"{file}: {error}; expected JSON") from error
+    content = read_json(file)
     if not isinstance(content, dict) or not isinstance(content.get("frames"), list):
         raise SequenceError(f"{file}: no list of frames, expected `frames` with file_path and transform_matrix each")
-    scale = _number(content, "applied_scale", str(file), 1.0)
-    if scale <= 0:
-        raise SequenceError(f"{file}: applied_scale {scale:g}, expected a positive number")
+    scale = _number(content, "applied_scale", str(file), 1.0, low=_SMALLEST)
     root = file.parent
     poses: dict[str, Poses | str] = {}
     stated: dict[ImageFile, _Stated] = {}
@@ -72,14 +69,14 @@ def list_images(path: Path) -> PosedImages | None:
             raise SequenceError(f"{where}: no file_path, expected the name of an image")
         name = _existing(root, frame["file_path"].replace("\\", "/"))
         if name in poses:
-            raise SequenceError(f"{where}: {name} for the second time, expected it once")
+            raise SequenceError(f"{where}: {quoted(name)} for the second time, expected it once")
         pose = read_pose_matrix(frame.get("transform_matrix"), f"{where}: transform_matrix")
         poses[name] = NOT_FINITE if pose is None else _scaled(from_opengl(pose), 1.0 / scale)
         stated[root / name] = _read_stated(content | frame, where)
-    images = list_named("nerfstudio", root, poses)
+    images = list_named("nerfstudio", root, root, poses)
     used = [stated[image] for image in images.files]
     cameras = {
-        one: _camera(one, [image for image, its in zip(images.files, used, strict=True) if its == one])
+        one: _camera(one, [image for image, its in zip(images.files, used, strict=True) if its == one], str(file))
         for one in set(used)
     }
     return replace(images, cameras=[cameras[one] for one in used])
@@ -87,7 +84,7 @@ def list_images(path: Path) -> PosedImages | None:
 
 def _existing(root: Path, name: str) -> str:
     """The name with the suffix that it lacks, as those of synthetic scenes do."""
-    return next((name + suffix for suffix in _SUFFIXES if (root / (name + suffix)).is_file()), name)
+    return next((name + suffix for suffix in _SUFFIXES if os.path.isfile(root / (name + suffix))), name)
 
 
 def _scaled(pose: Poses, factor: float) -> Poses:
@@ -111,29 +108,23 @@ class _Stated:
 
 def _read_stated(values: dict[str, Any], where: str) -> _Stated:
     name = values.get("camera_model", "OPENCV")
-    if name not in _MODELS:
-        raise SequenceError(f"{where}: camera_model {name}, expected one of {', '.join(_MODELS)}")
+    if not isinstance(name, str) or name not in _MODELS:
+        raise SequenceError(f"{where}: camera_model {quoted(name)}, expected one of {', '.join(_MODELS)}")
     model, coefficients = _MODELS[name]
     if model == "plumb_bob" and _number(values, "k4", where, 0.0):
         raise SequenceError(f"{where}: k4 of {name} is not 0, expected a distortion that OpenCV knows")
     names = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x")
-    stated = {key: _number(values, key, where, None) for key in names}
-    for key in ("w", "h", "fl_x", "fl_y"):
-        if stated[key] is not None and stated[key] <= 0:
-            raise SequenceError(f"{where}: {key} is {stated[key]:g}, expected a positive number")
+    positive = ("w", "h", "fl_x", "fl_y")
+    stated = {key: _number(values, key, where, None, low=_SMALLEST if key in positive else -LARGEST) for key in names}
     return _Stated(**stated, model=model, coefficients=tuple(_number(values, key, where, 0.0) for key in coefficients))
 
 
-def _number(values: dict[str, Any], key: str, where: str, default: Any) -> Any:
+def _number(values: dict[str, Any], key: str, where: str, default: Any, low: float = -LARGEST) -> Any:
     value = values.get(key)
-    if value is None:
-        return default
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
-        raise SequenceError(f"{where}: {key} is {value!r}, expected a finite number")
-    return float(value)
+    return default if value is None else parse_number(value, f"{where}: {key}", low)
 
 
-def _camera(stated: _Stated, files: Sequence[ImageFile]) -> Camera | Lens | None:
+def _camera(stated: _Stated, files: Sequence[ImageFile], where: str) -> Camera | Lens | None:
     """Intrinsics in pixels of the images; None where no focal length is stated, or no size and no image to be read."""
     width, height, angle = stated.w, stated.h, stated.camera_angle_x
     if width is None or height is None:
@@ -148,6 +139,5 @@ def _camera(stated: _Stated, files: Sequence[ImageFile]) -> Camera | Lens | None
         return None
     fy = fx if stated.fl_y is None else stated.fl_y
     cx, cy = width / 2 if stated.cx is None else stated.cx, height / 2 if stated.cy is None else stated.cy
-    camera = Camera(int(width), int(height), fx, fy, cx - 0.5, cy - 0.5)
-    distorts = any(stated.coefficients) or stated.model == "equidistant"
-    return scaled_to(Lens(camera, stated.model, stated.coefficients) if distorts else camera, files)
+    camera = camera_of(where, (width, height), (fx, fy), (cx - 0.5, cy - 0.5))
+    return scaled_to(lens_of(where, camera, stated.model, stated.coefficients), files)

@@ -14,9 +14,7 @@ from sequences.layouts.image_files import images_by_number
 from sequences.layouts.intrinsics import find_camera
 from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row, stack_poses
 from sequences.layouts.posed_images import PosedImages
-from sequences.tum import read_lines
-
-_MAX_NUMBER = 10**9  # beyond, it counts nanoseconds rather than frames
+from sequences.values import parse_frame_number, read_rows, require_inside
 
 
 @dataclass(frozen=True)
@@ -52,6 +50,7 @@ class NumberedLayout:
         numbers: list[list[int]] = []
         for pose_file in pose_files:
             images = images_by_number(pose_file.parent, self.image_folders)
+            require_inside(pose_file.parent, images.values())
             posed = self._read(pose_file)
             skipped["no true pose"] += len(images.keys() - posed.keys())
             skipped["no image"] += len(posed.keys() - images.keys())
@@ -73,9 +72,7 @@ class NumberedLayout:
         poses: dict[int, Poses | None] = {}
         lines: dict[int, int] = {}
         sequence: int | None = None
-        for line_number, line in enumerate(read_lines(pose_file), start=1):
-            if not line.strip() or line.lstrip().startswith("#"):
-                continue
+        for line_number, line in read_rows(pose_file):
             where = f"{pose_file}:{line_number}"
             fields = [text.strip() for text in line.split(self.separator)]
             pose = read_pose_row(fields, self.columns, where)
@@ -92,6 +89,4 @@ class NumberedLayout:
 
 def _whole(text: str, where: str) -> int:
     match = re.fullmatch(r"(\d+)(\.0*)?", text, flags=re.ASCII)
-    if match is None or int(match[1]) > _MAX_NUMBER:
-        raise SequenceError(f"{where}: {text!r}, expected the number of a sequence or frame, 0 to {_MAX_NUMBER:,}")
-    return int(match[1])
+    return parse_frame_number(text if match is None else match[1], where)

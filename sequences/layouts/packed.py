@@ -10,10 +10,13 @@ from typing import Protocol, runtime_checkable
 
 import cv2
 
+from filtering.errors import quoted
 from sequences.errors import SequenceError
+from sequences.image_size import require_pixels
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # heeded at the first video: what is wrong is said here
 
+_MAX_MEMBER = 64 << 20  # bytes, unpacked
 _JPEG_QUALITY = 95  # of frames of a video, which were compressed more than that
 
 
@@ -77,14 +80,17 @@ class Archive:
             self._file = zipfile.ZipFile(path)
         except (OSError, zipfile.BadZipFile) as error:
             raise SequenceError(f"{path}: cannot be read as a zip archive: {error}; expected a complete one") from error
-        self.names = frozenset(self._file.namelist())
+        self._sizes = {member.filename: member.file_size for member in self._file.infolist()}
+        self.names = frozenset(self._sizes)
 
     def read(self, key: str, /) -> bytes:
-        """Bytes of a member. Raises SequenceError where it is missing or damaged."""
+        """Bytes of a member. Raises SequenceError where it is missing, damaged, or too large for what it may hold."""
+        if (size := self._sizes.get(key, 0)) > _MAX_MEMBER:
+            raise SequenceError(f"{self.path}: {quoted(key)} has {size:,} bytes, expected at most {_MAX_MEMBER:,}")
         try:
             return self._file.read(key)
         except Exception as error:  # the library lets zlib, key and runtime errors of damaged archives through
-            raise SequenceError(f"{self.path}: member {key} cannot be read: {error}") from error
+            raise SequenceError(f"{self.path}: member {quoted(key)} cannot be read: {error}") from error
 
 
 class Video:
@@ -103,6 +109,7 @@ class Video:
         self._open()
         self.width = int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         self.height = int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        require_pixels(self.width, self.height, str(path))
         stated = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
         self.num_frames = int(stated) if 0 < stated < 1e9 else None
 

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+from sequences.values import LARGEST, parse_numbers
 
 NOT_FINITE = "true pose not finite"  # why an image is left out, as of a frame that was not tracked
 _MAX_MATRIX_ERROR = 0.01  # of a rotation's elements
@@ -31,13 +33,11 @@ def read_pose_row(fields: Sequence[str], columns: str, where: str) -> Poses | No
     names = columns.split()
     if len(fields) != len(names):
         raise SequenceError(f"{where}: {len(fields)} columns, expected the {len(names)} of `{columns}`")
-    try:
-        numbers = [float(fields[names.index(name)]) for name in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]
-    except ValueError as error:
-        raise SequenceError(f"{where}: {error}; expected numbers in `{columns}`") from error
-    row = np.array(numbers)
+    wanted = [fields[names.index(name)] for name in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]
+    row = np.array(parse_numbers(wanted, where, f"those of `{columns}`"))
     if not np.isfinite(row).all():
         return None
+    _require_in_range(row, where)
     length = float(np.linalg.norm(row[3:]))
     if abs(length - 1) > _MAX_LENGTH_ERROR:
         raise SequenceError(f"{where}: quaternion of length {length:g}, expected a unit quaternion in `{columns}`")
@@ -59,18 +59,26 @@ def read_pose_matrix(matrix: object, where: str) -> Poses | None:
     """
     try:
         values = np.array(matrix, np.float64)
-    except (ValueError, TypeError) as error:
-        raise SequenceError(f"{where}: {error}; expected a 4 x 4 matrix of numbers") from error
+    except (ValueError, TypeError, OverflowError):
+        raise SequenceError(f"{where}: {quoted(matrix)}, expected a 4 x 4 matrix of numbers") from None
     if values.shape != (4, 4):
         raise SequenceError(f"{where}: shape {values.shape}, expected a 4 x 4 matrix")
     if not np.isfinite(values).all():
         return None
+    _require_in_range(values, where)
     u, _, vt = np.linalg.svd(values[:3, :3])
     if np.abs(u @ vt - values[:3, :3]).max() > _MAX_MATRIX_ERROR or np.linalg.det(u @ vt) < 0:
         raise SequenceError(f"{where}: the upper left 3 x 3 is no rotation, expected a camera-to-world matrix")
     if np.abs(values[3] - (0, 0, 0, 1)).max() > 1e-3:
         raise SequenceError(f"{where}: last row {values[3].tolist()}, expected 0 0 0 1 of a camera-to-world matrix")
     return Poses(u @ vt, values[:3, 3].copy())
+
+
+def _require_in_range(values: np.ndarray, where: str) -> None:
+    if np.abs(values).max() > LARGEST:
+        raise SequenceError(
+            f"{where}: pose has {quoted(float(np.abs(values).max()))}, expected numbers up to {LARGEST:g}"
+        )
 
 
 def from_opengl(pose: Poses) -> Poses:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -102,8 +101,3 @@ def _assumed_times_ns(sequences: Iterable[Sequence[int]]) -> Int64[np.ndarray, "
         times_ns += [begin_ns + number * 1_000_000_000 // ASSUMED_HZ for number in numbers]
         begin_ns = (times_ns[-1] if numbers else begin_ns) + 1_000_000_000
     return np.array(times_ns, np.int64)
-
-
-def by_name(name: str) -> list[tuple[int, str]]:
-    """Sort key by which `seq2/frame10` comes after `seq2/frame9` and before `seq10/frame1`."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]

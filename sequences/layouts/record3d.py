@@ -9,23 +9,31 @@ older files have only `K`, column by column. `frameTimestamps` are seconds; with
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.intrinsics import scaled_to
+from sequences.layouts.intrinsics import camera_of, scaled_to
 from sequences.layouts.packed import Archive, ImageFile, PackedImage
 from sequences.layouts.pose_rows import NOT_FINITE, from_opengl, read_pose_row, stack_poses
 from sequences.layouts.posed_images import PosedImages
-from sequences.tum import read_lines
+from sequences.values import (
+    LARGEST,
+    parse_frame_number,
+    parse_json,
+    parse_number,
+    parse_time_ns,
+    read_json,
+    require_inside,
+)
 
-LOOKED_FOR = "a Record3D recording (.r3d, or a folder with metadata and rgbd/ or metadata.json and rgb/)"
+LOOKED_FOR = ".r3d"
 _COLUMNS = "qx qy qz qw tx ty tz"
 _PLACES = (("metadata", "rgbd"), ("metadata.json", "rgb"), ("metadata.json", "rgbd"), ("metadata", "rgb"))
 
@@ -39,11 +47,7 @@ def list_images(path: Path) -> PosedImages | None:
     found = _find(path)
     if found is None:
         return None
-    where, text, files = found
-    try:
-        metadata = json.loads(text)
-    except ValueError as error:
-        raise SequenceError(f"{where}: {error}; expected JSON") from error
+    where, metadata, files = found
     if not isinstance(metadata, dict) or not isinstance(metadata.get("poses"), list):
         raise SequenceError(f"{where}: no list of poses, expected `poses` with a row `{_COLUMNS}` a frame")
     rows = metadata["poses"]
@@ -70,29 +74,30 @@ def list_images(path: Path) -> PosedImages | None:
     )
 
 
-def _find(path: Path) -> tuple[str, str | bytes, dict[int, ImageFile]] | None:
-    """Where the metadata is, its text, and images by the numbers of their frames."""
+def _find(path: Path) -> tuple[str, Any, dict[int, ImageFile]] | None:
+    """Where the metadata is, what it says, and images by the numbers of their frames."""
     files: dict[int, ImageFile] = {}
     if path.suffix == ".r3d" and path.is_file():
-        archive = Archive(path)
+        archive, where = Archive(path), f"{path}:metadata"
         for name in archive.names:
             folder, _, file = name.partition("/")
             stem, _, suffix = file.partition(".")
             if folder in ("rgbd", "rgb") and suffix in ("jpg", "png") and stem.isdecimal():
-                files[int(stem)] = PackedImage(path, name, archive)
-        return f"{path}:metadata", archive.read("metadata"), files
+                files[parse_frame_number(stem, f"{path}:{name}")] = PackedImage(path, name, archive)
+        return where, parse_json(archive.read("metadata"), where), files
     for metadata, folder in _PLACES:
         if (path / metadata).is_file() and (path / folder).is_dir():
             for file in (path / folder).iterdir():
                 if file.suffix in (".jpg", ".png") and file.stem.isdecimal():
-                    files[int(file.stem)] = file
-            return str(path / metadata), "\n".join(read_lines(path / metadata)), files
+                    files[parse_frame_number(file.stem, str(file))] = file
+            require_inside(path, files.values())
+            return str(path / metadata), read_json(path / metadata), files
     return None
 
 
 def _pose(row: Any, where: str) -> Poses | None:
     if not isinstance(row, list):
-        raise SequenceError(f"{where}: {row!r}, expected a row `{_COLUMNS}`")
+        raise SequenceError(f"{where}: {quoted(row)}, expected a row `{_COLUMNS}`")
     pose = read_pose_row([str(value) for value in row], _COLUMNS, where)
     return None if pose is None else from_opengl(pose)
 
@@ -104,11 +109,9 @@ def _stamps(metadata: dict[str, Any], count: int, where: str) -> tuple[list[int]
         values = _finite(seconds, f"{where}: frameTimestamps")
         if values.shape != (count,):
             raise SequenceError(f"{where}: {len(values)} frameTimestamps, expected {count} as there are poses")
-        return [round(value * 1e9) for value in values.tolist()], None
-    fps = _finite(metadata.get("fps"), f"{where}: fps")
-    if fps.shape != () or not 0.1 <= fps <= 1000:
-        raise SequenceError(f"{where}: fps is {metadata.get('fps')!r}, expected the rate of the images")
-    return [round(number * 1e9 / float(fps)) for number in range(count)], round(float(fps))
+        return [parse_time_ns(repr(value), f"{where}: frameTimestamps") for value in values.tolist()], None
+    fps = parse_number(metadata.get("fps"), f"{where}: fps", 0.1, 1000)
+    return [round(frame * 1e9 / fps) for frame in range(count)], round(fps)
 
 
 def _camera(metadata: dict[str, Any], where: str) -> Camera:
@@ -122,17 +125,14 @@ def _camera(metadata: dict[str, Any], where: str) -> Camera:
         if matrix.shape != (9,):
             raise SequenceError(f"{where}: K of shape {matrix.shape}, expected the nine numbers of a matrix")
         fx, fy, cx, cy = matrix[[0, 4, 6, 7]].tolist()
-    width, height = (_finite(metadata.get(name), f"{where}: {name}") for name in ("w", "h"))
-    if width.shape != () or height.shape != () or min(float(width), float(height), fx, fy) <= 0:
-        raise SequenceError(f"{where}: w, h or a focal length is not positive, expected those of a camera")
-    return Camera(int(width), int(height), fx, fy, cx, cy)
+    return camera_of(where, (metadata.get("w"), metadata.get("h")), (fx, fy), (cx, cy))
 
 
 def _finite(values: Any, where: str) -> np.ndarray:
     try:
         array = np.array(values, np.float64)
-    except (ValueError, TypeError) as error:
-        raise SequenceError(f"{where}: {error}; expected numbers") from error
-    if not np.isfinite(array).all():
+    except (ValueError, TypeError, OverflowError):
+        raise SequenceError(f"{where} is {quoted(values)}, expected numbers") from None
+    if not (np.abs(array) <= LARGEST).all():
         raise SequenceError(f"{where} is missing or not finite, expected numbers")
     return array

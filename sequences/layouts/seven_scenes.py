@@ -10,20 +10,16 @@ import re
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
-
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.layouts.intrinsics import find_camera
 from sequences.layouts.pose_rows import NOT_FINITE, read_pose_matrix, stack_poses
 from sequences.layouts.posed_images import PosedImages
-from sequences.tum import read_lines
+from sequences.values import parse_frame_number, parse_numbers, read_rows, require_inside
 
-LOOKED_FOR = (
-    "a 7-Scenes sequence folder (frame-*.color.png or .jpg with frame-*.pose.txt), a folder of such seq-*"
-    " or its TrainSplit.txt or TestSplit.txt"
-)
+LOOKED_FOR = "frame-*.pose.txt or TrainSplit.txt"
 _CAMERA = Camera(640, 480, 585.0, 585.0, 320.0, 240.0)
 
 
@@ -40,14 +36,12 @@ def list_images(path: Path) -> PosedImages | None:
 def _split(path: Path) -> list[Path]:
     """The sequences that a split names, in its order."""
     folders: list[Path] = []
-    for number, line in enumerate(read_lines(path), start=1):
-        name = line.strip()
-        if not name or name.startswith("#"):
-            continue
+    for number, name in read_rows(path):
         match = re.fullmatch(r"sequence(\d+)", name, flags=re.ASCII)
+        where = f"{path}:{number}"
         if match is None:
-            raise SequenceError(f"{path}:{number}: {name!r}, expected the name of a sequence, such as sequence1")
-        folder = path.parent / f"seq-{int(match[1]):02d}"
+            raise SequenceError(f"{path}:{number}: {quoted(name)}, expected the name of a sequence, such as sequence1")
+        folder = path.parent / f"seq-{parse_frame_number(match[1], where):02d}"
         if folder in folders:
             raise SequenceError(f"{path}:{number}: {name} for the second time, expected it once")
         if not _holds_frames(folder):
@@ -77,6 +71,7 @@ def _list(sequences: list[Path]) -> PosedImages:
     for folder in sequences:
         images = {_frame_number(p): p for ext in ("png", "jpg") for p in folder.glob(f"frame-*.color.{ext}")}
         posed = {_frame_number(p): p for p in folder.glob("frame-*.pose.txt")}
+        require_inside(folder, [*images.values(), *posed.values()])
         skipped["no true pose"] += len(images.keys() - posed.keys())
         skipped["no image"] += len(posed.keys() - images.keys())
         numbers.append([])
@@ -96,13 +91,10 @@ def _frame_number(path: Path) -> int:
     match = re.match(r"frame-(\d+)\.", path.name)
     if match is None:
         raise SequenceError(f"{path}: expected a name such as frame-000000.color.png")
-    return int(match[1])
+    return parse_frame_number(match[1], str(path))
 
 
 def _read_pose(file: Path) -> Poses | None:
     """One pose; None where it is not finite."""
-    try:
-        matrix = np.array([[float(value) for value in line.split()] for line in read_lines(file) if line.strip()])
-    except ValueError as error:
-        raise SequenceError(f"{file}: {error}; expected a 4 x 4 matrix of numbers") from error
-    return read_pose_matrix(matrix, str(file))
+    rows = [parse_numbers(line.split(), f"{file}:{number}", "a 4 x 4 matrix") for number, line in read_rows(file)]
+    return read_pose_matrix(rows, str(file))

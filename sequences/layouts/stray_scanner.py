@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
@@ -22,9 +23,9 @@ from sequences.layouts.image_files import images_by_number, images_in, size_of_f
 from sequences.layouts.packed import ImageFile, Video
 from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row, stack_poses
 from sequences.layouts.posed_images import PosedImages
-from sequences.tum import parse_time_ns, read_lines
+from sequences.values import parse_frame_number, parse_numbers, parse_time_ns, read_rows, require_inside
 
-LOOKED_FOR = "a Stray Scanner recording (odometry.csv and camera_matrix.csv with rgb.mp4 or rgb/)"
+LOOKED_FOR = "odometry.csv"
 _COLUMNS = ["timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw"]
 _POSITION = {"x": "tx", "y": "ty", "z": "tz"}
 _FOCAL = ["fx", "fy", "cx", "cy"]
@@ -47,23 +48,23 @@ def list_images(path: Path) -> PosedImages | None:
     seen: dict[int, str] = {}
     for where, row in _rows(path / "odometry.csv"):
         pose = read_pose_row(list(row.values()), " ".join(_POSITION.get(name, name) for name in row), where)
-        number = _frame_number(row["frame"], where)
+        number = parse_frame_number(row["frame"], where)
         if number in seen:
             raise SequenceError(f"{where}: frame {number} is on {seen[number]} too, expected it once")
         seen[number] = f"line {where.rsplit(':', 1)[1]}"
-        time_ns = parse_time_ns(row["timestamp"], where)
-        if times_ns and (time_ns <= times_ns[-1] or number <= numbers[-1]):
+        found_ns = parse_time_ns(row["timestamp"], where)
+        if times_ns and (found_ns <= times_ns[-1] or number <= numbers[-1]):
             skipped["time stamp not increasing"] += 1
         elif pose is None:
             skipped[NOT_FINITE] += 1
         elif number not in frames:
             skipped["no image"] += 1
         else:
-            times_ns.append(time_ns)
+            times_ns.append(found_ns)
             numbers.append(number)
             poses.append(pose)
             if all(name in row for name in _FOCAL):
-                focal.append(_numbers([row[name] for name in _FOCAL], where))
+                focal.append(parse_numbers([row[name] for name in _FOCAL], where))
     skipped["no true pose"] += frames.num_beside(seen)
     files = [frames[number] for number in numbers]
     camera = _camera(path / "camera_matrix.csv", files, focal, frames.size)
@@ -78,6 +79,7 @@ class _Frames:
         self._files: dict[int, Path] | None = None
         if images_in(folder / "rgb"):
             self._files = images_by_number(folder / "rgb", ())
+            require_inside(folder, self._files.values())
             return
         if not (folder / "rgb.mp4").is_file():
             raise SequenceError(f"{folder / 'rgb.mp4'}: no such file, expected the video, or its frames in rgb/")
@@ -95,7 +97,8 @@ class _Frames:
         """How many images there are beside these."""
         if self._files is not None:
             return len(self._files.keys() - numbers.keys())
-        return sum(number not in numbers for number in range(self._video.num_frames or 0))
+        stated = self._video.num_frames or 0
+        return stated - sum(number < stated for number in numbers)
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -105,12 +108,12 @@ class _Frames:
 
 def _rows(file: Path) -> list[tuple[str, dict[str, str]]]:
     """Where each row is, and its fields by the names of the header."""
-    lines = [(number, line) for number, line in enumerate(read_lines(file), start=1) if line.strip()]
+    lines = list(read_rows(file))
     if not lines:
         raise SequenceError(f"{file}: empty, expected the header `{', '.join(_COLUMNS)}` and rows")
     names = [name.strip() for name in lines[0][1].split(",")]
     if not set(_COLUMNS) <= set(names) or len(set(names)) != len(names):
-        raise SequenceError(f"{file}:{lines[0][0]}: {lines[0][1].strip()!r}, expected the header {', '.join(_COLUMNS)}")
+        raise SequenceError(f"{file}:{lines[0][0]}: {quoted(lines[0][1])}, expected the header {', '.join(_COLUMNS)}")
     rows: list[tuple[str, dict[str, str]]] = []
     for number, line in lines[1:]:
         fields = [field.strip() for field in line.split(",")]
@@ -120,27 +123,13 @@ def _rows(file: Path) -> list[tuple[str, dict[str, str]]]:
     return rows
 
 
-def _frame_number(text: str, where: str) -> int:
-    if not (text.isascii() and text.isdecimal() and len(text) < 10):
-        raise SequenceError(f"{where}: frame {text!r}, expected the number of a frame")
-    return int(text)
-
-
-def _numbers(fields: list[str], where: str) -> list[float]:
-    try:
-        return [float(field) for field in fields]
-    except ValueError as error:
-        raise SequenceError(f"{where}: {error}; expected numbers") from error
-
-
 def _camera(
     file: Path, files: list[ImageFile], focal: list[list[float]], size: tuple[int, int] | None
 ) -> Camera | None:
     """Intrinsics of the images; None where none of them can be read."""
-    rows = [(number, line.split(",")) for number, line in enumerate(read_lines(file), start=1) if line.strip()]
-    matrix = [_numbers(fields, f"{file}:{number}") for number, fields in rows]
+    matrix = [parse_numbers(line.split(","), f"{file}:{number}") for number, line in read_rows(file)]
     if [len(row) for row in matrix] != [3, 3, 3]:
-        raise SequenceError(f"{file}: {[len(row) for row in matrix]} columns in its rows, expected a 3 x 3 matrix")
+        raise SequenceError(f"{file}: rows of {quoted([len(row) for row in matrix])} columns, expected a 3 x 3 matrix")
     fx, fy, cx, cy = matrix[0][0], matrix[1][1], matrix[0][2], matrix[1][2]
     if focal:
         fx, fy, cx, cy = np.median(np.array(focal), axis=0).tolist()

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
+from filtering.errors import quoted
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.layouts.intrinsics import find_camera
 from sequences.layouts.posed_images import PosedImages
 from sequences.pairing import MAX_TRUE_POSE_GAP_S, interpolate
-from sequences.tum import parse_time_ns, read_lines, read_tum
+from sequences.tum import read_tum
+from sequences.values import parse_time_ns, read_rows, require_inside
 
-LOOKED_FOR = "a TUM RGB-D folder (rgb.txt and groundtruth.txt)"
+LOOKED_FOR = "rgb.txt and groundtruth.txt"
 # Published intrinsics at 640 x 480, by a part of the folder's name.
 _KNOWN_CAMERAS = {
     "freiburg1": Camera(640, 480, 517.3, 516.5, 318.6, 255.3),
@@ -36,21 +39,20 @@ def list_images(path: Path) -> PosedImages | None:
     truth = read_tum(path / "groundtruth.txt")
     times_ns: list[int] = []
     files: list[Path] = []
-    for number, line in enumerate(read_lines(path / "rgb.txt"), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for number, line in read_rows(path / "rgb.txt"):
         where, fields = f"{path / 'rgb.txt'}:{number}", line.split(maxsplit=1)
         if len(fields) != 2:
-            raise SequenceError(f"{where}: {line!r}, expected `time file`")
-        time_ns = parse_time_ns(fields[0], where)
-        if times_ns and time_ns <= times_ns[-1]:
+            raise SequenceError(f"{where}: {quoted(line)}, expected `time file`")
+        found_ns = parse_time_ns(fields[0], where)
+        if times_ns and found_ns <= times_ns[-1]:
             skipped["time stamp not increasing"] += 1
             continue
-        if not (file := path / fields[1].strip()).is_file():
+        if not os.path.isfile(file := path / fields[1].strip()):
             skipped["no image"] += 1
             continue
-        times_ns.append(time_ns)
+        times_ns.append(found_ns)
         files.append(file)
+    require_inside(path, files)
     times = np.array(times_ns, np.int64)
     poses, covered = interpolate(truth.times_ns, truth.poses, times, max_gap_s=MAX_TRUE_POSE_GAP_S)
     if not covered.all():

@@ -37,7 +37,7 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("convert", Options, arguments)
-    match = re.fullmatch(r"(\d*):(\d*)", o.frames)
+    match = re.fullmatch(r"(\d{0,9}):(\d{0,9})", o.frames)
     if match is None:
         usage_error("convert", f"--frames {o.frames}, expected START:STOP with whole numbers")
     if o.odometry is not None and o.odometry_noise:

@@ -17,6 +17,7 @@ from typing import Any
 
 from filtering.errors import VaporTrackError, require_within
 from sequences.atomic import atomic_output
+from sequences.values import read_json
 from vapor.experiments.trainings import Scene, identities, render_scenes, rendered_height, trained_from
 from vapor.observation import resolve_device
 from vapor.presets import PRESETS
@@ -144,10 +145,8 @@ class ScheduleExperiment:
         where = {"device": str(resolve_device(config.device))}  # seconds depend on it
         content = digest(trained_from(self._scene, config) | judged | where)
         file = folder / f"{self._name}-{schedule}-{content}.json"
-        try:
-            return [Point(**point) for point in json.loads(file.read_text(encoding="utf-8"))]
-        except FileNotFoundError:
-            pass
+        if file.is_file():
+            return [Point(**point) for point in read_json(file)]
         batch_size = min(config.batch_size, self.config.sequences * self.config.frames)
         clock = _Clock(batch_size, enough, most_s, advance)
         with tempfile.TemporaryDirectory(dir=folder) as temporary, contextlib.suppress(_EnoughError):

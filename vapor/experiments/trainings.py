@@ -19,6 +19,7 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
+from sequences.values import read_arrays, read_json
 from vapor.checkpoint import load_checkpoint, spaced
 from vapor.observation import resolve_device
 from vapor.parallel import in_parallel
@@ -188,8 +189,8 @@ def run_trainings(trainings: Sequence[Training], directory: Path, workers: int) 
 
 def kept_samples(training: Training, directory: Path) -> tuple[Poses, list[Poses]]:
     """True poses of some test images, and the posterior samples of each, of a training that is done."""
-    with np.load(training.file(directory, ".npz")) as stored:
-        rows = {name: stored[name].astype(np.float64) for name in ("truth", "samples")}
+    stored = read_arrays(training.file(directory, ".npz"))
+    rows = {name: stored[name].astype(np.float64) for name in ("truth", "samples")}
     return from_rows(rows["truth"]), [from_rows(image) for image in rows["samples"]]
 
 
@@ -201,10 +202,8 @@ def _render(
 
 def _run(training: Training, directory: Path) -> dict[str, Any]:
     file = training.file(directory, ".json")
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        pass
+    if file.is_file():
+        return read_json(file)
     seed, scene = training.config.seed, training.scene
     result: dict[str, Any] = {"scene": scene.name, "label": training.label, "seed": seed}
     with limited_threads(1), tempfile.TemporaryDirectory(dir=directory / "runs") as folder:
@@ -234,7 +233,7 @@ def _train(training: Training, model: Path) -> dict[str, float]:
     """Train, unless that is done; `seconds` and `images_seen`."""
     about = model.with_suffix(".json")
     if model.is_file() and about.is_file():
-        return json.loads(about.read_text(encoding="utf-8"))
+        return read_json(about)
     crop = training.config.augment.crop
     images = _images(training.scene.train, training.config.network.frame_size, central=crop == "central")
     try:
