@@ -209,7 +209,7 @@ def parse_time_ns(text: str, where: str) -> int:
             return int(seconds.scaleb(9).to_integral_value())
     except DecimalException:  # NaN too, which cannot be compared
         raise SequenceError(f"{where}: time {quoted(text)}, expected a number of seconds") from None
-    likely = next((unit for unit, digits in _UNITS if abs(seconds) < _MAX_TIME_S.scaleb(digits)), None)
+    likely = next((unit for unit, digits in _UNITS if seconds.copy_abs() < _MAX_TIME_S.scaleb(digits)), None)
     hint = f": are these {likely}?" if likely else ""
     raise SequenceError(f"{where}: time {quoted(text)} s lies beyond the year 2116, expected seconds{hint}")
 
