@@ -150,12 +150,12 @@ def test_7_scenes_frames_without_a_pose_or_of_lost_tracking_are_left_out(tmp_pat
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [("1 0 0\n0 1 0\n", r"shape \(2, 3\)"), ("x 0 0 0\n", "'x' is no number"), ("2 0 0 0\n" * 4, "no rotation")],
+    [("1 0 0\n0 1 0\n", r"shape \(2, 3\)"), ("x 0 0 0\n", "1: 'x' is no number"), ("2 0 0 0\n" * 4, "no rotation")],
 )
 def test_a_7_scenes_pose_that_is_none_is_named(content: str, said: str, tmp_path: Path) -> None:
     scene = make_7scenes(tmp_path / "scene", num_images=2)
     (scene / "seq-01" / "frame-000001.pose.txt").write_text(content)
-    with pytest.raises(SequenceError, match=rf"frame-000001\.pose\.txt: .*{said}"):
+    with pytest.raises(SequenceError, match=rf"frame-000001\.pose\.txt:.*{said}"):
         list(posed_frames(scene))
 
 
@@ -170,7 +170,7 @@ def test_an_unknown_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
 def test_damaged_intrinsics_and_lists_are_named(tmp_path: Path) -> None:
     folder = make_tum(tmp_path / "tum")
     (folder / "intrinsics.json").write_text('{"width": 3}')
-    with pytest.raises(SequenceError, match=r"intrinsics\.json: KeyError: 'height'; expected JSON with width"):
+    with pytest.raises(SequenceError, match=r"intrinsics\.json: no height, .* expected JSON with width"):
         list(posed_frames(folder))
     (folder / "intrinsics.json").unlink()
     with open(folder / "rgb.txt", "a") as file:

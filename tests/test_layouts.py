@@ -507,8 +507,8 @@ def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Pat
         with pytest.raises(SequenceError, match=said) as error:
             list(posed_frames(path))
         for file in (
-            *("metadata.yaml", "groundtruth.txt", "frame-*.pose.txt", "TrainSplit.txt", "poses_seq*.txt", "poses.txt"),
-            *("dataset_train.txt", "cameras and images (.bin or .txt)"),
+            *("metadata.yaml", "groundtruth.txt", "frame-*.pose.txt", "poses_seq*.txt", "poses.txt"),
+            *("dataset_train.txt", "images.bin"),
         ):
             assert file in str(error.value)
 

@@ -30,7 +30,7 @@ from sequences.layouts.posed_images import PosedImages
 from sequences.undistortion import DistortionModel, Lens
 from sequences.values import parse_numbers, read_lines, read_rows
 
-LOOKED_FOR = "cameras and images (.bin or .txt)"
+LOOKED_FOR = "images.bin"
 _IMAGE_COLUMNS = "id qw qx qy qz tx ty tz camera name"
 _CAMERA_COLUMNS = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
 # Of each model: focal lengths among its parameters, which are followed by cx and cy; how it distorts, and the number of

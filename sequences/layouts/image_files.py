@@ -20,7 +20,7 @@ def read_image_bytes(file: ImageFile) -> bytes:
     """Bytes of a JPEG or PNG. Raises SequenceError where it cannot be read, or is none."""
     data = file.read_bytes() if isinstance(file, PackedImage) else read_bytes(file)
     if stated_size(data) is None:
-        raise SequenceError(f"{file}: begins with {data[:8]!r}, expected JPEG or PNG with a header")
+        raise SequenceError(f"{len(data)} bytes are no image with the header of a JPEG or PNG, expected one")
     return data
 
 

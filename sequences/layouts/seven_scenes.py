@@ -19,7 +19,7 @@ from sequences.layouts.pose_rows import NOT_FINITE, read_pose_matrix, stack_pose
 from sequences.layouts.posed_images import PosedImages
 from sequences.values import parse_frame_number, parse_numbers, read_rows, require_inside
 
-LOOKED_FOR = "frame-*.pose.txt or TrainSplit.txt"
+LOOKED_FOR = "frame-*.pose.txt"
 _CAMERA = Camera(640, 480, 585.0, 585.0, 320.0, 240.0)
 
 

@@ -1,0 +1,59 @@
+"""Prints docs/licences.md: the packages that an installation brings with it, and their licences as they state them."""
+
+from __future__ import annotations
+
+import re
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+
+_EXTRAS = ("", "evo", "video")
+_TEXT = """# Licences of the dependencies
+
+vapor-track is under Apache-2.0. What it depends on, directly and through others, with versions as installed and
+licences as the packages state them; made by `python docs/licences.py > docs/licences.md`. *Extra* names the optional
+extra (`evo`, `video`) that alone brings a package.
+
+Packages under the GPL come with extras only: evo is GPL-3.0; PyAV is BSD, but its wheels carry FFmpeg with encoders
+under the GPL. NumPy, SciPy, OpenCV and others carry libraries within their wheels whose licences are not in this table;
+among those of opencv-python-headless is FFmpeg under the LGPL-2.1. The GPL of gcc's runtime libraries, which wheels of
+NumPy and SciPy name, has the exception that what links to them is under a licence of its own.
+"""
+
+
+def main() -> None:
+    """Print the page."""
+    brought: dict[str, str] = {}
+    for extra in _EXTRAS:
+        follow("vapor-track", extra, brought)
+    print(_TEXT)  # noqa: T201
+    print("| package | version | licence | extra |\n|---|---|---|---|")  # noqa: T201
+    for name, extra in sorted(brought.items()):
+        package = distribution(name)
+        print(f"| {name} | {package.version} | {licence(package)} | {extra} |")  # noqa: T201
+
+
+def follow(name: str, extra: str, brought: dict[str, str]) -> None:
+    """Add what a package needs, and what that needs, where it is installed here."""
+    for requirement in distribution(name).requires or []:
+        wanted, _, condition = requirement.partition(";")
+        asked = re.search(r"extra *== *['\"]([^'\"]*)", condition)
+        needed = re.sub(r"[-_.]+", "-", re.split(r"[^\w.-]", wanted, maxsplit=1)[0]).lower()
+        if (asked[1] if asked else "") != (extra if name == "vapor-track" else "") or needed in brought:
+            continue
+        try:
+            distribution(needed)
+        except PackageNotFoundError:
+            continue  # of another system
+        brought[needed] = extra
+        follow(needed, extra, brought)
+
+
+def licence(package: Distribution) -> str:
+    """What a package states: an expression, classifiers, or the first line of its text."""
+    stated = package.metadata
+    classifiers = [each.rpartition(" :: ")[2] for each in stated.get_all("Classifier") or [] if "License ::" in each]
+    text = stated.get("License-Expression") or ", ".join(each for each in classifiers if each != "OSI Approved")
+    return (text or (stated.get("License") or "not stated").strip().splitlines()[0])[:80].replace("|", "/")
+
+
+if __name__ == "__main__":
+    main()
