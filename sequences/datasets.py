@@ -162,7 +162,7 @@ def list_images(path: Path) -> PosedImages:
     path = Path(path)
     images = next((images for layout in _LAYOUTS if (images := layout.list_images(path)) is not None), None)
     if images is None:
-        raise SequenceError(f"{path}: {_what_is_there(path)}; looked for {_looked_for()}")
+        raise SequenceError(f"{path}: {_what_is_there(path)}")
     if not len(images):
         raise SequenceError(f"{path}: no image with a true pose: {dict(images.skipped)}; expected at least one")
     return images
@@ -171,14 +171,10 @@ def list_images(path: Path) -> PosedImages:
 def _what_is_there(path: Path) -> str:
     if path.is_file():
         return "is a file, expected the folder of a data set or the list of a split"
-    if not path.is_dir():
-        return "no such folder or file"
-    splits = [str(path / name) for name in _SPLITS if (path / name).exists()]
-    return "holds none of these layouts" + (f" itself, perhaps {' or '.join(splits)} is meant" if splits else "")
-
-
-def _looked_for() -> str:
-    return f"an .mcap file, metadata.yaml, {', '.join(layout.LOOKED_FOR for layout in _LAYOUTS)}"
+    if splits := [name for name in _SPLITS if (path / name).exists()]:
+        return f"no sequence or data set, perhaps its {' or '.join(splits)} is meant"
+    looked_for = f"looked for an .mcap file, metadata.yaml, {', '.join(layout.LOOKED_FOR for layout in _LAYOUTS)}"
+    return f"{'no sequence or data set' if path.exists() else 'no such folder or file'}; {looked_for}"
 
 
 def is_recording(path: Path) -> bool:

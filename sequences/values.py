@@ -141,7 +141,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     raise SequenceError(f"{path}: arrays of {size:,} bytes, expected at most {_MAX_ARRAYS:,}")
 
 
-def parse_number(value: object, where: str, low: float = -LARGEST, high: float = LARGEST) -> float:
+def parse_number(value: object, where: str, low: int | float = -LARGEST, high: int | float = LARGEST) -> float:
     """A finite number.
 
     Args:

@@ -112,7 +112,7 @@ def test_numbered_frames_of_a_sequence_or_a_split(
     check(scene / "test", [5], [0])
     assert list_images(scene / "test").layout == {"poses.txt": "Ceiling"}.get(poses, "Ambiguous Relocalization")
     assert list_images(scene / "test").assumed_hz == 30
-    with pytest.raises(SequenceError, match=r"perhaps .*scene/train or .*scene/test is meant; looked for"):
+    with pytest.raises(SequenceError, match=r"perhaps its train or test is meant"):
         list_images(scene)
 
 
@@ -294,7 +294,7 @@ def test_a_cambridge_list_gives_its_images_by_sequence_and_frame(tmp_path: Path)
     assert (images.layout, images.skipped, images.cameras) == ("Cambridge Landmarks", {}, [None] * 4)
     (scene / "intrinsics.json").write_text(json.dumps(INTRINSICS))
     assert [camera.fx if camera else None for camera in list_images(scene / "dataset_train.txt").cameras] == [29.25] * 4
-    with pytest.raises(SequenceError, match=r"perhaps .*dataset_train\.txt or .*dataset_test\.txt is meant"):
+    with pytest.raises(SequenceError, match=r"perhaps its dataset_train\.txt or dataset_test\.txt is meant"):
         list_images(scene)
 
 
@@ -447,8 +447,8 @@ def test_colmap_camera_models(
         ("1 PINHOLE 32 24 30 16 12", "3 parameters, expected the 4 of PINHOLE"),
         ("1 PINHOLE 32", "3 columns, expected `CAMERA_ID MODEL WIDTH HEIGHT PARAMS"),
         ("1 PINHOLE 32 24 30 x 16 12", "'x' is no number"),
-        ("1 PINHOLE 32 24 30 nan 16 12", "fx is nan, expected a number"),
-        ("1 PINHOLE 32 24 30 0 16 12", "camera with fx 0.0, expected between"),
+        ("1 PINHOLE 32 24 30 nan 16 12", "fy is nan, expected a number"),
+        ("1 PINHOLE 32 24 30 0 16 12", "camera with fy 0.0, expected between"),
         ("2 PINHOLE 32 24 30 29 16 12", "camera '2' for the second time"),
     ],
 )
@@ -501,16 +501,16 @@ def test_what_a_colmap_model_leaves_out_is_counted(tmp_path: Path) -> None:
 
 
 def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
     (tmp_path / "notes.txt").write_text("none")
-    for path, said in ((tmp_path / "empty", "holds none"), (tmp_path / "notes.txt", "is a file, expected the folder")):
-        with pytest.raises(SequenceError, match=said) as error:
-            list(posed_frames(path))
-        for file in (
-            *("metadata.yaml", "groundtruth.txt", "frame-*.pose.txt", "poses_seq*.txt", "poses.txt"),
-            *("dataset_train.txt", "images.bin"),
-        ):
-            assert file in str(error.value)
+    with pytest.raises(SequenceError, match="is a file, expected the folder of a data set or the list of a split"):
+        list(posed_frames(tmp_path / "notes.txt"))
+    with pytest.raises(SequenceError, match="no sequence or data set; looked for") as error:
+        list(posed_frames(tmp_path))
+    for file in (
+        *("metadata.yaml", "groundtruth.txt", "frame-*.pose.txt", "poses_seq*.txt", "poses.txt"),
+        *("dataset_train.txt", "images.bin"),
+    ):
+        assert file in str(error.value)
 
 
 def test_stamped_data_says_that_its_stamps_are_not_assumed(tmp_path: Path) -> None:
