@@ -61,7 +61,7 @@ def poses_of_rows(
         SequenceError: one is not finite or beyond what a pose has, or has no rotation; names the first such line.
     """
     rows = np.concatenate([translation, quat_xyzw], axis=1)
-    usable: np.ndarray = (np.abs(rows) <= LARGEST).all(axis=1)
+    usable = np.all(np.abs(rows) <= LARGEST, axis=1)
     turned = np.linalg.norm(np.where(usable[:, None], quat_xyzw, 1.0), axis=1) >= _SHORTEST
     if not (usable & turned).all():
         first = int(np.argmin(usable & turned))
