@@ -80,7 +80,10 @@ class SequenceReader:
         extrinsics = self._roles.extrinsics
         self.base_from_camera: Poses | None = extrinsics.body_from_camera if extrinsics is not None else None
         self.odometry_description = self._bag.metadata.get(METADATA_NAME, {}).get("odometry")
-        self._found_notices = self._roles.truth.notices if self._roles.truth is not None else []
+        self._found_notices = [
+            f"{file.name} states no number of messages: images that it lost cannot be told"
+            for file in self._bag.uncounted
+        ] + (self._roles.truth.notices if self._roles.truth is not None else [])
         self.notices = list(self._found_notices)
 
     @property
