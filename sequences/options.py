@@ -60,7 +60,7 @@ class SequenceOptions:
     odometry; where that is not read, the frame that the true poses are of."""
     motion_noise: MotionNoise = field(default_factory=MotionNoise)
     """Noise of odometry whose messages carry no covariance (zeros, or -1 first), and of the axes that they state a
-    variance of 1000 or more for, a placeholder for what is not measured."""
+    variance of 10 or more for, a placeholder for what is not measured."""
     start_s: float = 0.0
     """Seconds after the first image at which to begin."""
     duration_s: float | None = None

@@ -16,6 +16,7 @@ from sequences.bag import Bag, RawMessage
 from sequences.camera_info import ImageCamera
 from sequences.errors import SequenceError
 from sequences.frame import Frame
+from sequences.image_headers import why_left_out
 from sequences.images import Picture
 from sequences.messages import odometry_from_message, stamp_ns
 from sequences.options import OdometryUse, SequenceOptions
@@ -305,7 +306,7 @@ class _Pairing:
         try:
             image = picture.decode()
         except SequenceError as error:
-            return self._skip("undecodable image", time_ns, error)
+            return self._skip(why_left_out(error), time_ns, error)
         odometry = None
         if self._base_from_camera is not None and previous_ns is not None and covered and self._previous_covered:
             odometry = self._odometry.odometry_between(

@@ -209,7 +209,7 @@ def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (without_images, ["12 × undecodable image", "expected JPEG or PNG"]),
+        (without_images, ["12 × undecodable image", "expected JPEG, PNG"]),
         (with_odometry_of_another_day, ["12 × odometry does not cover"]),
     ],
 )
