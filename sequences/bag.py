@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Literal
 
 from mcap.records import Schema
 
@@ -15,6 +16,7 @@ from sequences.errors import SequenceError
 from sequences.mcap_file import McapFile
 from sequences.messages import frame_name
 
+Stamps = Literal["header", "log"]
 TF_STATIC, TF = "/tf_static", "/tf"
 
 
@@ -61,6 +63,7 @@ class RawMessage:
         type: Its type, as of `Topic`.
         encoding: How it is serialized.
         definition: What the file says of its type.
+        restamped: Whether its headers get the time it was logged, in place of their own stamps.
     """
 
     topic: str
@@ -69,10 +72,17 @@ class RawMessage:
     type: str
     encoding: str
     definition: bytes
+    restamped: bool = False
 
     def decode(self) -> SimpleNamespace:
         """Its fields, named as in ROS 2. What it raises where it is damaged depends on the encoding."""
-        return encodings.decoder(self.type, self.encoding, self.definition)(self.data)
+        message = encodings.decoder(self.type, self.encoding, self.definition)(self.data)
+        if self.restamped:
+            sec, nanosec = divmod(self.log_time_ns, 1_000_000_000)
+            for stamped in getattr(message, "transforms", [message]):
+                if hasattr(stamped, "header"):
+                    stamped.header.stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
+        return message
 
 
 class Bag:
@@ -85,9 +95,18 @@ class Bag:
         uncounted: Files that do not say how many messages they have, so that lost ones cannot be told.
     """
 
-    def __init__(self, path: Path):
-        """Open a bag. Raises SequenceError where a file is missing, truncated, garbage or of another format."""
+    def __init__(self, path: Path, *, stamps: Stamps = "header"):
+        """Open a bag.
+
+        Args:
+            path: File or folder.
+            stamps: Whether messages keep the stamps of their headers, or get the times at which they were logged.
+
+        Raises:
+            SequenceError: a file is missing, truncated, garbage or of another format.
+        """
         self.path = Path(path)
+        self._restamped = stamps == "log"
         self.topics: dict[str, Topic] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self._files = [McapFile(file) for file in bag_files(self.path)]
@@ -127,6 +146,7 @@ class Bag:
                         _type_name(schema),
                         channel.message_encoding,
                         definition,
+                        self._restamped,
                     )
 
     @cached_property

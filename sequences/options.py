@@ -61,6 +61,10 @@ class SequenceOptions:
     motion_noise: MotionNoise = field(default_factory=MotionNoise)
     """Noise of odometry whose messages carry no covariance (zeros, or -1 first), and of the axes that they state a
     variance of 10 or more for, a placeholder for what is not measured."""
+    stamps: Literal["header", "log"] = "header"
+    """When messages are of: by the stamps in their headers or, where those are none, by the times they were logged."""
+    allow_few_images: bool = False
+    """Localize also where fewer than one image in ten can be used."""
     start_s: float = 0.0
     """Seconds after the first image at which to begin."""
     duration_s: float | None = None
