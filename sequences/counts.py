@@ -29,12 +29,12 @@ class ImageCounts:
     @property
     def are_very_few(self) -> bool:
         """Whether fewer than one in ten of the images asked for were used."""
-        return self.used < _VERY_FEW * self._asked
+        return self._are_complete and self.used < _VERY_FEW * self._asked
 
     @property
     def warning(self) -> str | None:
         """A sentence where fewer than half of the images asked for were used, with the main reason; None elsewhere."""
-        if self.used >= _FEW * self._asked:
+        if not self._are_complete or self.used >= _FEW * self._asked:
             return None
         ((reason, number),) = self._lost.most_common(1)
         return f"Only {self.used} of {self._asked} images were used: {number} were skipped, {reason}."
@@ -47,6 +47,11 @@ class ImageCounts:
             "used": self.used,
             "skipped": dict(sorted(self.skipped.items())),
         }
+
+    @property
+    def _are_complete(self) -> bool:
+        """Whether all was read: who takes frames may have stopped before."""
+        return self.stated == self.used + self.skipped.total()
 
     @property
     def _asked(self) -> int:

@@ -127,7 +127,8 @@ def _posed_frames(
             skipped["no true pose"] -= reader.across_jumps
             if not skipped["no true pose"]:
                 del skipped["no true pose"]
-        notices += [f"{path}: {notice}" for notice in reader.notices]
+        few = [reader.counts.warning] if reader.counts.warning else []
+        notices += [f"{path}: {notice}" for notice in [*reader.notices, *few]]
     else:
         images = opened()
         assert isinstance(images, PosedImages)
