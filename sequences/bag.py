@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-import io
-import os
-import struct
-import zlib
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO
+from typing import Literal
 
-from mcap.reader import McapReader, NonSeekingReader, SeekingReader
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Schema
 
 from filtering.errors import quoted
 from sequences import encodings, foxglove
 from sequences.errors import SequenceError
+from sequences.mcap_file import McapFile
 from sequences.messages import frame_name
 from sequences.values import read_text, require_inside
 
+Stamps = Literal["header", "log"]
 TF_STATIC, TF = "/tf_static", "/tf"
-_MAGIC = b"\x89MCAP0\r\n"
-_FOREIGN = {
-    b"#ROSBAG V": "a ROS 1 bag; convert it first, for example with `rosbags-convert --src IN.bag --dst OUT`",
-    b"SQLite format 3": "a rosbag2 of SQLite storage; convert it first with `ros2 bag convert` to storage mcap",
-}
 
 
 @dataclass(frozen=True)
@@ -75,6 +65,7 @@ class RawMessage:
         type: Its type, as of `Topic`.
         encoding: How it is serialized.
         definition: What the file says of its type.
+        restamped: Whether its headers get the time it was logged, in place of their own stamps.
     """
 
     topic: str
@@ -83,31 +74,52 @@ class RawMessage:
     type: str
     encoding: str
     definition: bytes
+    restamped: bool = False
 
     def decode(self) -> SimpleNamespace:
         """Its fields, named as in ROS 2. What it raises where it is damaged depends on the encoding."""
-        return encodings.decoder(self.type, self.encoding, self.definition)(self.data)
+        message = encodings.decoder(self.type, self.encoding, self.definition)(self.data)
+        if self.restamped:
+            sec, nanosec = divmod(self.log_time_ns, 1_000_000_000)
+            for stamped in getattr(message, "transforms", [message]):
+                if hasattr(stamped, "header"):
+                    stamped.header.stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
+        return message
 
 
 class Bag:
     """One MCAP file, or a rosbag2 folder of one or several: opened, checked and listed.
 
-    Files without an index (no summary section) are read from front to back once more to list their topics.
-
     Attributes:
         path: What was opened.
         topics: Topics by name.
         metadata: Metadata records by name, later ones over earlier ones; empty for files without an index.
+        uncounted: Files that do not say how many messages they have, so that lost ones cannot be told.
     """
 
-    def __init__(self, path: Path):
-        """Open a bag. Raises SequenceError where a file is missing, truncated, garbage or of another format."""
+    def __init__(self, path: Path, *, stamps: Stamps = "header"):
+        """Open a bag.
+
+        Args:
+            path: File or folder.
+            stamps: Whether messages keep the stamps of their headers, or get the times at which they were logged.
+
+        Raises:
+            SequenceError: a file is missing, truncated, garbage or of another format.
+        """
         self.path = Path(path)
-        self._indexed: dict[Path, bool] = {}
+        self._restamped = stamps == "log"
         self.topics: dict[str, Topic] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        for file in bag_files(self.path):
-            self._open(file)
+        self._files = [McapFile(file) for file in bag_files(self.path)]
+        self.uncounted = [file.path for file in self._files if not file.states_counts]
+        for file in self._files:
+            self.metadata |= file.metadata
+            for channel in file.channels.values():
+                type_name = _type_name(file.schemas.get(channel.schema_id))
+                known = self.topics.get(channel.topic)
+                count = file.counts[channel.id] + (known.num_messages if known else 0)
+                self.topics[channel.topic] = Topic(channel.topic, type_name, count, channel.message_encoding)
 
     def __contains__(self, topic: str) -> bool:
         """Whether messages of a topic can be asked for."""
@@ -117,18 +129,27 @@ class Bag:
         """Messages of some topics: by log time within an indexed file, as written otherwise; file after file.
 
         Those of Foxglove's transforms come once as /tf_static and once as /tf, where both are asked for.
+
+        Raises:
+            SequenceError: a file is damaged, or at its end has other numbers of messages than it states.
         """
         asked = {t.name: [name for name in self._stands_for(t) if name in topics] for t in self.topics.values()}
         names = [name for name, stands_for in asked.items() if stands_for]
-        for file, indexed in self._indexed.items():
-            with _reading(file) as stream:
-                reader = _reader(stream, indexed)
-                for schema, channel, message in reader.iter_messages(topics=names, log_time_order=indexed):
-                    type_name, definition = (_type_name(schema), schema.data) if schema is not None else ("", b"")
-                    for name in asked[channel.topic]:
-                        yield RawMessage(
-                            name, message.log_time, message.data, type_name, channel.message_encoding, definition
-                        )
+        for file in self._files:
+            for record in file.messages(names):
+                channel = file.channels[record.channel_id]
+                schema = file.schemas.get(channel.schema_id)
+                definition = schema.data if schema is not None else b""
+                for name in asked[channel.topic]:
+                    yield RawMessage(
+                        name,
+                        record.log_time_ns,
+                        record.data,
+                        _type_name(schema),
+                        channel.message_encoding,
+                        definition,
+                        self._restamped,
+                    )
 
     @cached_property
     def fixed_links(self) -> frozenset[tuple[str, str]]:
@@ -155,31 +176,6 @@ class Bag:
     def _stands_for(topic: Topic) -> tuple[str, ...]:
         return (TF_STATIC, TF) if topic.is_foxglove_tf else (topic.name,)
 
-    def _open(self, file: Path) -> None:
-        _check_ends(file)
-        with _reading(file) as stream:
-            _check_summary(file, stream)
-            seeking = SeekingReader(stream, validate_crcs=True, record_size_limit=_size(stream))
-            summary = seeking.get_summary()
-            # What the library needs to seek: without channels it fails, without message indexes it may skip chunks.
-            indexed = summary is not None and all(
-                c.message_index_offsets and all(i in summary.channels for i in c.message_index_offsets)
-                for c in summary.chunk_indexes
-            )
-            if summary is not None and indexed and summary.statistics and summary.chunk_indexes:
-                schemas, channels = summary.schemas, summary.channels
-                counts = summary.statistics.channel_message_counts
-                self.metadata |= {record.name: record.metadata for record in seeking.iter_metadata()}
-            else:
-                indexed = False
-                schemas, channels, counts = _list_by_reading(stream)
-        self._indexed[file] = indexed
-        for channel in channels.values():
-            type_name = _type_name(schemas[channel.schema_id]) if channel.schema_id in schemas else ""
-            known = self.topics.get(channel.topic)
-            count = counts.get(channel.id, 0) + (known.num_messages if known else 0)
-            self.topics[channel.topic] = Topic(channel.topic, type_name, count, channel.message_encoding)
-
 
 def link_of(stamped: SimpleNamespace) -> tuple[str, str]:
     """Names of parent and child of geometry_msgs/TransformStamped."""
@@ -201,10 +197,11 @@ def bag_files(path: Path) -> list[Path]:
     for name in names:
         if not name.endswith(".mcap"):
             raise SequenceError(f"{listing}: names {quoted(name)}, expected .mcap files (see `ros2 bag convert`)")
-        if not os.path.isfile(path / name):
-            raise SequenceError(f"{listing}: names {quoted(name)}, which is not in the folder")
-    files = [path / name for name in names]
+    files = [path / name for name in dict.fromkeys(names)]
     require_inside(path, files)
+    for file, name in zip(files, dict.fromkeys(names), strict=True):
+        if not file.is_file():
+            raise SequenceError(f"{listing}: names {quoted(name)}, which is not in the folder")
     return files
 
 
@@ -223,81 +220,5 @@ def _relative_file_paths(text: str) -> list[str]:
     return names
 
 
-def _check_ends(file: Path) -> None:
-    """Both magics of an MCAP file: the second is missing where a recording was cut off."""
-    with open(file, "rb") as stream:
-        head = stream.read(16)
-        size = stream.seek(0, os.SEEK_END)
-        stream.seek(max(0, size - len(_MAGIC)))
-        tail = stream.read()
-    for start, what in _FOREIGN.items():
-        if head.startswith(start):
-            raise SequenceError(f"{file}: is {what}; expected an MCAP file")
-    if not head.startswith(_MAGIC):
-        raise SequenceError(f"{file}: starts with {head[:8]!r}, expected the MCAP magic {_MAGIC!r}")
-    if tail != _MAGIC or size < 2 * len(_MAGIC):
-        raise SequenceError(
-            f"{file}: truncated: byte {size - len(_MAGIC)} of {size} is {tail!r}, expected the closing MCAP magic"
-            f" (`mcap recover` rescues what is readable)"
-        )
-
-
-def _check_summary(file: Path, stream: IO[bytes]) -> None:
-    """The checksum of the index, where there is one: the library does not compare it."""
-    footer_size = 9 + 20 + len(_MAGIC)  # opcode and length, three numbers, magic
-    start = stream.seek(-footer_size, os.SEEK_END)
-    summary_start, _, checksum = struct.unpack("<9xQQI8x", stream.read(footer_size))
-    begin = summary_start or start
-    stream.seek(min(begin, start))
-    matches = checksum in (0, zlib.crc32(stream.read(max(0, start + 25 - begin))))  # 0: written without one
-    stream.seek(0)
-    if begin > start or not matches:
-        raise SequenceError(f"{file}: damaged MCAP: index from byte {begin} on does not match its checksum")
-
-
-@contextmanager
-def _reading(file: Path) -> Iterator[IO[bytes]]:
-    """Open a file; whatever goes wrong in the library while reading becomes an error that names file and byte."""
-    with open(file, "rb") as stream:
-        try:
-            yield stream
-        except SequenceError:
-            raise
-        except Exception as error:  # the library lets struct, zstd, key and unicode errors of damaged files through
-            reason = f"{type(error).__name__}: {error}".rstrip(": ")
-            raise SequenceError(
-                f"{file}: damaged MCAP near byte {stream.tell()}: {reason}; expected a readable record"
-            ) from error
-
-
-def _type_name(schema: Schema) -> str:
-    return schema.name.replace("/msg/", "/")
-
-
-def _reader(stream: IO[bytes], indexed: bool) -> McapReader:
-    kind = SeekingReader if indexed else NonSeekingReader
-    return kind(stream, validate_crcs=True, record_size_limit=_size(stream))
-
-
-def _list_by_reading(stream: IO[bytes]) -> tuple[dict[int, Schema], dict[int, Channel], dict[int, int]]:
-    """Schemas, channels and message counts of a file without an index."""
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    counts: dict[int, int] = {}
-    stream.seek(0)
-    for record in StreamReader(stream, validate_crcs=True, record_size_limit=_size(stream)).records:
-        if isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel):
-            channels[record.id] = record
-        elif isinstance(record, Message):
-            counts[record.channel_id] = counts.get(record.channel_id, 0) + 1
-    return schemas, channels, counts
-
-
-def _size(stream: IO[bytes]) -> int:
-    """Size of an open file, the limit that keeps a damaged length from asking for gigabytes."""
-    position = stream.tell()
-    size = stream.seek(0, io.SEEK_END)
-    stream.seek(position)
-    return size
+def _type_name(schema: Schema | None) -> str:
+    return "" if schema is None else schema.name.replace("/msg/", "/")

@@ -12,6 +12,7 @@ from filtering.se3 import Poses
 from sequences.datasets import list_images
 from sequences.errors import SequenceError
 from sequences.frame import Camera
+from sequences.image_headers import why_left_out
 from sequences.layouts.image_files import read_image_bytes
 from sequences.layouts.posed_images import PosedImages
 from sequences.messages import decode_image_bytes
@@ -99,8 +100,8 @@ def convert(
             try:
                 data = read_image_bytes(file)
                 decode_image_bytes(data)
-            except SequenceError:
-                skipped["undecodable image"] += 1
+            except SequenceError as error:
+                skipped[why_left_out(error)] += 1
                 continue
             if track is not None:
                 next_odometry = _write_odometry(writer, track, next_odometry, time_ns)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from sequences.errors import SequenceError
 from sequences.frame import Camera, Frame
+from sequences.image_headers import why_left_out
 from sequences.layouts import (
     ambiguous,
     cambridge,
@@ -126,7 +127,8 @@ def _posed_frames(
             skipped["no true pose"] -= reader.across_jumps
             if not skipped["no true pose"]:
                 del skipped["no true pose"]
-        notices += [f"{path}: {notice}" for notice in reader.notices]
+        few = [reader.counts.warning] if reader.counts.warning else []
+        notices += [f"{path}: {notice}" for notice in [*reader.notices, *few]]
     else:
         images = opened()
         assert isinstance(images, PosedImages)
@@ -207,7 +209,7 @@ def _load(images: PosedImages, skipped: Counter[str], *, undistort: bool) -> Ite
             image = decode_image_bytes(read_image_bytes(file))
         except SequenceError as error:
             problem = problem or f"{file}: {error}"
-            skipped["undecodable image"] += 1
+            skipped[why_left_out(error)] += 1
             continue
         num_loaded += 1
         try:

@@ -13,6 +13,7 @@ from jaxtyping import Float64, Int64
 from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
 from sequences.convert import BASE_FROM_CAMERA
+from sequences.counts import ImageCounts
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.layouts.posed_images import ASSUMED_HZ
@@ -105,7 +106,7 @@ class EstimateSequence:
                     f" {'stamps' if given[0].timed else 'names'}, expected all alike"
                 )
         self.path = self.files[0].path
-        self.skipped: Counter[str] = Counter()
+        self.counts = ImageCounts(0)
         self._times_ns = _stamps(given, self._options.rate_hz)
         self._frames = sorted({frame for file in self.files for frame in file.frames}, key=natural_order)
         self._rows = [{frame: i for i, frame in enumerate(file.frames)} for file in self.files]
@@ -118,22 +119,27 @@ class EstimateSequence:
             self.odometry_description = f"simulated from {source.path.name}: {settings}, seed {seed}"
         self.num_images = len(self._frames)
 
+    @property
+    def skipped(self) -> Counter[str]:
+        """How many frames of the latest iteration were left out, by reason."""
+        return self.counts.skipped
+
     def __iter__(self) -> Iterator[EstimatedFrame]:
-        self.skipped.clear()
-        if not self._all.timed:
-            unseen = len(set(self._all.frames) - set(self._frames))
-            self.skipped |= Counter({"no estimate": unseen} if unseen else {})
+        unseen = 0 if self._all.timed else len(set(self._all.frames) - set(self._frames))
+        self.counts = ImageCounts(self.num_images + unseen, self.num_images + unseen)
+        self.counts.skipped += Counter({"no estimate": unseen})
         true_poses, known = self._true_poses()
         previous: tuple[str, int] | None = None
         for i, frame in enumerate(self._frames):
             time_ns, track = self._times_ns[frame], self._tracks.get(frame.sequence)
             if track is None or not track.covers(time_ns):
-                self.skipped["odometry does not cover"] += 1
+                self.counts.skipped["odometry does not cover"] += 1
                 continue
             motion = None
             if previous is not None and previous[0] == frame.sequence:
                 motion = track.between(previous[1], time_ns, self._options.motion_noise)
             previous = frame.sequence, time_ns
+            self.counts.used += 1
             matrices = np.full((len(self.files), 4, 4), np.nan)
             for file, rows, matrix in zip(self.files, self._rows, matrices, strict=True):
                 if frame in rows:

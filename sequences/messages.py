@@ -17,7 +17,7 @@ from jaxtyping import Float64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.image_size import require_size
+from sequences.image_headers import DamagedImageError, check_before_decoding, is_jpeg, lengthened, require_pixels
 
 # Encoding -> element type, channels, OpenCV conversion to RGB. OpenCV's newer Bayer names (RGGB) name the mosaic
 # as ROS does; its older ones (BG) name the second row, and are off by one.
@@ -47,7 +47,9 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
 }
 _MAX_DISTANCE_M = 1e8  # further than from any frame on Earth
 _MAX_VARIANCE = 1e12
-_UNKNOWN_VARIANCE = 1e3  # (32 m/s)²: drivers write 1e6 or 99999 for axes that they do not measure
+# (3.2 m/s)², (3.2 rad/s)²: who knows no more about how a camera moves has not measured it. Drivers write 100, 500, 999,
+# 99999 or 1e6 for such axes; what wheels, inertia or vision do measure is known a hundred times better.
+_UNKNOWN_VARIANCE = 10.0
 
 
 @dataclass(frozen=True)
@@ -87,28 +89,38 @@ def frame_name(frame_id: str) -> str:
 
 
 def decode_image_bytes(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
-    """JPEG, PNG or whatever else OpenCV reads -> RGB. Orientation tags are ignored: intrinsics are of stored pixels.
+    """JPEG, PNG, WebP or BMP -> RGB. Orientation tags are ignored: intrinsics are of stored pixels.
+
+    A damaged JPEG mostly decodes to some picture, grey or shifted from the damage on: no image is the better answer.
 
     Raises:
-        SequenceError: the bytes are no image, one of more pixels than memory should be asked for, or a JPEG that is
-            cut off.
+        DamagedImageError: a JPEG that is cut off, or whose coded pixels end early.
+        SequenceError: the bytes are no image, or one that states more than 100 megapixels.
     """
-    require_size(data)
-    # A cut-off JPEG decodes to a picture that is grey below: no image at all is the better answer.
-    if data[:2] == b"\xff\xd8" and b"\xff\xd9" not in data[-256:]:
-        raise SequenceError(f"JPEG of {len(data)} bytes is cut off, expected an end marker")
+    data = bytes(data)
+    check_before_decoding(data)
+    image = _decoded(data)
+    # Where coded pixels are wanting, the decoder leaves the rest grey. A grey corner may also be what the camera saw:
+    # then more of them at the end change nothing.
+    if is_jpeg(data) and (image[-4:, -4:] == 128).all() and not np.array_equal(image, _decoded(lengthened(data))):
+        raise DamagedImageError(
+            f"JPEG of {len(data)} bytes ends early, expected the pixels of all {image.shape[0]} rows"
+        )
+    return image
+
+
+def _decoded(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     try:
-        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise SequenceError(f"image of {len(data)} bytes cannot be decoded: {error.err}") from error
     if image is None:
-        raise SequenceError(f"{len(data)} bytes are no image that OpenCV reads, expected JPEG or PNG")
+        raise SequenceError(f"{len(data)} bytes are no image that OpenCV reads, expected JPEG, PNG, WebP or BMP")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)  # pyright: ignore[reportReturnType]
 
 
 def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
-    """sensor_msgs/CompressedImage -> RGB. Raises SequenceError where it cannot be decoded."""
+    """sensor_msgs/CompressedImage -> RGB. Raises as `decode_image_bytes`."""
     return decode_image_bytes(message.data)
 
 
@@ -116,9 +128,10 @@ def decode_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"
     """sensor_msgs/Image -> RGB; 16-bit values keep their upper 8 bits.
 
     Raises:
-        SequenceError: the encoding is unknown, or the data do not fill the image.
+        SequenceError: the encoding is unknown, the data do not fill the image, or it has more than 100 megapixels.
     """
     height, width, step = int(message.height), int(message.width), int(message.step)
+    require_pixels(width, height, "image")
     if message.encoding not in _ENCODINGS:
         raise SequenceError(
             f"image encoding {message.encoding!r} is not known, expected one of {', '.join(_ENCODINGS)}"
@@ -168,7 +181,7 @@ def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
 
     The pose covariance is left: it accumulates from the start, or is a constant placeholder, and says nothing about
     the motion between two images. The twist covariance speaks about just that. −1 in its first element, the mark of an
-    unknown covariance, becomes zeros. A variance of 1000 or more says that its axis is not measured.
+    unknown covariance, becomes zeros. A variance of 10 or more says that its axis is not measured.
 
     Raises:
         VaporTrackError: the pose or the twist covariance is not finite, or no covariance.

@@ -60,7 +60,11 @@ class SequenceOptions:
     odometry; where that is not read, the frame that the true poses are of."""
     motion_noise: MotionNoise = field(default_factory=MotionNoise)
     """Noise of odometry whose messages carry no covariance (zeros, or -1 first), and of the axes that they state a
-    variance of 1000 or more for, a placeholder for what is not measured."""
+    variance of 10 or more for, a placeholder for what is not measured."""
+    stamps: Literal["header", "log"] = "header"
+    """When messages are of: by the stamps in their headers or, where those are none, by the times they were logged."""
+    allow_few_images: bool = False
+    """Localize also where fewer than one image in ten can be used."""
     start_s: float = 0.0
     """Seconds after the first image at which to begin."""
     duration_s: float | None = None

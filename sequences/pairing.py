@@ -130,14 +130,16 @@ def pose_at(
 class PoseWindow:
     """The last stretch of a stream of time-stamped poses: what is no longer asked for is forgotten.
 
+    Poses may come in another order than that of their stamps, as long as nothing later was asked for.
+
     Attributes:
         max_gap_s: Neighbours further apart than this do not cover what lies between them.
         still_gap_s: The same of neighbours that hardly differ, where it is longer: see `pose_at`.
         watch_jumps: Whether to find jumps (`is_jump`), so that `jumps_at` can say where they are.
         num_jumps: How many were found so far.
         first_jump_ns: When the first of them was over.
-        begin_ns: Stamp of the first pose that ever came; None before.
-        end_ns: Stamp of the last one.
+        begin_ns: Earliest stamp of all poses that ever came; None before.
+        end_ns: The latest one.
     """
 
     max_gap_s: float
@@ -151,22 +153,31 @@ class PoseWindow:
     _poses: list[Poses] = field(default_factory=list)
     _covariances: list[np.ndarray] = field(default_factory=list)
     _steps: list[Motion] = field(default_factory=list)  # to each pose from the one before
+    _settled_ns: int | None = None  # up to here nothing is taken any more
 
     def append(self, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"] | None = None) -> bool:
-        """Take the next pose; False, and nothing taken, where its stamp is not after the last one's."""
-        if self._times_ns and time_ns <= self._times_ns[-1]:
+        """Take a pose; False, and nothing taken, where there is one of its stamp, or it comes too late."""
+        at = bisect_left(self._times_ns, time_ns)
+        is_known = at < len(self._times_ns) and self._times_ns[at] == time_ns
+        if is_known or (self._settled_ns is not None and time_ns <= self._settled_ns):
             return False
+        self._times_ns.insert(at, time_ns)
+        self._poses.insert(at, pose)
+        self._covariances.insert(at, np.zeros((6, 6)) if covariance is None else covariance)
         if self.watch_jumps:
-            before = (self._times_ns[-1], self._poses[-1]) if self._times_ns else (time_ns, pose)
-            metres, radians = before[1].distance(pose)
-            self._steps.append(Motion(float(metres), float(radians), (time_ns - before[0]) * 1e-9))
-        self._times_ns.append(time_ns)
-        self._poses.append(pose)
-        self._covariances.append(np.zeros((6, 6)) if covariance is None else covariance)
-        self.begin_ns = time_ns if self.begin_ns is None else self.begin_ns
-        self.end_ns = time_ns
-        self._count_jump(len(self._steps) - 1 - JUMP_CONTEXT)
+            self._steps.insert(at, self._step(at))
+            if at + 1 < len(self._steps):
+                self._steps[at + 1] = self._step(at + 1)
+        self.begin_ns = time_ns if self.begin_ns is None else min(self.begin_ns, time_ns)
+        if self.end_ns is None or time_ns > self.end_ns:
+            self.end_ns = time_ns
+            self._count_jump(len(self._steps) - 1 - JUMP_CONTEXT)
         return True
+
+    def _step(self, index: int) -> Motion:
+        before = max(index - 1, 0)
+        metres, radians = self._poses[before].distance(self._poses[index])
+        return Motion(float(metres), float(radians), (self._times_ns[index] - self._times_ns[before]) * 1e-9)
 
     def finish(self) -> None:
         """No pose comes any more: judge the last steps as well."""
@@ -182,7 +193,13 @@ class PoseWindow:
         return not undecided or after + JUMP_CONTEXT < len(self._times_ns)
 
     def forget_before(self, time_ns: int) -> None:
-        """Drop what lies before the last pose that is at or before this time, but for what tells jumps."""
+        """Drop what lies before the last pose that is at or before this time, but for what tells jumps.
+
+        What comes later and lies before the pose after this time would change what was said about it: it is not taken.
+        """
+        after = bisect_left(self._times_ns, time_ns)
+        settled_ns = self._times_ns[after] if after < len(self._times_ns) else time_ns
+        self._settled_ns = settled_ns if self._settled_ns is None else max(self._settled_ns, settled_ns)
         keep = bisect_right(self._times_ns, time_ns) - 1 - (2 * JUMP_CONTEXT + 1 if self.watch_jumps else 0)
         if keep > 0:
             del self._times_ns[:keep], self._poses[:keep], self._covariances[:keep], self._steps[:keep]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+import heapq
+from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +16,10 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.bag import Bag, RawMessage
 from sequences.camera_info import ImageCamera
+from sequences.counts import OUTSIDE, ImageCounts
 from sequences.errors import SequenceError
 from sequences.frame import Frame
+from sequences.image_headers import why_left_out
 from sequences.images import Picture
 from sequences.messages import odometry_from_message, stamp_ns
 from sequences.options import OdometryUse, SequenceOptions
@@ -26,6 +30,7 @@ from sequences.topics import decode
 
 METADATA_NAME = "vapor-track"  # of the record in which a file says where its odometry comes from
 _MAX_WAITING = 64  # images held, still encoded, until odometry and true poses reach them
+_SORTED_WITHIN_S = 0.5  # images are held until one so much later has come, and so put in the order of their stamps
 _MAX_LATENESS_S = 10.0  # how much later than its stamp a message may be logged, and how far clocks may jump ahead
 
 
@@ -34,7 +39,7 @@ class SequenceReader:
 
     Attributes:
         path: The file or folder.
-        skipped: How many images and messages of the latest iteration were left out, by reason.
+        counts: What became of the images of the latest iteration; complete after it.
         across_jumps: How many frames of the latest iteration have no true pose as it jumps about them.
         notices: What a person should know of the camera, the odometry and the true poses; complete after an iteration.
         camera: Intrinsics of the undistorted images, as the file states their size; None where it has none.
@@ -67,12 +72,13 @@ class SequenceReader:
                 intrinsics or the distortion are none of a camera.
         """
         self.path = Path(path)
-        self.skipped: Counter[str] = Counter()
         self.across_jumps = 0
         self._options = options or SequenceOptions()
-        self._bag = Bag(self.path)
+        self._bag = Bag(self.path, stamps=self._options.stamps)
         self._roles = Roles(self._bag, self._options, odometry, true_poses)
         self.num_images = self._roles.image.num_messages
+        self.counts = ImageCounts(self.num_images)
+        self._skipped_messages: Counter[str] = Counter()
         self._image_camera = ImageCamera(
             self._bag, self._roles.camera_info, self._roles.image, undistort=self._options.undistort
         )
@@ -80,8 +86,16 @@ class SequenceReader:
         extrinsics = self._roles.extrinsics
         self.base_from_camera: Poses | None = extrinsics.body_from_camera if extrinsics is not None else None
         self.odometry_description = self._bag.metadata.get(METADATA_NAME, {}).get("odometry")
-        self._found_notices = self._roles.truth.notices if self._roles.truth is not None else []
+        self._found_notices = [
+            f"{file.name} states no number of messages: images that it lost cannot be told"
+            for file in self._bag.uncounted
+        ] + (self._roles.truth.notices if self._roles.truth is not None else [])
         self.notices = list(self._found_notices)
+
+    @property
+    def skipped(self) -> Counter[str]:
+        """How many images and other messages of the latest iteration were left out, by reason."""
+        return self.counts.skipped + self._skipped_messages
 
     @property
     def resolved(self) -> dict[str, Any]:
@@ -106,30 +120,34 @@ class SequenceReader:
         """Frames in order of time.
 
         Raises:
-            SequenceError: the file is damaged, no image is left, a camera that should be fixed moves, or true poses are
-                required and none is of the time of an image.
+            SequenceError: the file is damaged or has not all of the messages that it states, no image is left, all
+                stamps are equal, a camera that should be fixed moves, or true poses are required and none is of the
+                time of an image.
         """
-        pairing = _Pairing(self.path, self._roles, self._options, self._image_camera)
-        self.skipped, self.across_jumps, self.notices = pairing.skipped, 0, list(self._found_notices)
-        num_frames = 0
+        pairing = _Pairing(self.path, self._roles, self._options, self._image_camera, self.num_images)
+        self.counts, self._skipped_messages = pairing.counts, pairing.skipped
+        self.across_jumps, self.notices = 0, list(self._found_notices)
         for raw in self._bag.messages(self._roles.streamed):
             if pairing.is_over(raw):
                 break
             pairing.take(raw, decode(self._bag, raw, tolerate=self._roles.may_be_damaged(raw.topic)))
             for frame in pairing.ready_frames():
-                num_frames += 1
                 self.across_jumps = pairing.across_jumps
                 yield frame
         for frame in pairing.ready_frames(at_end=True):
-            num_frames += 1
             self.across_jumps = pairing.across_jumps
             yield frame
-        if num_frames == 0:
+        pairing.require_stamps()
+        apart = pairing.odometry_apart()
+        if self.counts.used == 0 and apart is not None:
+            raise SequenceError(f"{self.path}: no image has odometry: {apart}")
+        if self.counts.used == 0:
             found = ", ".join(f"{count} × {reason}" for reason, count in self.skipped.items()) or "nothing was skipped"
             raise SequenceError(
                 f"{self.path}: no image left of {self.num_images} on {self._roles.image.name}: {found}"
                 f"{pairing.first_problem}; expected at least one that can be used"
             )
+        self.notices += [] if apart is None else [apart]
         if (apart := pairing.true_poses_apart()) is not None:
             if self._roles.truth_required:
                 raise SequenceError(f"{self.path}: {apart}")
@@ -137,12 +155,32 @@ class SequenceReader:
         self.notices += [*self._image_camera.notices, *pairing.jumps()]
 
 
+@dataclass
+class _Stamps:
+    """The messages of one topic: how many, the earliest and the latest stamp, and whether log times differ."""
+
+    number: int = 0
+    begin_ns: int = 0
+    end_ns: int = 0
+    first_log_ns: int = 0
+    log_times_differ: bool = False
+
+    def take(self, time_ns: int, log_time_ns: int) -> None:
+        if self.number == 0:
+            self.begin_ns = self.end_ns = time_ns
+            self.first_log_ns = log_time_ns
+        self.number += 1
+        self.begin_ns, self.end_ns = min(self.begin_ns, time_ns), max(self.end_ns, time_ns)
+        self.log_times_differ |= log_time_ns != self.first_log_ns
+
+
 class _Pairing:
     """The state of one iteration: images wait, still encoded, until odometry and true poses have come as far."""
 
-    def __init__(self, path: Path, roles: Roles, options: SequenceOptions, camera: ImageCamera):
+    def __init__(self, path: Path, roles: Roles, options: SequenceOptions, camera: ImageCamera, num_images: int):
         self._path = path
-        self.skipped: Counter[str] = Counter()
+        self.counts = ImageCounts(num_images)
+        self.skipped: Counter[str] = Counter()  # messages that are no images
         self.first_problem = ""
         self.across_jumps = 0
         self._roles = roles
@@ -154,7 +192,9 @@ class _Pairing:
         self._odometry_source = roles.tree_odometry.open() if roles.tree_odometry is not None else None
         self._truth = roles.truth.open() if roles.truth is not None else None
         self._origin = np.array(options.ground_truth_origin or (0.0, 0.0, 0.0))
-        self._waiting: deque[tuple[int, SimpleNamespace | None]] = deque()  # stamps and messages; None for lost ones
+        # A heap: what they are ordered by, how many came before, stamps, and messages, None for lost ones.
+        self._waiting: list[tuple[int, int, int, SimpleNamespace | None]] = []
+        self._image_stamps, self._odometry_stamps = _Stamps(), _Stamps()
         self._begin: tuple[int, int] | None = None  # stamp and log time of the first image
         self._previous_ns: int | None = None  # stamp of the last frame
         self._previous_covered = False  # by odometry
@@ -167,18 +207,19 @@ class _Pairing:
         if self._options.duration_s is None or self._begin is None:
             return False
         since_s = (raw.log_time_ns - self._begin[1]) * 1e-9
-        return since_s > self._options.start_s + self._options.duration_s + _MAX_LATENESS_S
+        is_over = since_s > self._options.start_s + self._options.duration_s + _MAX_LATENESS_S
+        if is_over:
+            self.counts.skipped[OUTSIDE] += self.counts.stated - self.counts.read
+        return is_over
 
     def take(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
         """Take one message in, of whichever topic; None for bytes that are no message."""
-        if message is None:
-            is_image = raw.topic == self._roles.image.name
-            self._skip("undecodable image" if is_image else "unusable odometry", raw.log_time_ns)
-            if is_image:
-                self._lose_image()
-            return
         if raw.topic == self._roles.image.name:
+            self.counts.read += 1
             self._take_image(raw, message)
+            return
+        if message is None:
+            self._skip("unusable odometry", raw.log_time_ns)
             return
         self._check_extrinsics(raw, message)
         if self._roles.odometry is not None and raw.topic == self._roles.odometry.name:
@@ -202,20 +243,25 @@ class _Pairing:
                     self._skip("odometry from where the camera moved on its base", raw.log_time_ns, error)
                 self._base_from_camera = None
 
-    def _take_image(self, raw: RawMessage, message: SimpleNamespace) -> None:
-        time_ns = stamp_ns(message.header)
-        if self._jumps_ahead(raw, time_ns, raw.topic):
-            self._skip("time stamp far ahead", raw.log_time_ns)
-            self._lose_image()
+    def _take_image(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+        time_ns = stamp_ns(message.header) if message is not None else 0
+        is_ahead = message is not None and self._jumps_ahead(raw, time_ns, raw.topic)
+        if message is None or is_ahead:
+            self._skip_image("time stamp far ahead" if is_ahead else "undecodable image", raw.log_time_ns)
+            if self._images.remembers:  # those after it build on it
+                self._wait(self._image_stamps.end_ns, None)
             return
+        self._image_stamps.take(time_ns, raw.log_time_ns)
         self._begin = self._begin or (time_ns, raw.log_time_ns)
         if self._images.remembers or self._is_asked_for(time_ns):
-            self._waiting.append((time_ns, message))
+            self._wait(time_ns, message)
+        else:
+            self.counts.skipped[OUTSIDE] += 1
 
-    def _lose_image(self) -> None:
-        """A message of images is left out: no matter for the others, unless they build on it."""
-        if self._images.remembers:
-            self._waiting.append((self._waiting[-1][0] if self._waiting else 0, None))
+    def _wait(self, time_ns: int, message: SimpleNamespace | None) -> None:
+        """Have an image wait: in the order of stamps, or as it came where those after it build on it."""
+        order = 0 if self._images.remembers else time_ns
+        heapq.heappush(self._waiting, (order, self.counts.read, time_ns, message))
 
     def _is_asked_for(self, time_ns: int) -> bool:
         """Whether an image is of the stretch asked for; of video the first packet need not have the first image."""
@@ -227,8 +273,9 @@ class _Pairing:
     def _take_odometry(self, raw: RawMessage, message: SimpleNamespace) -> None:
         time_ns = stamp_ns(message.header)
         if self._jumps_ahead(raw, time_ns, raw.topic):
-            self._skip("time stamp far ahead", raw.log_time_ns)
+            self._skip("odometry time stamp far ahead", raw.log_time_ns)
             return
+        self._odometry_stamps.take(time_ns, raw.log_time_ns)
         try:
             sample = odometry_from_message(message)
         except VaporTrackError as error:
@@ -249,7 +296,7 @@ class _Pairing:
             raise SequenceError(f"{self._path}: {raw.topic} at {stamp}: {what}: {error}") from error
         for sample in samples:
             if self._jumps_ahead(raw, sample.time_ns, (what, sample.link)):
-                self._skip("time stamp far ahead", raw.log_time_ns)
+                self._skip(f"{what} time stamp far ahead", raw.log_time_ns)
                 continue
             if not source.append(sample):
                 self._skip(f"{what} time stamp not increasing", sample.time_ns)
@@ -271,20 +318,25 @@ class _Pairing:
 
     def ready_frames(self, *, at_end: bool = False) -> Iterator[Frame]:
         """Frames of the images that need to wait no longer."""
-        while self._waiting and (at_end or len(self._waiting) > _MAX_WAITING or self._is_reached(self._waiting[0][0])):
-            yield from self._frames(self._images.take(*self._waiting.popleft()))
+        while self._waiting and (at_end or len(self._waiting) > _MAX_WAITING or self._is_due(self._waiting[0][2])):
+            _, _, time_ns, message = heapq.heappop(self._waiting)
+            yield from self._frames(self._images.take(time_ns, message))
         if at_end:
             yield from self._frames(self._images.finish())
 
     def _frames(self, pictures: Iterable[Picture]) -> Iterator[Frame]:
         for picture in pictures:
-            frame = self._frame(picture) if self._is_asked_for(picture.time_ns) else None
-            if frame is not None:
+            if not self._is_asked_for(picture.time_ns):
+                self.counts.skipped[OUTSIDE] += 1
+            elif (frame := self._frame(picture)) is not None:
+                self.counts.used += 1
                 yield frame
 
-    def _is_reached(self, time_ns: int) -> bool:
+    def _is_due(self, time_ns: int) -> bool:
+        """Whether no image before this one is to be expected any more, and odometry and true poses have come as far."""
         return (
-            (self._roles.odometry is None or self._odometry.reaches(time_ns))
+            (self._images.remembers or self._image_stamps.end_ns - time_ns >= _SORTED_WITHIN_S * 1e9)
+            and (self._roles.odometry is None or self._odometry.reaches(time_ns))
             and (self._odometry_source is None or self._odometry_source.reaches(time_ns))
             and (self._truth is None or self._truth.reaches(time_ns))
         )
@@ -293,16 +345,16 @@ class _Pairing:
         """The frame of an image; None, and a count of why, where it is skipped."""
         time_ns, previous_ns = picture.time_ns, self._previous_ns
         if picture.skipped:
-            return self._skip(picture.skipped, time_ns)
+            return self._skip_image(picture.skipped, time_ns)
         if previous_ns is not None and time_ns <= previous_ns:
-            return self._skip("time stamp not increasing", time_ns)
+            return self._skip_image("time stamp not increasing", time_ns)
         covered = self._is_covered(time_ns)
         if self._roles.odometry_required and not covered:
-            return self._skip("odometry does not cover", time_ns)
+            return self._skip_image("odometry does not cover", time_ns)
         try:
             image = picture.decode()
         except SequenceError as error:
-            return self._skip("undecodable image", time_ns, error)
+            return self._skip_image(why_left_out(error), time_ns, error)
         odometry = None
         if self._base_from_camera is not None and previous_ns is not None and covered and self._previous_covered:
             odometry = self._odometry.odometry_between(
@@ -340,6 +392,33 @@ class _Pairing:
         self._num_true += 1
         return Poses(pose.rotation, pose.translation - self._origin)
 
+    def require_stamps(self) -> None:
+        """Raise SequenceError where all images, or all messages of odometry, have one and the same stamp."""
+        odometry = self._odometry_stamps if self._roles.odometry_required else _Stamps()
+        for stamps, what in ((self._image_stamps, "images"), (odometry, "messages of odometry")):
+            if stamps.number < 2 or stamps.begin_ns != stamps.end_ns:
+                continue
+            helps = "; --stamps log takes the times at which they were logged" if stamps.log_times_differ else ""
+            said = "zero" if stamps.begin_ns == 0 else f"{stamps.begin_ns} ns"
+            raise SequenceError(
+                f"{self._path}: the time stamps in the headers of all {stamps.number} {what} are {said}, expected"
+                f" increasing ones{helps}"
+            )
+
+    def odometry_apart(self) -> str | None:
+        """What to say where odometry is of another time than all images: by another clock. None elsewhere."""
+        images, odometry = self._image_stamps, self._odometry_stamps
+        span = (odometry.begin_ns, odometry.end_ns) if odometry.number else None
+        if self._odometry_source is not None:
+            span = self._odometry_source.span_ns
+        if span is None or not images.number or (span[0] <= images.end_ns and images.begin_ns <= span[1]):
+            return None
+        return (
+            f"images run from {_seconds(images.begin_ns)} to {_seconds(images.end_ns)} s, odometry from"
+            f" {_seconds(span[0])} to {_seconds(span[1])} s: they begin {abs(span[0] - images.begin_ns) * 1e-9:.1f} s"
+            " apart, expected one clock (--stamps log takes log times)"
+        )
+
     def true_poses_apart(self) -> str | None:
         """What to say where there are true poses, but none of the time of an image; None elsewhere."""
         if self._truth is None or self._roles.truth is None or self._num_true or self._span_ns is None:
@@ -364,9 +443,16 @@ class _Pairing:
         ]
 
     def _skip(self, reason: str, time_ns: int, error: Exception | None = None) -> None:
-        if not self.skipped:
-            self.first_problem = f" (first at {time_ns} ns{f': {error}' if error else ''})"
+        self._note(time_ns, error)
         self.skipped[reason] += 1
+
+    def _skip_image(self, reason: str, time_ns: int, error: Exception | None = None) -> None:
+        self._note(time_ns, error)
+        self.counts.skipped[reason] += 1
+
+    def _note(self, time_ns: int, error: Exception | None) -> None:
+        if not self.first_problem:
+            self.first_problem = f" (first at {time_ns} ns{f': {error}' if error else ''})"
 
 
 def _seconds(time_ns: int) -> str:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import accumulate
 from types import SimpleNamespace
 
 from sequences import foxglove
 from sequences.bag import TF_STATIC, Bag, RawMessage, Topic, link_of
 from sequences.errors import SequenceError
+
+_LISTED = 120  # characters of names and types
 
 
 def choose(
@@ -26,7 +29,8 @@ def choose(
     Raises:
         SequenceError: no topic of that name, one of another type or encoding, or several where none is named.
     """
-    option, expected = f"--{role}-topic", " or ".join(types)
+    others = f" or {len(types) - 2} others" if len(types) > 2 else ""
+    option, expected = f"--{role}-topic", " or ".join(types[:2]) + others
     if name == "" and not required:
         return None
     if name:
@@ -60,8 +64,11 @@ def choose(
 
 
 def listing(topics: Iterable[Topic]) -> str:
-    """Topics with their types, for messages of errors."""
-    return f"found {', '.join(f'{topic.name} ({topic.type})' for topic in topics) or 'no topics'}"
+    """Topics with their types, for messages of errors: as many as fit there, and how many more."""
+    found = [f"{topic.name} ({topic.type})" for topic in topics]
+    fitting = [text for text, end in zip(found, accumulate(map(len, found)), strict=True) if end <= _LISTED]
+    more = f" and {len(found) - len(fitting)} more" if len(fitting) < len(found) else ""
+    return f"found {', '.join(fitting)}{more}" if found else "found no topics"
 
 
 def decode(bag: Bag, raw: RawMessage, *, tolerate: bool = False) -> SimpleNamespace | None:

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any, NoReturn
 
 from sequences.errors import SequenceError
+from sequences.image_headers import MAX_PIXELS
 from sequences.images import Image, ImageStream, Picture
 from sequences.messages import decode_image
 
@@ -92,7 +93,7 @@ class Video(ImageStream):
             return None
         codec = self._av.CodecContext.create(name, "r")
         codec.thread_count = 1  # several would hold images back
-        codec.options = {"err_detect": "explode"}
+        codec.options = {"err_detect": "explode", "max_pixels": str(MAX_PIXELS)}
         return codec
 
     def _break_off(self, damaged_ns: int | None = None) -> Iterator[Picture]:

@@ -189,7 +189,9 @@ def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path
     walk.images.append(walk.images[14])  # a stamp twice
 
     def logged(topic: str, time_ns: int) -> int:
-        return time_ns + second // 4 * (topic == IMAGES and time_ns == BEGIN_NS + 2 * second)  # after its successors
+        return time_ns + 7 * second // 10 * (
+            topic == IMAGES and time_ns == BEGIN_NS + 2 * second
+        )  # after its successors
 
     path = rewrite(walk.write(tmp_path / "in.mcap"), tmp_path / "walk.mcap", log_time=logged)
     frames, skipped = skipped_in_run(path, tiny_model, tmp_path / "out")
@@ -199,27 +201,53 @@ def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path
         "undecodable image": 2,
     }
     assert frames == 30 + 1 - 3 - 2 - 2
+    images = json.loads((tmp_path / "out" / "report.json").read_text())["images"]
+    assert images == {"stated": 31, "read": 31, "used": 24, "skipped": skipped}
     out, err = capsys.readouterr()
+    assert "images     31 stated, 31 read, 24 used, 7 skipped" in out
     assert all(f"skipped {count}: {reason}" in out for reason, count in skipped.items())
     assert err == ""
     assert read_tum(tmp_path / "out" / "trajectory.tum").poses.is_finite().all()
     assert "NaN" not in (tmp_path / "out" / "report.json").read_text()
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_a_run_that_used_few_of_its_images_says_so_last_and_one_that_used_hardly_any_fails(
+    tiny_model, earlier, tmp_path, capsys
+):
+    walk = Walk(40)
+    walk.odometry = [(t, pose) for t, pose in walk.odometry if t < BEGIN_NS + 10**9]
+    path = walk.write(earlier.parent / "walk.mcap")
+    assert main(words_of_run(path, tiny_model, tmp_path / "few")) == 0
+    last = "Only 10 of 40 images were used: 30 were skipped, odometry does not cover."
+    assert capsys.readouterr().out.splitlines()[-1] == last
+
+    before = contents(earlier)
+    words = [*words_of_run(path, tiny_model, earlier), "--start-s", "0.8"]
+    refuse(words, capsys, f"{path}: Only 2 of 32 images were used: 30 were skipped", "--allow-few-images")
+    assert contents(earlier) == before
+    assert main([*words, "--allow-few-images"]) == 0
+    report = json.loads((earlier / "report.json").read_text())
+    assert report["images"] == {
+        "stated": 40,
+        "read": 40,
+        "used": 2,
+        "skipped": {"odometry does not cover": 30, "outside the stretch asked for": 8},
+    }
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (without_images, ["12 × undecodable image", "expected JPEG or PNG"]),
-        (with_odometry_of_another_day, ["12 × odometry does not cover"]),
+        (without_images, [f"no image left of 12 on {IMAGES}", "12 × undecodable image", "expected JPEG, PNG"]),
+        (with_odometry_of_another_day, ["no image has odometry", "they begin 86400.0 s apart"]),
     ],
 )
 def test_where_no_image_is_left_the_run_fails_and_says_why(spoil, said, tiny_model, earlier, capsys):
     walk = Walk()
     spoil(walk)
     path = walk.write(earlier.parent / "walk.mcap")
-    refuse_run(
-        path, tiny_model, earlier, capsys, f"{path}: no image left of 12 on {IMAGES}", "first at 17000000", *said
-    )
+    refuse_run(path, tiny_model, earlier, capsys, str(path), *said)
 
 
 @pytest.mark.parametrize(("stream", "topic"), [("odometry", "/odom"), ("truth", "/ground_truth/pose")])

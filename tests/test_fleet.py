@@ -1,6 +1,7 @@
 """Several sequences in one call of `vapor-track run`: which are found, what each leaves, and what is said of them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,8 @@ from tests.test_datasets import make_7scenes
 from tests.tiny_model import SMALL
 from vapor import fleet as fleet_module
 from vapor import run as run_module
-from vapor.fleet import find_sequences, is_fleet
+from vapor.commands.run import _show_outcomes
+from vapor.fleet import Outcome, find_sequences, is_fleet
 from vapor.track import main
 
 
@@ -188,3 +190,14 @@ def test_folders_without_a_recording_and_absent_files_fail_each_in_its_row(tiny_
     assert "folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder" in printed.out
     assert "gone.mcap: no such file or folder" in printed.out
     assert printed.err.endswith("2 of 2 sequences failed: empty, gone\n")
+
+
+def test_sequences_that_used_few_of_their_images_are_named_last(tmp_path, capsys):
+    few = "Only 9 of 40 images were used: 30 were skipped, odometry does not cover."
+    status = {"converged": 1.0, "ambiguous": 0.0, "lost": 0.0}
+    whole = Outcome("hall", "hall.mcap", images=30, status=status, final_status="converged")
+    _show_outcomes([whole, replace(whole, name="attic", images=9, few_images=few)], tmp_path)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "Fewer than half of the images were used in 1 of 2 sequences: attic."
+    assert lines[lines.index("attic") + 1].strip() == few
+    assert "hall" not in lines

@@ -1,5 +1,8 @@
 """ROS messages and their conventions."""
 
+import struct
+import zlib
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import cv2
@@ -9,12 +12,14 @@ import pytest
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+from sequences.image_headers import DamagedImageError
 from sequences.message_definitions import DEFINITIONS, decoder, schema_text
 from sequences.messages import (
     covariance_from_ros,
     covariance_to_ros,
     decode_compressed_image,
     decode_image,
+    decode_image_bytes,
     frame_name,
     odometry_from_message,
 )
@@ -119,16 +124,87 @@ def test_png_and_jpeg_become_rgb() -> None:
     np.testing.assert_allclose(image, flat, atol=3)
 
 
-def jpeg_of_noise() -> bytes:
+def jpeg_of_noise(options: Sequence[int] = ()) -> bytes:
     noise = np.random.default_rng(1).integers(0, 256, (64, 64, 3), dtype=np.uint8)
-    return cv2.imencode(".jpg", noise)[1].tobytes()
+    return cv2.imencode(".jpg", noise, options)[1].tobytes()
 
 
-@pytest.mark.parametrize("data", [b"", b"no image", jpeg_of_noise()[:2000], b"\x89PNG\r\n\x1a\n" + bytes(40)])
-def test_compressed_images_that_are_none_or_cut_off_are_refused(data: bytes) -> None:
-    assert len(jpeg_of_noise()) > 2000
-    with pytest.raises(SequenceError):
-        decode_compressed_image(SimpleNamespace(data=data, format="jpeg"))
+@pytest.mark.parametrize("data", [b"", b"no image", b"\xff\xd8\xff", b"BM", b"\x89PNG\r\n\x1a\n" + bytes(40)])
+def test_compressed_images_that_are_none_are_refused(data: bytes) -> None:
+    with pytest.raises(SequenceError) as caught:
+        decode_image_bytes(data)
+    assert not isinstance(caught.value, DamagedImageError)
+
+
+@pytest.mark.parametrize("options", [[], [cv2.IMWRITE_JPEG_RST_INTERVAL, 3]])
+def test_a_jpeg_that_lacks_pixels_is_damaged_though_it_decodes(options: list[int]) -> None:
+    whole = jpeg_of_noise(options)
+    assert decode_image_bytes(whole).shape == (64, 64, 3)
+    middle = len(whole) // 2
+    assert whole.rindex(b"\xff\xda") < len(whole) - 500
+    for damaged in (
+        whole[:middle],  # cut off
+        whole[: whole.index(b"\xff\xda") + 400] + b"\xff\xd9",  # and closed again
+        whole[:-300] + b"\xff\x37" + whole[-298:],  # a marker that cannot be there
+    ):
+        with pytest.raises(DamagedImageError, match="JPEG of"):
+            decode_image_bytes(damaged)
+
+
+def test_a_jpeg_with_a_grey_corner_is_whole() -> None:
+    grey = np.full((64, 64, 3), 128, np.uint8)
+    np.testing.assert_array_equal(decode_image_bytes(cv2.imencode(".jpg", grey)[1].tobytes()), grey)
+
+
+def of_size(kind: str, width: int, height: int) -> bytes:
+    """An image that states another size than it has."""
+    data = bytearray(jpeg_of_noise() if kind == "jpg" else cv2.imencode(f".{kind}", RGB)[1].tobytes())
+    if kind == "jpg":
+        at = data.index(b"\xff\xc0") + 5
+        data[at : at + 4] = struct.pack(">HH", height, width)
+    elif kind == "png":
+        data[16:24] = struct.pack(">II", width, height)
+        data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    elif kind == "bmp":
+        data[18:26] = struct.pack("<ii", width, -height)
+    else:
+        assert data[12:16] == b"VP8L"
+        data[21:25] = struct.pack("<I", (width - 1) | (height - 1) << 14)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("kind", ["jpg", "png", "bmp", "webp"])
+def test_an_image_that_states_more_than_a_hundred_megapixels_is_not_decoded(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    size = (60_000, 60_000) if kind != "webp" else (16_000, 16_000)
+    monkeypatch.setattr(cv2, "imdecode", None)
+    with pytest.raises(SequenceError, match=rf"image: {size[0]} x {size[1]} pixels, expected at most 100 megapixels"):
+        decode_image_bytes(of_size(kind, *size))
+
+
+def test_lossy_and_extended_webp_state_their_size() -> None:
+    lossy = cv2.imencode(".webp", np.zeros((20, 30, 3), np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 50])[1].tobytes()
+    assert lossy[12:16] == b"VP8 "
+    assert decode_image_bytes(lossy).shape == (20, 30, 3)
+    size = (20_000 - 1).to_bytes(3, "little")
+    with pytest.raises(SequenceError, match="image: 20000 x 20000 pixels"):
+        decode_image_bytes(b"RIFF0000WEBPVP8X" + bytes(8) + size + size)
+
+
+def test_a_raw_image_of_more_than_a_hundred_megapixels_is_refused() -> None:
+    message = image_message(RGB, "rgb8")
+    message.width = message.height = 10_001
+    with pytest.raises(SequenceError, match="10001 x 10001 pixels, expected at most 100 megapixels"):
+        decode_image(message)
+
+
+def test_a_jpeg_of_more_scans_than_any_camera_writes_is_refused() -> None:
+    data = jpeg_of_noise([cv2.IMWRITE_JPEG_PROGRESSIVE, 1])
+    assert decode_image_bytes(data).shape == (64, 64, 3)
+    last = data[data.rindex(b"\xff\xda") : -2]
+    with pytest.raises(SequenceError, match="more than 100 scans"):
+        decode_image_bytes(data[:-2] + 100 * last + data[-2:])
 
 
 def odometry_message(**change: object) -> SimpleNamespace:
@@ -153,7 +229,7 @@ def test_odometry_keeps_its_stamp_pose_and_twist_covariance() -> None:
     np.testing.assert_allclose(sample.odom_from_base.apply(np.array([1.0, 0, 0])), [1.28, 2.96, 3.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("placeholder", [1e3, 99999.0, 1e6])
+@pytest.mark.parametrize("placeholder", [10.0, 100.0, 500.0, 999.0, 1e3, 99999.0, 1e6])
 def test_axes_with_a_placeholder_for_a_variance_are_infinite_and_the_others_stay(placeholder: float) -> None:
     covariance = np.diag([0.1, placeholder, placeholder, placeholder, 0.2, 0.3])
     covariance[0, 5] = covariance[5, 0] = 0.01

@@ -251,3 +251,36 @@ def test_neighbours_that_hardly_differ_may_be_far_apart() -> None:
         assert (window.at(950_000_000) is not None) is covered
         window.append(4_000_000_000, Poses(np.eye(3), np.array([metres, 0.0, 0.0])))
         assert window.at(3_000_000_000) is None
+
+
+def test_poses_in_any_order_lie_in_a_window_as_if_they_had_come_in_theirs() -> None:
+    times_ns, poses, twists = random_walk(12, seed=8)
+    poses = Poses(poses.rotation, np.array(poses.translation))
+    poses.translation[6:] += 30.0  # a jump
+    windows = []
+    for order in (range(12), [1, 0, 3, 2, 4, 8, 5, 7, 6, 11, 10, 9]):
+        window = PoseWindow(10.0, watch_jumps=True)
+        assert all(window.append(int(times_ns[i]), poses[i], twists[i]) for i in order)
+        windows.append(window)
+    ordered, shuffled = windows
+    assert (shuffled.begin_ns, shuffled.end_ns) == (ordered.begin_ns, ordered.end_ns)
+    setting = {"base_from_camera": Poses.identity(), "motion_noise": MotionNoise()}
+    start, end = int(times_ns[1]) + 1000, int(times_ns[9]) + 1000
+    expected, found = (window.odometry_between(start, end, **setting) for window in windows)
+    np.testing.assert_array_equal(found.covariance, expected.covariance)
+    assert_same(found.previous_from_current, expected.previous_from_current, 0.0)
+    for time_ns in (int(times_ns[5]) + 1, int(times_ns[8]) + 1):
+        assert shuffled.jumps_at(time_ns) == ordered.jumps_at(time_ns) == (time_ns < times_ns[6])
+
+
+def test_a_pose_that_comes_after_its_time_was_asked_for_changes_nothing() -> None:
+    window = PoseWindow(10.0)
+    assert all(window.append(t, Poses.identity()) for t in (0, 10, 20, 40))
+    window.forget_before(25)
+    pose = Poses.exp(np.full(6, 0.1))
+    assert not window.append(22, pose)  # before what was asked for
+    assert not window.append(30, pose)  # between that and the pose that it was interpolated with
+    assert not window.append(40, pose)  # there is one
+    assert window.append(60, pose)
+    assert window.append(50, pose)
+    assert window.end_ns == 60

@@ -1,7 +1,9 @@
 """Recorded sequences -> frames, in every form in which they lie on disk, and everything that can be wrong with them."""
 
+import re
+import struct
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,6 +17,7 @@ from mcap_ros2.writer import Writer
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.bag import Bag
+from sequences.counts import OUTSIDE
 from sequences.errors import SequenceError
 from sequences.message_definitions import decoder, schema_name, schema_text
 from sequences.messages import odometry_from_message
@@ -99,7 +102,7 @@ def test_without_odometry_every_image_is_read(tmp_path: Path) -> None:
 def test_a_stretch_of_a_sequence_is_read(walk_file: Path) -> None:
     reader = SequenceReader(walk_file, SequenceOptions(start_s=0.25, duration_s=0.5))
     assert [f.time_ns for f in reader] == [BEGIN_NS + 100_000_000 * i for i in range(3, 8)]
-    assert reader.skipped == {}
+    assert reader.skipped == {OUTSIDE: 7}
 
 
 def test_zero_covariances_are_replaced_by_the_stated_motion_noise(tmp_path: Path) -> None:
@@ -325,8 +328,8 @@ def test_bytes_that_are_no_image_message_are_skipped(walk_file: Path, tmp_path: 
     assert reader.skipped == {"undecodable image": 1}
 
 
-@pytest.mark.parametrize("back_ns", [0, 30_000_000])
-def test_image_stamps_that_stand_or_run_backwards_are_skipped(back_ns: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("back_ns", [0, 300_000_000])
+def test_image_stamps_that_were_there_before_are_skipped(back_ns: int, tmp_path: Path) -> None:
     walk = Walk()
     path = walk.write(tmp_path / "in.mcap")
     before_ns = BEGIN_NS + 400_000_000 - back_ns
@@ -425,15 +428,19 @@ def test_a_stamp_far_in_the_future_costs_one_image_only(odometry: OdometryUse, t
     assert reader.skipped == {"time stamp far ahead": 1}
 
 
-@pytest.mark.parametrize(("topic", "num_true_poses"), [("/odom", 12), ("/ground_truth/pose", 11)])
-def test_a_stamp_far_in_the_future_costs_one_pose_only(topic: str, num_true_poses: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("topic", "what", "num_true_poses"), [("/odom", "odometry", 12), ("/ground_truth/pose", "true pose", 11)]
+)
+def test_a_stamp_far_in_the_future_costs_one_pose_only(
+    topic: str, what: str, num_true_poses: int, tmp_path: Path
+) -> None:
     path = far_ahead(topic, Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap")
     reader = SequenceReader(path)
     frames = list(reader)
     assert len(frames) == 12
     assert all(frame.odometry is not None for frame in frames[1:])
     assert sum(frame.world_from_camera is not None for frame in frames) == num_true_poses
-    assert reader.skipped == {"time stamp far ahead": 1}
+    assert reader.skipped == {f"{what} time stamp far ahead": 1}
 
 
 def test_with_no_image_left_the_error_says_why(tmp_path: Path) -> None:
@@ -442,6 +449,141 @@ def test_with_no_image_left_the_error_says_why(tmp_path: Path) -> None:
     reader = SequenceReader(walk.write(tmp_path / "walk.mcap"))
     with pytest.raises(SequenceError, match=r"no image left of 12 on /camera/.*12 × undecodable.*expected JPEG"):
         list(reader)
+
+
+# --- order and time --------------------------------------------------------------------------------
+
+
+MS = 1_000_000
+
+
+def relogged(walk: Path, target: Path, late_ns: Callable[[str, int], int]) -> Path:
+    """A copy in which messages were logged late, by what a function of topic and stamp says."""
+    return rewrite(walk, target, log_time=lambda topic, time_ns: time_ns + late_ns(topic, time_ns))
+
+
+@pytest.mark.parametrize("topic", [IMAGES, "/odom", "/ground_truth/pose"])
+def test_neighbours_logged_in_swapped_order_are_used_in_the_order_of_their_stamps(topic: str, tmp_path: Path) -> None:
+    source = Walk(30).write(tmp_path / "in.mcap")
+    step_ns = 20 * MS if topic == "/odom" else 100 * MS
+    late = lambda name, t: 3 * step_ns // 2 if name == topic and (t - BEGIN_NS) // step_ns % 2 else 0  # noqa: E731
+    reader = SequenceReader(relogged(source, tmp_path / "out.mcap", late))
+    with open(tmp_path / "out.mcap", "rb") as file:
+        stamps = [bytes(message.data[4:12]) for _, _, message in make_reader(file).iter_messages([topic])]
+    assert sorted(stamps, key=lambda s: struct.unpack("<II", s)) != stamps  # the precondition
+    reference = list(SequenceReader(source))
+    for frame, expected in zip(reader, reference, strict=True):
+        assert frame.time_ns == expected.time_ns
+        np.testing.assert_array_equal(frame.image, expected.image)
+        assert close(frame.world_from_camera, world_from_camera(frame.time_ns), 1e-3)
+        if expected.odometry is not None:
+            assert frame.odometry is not None
+            moved = frame.odometry.previous_from_current
+            assert close(moved, expected.odometry.previous_from_current, 1e-12)
+    assert reader.skipped == {}
+
+
+def test_images_logged_later_than_the_window_are_counted(tmp_path: Path) -> None:
+    late = lambda name, t: 900 * MS if name == IMAGES and t == BEGIN_NS + 1000 * MS else 0  # noqa: E731
+    reader = SequenceReader(relogged(Walk(30).write(tmp_path / "in.mcap"), tmp_path / "out.mcap", late))
+    assert len(list(reader)) == 29
+    assert reader.counts.as_json() == {
+        "stated": 30,
+        "read": 30,
+        "used": 29,
+        "skipped": {"time stamp not increasing": 1},
+    }
+
+
+def stamped(walk: Path, target: Path, topics: Collection[str], stamp: Callable[[int], int]) -> Path:
+    """A copy in which some topics have other stamps, logged when they were."""
+
+    def change(topic: str, time_ns: int, data: bytes) -> bytes:
+        if topic not in topics:
+            return data
+        return data[:4] + struct.pack("<II", *divmod(stamp(time_ns), 1_000_000_000)) + data[12:]
+
+    return rewrite(walk, target, data=change)
+
+
+@pytest.mark.parametrize("moment", [0, 5 * 10**9])
+@pytest.mark.parametrize(
+    ("topics", "what"),
+    [([IMAGES, "/odom"], "12 images"), ([IMAGES], "12 images"), (["/odom"], r"\d+ messages of odometry")],
+)
+def test_stamps_that_are_all_equal_are_an_error_that_names_the_log_times(
+    topics: list[str], what: str, moment: int, walk_file: Path, tmp_path: Path
+) -> None:
+    path = stamped(walk_file, tmp_path / "out.mcap", topics, lambda _: moment)
+    said = "zero" if moment == 0 else f"{moment} ns"
+    with pytest.raises(SequenceError, match=rf"headers of all {what} are {said}, expected increasing.*--stamps log"):
+        list(SequenceReader(path))
+    frames = list(SequenceReader(path, SequenceOptions(stamps="log")))
+    reference = list(SequenceReader(walk_file))
+    for frame, expected in zip(frames, reference, strict=True):
+        assert frame.time_ns == expected.time_ns
+        assert close(frame.world_from_camera, world_from_camera(frame.time_ns))
+        if expected.odometry is not None:
+            assert frame.odometry is not None
+            moved = frame.odometry.previous_from_current
+            assert close(moved, expected.odometry.previous_from_current, 1e-12)
+
+
+def test_where_log_times_are_equal_too_no_option_is_named(tmp_path: Path) -> None:
+    path = stamped(Walk().write(tmp_path / "in.mcap"), tmp_path / "a.mcap", [IMAGES, "/odom"], lambda _: 0)
+    path = rewrite(path, tmp_path / "out.mcap", log_time=lambda topic, time_ns: 1)
+    with pytest.raises(SequenceError, match=r"are zero, expected increasing ones$"):
+        list(SequenceReader(path))
+
+
+def test_clocks_that_are_apart_are_named(walk_file: Path, tmp_path: Path) -> None:
+    path = stamped(walk_file, tmp_path / "out.mcap", ["/odom"], lambda t: t + 3600 * 10**9)
+    said = r"images run from \d+\.123 to \d+\.223 s, odometry from \d+\.\d+ to .* s: they begin 3600\.0 s apart"
+    with pytest.raises(SequenceError, match=rf"no image has odometry: {said}, expected one clock \(--stamps log"):
+        list(SequenceReader(path))
+    reader = SequenceReader(path, odometry="optional")
+    assert len(list(reader)) == 12
+    assert [notice for notice in reader.notices if re.match(said, notice)]
+    assert len(list(SequenceReader(path, SequenceOptions(stamps="log")))) == 12
+
+
+def test_every_image_is_used_or_skipped_for_a_reason(tmp_path: Path) -> None:
+    walk = Walk(200)
+    walk.images[40] = (walk.images[40][0], b"no image")
+    walk.odometry = [(t, pose) for t, pose in walk.odometry if not 5000 < (t - BEGIN_NS) / MS < 6000]
+    path = stamped(
+        walk.write(tmp_path / "in.mcap"),
+        tmp_path / "out.mcap",
+        [IMAGES],
+        lambda t: t - 100 * MS * (t == BEGIN_NS + 3000 * MS),
+    )
+    reader = SequenceReader(path, SequenceOptions(start_s=1.0, duration_s=8.0))
+    used = len(list(reader))
+    lost = {"undecodable image": 1, "time stamp not increasing": 1, "odometry does not cover": 11}
+    assert reader.counts.skipped == {**lost, OUTSIDE: 200 - 81}
+    assert reader.counts.read < 200  # reading ended early
+    assert (reader.counts.stated, reader.counts.used) == (200, used)
+    assert used + reader.counts.skipped.total() == 200
+    assert reader.counts.warning is None
+
+
+def test_where_fewer_than_half_of_the_images_were_used_a_sentence_says_why(tmp_path: Path) -> None:
+    walk = Walk(40)
+    walk.odometry = [(t, pose) for t, pose in walk.odometry if t < BEGIN_NS + 1000 * MS]
+    walk.images[2] = (walk.images[2][0], b"no image")
+    path = walk.write(tmp_path / "walk.mcap")
+    reader = SequenceReader(path)
+    assert len(list(reader)) == 9
+    assert reader.counts.warning == "Only 9 of 40 images were used: 30 were skipped, odometry does not cover."
+    assert not reader.counts.are_very_few
+    next(iter(reader))
+    assert reader.counts.warning is None  # who takes no more than that knows
+    reader = SequenceReader(path, SequenceOptions(start_s=0.9))
+    assert len(list(reader)) == 1
+    assert reader.counts.are_very_few
+    reader = SequenceReader(path, SequenceOptions(duration_s=0.9))
+    assert len(list(reader)) == 9
+    assert reader.counts.warning is None
 
 
 # --- what is refused -------------------------------------------------------------------------------
@@ -489,7 +631,7 @@ def test_damage_anywhere_is_an_error_that_names_the_file_or_does_no_harm(
                     np.testing.assert_array_equal(frame.image, expected.image)
                     assert close(frame.world_from_camera, world_from_camera(frame.time_ns))
     assert len(refusals) >= 5
-    assert all(str(path) in refusal and "\n" not in refusal for refusal in refusals)
+    assert all(path.name in refusal and "\n" not in refusal for refusal in refusals)
 
 
 def test_a_folder_must_be_a_rosbag2_with_its_files(walk_file: Path, tmp_path: Path) -> None:
@@ -498,8 +640,8 @@ def test_a_folder_must_be_a_rosbag2_with_its_files(walk_file: Path, tmp_path: Pa
     listing = tmp_path / "metadata.yaml"
     for text, said in [
         ("version: 5\n", "names no files"),
-        ("relative_file_paths:\n- gone.mcap\n", r"gone\.mcap, which is not in the folder"),
-        ("relative_file_paths:\n- bag_0.db3\n", r"bag_0\.db3, expected \.mcap"),
+        ("relative_file_paths:\n- gone.mcap\n", r"gone\.mcap', which is not in the folder"),
+        ("relative_file_paths:\n- bag_0.db3\n", r"bag_0\.db3', expected \.mcap"),
     ]:
         listing.write_text(text)
         with pytest.raises(SequenceError, match=said):

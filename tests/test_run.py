@@ -99,11 +99,13 @@ def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
 
 def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     report = report_of(finished.directory)
-    about = {"frames", "frames_with_true_pose", "skipped", "duration_s", "status", "particles"}
+    about = {"frames", "frames_with_true_pose", "skipped", "images", "duration_s", "status", "particles"}
     assert set(report) == METHODS | about | {"step_ms", "peak_rss_mb", "consistency"}
     assert set(report["consistency"]) == {"images", "wrong", "coverage", "median_nees"}
     assert report["frames"] == 25
     assert report["skipped"] == {}
+    assert report["images"] == {"stated": 25, "read": 25, "used": 25, "skipped": {}}
+    assert "images     25 stated, 25 read, 25 used, 0 skipped" in finished.printed
     assert set(report["step_ms"]) == {"p50", "p95"}
     assert 0 < report["step_ms"]["p50"] <= report["step_ms"]["p95"]
     assert report["peak_rss_mb"] > 50

@@ -15,7 +15,7 @@ import pytest
 from sequences.bag import bag_files
 from sequences.datasets import list_images, posed_frames
 from sequences.errors import SequenceError
-from sequences.image_size import stated_size
+from sequences.image_headers import stated_size
 from sequences.layouts.packed import Archive
 from sequences.messages import decode_image_bytes
 

@@ -245,6 +245,18 @@ def test_a_message_that_is_none_breaks_the_video_as_well(h264: list[Packet], tmp
     assert skipped == {"undecodable image": 1, DAMAGED: GROUP - 3}
 
 
+@pytest.mark.parametrize(("encoder", "video_format"), [("libx264", "h264"), ("libx265", "h265"), ("libvpx-vp9", "vp9")])
+def test_video_of_more_pixels_than_allowed_is_not_decoded(
+    encoder: str, video_format: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = foxglove_files.write(tmp_path / "a.mcap", "protobuf", video(encode(pictures(3), encoder), video_format))
+    monkeypatch.setattr("sequences.video.MAX_PIXELS", 4 * 96 * 64)  # the decoder counts rows as it aligns them
+    assert len(list(SequenceReader(path, odometry="unread"))) == 3
+    monkeypatch.setattr("sequences.video.MAX_PIXELS", 96 * 64 - 1)
+    with pytest.raises(SequenceError, match="no image left of 3"):
+        list(SequenceReader(path, odometry="unread"))
+
+
 def test_an_unknown_format_is_named(h264: list[Packet], tmp_path: Path) -> None:
     path = foxglove_files.write(tmp_path / "a.mcap", "protobuf", video(h264, "theora"))
     with pytest.raises(

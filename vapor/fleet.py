@@ -39,6 +39,7 @@ class Outcome:
         median_rotation_deg: Of the filter.
         success: Whether the filter found the place, and kept it.
         skipped: Images and messages left out, by reason.
+        few_images: A sentence where fewer than half of the images were used.
         notices: What a person should know of the sequence.
     """
 
@@ -54,6 +55,7 @@ class Outcome:
     median_rotation_deg: float | None = None
     success: bool | None = None
     skipped: dict[str, int] = field(default_factory=dict)
+    few_images: str | None = None
     notices: tuple[str, ...] = ()
 
 
@@ -184,6 +186,7 @@ def _outcome(name: str, sequence: Path, result: RunResult) -> Outcome:
         median_rotation_deg=judged.get("median_rotation_deg"),
         success=judged.get("success"),
         skipped=report["skipped"],
+        few_images=result.few_images,
         notices=result.notices,
     )
 

@@ -13,6 +13,7 @@ from jaxtyping import Float64, Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status
 from filtering.se3 import Poses
+from sequences.counts import ImageCounts
 from sequences.frame import Frame, Trajectory
 
 _KEPT_MOMENTS = 24
@@ -67,7 +68,8 @@ class RunRecord:
         kalman: Trajectory of the single-hypothesis baseline, if any.
         gaussian_sum: Trajectory of the baseline to which no hypothesis is added after the first image, if any.
         moments: A few moments in order of time, the first and last image among them.
-        skipped: Number of images skipped, by reason.
+        skipped: Number of images and other messages skipped, by reason.
+        images: What became of the images that the sequence states; None if not counted.
         peak_rss_mb: Peak resident memory of the process, MiB; None if not measured.
     """
 
@@ -90,6 +92,7 @@ class RunRecord:
     gaussian_sum: Trajectory | None
     moments: tuple[Moment, ...]
     skipped: Mapping[str, int]
+    images: ImageCounts | None
     peak_rss_mb: float | None
 
     @cached_property
@@ -168,6 +171,7 @@ class RunRecorder:
         self,
         *,
         skipped: Mapping[str, int] | None = None,
+        images: ImageCounts | None = None,
         smoothed: Trajectory | None = None,
         kalman: Trajectory | None = None,
         gaussian_sum: Trajectory | None = None,
@@ -204,6 +208,7 @@ class RunRecorder:
             gaussian_sum=gaussian_sum,
             moments=tuple(self._moments),
             skipped=dict(sorted(Counter(skipped or {}).items())),
+            images=images,
             peak_rss_mb=peak_rss_mb,
         )
 

@@ -25,8 +25,8 @@ def build_report(record: RunRecord) -> dict[str, Any]:
     """The content of `report.json`; the same for the same run but for `step_ms` and `peak_rss_mb`.
 
     Returns:
-        `frames`, `skipped`, `duration_s`, `status` (share of the images by verdict), `particles` (median), `step_ms`,
-        `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each method's metrics, and
+        `frames`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (share of the images by verdict),
+        `particles` (median), `step_ms`, `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each method's metrics, and
         `consistency` (see `evaluate_consistency`).
     """
     verdicts = Counter(record.status)
@@ -37,6 +37,7 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "frames": frames,
         "frames_with_true_pose": found,
         "skipped": dict(record.skipped),
+        "images": None if record.images is None else record.images.as_json(),
         "duration_s": float(record.times_ns[-1] - record.times_ns[0]) / 1e9,
         "status": {name: verdicts[name] / frames for name in ("converged", "ambiguous", "lost")},
         "particles": int(np.median(record.num_particles)),

@@ -106,6 +106,11 @@ class RunResult:
     pictures: tuple[str, ...]
     notices: tuple[str, ...] = ()
 
+    @property
+    def few_images(self) -> str | None:
+        """A sentence where fewer than half of the images were used."""
+        return None if self.record.images is None else self.record.images.warning
+
 
 @dataclass(frozen=True)
 class LoadedModel:
@@ -160,7 +165,7 @@ def run(
         progress: Called after every image with the number done and an upper bound of all.
 
     Raises:
-        VaporTrackError: unusable sequence, model or output, or no image left to localize.
+        VaporTrackError: unusable sequence, model or output, or fewer than one in ten of the images left to localize.
     """
     config, reading = config or RunConfig(), reading or SequenceOptions()
     refuse_file(output)
@@ -172,6 +177,10 @@ def run(
         calibration = observation.checkpoint.calibration
         fit = calibration.odometry if config.fitted_odometry else None
         record = localize(reader, observation, partial, config, calibration.errors, odometry_fit=fit, progress=progress)
+        if reader.counts.are_very_few and not reading.allow_few_images:
+            raise VaporTrackError(
+                f"{sequence}: {reader.counts.warning} Expected at least one in ten (--allow-few-images localizes fewer)"
+            )
         device = str(observation.device)
         settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
         settings = {
@@ -266,7 +275,7 @@ def localize(
             viewer.log(frame, estimate, posterior.samples)
             if progress is not None:
                 progress(len(recorder), source.num_images)
-    record = recorder.finish(skipped=source.skipped)
+    record = recorder.finish(skipped=source.skipped, images=source.counts)
     sure = np.array([status == "converged" for status in record.status])
     smoothed = smooth(
         modes_of_images,
@@ -279,6 +288,7 @@ def localize(
     )
     return recorder.finish(
         skipped=source.skipped,
+        images=source.counts,
         smoothed=Trajectory(record.times_ns, smoothed),
         kalman=Trajectory(record.times_ns, Poses.stack(kalman_poses)),
         gaussian_sum=Trajectory(record.times_ns, Poses.stack(gaussian_sum_poses)),

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from sequences.errors import SequenceError
-from sequences.image_size import stated_size
+from sequences.image_headers import is_jpeg, is_png, stated_size
 from sequences.layouts.packed import ImageFile, PackedImage
 from sequences.messages import decode_image_bytes
 from sequences.values import parse_frame_number, read_bytes
@@ -19,7 +19,7 @@ _SUFFIXES = (".png", ".jpg", ".jpeg")
 def read_image_bytes(file: ImageFile) -> bytes:
     """Bytes of a JPEG or PNG. Raises SequenceError where it cannot be read, or is none."""
     data = file.read_bytes() if isinstance(file, PackedImage) else read_bytes(file)
-    if stated_size(data) is None:
+    if stated_size(data) is None or not (is_jpeg(data) or is_png(data)):
         raise SequenceError(f"{len(data)} bytes are no image with the header of a JPEG or PNG, expected one")
     return data
 

@@ -12,7 +12,7 @@ import cv2
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.image_size import require_pixels
+from sequences.image_headers import require_pixels
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # heeded at the first video: what is wrong is said here
 

@@ -108,6 +108,12 @@ def show_skipped(skipped: Mapping[str, int]) -> None:
         show(f"  skipped {count}: {reason}")
 
 
+def show_images(images: Mapping[str, Any]) -> None:
+    """Say what became of the images that a sequence states."""
+    skipped = sum(images["skipped"].values())
+    show(f"images     {images['stated']} stated, {images['read']} read, {images['used']} used, {skipped} skipped")
+
+
 def show_files(directory: Path, pictures: Sequence[str], *, recording: bool) -> None:
     """Say where the results of a run lie."""
     show(f"report     {directory / 'report.json'}")

@@ -17,6 +17,7 @@ from vapor.commands.console import (
     progress_of,
     show,
     show_files,
+    show_images,
     show_notices,
     show_skipped,
     usage_error,
@@ -67,9 +68,12 @@ def _run_one(options: Options) -> None:
         show(format_table(report, title=sequence.name))
     verdicts = ", ".join(f"{100 * share:.0f} % {verdict}" for verdict, share in report["status"].items())
     show(f"{report['frames']} images: {verdicts}")
+    show_images(report["images"])
     show_skipped(report["skipped"])
     show_notices(result.notices)
     show_files(options.output, result.pictures, recording=options.config.recording)
+    if result.few_images is not None:
+        show(result.few_images)
 
 
 def _run_fleet(options: Options) -> None:
@@ -98,12 +102,16 @@ def _run_fleet(options: Options) -> None:
 def _show_outcomes(outcomes: Sequence[Outcome], output: Path) -> None:
     show(format_fleet(outcomes))
     for outcome in outcomes:
-        if outcome.error is not None or outcome.skipped or outcome.notices:
+        few = [] if outcome.few_images is None else [outcome.few_images]
+        if outcome.error is not None or outcome.skipped or outcome.notices or few:
             show(f"{outcome.name}{f': failed: {outcome.error}' if outcome.error is not None else ''}")
             show_skipped(outcome.skipped)
-            show_notices(outcome.notices)
+            show_notices([*outcome.notices, *few])
     summed = total(outcomes)
     converged = "" if summed["converged"] is None else f", {100 * summed['converged']:.0f} % converged"
     success = f"; success in {summed['successes']} of {summed['judged']}" if summed["judged"] else ""
     show(f"{len(outcomes)} sequence{'s' * (len(outcomes) != 1)}, {summed['images']} images{converged}{success}")
     show(f"summary    {output / SUMMARY}")
+    few = [outcome.name for outcome in outcomes if outcome.few_images is not None]
+    if few:
+        show(f"Fewer than half of the images were used in {len(few)} of {len(outcomes)} sequences: {', '.join(few)}.")

@@ -228,7 +228,8 @@ class _Source:
                 found = True
         if not found:
             raise SequenceError(f"{self._path}: no image in {start}:{stop}, expected at least one; it has {number + 1}")
-        self.skipped, self.notices = reader.skipped, reader.notices
+        few = [reader.counts.warning] if reader.counts.warning else []
+        self.skipped, self.notices = reader.skipped, [*reader.notices, *few]
 
     def _ask(self, what: str, *, odometry: OdometryUse, true_poses: TruePoseUse = "optional") -> None:
         """Note why something is not found, where it is not."""

@@ -1,0 +1,62 @@
+"""How many images a recording states, and what became of each."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+OUTSIDE = "outside the stretch asked for"
+_FEW, _VERY_FEW = 0.5, 0.1  # shares of the images asked for
+
+
+@dataclass
+class ImageCounts:
+    """Images of one reading; once it is complete, `stated` = `used` + all of `skipped`.
+
+    Attributes:
+        stated: How many there are, as the file states it, or as counted where it does not.
+        read: How many came: fewer where reading ended behind the stretch asked for.
+        used: How many became frames.
+        skipped: How many did not, by reason.
+    """
+
+    stated: int
+    read: int = 0
+    used: int = 0
+    skipped: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def are_very_few(self) -> bool:
+        """Whether fewer than one in ten of the images asked for were used."""
+        return self._are_complete and self.used < _VERY_FEW * self._asked
+
+    @property
+    def warning(self) -> str | None:
+        """A sentence where fewer than half of the images asked for were used, with the main reason; None elsewhere."""
+        if not self._are_complete or self.used >= _FEW * self._asked:
+            return None
+        ((reason, number),) = self._lost.most_common(1)
+        return f"Only {self.used} of {self._asked} images were used: {number} were skipped, {reason}."
+
+    def as_json(self) -> dict[str, Any]:
+        """For a report."""
+        return {
+            "stated": self.stated,
+            "read": self.read,
+            "used": self.used,
+            "skipped": dict(sorted(self.skipped.items())),
+        }
+
+    @property
+    def _are_complete(self) -> bool:
+        """Whether all was read: who takes frames may have stopped before."""
+        return self.stated == self.used + self.skipped.total()
+
+    @property
+    def _asked(self) -> int:
+        return self.stated - self.skipped[OUTSIDE]
+
+    @property
+    def _lost(self) -> Counter[str]:
+        return Counter({reason: number for reason, number in self.skipped.items() if reason != OUTSIDE})
