@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
-from sequences.atomic import atomic_output
-from vapor.checkpoint import CheckpointError, parse_config, read_json, read_safetensors
+from vapor.checkpoint import parse_config, read_json
 from vapor.network import PoseRegressor
+from vapor.tensor_files import CHECKSUM, CheckpointError, read_safetensors, write_safetensors
 from vapor.training_memory import Seen
 from vapor.validation import Validation
 
 FORMAT = "vapor-track training state"
 VERSION = 2
+_ANEW = "remove the file, or train with --no-resume, to start anew"
 
 
 @dataclass
@@ -73,17 +73,20 @@ def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         "epoch": state.epoch,
         "history": [asdict(validation) for validation in state.history],
     }
-    with atomic_output(path) as temporary:
-        save_file(tensors, temporary, {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config)})
+    write_safetensors(path, tensors, {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config)})
 
 
-def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> None:
-    """Fill a fresh state from a file, in place.
+def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> tuple[str, ...]:
+    """Fill a fresh state from a file, in place; gives what a person should know of the file.
 
     Raises:
-        CheckpointError: no training state, of another version, of another training, or with other tensors.
+        CheckpointError: no training state, a damaged one, of another version, of another training, or with other
+            tensors.
     """
-    metadata, tensors = read_safetensors(path)
+    try:
+        metadata, tensors = read_safetensors(path)
+    except CheckpointError as error:
+        raise CheckpointError(f"{error}; {_ANEW}") from error
     found = metadata.get("format"), metadata.get("version")
     if found != (FORMAT, str(VERSION)):
         raise CheckpointError(f"{path}: format and version are {found}, expected {(FORMAT, str(VERSION))}")
@@ -94,7 +97,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         differs = [k for k in expected if not isinstance(other, dict) or other.get(k) != expected[k]]
         raise CheckpointError(
             f"{path}: interrupted training differs in {', '.join(differs) or 'its configuration'}, expected the same"
-            " configuration and data; remove the file, or train without resume, to start anew"
+            f" configuration and data; {_ANEW}"
         )
     groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "best": {}, "optimizer": {}}
     for name, value in tensors.items():
@@ -110,6 +113,8 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     state.best = groups["best"]
     state.epochs, state.epoch = int(config["epochs"]), int(config["epoch"])
     state.history = [parse_config(path, "history", Validation, entry) for entry in config["history"]]
+    unchecked = f"{path.name} was written before states had checksums: whether it is damaged cannot be told"
+    return () if CHECKSUM in metadata else (unchecked,)
 
 
 def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) -> dict[int, dict[str, Tensor]]:
