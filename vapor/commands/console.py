@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import io
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import tyro
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from filtering.errors import VaporTrackError
+from vapor.terminal import raise_of_output, say
 
 Options = TypeVar("Options")
 _MIN_WIDTH = 100  # of a table, where the output is no terminal
@@ -20,18 +24,45 @@ _MIN_WIDTH = 100  # of a table, where the output is no terminal
 
 def parse(command: str, options: type[Options], arguments: Sequence[str], default: Options | None = None) -> Options:
     """Options from the words of the command line; wrong ones print what is wrong and exit with status 2."""
-    prog = f"vapor-track {command}"
+    given = {} if default is None else {"default": default}
+    told, width = io.StringIO(), os.environ.get("COLUMNS")
     try:
-        if default is None:
-            return tyro.cli(options, prog=prog, args=list(arguments))
-        return tyro.cli(options, prog=prog, args=list(arguments), default=default)
+        if not {"-h", "--help"} & set(arguments):
+            os.environ["COLUMNS"] = "1000000"  # of what is told in a box, so that no word is broken
+        with redirect_stderr(told):
+            return tyro.cli(options, prog=f"vapor-track {command}", args=list(arguments), **given)
     except VaporTrackError as error:  # a value that its dataclass refuses
         usage_error(command, str(error))
+    except SystemExit:
+        if not told.getvalue():
+            raise
+        usage_error(command, _unboxed(told.getvalue()))
+    except OSError as error:  # in printing the help
+        raise_of_output(error)
+    finally:
+        os.environ.pop("COLUMNS", None)
+        if width is not None:
+            os.environ["COLUMNS"] = width
+
+
+def _unboxed(text: str) -> str:
+    """What is said in a box of tyro's, without help on options that are there."""
+    parts: list[list[str]] = [[]]
+    for line in text.splitlines():
+        line = line.strip(" │|")
+        if line.startswith(("╭", "╰", "+")):
+            continue
+        if line and not line.strip("─-"):  # a rule between two parts
+            parts.append([])
+        else:
+            parts[-1].append(line)
+    sentences = [" ".join(" ".join(part).split()) for part in parts]
+    return "; ".join(s for s in sentences if not s.startswith(("Argument helptext", "For full helptext")))
 
 
 def usage_error(command: str, message: str) -> NoReturn:
     """Exit with status 2 and one line."""
-    print(f"vapor-track {command}: {message}", file=sys.stderr)
+    say(f"vapor-track {command}: {message}")
     sys.exit(2)
 
 
@@ -93,7 +124,13 @@ def show(content: Any) -> None:
     console = Console(highlight=False, soft_wrap=isinstance(content, str), markup=False)
     if not console.is_terminal:
         console.width = max(console.width, _MIN_WIDTH)
-    console.print(content)
+    # What is wider than the terminal is wrapped by it, but not cut.
+    unlimited = console.options.update_width(sys.maxsize)
+    console.width = max(console.width, Measurement.get(console, unlimited, content).minimum)
+    try:
+        console.print(content)
+    except OSError as error:
+        raise_of_output(error)
 
 
 def show_notices(notices: Sequence[str]) -> None:
