@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
@@ -12,6 +13,12 @@ Result = TypeVar("Result")
 
 def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers: int) -> Iterator[Result]:
     """The result of `function(*job)` for every job, in no order, as each is done."""
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        results = Parallel(n_jobs=workers, return_as="generator_unordered")(delayed(function)(*job) for job in jobs)
+    # Processes start with the signals blocked that are blocked here: a terminal sends its own to all of them, but it is
+    # this process that answers and ends the others, which would die with a traceback each.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        with parallel_config(backend="loky", inner_max_num_threads=1):
+            results = Parallel(n_jobs=workers, return_as="generator_unordered")(delayed(function)(*job) for job in jobs)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     yield from results  # pyright: ignore[reportReturnType]
