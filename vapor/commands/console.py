@@ -14,6 +14,7 @@ import tyro
 from rich.console import Console
 from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
 
 from filtering.errors import VaporTrackError
 from vapor.terminal import raise_of_output, say
@@ -48,14 +49,12 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], defaul
 def _unboxed(text: str) -> str:
     """What is said in a box of tyro's, without help on options that are there."""
     parts: list[list[str]] = [[]]
-    for line in text.splitlines():
+    for line in text.splitlines()[1:-1]:
         line = line.strip(" │|")
-        if line.startswith(("╭", "╰", "+")):
-            continue
-        if line and not line.strip("─-"):  # a rule between two parts
-            parts.append([])
-        else:
+        if line.strip("─-"):
             parts[-1].append(line)
+        elif line:  # a rule between two parts
+            parts.append([])
     sentences = [" ".join(" ".join(part).split()) for part in parts]
     return "; ".join(s for s in sentences if not s.startswith(("Argument helptext", "For full helptext")))
 
@@ -124,13 +123,29 @@ def show(content: Any) -> None:
     console = Console(highlight=False, soft_wrap=isinstance(content, str), markup=False)
     if not console.is_terminal:
         console.width = max(console.width, _MIN_WIDTH)
-    # What is wider than the terminal is wrapped by it, but not cut.
-    unlimited = console.options.update_width(sys.maxsize)
-    console.width = max(console.width, Measurement.get(console, unlimited, content).minimum)
+    if isinstance(content, Table):
+        console.width = _width_of_whole_words(content, console)
     try:
         console.print(content)
     except OSError as error:
         raise_of_output(error)
+
+
+def _width_of_whole_words(table: Table, console: Console) -> int:
+    """The least width, from the console's on, at which no word or figure of a table is cut or broken.
+
+    A terminal that is narrower wraps the lines.
+    """
+    widest = Measurement.get(console, console.options.update_width(10_000), table).maximum
+
+    def words(width: int) -> list[str]:
+        with console.capture() as text:
+            console.width = width
+            console.print(table)
+        return sorted(word for word in text.get().split() if any(map(str.isalnum, word)))
+
+    own, whole = console.width, words(max(widest, console.width))
+    return next((width for width in range(own, widest) if words(width) == whole), max(widest, own))
 
 
 def show_notices(notices: Sequence[str]) -> None:
