@@ -141,8 +141,9 @@ def test_ctrl_c_at_a_terminal_is_answered_by_one_process_also_while_workers_star
 # --- outputs -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-@pytest.mark.parametrize("words", [["--help"], ["evaluate", "--help"], ["evaluate", "{run}"]])
+@pytest.mark.parametrize(
+    ("words", "unbuffered"), [(["--help"], ""), (["evaluate", "--help"], ""), (["evaluate", "{run}"], "1")]
+)
 def test_a_full_device_is_told_in_one_line(words, unbuffered, tmp_path):
     steps = simulated_steps(3)
     frames = [frame for frame, *_ in steps]

@@ -123,9 +123,9 @@ def show(content: Any) -> None:
     console = Console(highlight=False, soft_wrap=isinstance(content, str), markup=False)
     if not console.is_terminal:
         console.width = max(console.width, _MIN_WIDTH)
-    if isinstance(content, Table):
-        console.width = _width_of_whole_words(content, console)
     try:
+        if isinstance(content, Table):
+            console.width = _width_of_whole_words(content, console)
         console.print(content)
     except OSError as error:
         raise_of_output(error)
