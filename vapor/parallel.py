@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterable, Iterator
+from multiprocessing import resource_tracker
 from typing import TypeVar
 
 from joblib import Parallel, delayed, parallel_config
@@ -15,6 +16,7 @@ def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers:
     """The result of `function(*job)` for every job, in no order, as each is done."""
     # Processes start with the signals blocked that are blocked here: a terminal sends its own to all of them, but it is
     # this process that answers and ends the others, which would die with a traceback each.
+    resource_tracker.ensure_running()  # which unblocks SIGINT when it starts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         with parallel_config(backend="loky", inner_max_num_threads=1):

@@ -6,6 +6,7 @@ import _thread
 import os
 import signal
 import sys
+import threading
 import time
 from types import FrameType
 from typing import Any
@@ -14,6 +15,7 @@ from vapor.terminal import say
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _ONE_S = 1.0
+_SOON_S = 0.02
 
 
 class Signals:
@@ -65,4 +67,4 @@ class Signals:
             sys.__unraisablehook__(lost)
         else:
             self._next_s = 0.0
-            _thread.interrupt_main(self.received)
+            threading.Timer(_SOON_S, _thread.interrupt_main, (self.received,)).start()  # within this it would be lost

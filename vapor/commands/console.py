@@ -56,7 +56,7 @@ def _unboxed(text: str) -> str:
         elif line:  # a rule between two parts
             parts.append([])
     sentences = [" ".join(" ".join(part).split()) for part in parts]
-    return "; ".join(s for s in sentences if not s.startswith(("Argument helptext", "For full helptext")))
+    return "; ".join(s for s in sentences if s and not s.startswith(("Argument helptext", "For full helptext")))
 
 
 def usage_error(command: str, message: str) -> NoReturn:
