@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from multiprocessing import resource_tracker
 from typing import TypeVar
@@ -16,6 +17,7 @@ def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers:
     """The result of `function(*job)` for every job, in no order, as each is done."""
     # Processes start with the signals blocked that are blocked here: a terminal sends its own to all of them, but it is
     # this process that answers and ends the others, which would die with a traceback each.
+    warnings.filterwarnings("ignore", r"\d+ tasks (which|have) ", UserWarning)  # of those left when it is interrupted
     resource_tracker.ensure_running()  # which unblocks SIGINT when it starts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:

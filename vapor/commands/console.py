@@ -25,7 +25,7 @@ _MIN_WIDTH = 100  # of a table, where the output is no terminal
 
 def parse(command: str, options: type[Options], arguments: Sequence[str], default: Options | None = None) -> Options:
     """Options from the words of the command line; wrong ones print what is wrong and exit with status 2."""
-    given = {} if default is None else {"default": default}
+    given: dict[str, Any] = {} if default is None else {"default": default}
     told, width = io.StringIO(), os.environ.get("COLUMNS")
     try:
         if not {"-h", "--help"} & set(arguments):
