@@ -15,11 +15,12 @@ from tests.test_passes import frames_of
 from vapor import calibrate as calibrate_module
 from vapor import training_check
 from vapor.calibrate import calibrate
-from vapor.checkpoint import Calibration, load_checkpoint, read_safetensors
+from vapor.checkpoint import Calibration, load_checkpoint
 from vapor.familiarity import Familiarity, learn_familiarity
 from vapor.loss import LossConfig
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 from vapor.scene_scale import default_errors
+from vapor.tensor_files import read_safetensors
 from vapor.track import main
 from vapor.train import train_on
 from vapor.train_config import TrainConfig

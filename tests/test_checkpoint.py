@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
@@ -16,12 +15,12 @@ from vapor.checkpoint import (
     CheckpointError,
     find_model,
     load_checkpoint,
-    read_safetensors,
     save_checkpoint,
     thin_poses,
 )
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
 from vapor.scene_scale import default_errors
+from vapor.tensor_files import read_safetensors, write_safetensors
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.1))
 SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
@@ -105,7 +104,7 @@ def _edit_errors(metadata, change):
 
 HEAD = "network.latent_mean.weight"
 MALFORMED = {
-    "no metadata": (lambda t, m: (t, None), "format is None"),
+    "no metadata": (lambda t, m: (t, {}), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
     "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '8', '7' or '6', or '4'"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
@@ -189,9 +188,9 @@ def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(tmp_path, 
     good, bad = tmp_path / "good.safetensors", tmp_path / "bad.safetensors"
     save_checkpoint(good, make_checkpoint())
     metadata, tensors = read_safetensors(good)
-    save_file(tensors, bad, metadata)
+    write_safetensors(bad, tensors, metadata)
     load_checkpoint(bad)  # unchanged, it is good
-    save_file(*(lambda pair: (pair[0], bad, pair[1]))(change(tensors, metadata)))
+    write_safetensors(bad, *change(tensors, metadata))
     with pytest.raises(CheckpointError, match=rf"bad\.safetensors: .*{message}"):
         load_checkpoint(bad)
 
@@ -204,7 +203,7 @@ def _as_before(path, version, change=lambda config: None):
         config["calibration"] = {"bandwidth_translation_m": 0.2, "bandwidth_rotation_rad": 0.1, "temper": 0.3}
         change(config)
 
-    save_file(tensors, path, _edit_config({**metadata, "version": version}, former))
+    write_safetensors(path, tensors, _edit_config({**metadata, "version": version}, former))
 
 
 @pytest.mark.parametrize("version", ["4", "5"])
@@ -235,16 +234,16 @@ def test_in_models_from_before_growth_errors_do_not_depend_on_the_score(tmp_path
         for name in ("unfamiliar_power", "unfamiliar_score", "mistaken_lengths"):
             config["calibration"]["errors"].pop(name)
 
-    save_file(tensors, path, _edit_config({**metadata, "version": "7"}, before_mistakes))
+    write_safetensors(path, tensors, _edit_config({**metadata, "version": "7"}, before_mistakes))
     assert load_checkpoint(path).calibration.errors == replace(grown, mistaken_lengths=1.0)
-    save_file(tensors, path, _edit_config({**metadata, "version": "6"}, former))
+    write_safetensors(path, tensors, _edit_config({**metadata, "version": "6"}, former))
     loaded = load_checkpoint(path)
     expected = replace(grown, unfamiliar_power=0.0, unfamiliar_score=0.5, mistaken_lengths=1.0)
     assert loaded.calibration.errors == expected
     assert (loaded.calibration.odometry, loaded.network_sha256()) == (ODOMETRY, saved.network_sha256())
     save_checkpoint(path, loaded)
     assert load_checkpoint(path).calibration == loaded.calibration
-    save_file(tensors, path, _edit_config(metadata, former))  # of format 8 all are expected
+    write_safetensors(path, tensors, _edit_config(metadata, former))  # of format 8 all are expected
     with pytest.raises(CheckpointError, match=r"lacks .*mistaken_lengths"):
         load_checkpoint(path)
 
@@ -314,7 +313,7 @@ def test_what_is_no_safetensors_file_is_refused(tmp_path, damage):
 
 
 def test_models_are_found_by_path_or_by_the_name_they_ship_under(tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint_module, "_SHIPPED", tmp_path)
+    monkeypatch.setattr(checkpoint_module, "SHIPPED", tmp_path)
     for name in ("staircase", "ceiling"):
         (tmp_path / f"{name}.safetensors").write_bytes(b"")
     assert find_model("staircase") == tmp_path / "staircase.safetensors"

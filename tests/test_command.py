@@ -292,7 +292,7 @@ def test_an_unknown_model_is_refused_with_a_list_of_those_that_ship(walk_of_25, 
     shipped.mkdir()
     for name in ("staircase", "ceiling"):
         (shipped / f"{name}.safetensors").write_bytes(b"")
-    monkeypatch.setattr(checkpoint_module, "_SHIPPED", shipped)
+    monkeypatch.setattr(checkpoint_module, "SHIPPED", shipped)
     refuse(words_of_run(walk_of_25, "atrium", tmp_path / "out"), capsys, "atrium: no such model", "ceiling, staircase")
     assert not (tmp_path / "out").exists()
 

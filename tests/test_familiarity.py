@@ -12,13 +12,14 @@ from sequences.frame import Frame
 from tests.sequence_files import Walk
 from tests.tiny_model import NETWORK, altered
 from vapor.calibrate import calibrate_model
-from vapor.checkpoint import CheckpointError, load_checkpoint, read_safetensors, save_checkpoint
+from vapor.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from vapor.efficientnet import EfficientNetLite0
 from vapor.familiarity import Describer, describe, description_size, fit_familiarity, learn_familiarity
 from vapor.familiarity_benchmark import CHANGED, FOREIGN, judge
 from vapor.network import SceneBox, VariationalPoseRegressor
 from vapor.observation import VaporObservationModel
 from vapor.resnet import ResNet18
+from vapor.tensor_files import read_safetensors
 from vapor.track import main
 from vapor.training_set import load_training_set
 

@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import load_file, save_file
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
@@ -23,6 +21,7 @@ from vapor.network import NetworkConfig, SceneBox
 from vapor.observation import VaporObservationModel
 from vapor.presets import METHODS, PRESETS
 from vapor.retrieval import RetrievalRegressor, memory_of
+from vapor.tensor_files import read_safetensors, write_safetensors
 from vapor.train import train_on
 from vapor.training_epoch import fitting_epochs
 from vapor.training_memory import VARIANTS, described, look
@@ -324,13 +323,11 @@ def test_a_model_remembers_after_it_was_written_and_read(whole):
     ],
 )
 def test_a_damaged_memory_is_refused(whole, tmp_path, name, change, said):
-    tensors, file = load_file(whole[1]), tmp_path / "m.safetensors"
-    with safe_open(whole[1], "pt") as opened:
-        metadata = opened.metadata()
+    (metadata, tensors), file = read_safetensors(whole[1]), tmp_path / "m.safetensors"
     tensors = {k: v for k, v in tensors.items() if change or k != name}
     if change:
-        tensors[name] = change(tensors[name]).contiguous()
-    save_file(tensors, file, metadata)
+        tensors[name] = change(tensors[name])
+    write_safetensors(file, tensors, metadata)
     with pytest.raises(CheckpointError, match=said):
         load_checkpoint(file)
 

@@ -4,13 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
 
 from filtering.se3 import Poses
 from tests.sequence_files import Walk
 from vapor.checkpoint import Calibration, Checkpoint, save_checkpoint
 from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.tensor_files import read_safetensors, write_safetensors
 
 NETWORK = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
 SMALL = ["--num-samples", "60", "--localizer.max-hypotheses", "40"]
@@ -31,9 +30,8 @@ def write_tiny_model(path: Path) -> Path:
 
 
 def altered(model: Path, path: Path, change: Callable[[Tensors, Metadata], None]) -> Path:
-    """A copy of a model file whose tensors or metadata were changed in place."""
-    with safe_open(model, framework="pt") as file:
-        tensors, metadata = {name: file.get_tensor(name) for name in file.keys()}, file.metadata()  # noqa: SIM118
+    """A copy of a model file whose tensors or metadata were changed in place, with a checksum that fits them."""
+    metadata, tensors = read_safetensors(model)
     change(tensors, metadata)
-    save_file(tensors, path, metadata)
+    write_safetensors(path, tensors, metadata)
     return path

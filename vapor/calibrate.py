@@ -22,7 +22,6 @@ from vapor.checkpoint import (
     Checkpoint,
     find_model,
     load_checkpoint,
-    read_safetensors,
     save_checkpoint,
     spaced,
 )
@@ -32,6 +31,7 @@ from vapor.network import PoseRegressor
 from vapor.observation import Device, resolve_device
 from vapor.passes import odometry_stretches, pass_numbers, some_runs
 from vapor.retrieval import memory_of
+from vapor.tensor_files import read_safetensors
 from vapor.threads import limited_threads
 from vapor.training_set import TrainingSet, load_training_set, open_sequences, require_apart
 from vapor.validation import predict
@@ -55,7 +55,7 @@ class CalibrationResult:
         odometry: Where the noise of the odometry was found: "held-out data", "training data" or "none".
         notes: What was kept, and why.
         skipped: Images and poses of the data that were left out in reading, by reason.
-        notices: What a person should know of the data.
+        notices: What a person should know of the model's file and of the data.
     """
 
     calibration: Calibration
@@ -123,7 +123,7 @@ def calibrate_model(
         names = ", ".join(Path(str(entry)).name for entry in data)
         raise VaporTrackError(f"{names}: {len(held_out)} images with true poses, expected at least {LEAST_IMAGES}")
     skipped = held_out.skipped + trained_on.skipped if trained_on else held_out.skipped
-    notices = held_out.notices + (trained_on.notices if trained_on else ())
+    notices = checkpoint.notices + held_out.notices + (trained_on.notices if trained_on else ())
     network = checkpoint.build_network().to(resolve_device(device))
     familiarity = _familiarity(network, checkpoint.familiarity, trained_on, held_out, max_images)
     calibration, known = checkpoint.calibration, checkpoint.familiarity

@@ -13,15 +13,12 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 from jaxtyping import Int64
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor
 
 from filtering.density import KernelDensity
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, quoted, require_within
 from filtering.se3 import Poses
-from sequences.atomic import atomic_output
 from sequences.frame import Camera
 from sequences.odometry_fit import OdometryFit
 from sequences.values import parse_json
@@ -30,6 +27,7 @@ from vapor.familiarity import Familiarity, description_size
 from vapor.network import NetworkConfig, PoseRegressor, SceneBox
 from vapor.retrieval import Memory, RetrievalRegressor
 from vapor.scene_scale import default_errors
+from vapor.tensor_files import CHECKSUM, SHIPPED, CheckpointError, read_safetensors, write_safetensors
 
 FORMAT = "vapor-track model"
 VERSION = 8
@@ -41,7 +39,6 @@ _BEFORE_ERRORS = ("4", "5")  # their calibrations are of another filter: all but
 _BEFORE_SHORTCUT = "4"
 _UNSAID = {"shortcut": False}  # what networks of that version are and did not say
 MAX_PRIOR_POSES = 2000
-_SHIPPED = Path(__file__).parent / "models"
 NETWORK = "network."
 """What the names of the network's tensors begin with in a file."""
 _FAMILIARITY, _MEMORY = "familiarity.", "memory."
@@ -53,10 +50,6 @@ _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 _ORTHONORMAL_WITHIN = 1e-3
 
 Config = TypeVar("Config")
-
-
-class CheckpointError(VaporTrackError):
-    """A model file cannot be used."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +87,7 @@ class Checkpoint:
         familiarity: What training images look like to the network; None where that was never looked at.
         camera: What took the training images, undistorted; None where unknown.
         memory: The training images as a retrieval regressor remembers them; None with any other.
+        notices: What a person should know of the file that it was read from.
     """
 
     network: NetworkConfig
@@ -105,6 +99,7 @@ class Checkpoint:
     familiarity: Familiarity | None = None
     camera: Camera | None = None
     memory: Memory | None = None
+    notices: tuple[str, ...] = ()
 
     def build_network(self) -> PoseRegressor:
         """The network with its weights, on the CPU, in evaluation mode."""
@@ -170,9 +165,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, half: bool = False) -
         "camera": None if checkpoint.camera is None else asdict(checkpoint.camera),
     }
     metadata = {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config, allow_nan=False)}
-    with atomic_output(path) as temporary:
-        # The library's own writing to a file would leave it readable for its owner only.
-        temporary.write_bytes(save({name: value.contiguous() for name, value in tensors.items()}, metadata))
+    write_safetensors(path, tensors, metadata)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -184,9 +177,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     about the place last as long as errors within it.
 
     Raises:
-        CheckpointError: no such file, no safetensors file, another format or version, a configuration with missing,
-            surplus or unusable values, tensors that are missing, surplus, misshapen, of another type or not finite, or
-            prior poses that are none.
+        CheckpointError: no such file, no safetensors file, a damaged one, another format or version, a configuration
+            with missing, surplus or unusable values, tensors that are missing, surplus, misshapen, of another type or
+            not finite, or prior poses that are none.
     """
     metadata, tensors = read_safetensors(path)
     found = metadata.get("format")
@@ -225,7 +218,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     familiarity = _familiarity(path, tensors) if any(name.startswith(_FAMILIARITY) for name in known) else None
     camera = _camera(path, config.get("camera"))
     memory = _memory(path, tensors) if isinstance(regressor, RetrievalRegressor) else None
-    return Checkpoint(network, box, calibration, poses, state, training, familiarity, camera, memory)
+    unchecked = f"{path.name} was written before model files had checksums: whether it is damaged cannot be told"
+    notices = () if CHECKSUM in metadata else (unchecked,)
+    return Checkpoint(network, box, calibration, poses, state, training, familiarity, camera, memory, notices)
 
 
 def _camera(path: Path, values: Any) -> Camera | None:
@@ -332,27 +327,11 @@ def find_model(name_or_path: str) -> Path:
     path = Path(name_or_path)
     if path.is_file():
         return path
-    shipped = _SHIPPED / f"{name_or_path}.safetensors"
+    shipped = SHIPPED / f"{name_or_path}.safetensors"
     if path.name == name_or_path and shipped.is_file():
         return shipped
-    names = ", ".join(sorted(p.stem for p in _SHIPPED.glob("*.safetensors"))) or "none"
+    names = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.safetensors"))) or "none"
     raise CheckpointError(f"{name_or_path}: no such model file, expected one, or a model that ships: {names}")
-
-
-def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """Metadata and tensors of a safetensors file, on the CPU.
-
-    Raises:
-        CheckpointError: no such file, or no safetensors file.
-    """
-    if not path.is_file():
-        raise CheckpointError(f"{path}: no such file, expected a safetensors file")
-    try:
-        with safe_open(path, framework="pt") as file:
-            return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise CheckpointError(f"{path}: cannot be read ({reason}), expected a safetensors file") from error
 
 
 def read_json(path: Path, text: str | None) -> dict[str, Any]:

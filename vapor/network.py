@@ -11,8 +11,6 @@ from typing import Literal, get_args
 import numpy as np
 import torch
 from jaxtyping import Float, Float64, UInt8
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -20,6 +18,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 from vapor.efficientnet import EfficientNetLite0, pretrained_lite0_state
 from vapor.resnet import ResNet18
+from vapor.tensor_files import read_safetensors
 
 Backbone = Literal["resnet18", "resnet18-half", "resnet18-quarter", "efficientnet-lite0"]
 Head = Literal["variational", "deterministic", "point", "dropout", "mixture", "flow", "retrieval"]
@@ -366,9 +365,9 @@ def load_pretrained(network: PoseRegressor, weights: Path | None) -> None:
 def _read_state(path: Path) -> dict[str, Tensor]:
     try:
         if path.suffix == ".safetensors":
-            return _backbone_of(load_file(path))
+            return _backbone_of(read_safetensors(path)[1])
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, SafetensorError, RuntimeError, ValueError, EOFError, UnpicklingError) as error:
+    except (OSError, RuntimeError, ValueError, EOFError, UnpicklingError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise VaporTrackError(
             f"{path}: cannot read pretrained weights ({reason}), expected safetensors or a torch state dict"

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import warnings
 from collections.abc import Callable, Iterable, Iterator
+from multiprocessing import resource_tracker
 from typing import TypeVar
 
 from joblib import Parallel, delayed, parallel_config
@@ -12,6 +15,14 @@ Result = TypeVar("Result")
 
 def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers: int) -> Iterator[Result]:
     """The result of `function(*job)` for every job, in no order, as each is done."""
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        results = Parallel(n_jobs=workers, return_as="generator_unordered")(delayed(function)(*job) for job in jobs)
+    # Processes start with the signals blocked that are blocked here: a terminal sends its own to all of them, but it is
+    # this process that answers and ends the others, which would die with a traceback each.
+    warnings.filterwarnings("ignore", r"\d+ tasks (which|have) ", UserWarning)  # of those left when it is interrupted
+    resource_tracker.ensure_running()  # which unblocks SIGINT when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        with parallel_config(backend="loky", inner_max_num_threads=1):
+            results = Parallel(n_jobs=workers, return_as="generator_unordered")(delayed(function)(*job) for job in jobs)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     yield from results  # pyright: ignore[reportReturnType]

@@ -98,7 +98,7 @@ class RunResult:
         record: Everything collected on the way.
         report: Content of `report.json`.
         pictures: Names of the pictures in the output directory.
-        notices: What a person should know of the sequence.
+        notices: What a person should know of the sequence and the model.
     """
 
     record: RunRecord

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import os
+# Nothing else is imported before `main` has taken the signals: Ctrl-C within an import leaves a traceback.
+import _signal  # pyright: ignore[reportMissingImports]
 import sys
-from collections.abc import Sequence
 
-from filtering.errors import VaporTrackError
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from vapor.signals import Signals
 
 COMMANDS = {
     "run": "localize the camera of a recorded sequence",
@@ -26,47 +27,77 @@ COMMANDS = {
 """Name -> what it does; each is a module of `vapor.commands`, imported only when it is called."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: Words after `vapor-track`; None for the process's own.
+        arguments: Words after `vapor-track`; None for the process's own, which signals then end as `Signals` says.
 
     Returns:
-        Exit status: 0 on success, 1 for input that cannot be used, 2 for wrong arguments, 130 when interrupted.
+        Exit status: 0 on success, 1 for input that cannot be used, 2 for wrong arguments, 128 + n when ended by signal
+        n, such as 130 by Ctrl-C.
     """
+    if arguments is None and _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
+        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # ends the process as SIGTERM does, until `take` below
+    from vapor.signals import Signals
+    from vapor.terminal import encode_anything, flush_output, say
+
     words = list(sys.argv[1:] if arguments is None else arguments)
+    prefix = " ".join(["vapor-track", *(word for word in words[:1] if word in COMMANDS)])
+    signals = Signals(prefix)
+    if arguments is None:
+        signals.take()
+    encode_anything()
+    try:
+        try:
+            return _run(words, signals)
+        finally:
+            flush_output()
+    except BrokenPipeError:
+        return 1
+    except BaseException as error:
+        signals.working = False
+        if signals.received is not None or isinstance(error, KeyboardInterrupt):
+            return signals.tell()
+        if (failure := _failure(error)) is None:
+            raise
+        say(f"{prefix}: {failure}")
+        return 1
+    finally:
+        signals.working, signals.silent = False, True
+
+
+def _run(words: list[str], signals: Signals) -> int:
+    """Run the command that the words name; gives the exit status."""
+    import importlib
+
+    from vapor.terminal import say, shortened, write
+
     if not words or words[0] in ("-h", "--help"):
-        print(_overview())
+        write(_overview())
         return 0 if words else 2
     if words[0] == "--version":
-        print(f"vapor-track {importlib.import_module('importlib.metadata').version('vapor-track')}")
+        write(f"vapor-track {importlib.import_module('importlib.metadata').version('vapor-track')}")
         return 0
     name, rest = words[0], words[1:]
     if name not in COMMANDS:
-        print(f"vapor-track: unknown command {name!r}, expected one of {', '.join(COMMANDS)}", file=sys.stderr)
+        say(f"vapor-track: unknown command {shortened(repr(name), 60)}, expected one of {', '.join(COMMANDS)}")
         return 2
-    try:
-        importlib.import_module(f"vapor.commands.{name}").main(rest)
-    except VaporTrackError as error:
-        print(f"vapor-track {name}: {' '.join(str(error).splitlines())}", file=sys.stderr)
-        return 1
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
-    except OSError as error:
-        print(f"vapor-track {name}: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print(f"vapor-track {name}: interrupted", file=sys.stderr)
-        return 130
-    except (MemoryError, RuntimeError) as error:
-        shortage = _shortage(error)
-        if shortage is None:
-            raise
-        print(f"vapor-track {name}: {shortage}", file=sys.stderr)
-        return 1
+    command = importlib.import_module(f"vapor.commands.{name}").main
+    signals.working = True
+    command(rest)
     return 0
+
+
+def _failure(error: BaseException) -> str | None:
+    """What to say of an error that is no defect of the program; None for any other."""
+    from filtering.errors import VaporTrackError
+
+    if isinstance(error, VaporTrackError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or 'file'}: {error.strerror or error}"
+    return _shortage(error) if isinstance(error, (MemoryError, RuntimeError)) else None
 
 
 def _shortage(error: Exception) -> str | None:

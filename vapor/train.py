@@ -218,10 +218,11 @@ def _train(
     except TrainingError as error:
         raise TrainingError(f"{', '.join(names['data'])}: {error}") from error
     split = hold_out(loaded, config.validation_share) if held_out is None else within_map(loaded, held_out)
-    training = split.training
+    training, notices = split.training, initial.notices if initial else ()
     box = SceneBox.around(split.everything.poses)
     state = start(config, box.union(initial.box) if initial else box, training.poses, initial)
-    return _fit(state, split, names, output, config, report)
+    result = _fit(state, split, names, output, config, report)
+    return replace(result, notices=(*notices, *result.notices))
 
 
 def _fit(
@@ -235,9 +236,9 @@ def _fit(
     judged = split.held_out.select(spaced(len(split.held_out), config.validation_images))
     poses = zlib.crc32(split.training.poses.as_matrix().tobytes())
     identity = {**names, "images": len(split.training), "poses": poses, "held_out": len(judged), **_settings(config)}
-    if config.resume and state_path(output).exists():
-        load_state(state_path(output), state, identity)
-    report(Progress("holding out", len(split.held_out), notes=split.notes))
+    resumed = config.resume and state_path(output).exists()
+    told = load_state(state_path(output), state, identity) if resumed else ()
+    report(Progress("holding out", len(split.held_out), notes=(*told, *split.notes)))
     state.epochs = state.epochs or config.epochs or fitting_epochs(state, split, len(judged), config)
     course = _Course(state, split, replace(config, epochs=state.epochs), report)
 

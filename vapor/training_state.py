@@ -9,20 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
 from filtering.errors import quoted
-from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.values import parse_number
-from vapor.checkpoint import CheckpointError, parse_config, read_json, read_safetensors
+from vapor.checkpoint import parse_config, read_json
 from vapor.network import PoseRegressor
+from vapor.tensor_files import CHECKSUM, CheckpointError, read_safetensors, write_safetensors
 from vapor.training_memory import Seen
 from vapor.validation import Validation
 
 FORMAT = "vapor-track training state"
 VERSION = 2
+_ANEW = "remove the file, or train with --no-resume, to start anew"
 
 
 @dataclass
@@ -76,17 +76,20 @@ def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         "epoch": state.epoch,
         "history": [asdict(validation) for validation in state.history],
     }
-    with atomic_output(path) as temporary:
-        save_file(tensors, temporary, {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config)})
+    write_safetensors(path, tensors, {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config)})
 
 
-def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> None:
-    """Fill a fresh state from a file, in place.
+def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> tuple[str, ...]:
+    """Fill a fresh state from a file, in place; gives what a person should know of the file.
 
     Raises:
-        CheckpointError: no training state, of another version, of another training, or with other tensors.
+        CheckpointError: no training state, a damaged one, of another version, of another training, or with other
+            tensors.
     """
-    metadata, tensors = read_safetensors(path)
+    try:
+        metadata, tensors = read_safetensors(path)
+    except CheckpointError as error:
+        raise CheckpointError(f"{error}; {_ANEW}") from error
     found = metadata.get("format"), metadata.get("version")
     if found != (FORMAT, str(VERSION)):
         raise CheckpointError(f"{path}: format and version are {found}, expected {(FORMAT, str(VERSION))}")
@@ -97,7 +100,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         differs = [k for k in expected if not isinstance(other, dict) or other.get(k) != expected[k]]
         raise CheckpointError(
             f"{path}: interrupted training differs in {', '.join(differs) or 'its configuration'}, expected the same"
-            " configuration and data; remove the file, or train without resume, to start anew"
+            f" configuration and data; {_ANEW}"
         )
     groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "best": {}, "optimizer": {}}
     for name, value in tensors.items():
@@ -121,6 +124,8 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     if not isinstance(history, list):
         raise CheckpointError(f"{path}: history is {quoted(history)}, expected a list of the figures of epochs")
     state.history = [parse_config(path, "history", Validation, entry) for entry in history]
+    unchecked = f"{path.name} was written before states had checksums: whether it is damaged cannot be told"
+    return () if CHECKSUM in metadata else (unchecked,)
 
 
 def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) -> dict[int, dict[str, Tensor]]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
-from types import TracebackType
+from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -79,10 +80,10 @@ class RerunViewer:
     """
 
     def __init__(self, path: Path | None = None, *, spawn: bool = False, title: str = "vapor-track") -> None:
-        import rerun as rr
-
+        rr = _quiet_rerun()
         if path is None and not spawn:
             raise VaporTrackError("a viewer needs a recording to write or a window to open, got neither")
+        self._path = path
         self._output = None if path is None else atomic_output(path)
         self._stream = rr.RecordingStream("vapor-track", recording_id=title)
         sinks: list[rr.FileSink | rr.GrpcSink] = []
@@ -201,12 +202,34 @@ class RerunViewer:
 
     def _finish(self, *, keep: bool) -> None:
         """Close the streams; the recording gets its name, or goes."""
-        self._stream.flush()
-        self._stream.disconnect()
-        if self._output is not None:
-            output, self._output = self._output, None
-            failed = None if keep else VaporTrackError("the run failed")
-            output.__exit__(failed and type(failed), failed, None)
+        failed = None if keep else VaporTrackError("the run failed")
+        try:
+            self._stream.flush()
+        except RuntimeError as error:  # of an error in writing it says no more than that there was one
+            failed = VaporTrackError(
+                f"{self._path or 'the Rerun viewer'}: the recording cannot be written ({error}), expected room for it"
+                " on the disk; a run with --no-recording needs none"
+            )
+            if keep:
+                raise failed from error
+        finally:
+            self._stream.disconnect()
+            if self._output is not None:
+                output, self._output = self._output, None
+                output.__exit__(failed and type(failed), failed, None)
+
+
+def _quiet_rerun() -> ModuleType:
+    """Rerun, which does not print of errors what is told of them here."""
+    level = os.environ.get("RUST_LOG")
+    os.environ["RUST_LOG"] = level or "off"  # read when it is imported
+    try:
+        import rerun
+
+        return rerun
+    finally:
+        if level is None:
+            del os.environ["RUST_LOG"]
 
 
 def _some(poses: Poses, count: int) -> Poses:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import tyro
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
 
 from filtering.errors import VaporTrackError
+from vapor.terminal import raise_of_output, say
 
 Options = TypeVar("Options")
 _MIN_WIDTH = 100  # of a table, where the output is no terminal
@@ -20,18 +25,43 @@ _MIN_WIDTH = 100  # of a table, where the output is no terminal
 
 def parse(command: str, options: type[Options], arguments: Sequence[str], default: Options | None = None) -> Options:
     """Options from the words of the command line; wrong ones print what is wrong and exit with status 2."""
-    prog = f"vapor-track {command}"
+    given: dict[str, Any] = {} if default is None else {"default": default}
+    told, width = io.StringIO(), os.environ.get("COLUMNS")
     try:
-        if default is None:
-            return tyro.cli(options, prog=prog, args=list(arguments))
-        return tyro.cli(options, prog=prog, args=list(arguments), default=default)
+        if not {"-h", "--help"} & set(arguments):
+            os.environ["COLUMNS"] = "1000000"  # of what is told in a box, so that no word is broken
+        with redirect_stderr(told):
+            return tyro.cli(options, prog=f"vapor-track {command}", args=list(arguments), **given)
     except VaporTrackError as error:  # a value that its dataclass refuses
         usage_error(command, str(error))
+    except SystemExit:
+        if not told.getvalue():
+            raise
+        usage_error(command, _unboxed(told.getvalue()))
+    except OSError as error:  # in printing the help
+        raise_of_output(error)
+    finally:
+        os.environ.pop("COLUMNS", None)
+        if width is not None:
+            os.environ["COLUMNS"] = width
+
+
+def _unboxed(text: str) -> str:
+    """What is said in a box of tyro's, without help on options that are there."""
+    parts: list[list[str]] = [[]]
+    for line in text.splitlines()[1:-1]:
+        line = line.strip(" │|")
+        if line.strip("─-"):
+            parts[-1].append(line)
+        elif line:  # a rule between two parts
+            parts.append([])
+    sentences = [" ".join(" ".join(part).split()) for part in parts]
+    return "; ".join(s for s in sentences if s and not s.startswith(("Argument helptext", "For full helptext")))
 
 
 def usage_error(command: str, message: str) -> NoReturn:
     """Exit with status 2 and one line."""
-    print(f"vapor-track {command}: {message}", file=sys.stderr)
+    say(f"vapor-track {command}: {message}")
     sys.exit(2)
 
 
@@ -93,7 +123,29 @@ def show(content: Any) -> None:
     console = Console(highlight=False, soft_wrap=isinstance(content, str), markup=False)
     if not console.is_terminal:
         console.width = max(console.width, _MIN_WIDTH)
-    console.print(content)
+    try:
+        if isinstance(content, Table):
+            console.width = _width_of_whole_words(content, console)
+        console.print(content)
+    except OSError as error:
+        raise_of_output(error)
+
+
+def _width_of_whole_words(table: Table, console: Console) -> int:
+    """The least width, from the console's on, at which no word or figure of a table is cut or broken.
+
+    A terminal that is narrower wraps the lines.
+    """
+    widest = Measurement.get(console, console.options.update_width(10_000), table).maximum
+
+    def words(width: int) -> list[str]:
+        with console.capture() as text:
+            console.width = width
+            console.print(table)
+        return sorted(word for word in text.get().split() if any(map(str.isalnum, word)))
+
+    own, whole = console.width, words(max(widest, console.width))
+    return next((width for width in range(own, widest) if words(width) == whole), max(widest, own))
 
 
 def show_notices(notices: Sequence[str]) -> None:

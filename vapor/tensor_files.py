@@ -1,0 +1,90 @@
+"""Files of tensors, safetensors with a checksum over all that they say: models and the states of trainings."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from filtering.errors import VaporTrackError
+from sequences.atomic import atomic_output
+
+CHECKSUM = "content_sha256"
+"""Name of the checksum in the metadata; files written before there were any lack it."""
+_OURS = "vapor-track "  # what `format` begins with in our own files, whose metadata are these and no others
+_METADATA = {"format", "version", "config", CHECKSUM}
+SHIPPED = Path(__file__).resolve().parent / "models"
+"""The models that ship."""
+_SHIPPED_SHA256 = {
+    "ceiling.safetensors": "6a1ea0c6ac0a330eda03dc82e2460e5590445509e9fd09d35795cc2e79ab8084",
+    "staircase.safetensors": "444d72f61b5e34c51e987bd6bfe74460d1368948e016c9ba3904e1e7297042ba",
+}
+"""Checksums of the models that ship and do not state their own."""
+
+
+class CheckpointError(VaporTrackError):
+    """A model file, or the state of a training, cannot be used."""
+
+
+def write_safetensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
+    """Write a file with its checksum, complete or not at all.
+
+    Args:
+        path: A file name, usually *.safetensors.
+        tensors: Any, on the CPU.
+        metadata: What else it says; a checksum among it is that of another file, and left out.
+
+    Raises:
+        SequenceError: the folder is missing, or cannot be written to.
+    """
+    tensors = {name: value.contiguous() for name, value in tensors.items()}
+    stated = {**metadata, CHECKSUM: content_sha256(tensors, metadata)}
+    with atomic_output(path) as temporary:
+        # The library's own writing to a file would leave it readable for its owner only.
+        temporary.write_bytes(save(tensors, stated))
+
+
+def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Metadata and tensors of a safetensors file, on the CPU, that are those that its checksum was made of.
+
+    A file without a checksum is taken as it is: `CHECKSUM` is in the metadata where there is one. Those of the models
+    that ship are known.
+
+    Raises:
+        CheckpointError: no such file, no safetensors file, or a damaged one.
+    """
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such file, expected a safetensors file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise CheckpointError(f"{path}: cannot be read ({reason}), expected a safetensors file") from error
+    if path.resolve().parent == SHIPPED and path.name in _SHIPPED_SHA256:
+        metadata.setdefault(CHECKSUM, _SHIPPED_SHA256[path.name])
+    # One flipped bit can take the checksum its name: then there is another one that no file of ours has.
+    renamed = metadata.get("format", "").startswith(_OURS) and not metadata.keys() <= _METADATA
+    if renamed or metadata.get(CHECKSUM) not in (None, content_sha256(tensors, metadata)):
+        raise CheckpointError(
+            f"{path}: damaged: its tensors or settings do not match its checksum, expected the file as it was written"
+        )
+    return metadata, tensors
+
+
+def content_sha256(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:
+    """SHA-256 of names, types, shapes and bytes of all tensors, and of all metadata but the checksum itself."""
+    said = {name: value for name, value in metadata.items() if name != CHECKSUM}
+    digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
+    for name in sorted(tensors):
+        tensor = tensors[name]
+        digest.update(json.dumps([name, str(tensor.dtype), list(tensor.shape)]).encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
