@@ -26,8 +26,8 @@ def build_report(record: RunRecord) -> dict[str, Any]:
 
     Returns:
         `frames`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (share of the images by verdict),
-        `particles` (median), `step_ms`, `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each method's metrics, and
-        `consistency` (see `evaluate_consistency`).
+        `particles` (median), `step_ms`, `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each
+        method's metrics, and `consistency` (see `evaluate_consistency`).
     """
     verdicts = Counter(record.status)
     frames = len(record.times_ns)
