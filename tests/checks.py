@@ -10,8 +10,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import jaxtyping
-from beartype import beartype
-from jaxtyping import jaxtyped
+from beartype import BeartypeConf, beartype
+from jaxtyping import TypeCheckError, jaxtyped
+
+_CONFIGURED = BeartypeConf(violation_type=TypeCheckError)
 
 
 def install(packages: list[str]) -> None:
@@ -51,7 +53,7 @@ def _with_checks(function: Callable[..., Any]) -> Callable[..., Any]:
     if inspect.isgeneratorfunction(function):
         return jaxtyped(function, typechecker=beartype)
     function.__annotations__ = dict(_known(function))
-    return beartype(function)
+    return beartype(conf=_CONFIGURED)(function)
 
 
 def _known(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:

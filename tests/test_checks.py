@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from beartype.roar import BeartypeCallHintParamViolation, BeartypeCallHintReturnViolation
-from jaxtyping import Float64
+from jaxtyping import Float64, TypeCheckError
 
 from filtering.se3 import Poses
 from tests.checks import checked, no_checks
@@ -22,7 +21,7 @@ WRONG = {
 
 @pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
 def test_arguments_that_do_not_fit_are_refused(wrong):
-    with pytest.raises(BeartypeCallHintParamViolation):
+    with pytest.raises(TypeCheckError, match="parameter"):
         wrong()
 
 
@@ -33,7 +32,7 @@ def first_of_each(pairs: Float64[np.ndarray, "n 2"], count: int) -> Float64[np.n
 
 def test_a_result_that_does_not_fit_is_refused_but_where_nothing_is_checked():
     assert len(first_of_each(np.zeros((3, 2)), 3)) == 3
-    with pytest.raises(BeartypeCallHintReturnViolation):
+    with pytest.raises(TypeCheckError, match="return"):
         first_of_each(np.zeros((3, 2)), 2)
     with no_checks():
         assert len(first_of_each(np.zeros((3, 2)), 2)) == 2
