@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -383,13 +383,18 @@ class _Model:
 
     def loss(self, parameters: np.ndarray, scales: _Scales) -> tuple[float, np.ndarray]:
         """Negative log posterior, up to a constant, and its gradient."""
+        return self._posterior(parameters, self._likelihood(parameters, scales, range(6)))
+
+    def _likelihood(self, parameters: np.ndarray, scales: _Scales, axes: Iterable[int]) -> np.ndarray:
+        """Of every piece and some axes (pieces, axes, 6): the loss, and its slopes along q, b², r², time and p."""
         q, b, r, time_s, p = self.unpack(parameters)
-        loss, gradient = 0.0, np.zeros(25)
+        axes = list(axes)
+        terms = np.empty((len(self.pieces), len(axes), 6))
         factorize, invert = get_lapack_funcs(("potrf", "potri"), dtype=np.float64)
-        for piece in self.pieces:
+        for number, piece in enumerate(self.pieces):
             correlation = piece.product * np.exp(-piece.apart / time_s)
             slope = correlation * piece.apart / time_s
-            for axis in range(6):
+            for place, axis in enumerate(axes):
                 covariance = b[axis] * correlation + r[axis] * piece.jitter
                 diagonal = np.einsum("ii->i", covariance)
                 diagonal += q[axis] * piece.dt + p[axis] * piece.moved
@@ -403,19 +408,28 @@ class _Model:
                 inverse = invert(factor, lower=1, overwrite_c=1)[0].T  # its upper triangle, zeros below
                 straight = np.diag(inverse)
                 solved = inverse @ errors + errors @ inverse - straight * errors
-                loss += 0.5 * float(errors @ solved) + logarithm
                 own = 0.5 * (straight - solved**2)
-                gradient[axis] += q[axis] * float(own @ piece.dt)
-                gradient[6 + axis] += b[axis] * _slope(inverse, solved, correlation)
-                gradient[12 + axis] += r[axis] * _slope(inverse, solved, piece.jitter)
-                gradient[18] += b[axis] * _slope(inverse, solved, slope)
-                gradient[19 + axis] += p[axis] * float(own @ piece.moved)
+                terms[number, place] = (
+                    0.5 * float(errors @ solved) + logarithm,
+                    q[axis] * float(own @ piece.dt),
+                    b[axis] * _slope(inverse, solved, correlation),
+                    r[axis] * _slope(inverse, solved, piece.jitter),
+                    b[axis] * _slope(inverse, solved, slope),
+                    p[axis] * float(own @ piece.moved),
+                )
+        return terms
+
+    def _posterior(self, parameters: np.ndarray, terms: np.ndarray) -> tuple[float, np.ndarray]:
+        """The loss and its gradient, from the likelihood of all axes and what is assumed of the drift."""
+        _, q, b, r, _, p = terms.sum(axis=0).T
+        loss, _, _, _, time, _ = terms.reshape(-1, 6).sum(axis=0)
+        gradient = np.concatenate([q, b, r, [time], p])
         spread = 2 * _DRIFT_SPREAD  # of the variance
         off = (parameters[6:12] - self._drift_centre) / spread
         late = (parameters[18] - np.log(_TIME_S)) / _TIME_SPREAD
         gradient[6:12] += off / spread
         gradient[18] += late / _TIME_SPREAD
-        return loss + 0.5 * float(off @ off) + 0.5 * float(late**2), gradient[: len(parameters)]
+        return float(loss) + 0.5 * float(off @ off) + 0.5 * float(late**2), gradient[: len(parameters)]
 
     def search(self, start: np.ndarray, scales: _Scales, least_log_q: np.ndarray | None = None) -> np.ndarray:
         """The likeliest parameters."""
@@ -437,11 +451,15 @@ class _Model:
     def standard_errors(self, parameters: np.ndarray, scales: _Scales) -> np.ndarray:
         """Of the logarithms, by the curvature of the posterior; about 7 where it is flat."""
         step, rows = 1e-3, []
+        unchanged = self._likelihood(parameters, scales, range(6))
         for i in range(len(parameters)):
-            change = step * (np.arange(len(parameters)) == i)
-            rows.append(
-                (self.loss(parameters + change, scales)[1] - self.loss(parameters - change, scales)[1]) / (2 * step)
-            )
+            axes = range(6) if i == 18 else [(i if i < 18 else i - 19) % 6]  # all but the time are of one axis each
+            slopes = []
+            for sign in (1, -1):
+                changed, terms = parameters + sign * step * (np.arange(len(parameters)) == i), unchanged.copy()
+                terms[:, list(axes)] = self._likelihood(changed, scales, axes)
+                slopes.append(self._posterior(changed, terms)[1])
+            rows.append((slopes[0] - slopes[1]) / (2 * step))
         values, vectors = np.linalg.eigh((np.array(rows) + np.array(rows).T) / 2)
         return np.sqrt(np.square(vectors) @ (1 / np.maximum(values, _LEAST_CURVATURE)))
 

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from jaxtyping import install_import_hook
 
+from tests import checks
 from tests.checks import no_checks
 
 if TYPE_CHECKING:
     from sequences.scenes.surface import Scene
 
-install_import_hook(["filtering", "sequences", "vapor"], "beartype.beartype").__enter__()
+checks.install(["filtering", "sequences", "vapor"])
 
 
 @pytest.fixture(scope="session")

@@ -160,7 +160,7 @@ class Followed:
         passage: What they were given.
         errors: How its images err.
         config: Settings of the filter.
-        beliefs: Of Kalman filter, Gaussian sum and filter.
+        beliefs: Of Kalman filter, Gaussian sum where it was asked for, and filter.
         image_modes: Places of each image's posterior alone, (n,).
         told_modes: Those that a smoother is told of, (n,): a few, and none of an image that says nothing.
         ways: How far the camera came since the image before, in lengths, (n,).
@@ -180,6 +180,15 @@ class Followed:
     step_ms: float
     seam: int | None
 
+    @cached_property
+    def poses(self) -> dict[str, Poses]:
+        """Of every method but smoothing by its name, world_from_camera, batches (n,)."""
+        return {
+            "single_image": Poses.stack([modes[0].world_from_camera for modes in self.image_modes]),
+            "dead_reckoning": self.passage.dead_reckoning,
+            **{name: belief.best for name, belief in self.beliefs.items()},
+        }
+
     def compared(self) -> Comparison:
         """With the methods beside them that see one image, none, or all at once."""
         filtered = self.beliefs["filter"]
@@ -192,12 +201,7 @@ class Followed:
             self.errors,
             SmoothingConfig(slow_errors=self.config.slow_errors),
         )
-        poses = {
-            "single_image": Poses.stack([modes[0].world_from_camera for modes in self.image_modes]),
-            "dead_reckoning": self.passage.dead_reckoning,
-            **{name: belief.best for name, belief in self.beliefs.items()},
-            "smoothed": smoothed,
-        }
+        poses = self.poses | {"smoothed": smoothed}
         times_ns, truth = self.passage.times_ns, self.passage.truth
         return Comparison(
             times_ns, truth, poses, self.beliefs, self.image_modes, self.particles, self.step_ms, self.seam
@@ -212,6 +216,7 @@ def follow(
     rng: np.random.Generator,
     variant: Variant = VARIANTS["full"],
     seam: int | None = None,
+    gaussian_sum: bool = True,
 ) -> Followed:
     """Localize a passage by filter and baselines, each with the same errors and the same odometry.
 
@@ -223,6 +228,7 @@ def follow(
         variant: What is different about the filter. How images err is the same to all methods, and changed by the
             caller.
         seam: First image after the camera was carried off; None where it was not.
+        gaussian_sum: Whether to run that one, too; it takes as long as the filter.
 
     Raises:
         VaporTrackError: unusable odometry or posteriors.
@@ -230,7 +236,7 @@ def follow(
     localizer = variant.kind(None, config, rng=rng)
     following = KalmanConfig(slow_errors=config.slow_errors, gap=config.gap)
     kalman, bank = KalmanLocalizer(following), GaussianSumLocalizer(None, config, rng=rng)
-    found: dict[str, list[tuple[Mode, ...]]] = {"kalman": [], "gaussian_sum": []}
+    found: dict[str, list[tuple[Mode, ...]]] = {"kalman": []} | ({"gaussian_sum": []} if gaussian_sum else {})
     image_modes, told_modes, estimates, step_ms = [], [], [], []
     elapsed_s = np.maximum(np.diff(passage.times_ns, prepend=passage.times_ns[:1]), 0) * 1e-9
     for i, (odometry, elapsed) in enumerate(zip(passage.odometry, elapsed_s.tolist(), strict=True)):
@@ -245,7 +251,8 @@ def follow(
         told_modes.append(() if posterior.says_nothing else alone[:SMOOTHED_MODES])
         image_modes.append(alone or (image_modes[-1] if image_modes else estimates[-1].modes))
         found["kalman"].append((kalman.update(posterior, odometry, elapsed_s=elapsed),))
-        found["gaussian_sum"].append(bank.update(posterior, odometry, elapsed_s=elapsed).modes)
+        if gaussian_sum:
+            found["gaussian_sum"].append(bank.update(posterior, odometry, elapsed_s=elapsed).modes)
     widest = config.widest_std_m(errors)
     beliefs = {
         name: Belief(modes, [mode_status(each[0], widest, config.converged_weight) for each in modes])

@@ -18,11 +18,12 @@ from vapor.calibrate import NUM_SAMPLES, CalibrationResult
 from vapor.checkpoint import Calibration
 from vapor.evaluate import REGIONS, is_right
 from vapor.familiarity import Familiarity, describe
-from vapor.methods import Comparison, Passage, follow, posterior_of
+from vapor.methods import Followed, Passage, follow, posterior_of
 from vapor.network import PoseRegressor
 from vapor.scene_scale import default_errors
 from vapor.training_set import TrainingSet
 from vapor.validation import predict
+from vapor.verdicts import judge_belief
 
 METHODS = ("single_image", "kalman", "filter", "smoothed")
 LEAST_PASS = 20  # images
@@ -143,10 +144,10 @@ def check(
         scores = familiarity.unfamiliarity(describe(network, some)) if familiarity else np.zeros(len(rows))
         seen.append((samples, scores))
 
-    def tried(errors: ErrorModel) -> TrainingCheck:
+    def tried(errors: ErrorModel) -> list[Followed]:
         fit = fitted.odometry
         config = LocalizerConfig() if fit is None else replace(LocalizerConfig(), slow_errors=fit.slow_errors)
-        compared = []
+        followed = []
         for (rows, odometry), (samples, scores) in zip(runs, seen, strict=True):
 
             def posterior(
@@ -156,20 +157,24 @@ def check(
 
             passage = Passage(images.times_ns[rows], odometry[: len(rows)], images.poses[rows], posterior)
             passage = passage.restated(fit)
-            compared.append(follow(passage, errors, config, rng=np.random.default_rng(seed)).compared())
-        return _summed(compared)
+            rng = np.random.default_rng(seed)
+            followed.append(follow(passage, errors, config, rng=rng, gaussian_sum=False))
+        return followed
 
-    found = tried(fitted.errors)
-    kept = fitted.errors
+    followed, kept = tried(fitted.errors), fitted.errors
+    found = _summed(followed)
     if found.worse or found.overconfident:
         others = [(factor, False, fitted.errors.inflated(factor)) for factor in _WIDER]
         others.append((1.0, True, default_errors(scene)))
         for inflation, assumed, errors in others:
-            other = replace(tried(errors), inflation=inflation, assumed=assumed)
+            again = tried(errors)
+            other = replace(_summed(again), inflation=inflation, assumed=assumed)
             if other.rank > found.rank:
-                found, kept = other, errors
+                found, followed, kept = other, again, errors
             if not (found.worse or found.overconfident):
                 break
+    smoothed = [each.compared().poses["smoothed"] for each in followed]
+    found = replace(found, methods={**found.methods, "smoothed": _figures(followed, smoothed)})
     return replace(found, verdict=_verdict(found, result)), replace(fitted, errors=kept)
 
 
@@ -201,23 +206,23 @@ def _between(images: TrainingSet, first: int, last: int) -> Odometry | None:
     return found
 
 
-def _summed(compared: Sequence[Comparison]) -> TrainingCheck:
-    methods = {}
-    for name in METHODS:
-        apart = [each.poses[name].distance(each.truth) for each in compared]
-        moved_m, turned = (np.concatenate(part) for part in zip(*apart, strict=True))
-        right = np.concatenate([is_right(each.poses[name], each.truth) for each in compared])
-        methods[name] = Figures(float(np.median(moved_m)), float(np.degrees(np.median(turned))), float(np.mean(right)))
-    said = [each.figures()["belief"]["filter"]["said_converged"] for each in compared]
+def _summed(followed: Sequence[Followed]) -> TrainingCheck:
+    """Without smoothing, of which nothing depends."""
+    methods = {name: _figures(followed, [each.poses[name] for each in followed]) for name in METHODS[:-1]}
+    passages = [each.passage for each in followed]
+    said = [
+        judge_belief(each.beliefs["filter"], of.times_ns, of.truth, converged_at_s=None, seam=None)["said_converged"]
+        for each, of in zip(followed, passages, strict=True)
+    ]
     said = [each for each in said if each["images"]]
-    images, converged = sum(len(each.times_ns) for each in compared), sum(each["images"] for each in said)
+    images, converged = sum(len(each.times_ns) for each in passages), sum(each["images"] for each in said)
 
     def share(of: Callable[[Mapping[str, Any]], float]) -> float:
         return sum(each["images"] * of(each) for each in said) / converged
 
     return TrainingCheck(
         images,
-        len(compared),
+        len(passages),
         methods,
         converged / images,
         share(lambda each: each["wrong"]) if said else None,
@@ -225,6 +230,15 @@ def _summed(compared: Sequence[Comparison]) -> TrainingCheck:
         if converged >= _LEAST_JUDGED
         else None,
     )
+
+
+def _figures(followed: Sequence[Followed], poses: Sequence[Poses]) -> Figures:
+    """Of the poses that a method found for each passage, (n,)."""
+    passages = [(found, each.passage.truth) for found, each in zip(poses, followed, strict=True)]
+    apart = [found.distance(truth) for found, truth in passages]
+    moved_m, turned = (np.concatenate(part) for part in zip(*apart, strict=True))
+    right = np.concatenate([is_right(found, truth) for found, truth in passages])
+    return Figures(float(np.median(moved_m)), float(np.degrees(np.median(turned))), float(np.mean(right)))
 
 
 def _verdict(found: TrainingCheck, result: CalibrationResult) -> str:
