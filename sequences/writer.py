@@ -10,6 +10,8 @@ from types import TracebackType
 import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
 from mcap_ros2.writer import Writer
 
 from filtering.se3 import Poses
@@ -168,6 +170,15 @@ class SequenceWriter(_MessageWriter):
             transform = _transform(time_ns, BASE_FRAME, CAMERA_FRAME, self._base_from_camera)
             self._write("/tf_static", "tf2_msgs/TFMessage", {"transforms": [transform]}, time_ns)
         return _header(time_ns, frame_id)
+
+
+def is_own_sequence(path: Path) -> bool:
+    """Whether a file is an MCAP file that a `SequenceWriter` wrote, with metadata."""
+    try:
+        with path.open("rb") as file:
+            return any(record.name == METADATA_NAME for record in make_reader(file).iter_metadata())
+    except (OSError, McapError, ValueError, EOFError):
+        return False
 
 
 class EstimateWriter(_MessageWriter):

@@ -360,6 +360,20 @@ def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
         raise CheckpointError(f"{path}: cannot be read ({reason}), expected a safetensors file") from error
 
 
+def is_model(path: Path) -> bool:
+    """Whether a file is a model of any version of this package, by what it says of itself."""
+    return format_of(path) == FORMAT
+
+
+def format_of(path: Path) -> str | None:
+    """What a safetensors file says that it is; None where it says nothing, or is none."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            return (file.metadata() or {}).get("format")
+    except (OSError, SafetensorError, ValueError):
+        return None
+
+
 def read_json(path: Path, text: str | None) -> dict[str, Any]:
     """The JSON object in a file's metadata.
 

@@ -59,6 +59,15 @@ def write_report(path: Path, report: Mapping[str, Any]) -> None:
         partial.write_text(text, encoding="utf-8")
 
 
+def is_report(path: Path, *keys: str) -> bool:
+    """Whether a file is a JSON object with these keys among others."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.keys() >= set(keys)
+
+
 def format_table(report: Mapping[str, Any], *, title: str | None = None, tail: bool = False) -> Table:
     """The methods of a report side by side: medians, recalls or the tail of the errors, and when each converged.
 

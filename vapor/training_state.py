@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from sequences.atomic import atomic_output
-from vapor.checkpoint import CheckpointError, parse_config, read_json, read_safetensors
+from vapor.checkpoint import CheckpointError, format_of, parse_config, read_json, read_safetensors
 from vapor.network import PoseRegressor
 from vapor.training_memory import Seen
 from vapor.validation import Validation
@@ -50,6 +50,11 @@ class TrainingState:
 def state_path(output: Path) -> Path:
     """Where the state of a training lies whose model will be `output`."""
     return output.with_suffix(".training.safetensors")
+
+
+def is_training_state(path: Path) -> bool:
+    """Whether a file is a training's state, of any version."""
+    return format_of(path) == FORMAT
 
 
 def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> None:
