@@ -152,12 +152,12 @@ def run_fleet(
     """
     config = config or RunConfig()
     folder_to_write(output)
+    loaded = load_model(model, config)
     for name, sequence in sequences.items():
-        require_replaceable(output / name, RESULTS, files_read(sequence, model, reading), overwrite=overwrite)
+        require_replaceable(output / name, RESULTS, files_read(sequence, loaded, reading), overwrite=overwrite)
     refuse_other(
         output / SUMMARY, "summary of a fleet", lambda path: is_report(path, "sequences_in_all"), overwrite=overwrite
     )
-    loaded = load_model(model, config)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -26,7 +26,7 @@ from filtering.motion import Odometry
 from filtering.posterior import ObservationModel
 from filtering.rivals import GaussianSumLocalizer
 from filtering.se3 import Poses
-from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth
+from filtering.smoothing import JUDGED_MODES, SMOOTHED_MODES, SmoothingConfig, agreement, smooth
 from sequences.atomic import atomic_output
 from sequences.estimates import EstimateSequence
 from sequences.frame import Trajectory
@@ -41,7 +41,7 @@ from vapor.evaluate import FILES
 from vapor.ground import told_unshown
 from vapor.observation import VaporObservationModel
 from vapor.record import RunRecord, RunRecorder
-from vapor.report import build_report, write_pictures, write_report
+from vapor.report import build_report, write_pictures, write_report, write_status
 from vapor.threads import limited_threads
 from vapor.view import NullViewer, RerunViewer
 
@@ -119,11 +119,13 @@ class LoadedModel:
 
     Attributes:
         name: Name of its file, or the name it ships by.
+        file: Where it lies.
         sha256: Of its file.
         observation: The model itself.
     """
 
     name: str
+    file: Path
     sha256: str
     observation: VaporObservationModel
 
@@ -142,7 +144,7 @@ def load_model(model: str, config: RunConfig) -> LoadedModel:
     observation = VaporObservationModel.from_checkpoint(
         str(checkpoint), num_samples=config.num_samples, device=config.device
     )
-    return LoadedModel(Path(model).name, hashlib.sha256(checkpoint.read_bytes()).hexdigest(), observation)
+    return LoadedModel(Path(model).name, checkpoint, hashlib.sha256(checkpoint.read_bytes()).hexdigest(), observation)
 
 
 def run(
@@ -171,32 +173,32 @@ def run(
     Raises:
         VaporTrackError: unusable sequence, model or output, or no image left to localize.
     """
-    reads = files_read(sequence, model, reading)
+    config = config or RunConfig()
+    loaded = load_model(model, config) if isinstance(model, str) else model
+    reads = files_read(sequence, loaded, reading)
     with results_folder(output, "run", writes=RESULTS, reads=reads, overwrite=overwrite) as directory:
-        return run_into(directory, sequence, model, config, reading=reading, progress=progress)
+        return run_into(directory, sequence, loaded, config, reading=reading, progress=progress)
 
 
-def files_read(sequence: Path, model: str | LoadedModel, reading: SequenceOptions | None) -> list[Path]:
+def files_read(sequence: Path, model: LoadedModel, reading: SequenceOptions | None) -> list[Path]:
     """Files and folders that a run reads, as far as they are known before it."""
     poses = () if reading is None else (reading.poses, reading.poses_times)
-    known = find_model(model) if isinstance(model, str) else None
-    return [path for path in (sequence, known, *poses) if path is not None]
+    return [path for path in (sequence, model.file, *poses) if path is not None]
 
 
 def run_into(
     directory: Path,
     sequence: Path,
-    model: str | LoadedModel,
-    config: RunConfig | None = None,
+    model: LoadedModel,
+    config: RunConfig,
     *,
     reading: SequenceOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunResult:
     """As `run`, into a directory that is there, file by file."""
-    config, reading = config or RunConfig(), reading or SequenceOptions()
-    loaded = load_model(model, config) if isinstance(model, str) else model
+    reading = reading or SequenceOptions()
     reader = SequenceReader(sequence, reading)
-    observation = loaded.observation.seen_by(reader.camera)
+    observation = model.observation.seen_by(reader.camera)
 
     with limited_threads(config.threads):
         calibration = observation.checkpoint.calibration
@@ -208,7 +210,7 @@ def run_into(
         settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
         settings = {
             "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
-            "model": {"name": loaded.name, "sha256": loaded.sha256},
+            "model": {"name": model.name, "sha256": model.sha256},
             **settings,
         }
         result = write_results(record, directory, settings, title=sequence.name)
@@ -279,7 +281,7 @@ def localize(
                 single = alone[0].world_from_camera
             elif single is None:
                 single = estimate.modes[0].world_from_camera
-            modes_of_images.append(() if posterior.says_nothing else alone[:SMOOTHED_MODES])
+            modes_of_images.append(() if posterior.says_nothing else alone[:JUDGED_MODES])
             odometry.append(frame.odometry)
             ways.append(estimate.way)
             following = kalman.update(posterior, frame.odometry, elapsed_s=elapsed_s)
@@ -295,7 +297,7 @@ def localize(
     record = recorder.finish(skipped=source.skipped)
     sure = np.array([status == "converged" for status in record.status])
     smoothed = smooth(
-        modes_of_images,
+        [modes[:SMOOTHED_MODES] for modes in modes_of_images],
         odometry,
         np.array(ways),
         record.filter,
@@ -306,6 +308,7 @@ def localize(
     return recorder.finish(
         skipped=source.skipped,
         smoothed=Trajectory(record.times_ns, smoothed),
+        smoothed_agreement=agreement(smoothed, record.times_ns, modes_of_images, errors),
         kalman=Trajectory(record.times_ns, Poses.stack(kalman_poses)),
         gaussian_sum=Trajectory(record.times_ns, Poses.stack(gaussian_sum_poses)),
         peak_rss_mb=peak_rss_mb(),
@@ -318,6 +321,7 @@ def write_results(record: RunRecord, directory: Path, settings: dict[str, Any], 
         write_tum(directory / FILES[name], trajectory)
     if record.truth is not None:
         write_tum(directory / "ground_truth.tum", record.truth)
+    write_status(directory / "status.csv", record)
     pictures = write_pictures(record, directory, title=title)
     versions = {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in _PACKAGES}
     with atomic_output(directory / "config.json") as partial:

@@ -14,7 +14,7 @@ from sequences.results import results_folder
 from sequences.synthesize import synthesize, write_synthetic
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_files, usage_error
 from vapor.report import format_table
-from vapor.run import RESULTS, RunConfig, run_into
+from vapor.run import RESULTS, RunConfig, load_model, run_into
 
 _SEQUENCE = "sequence.mcap"
 _METHODS = ("single_image", "dead_reckoning", "filter")
@@ -48,7 +48,8 @@ def main(arguments: Sequence[str]) -> None:
             write_synthetic(synthetic, directory / _SEQUENCE, progress=advance)
         with bar("localizing") as advance:
             config = RunConfig(seed=options.seed)
-            result = run_into(directory, directory / _SEQUENCE, options.scene, config, progress=advance)
+            model = load_model(options.scene, config)
+            result = run_into(directory, directory / _SEQUENCE, model, config, progress=advance)
     shown = {name: result.report[name] for name in _METHODS if name in result.report}
     show(format_table(shown, title=f"{options.scene}, {result.report['frames']} synthetic images"))
     show_files(output, result.pictures, recording=True)
