@@ -10,12 +10,11 @@ from types import TracebackType
 import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 from mcap_ros2.writer import Writer
 
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
+from sequences.bag import Bag
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.message_definitions import schema_name, schema_text
@@ -175,9 +174,8 @@ class SequenceWriter(_MessageWriter):
 def is_own_sequence(path: Path) -> bool:
     """Whether a file is an MCAP file that a `SequenceWriter` wrote, with metadata."""
     try:
-        with path.open("rb") as file:
-            return any(record.name == METADATA_NAME for record in make_reader(file).iter_metadata())
-    except (OSError, McapError, ValueError, EOFError):
+        return METADATA_NAME in Bag(path).metadata
+    except SequenceError:
         return False
 
 
