@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.linalg import solveh_banded
 
+from filtering.association import PLACE
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
@@ -26,8 +27,13 @@ from filtering.motion import Odometry, SlowErrors
 from filtering.se3 import Poses
 
 SMOOTHED_MODES = 6
-"""Of each image, the heaviest: enough for the smoother, and bounded in memory over a long sequence."""
+"""Of each image, the heaviest: enough for the smoother."""
 
+JUDGED_MODES = 16
+"""Likewise to judge its trajectory by: of a place among many alike too, and bounded in memory over a long sequence."""
+
+_ABOUT_NS, _ABOUT_IMAGES = 500_000_000, 5  # what is about an image, to each side
+_REGULAR = 1e-8 * np.eye(6)  # a tenth of a millimetre and of a milliradian keep modes of equal samples regular
 _STANDING = 1e-9  # lengths: no way is shorter, which keeps correlations regular
 _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 
@@ -122,6 +128,45 @@ def smooth(
     return Poses.concatenate(parts)
 
 
+def agreement(
+    trajectory: Poses, times_ns: Int64[np.ndarray, " n"], image_modes: Sequence[tuple[Mode, ...]], errors: ErrorModel
+) -> Float64[np.ndarray, " n"]:
+    """How well the images about each pose of a trajectory fit it, as the filter's agreement says of a belief.
+
+    The pose of an image is as possible as the places near it are, where near leaves details aside (see
+    `filtering.association`); here in comparison with the image's most possible place. This is averaged over the images
+    within half a second, and five to each side at least. Odometry that was wrong pulls a smoothed trajectory away from
+    what its images say, and shows here.
+
+    Args:
+        trajectory: world_from_camera, batch (n,).
+        times_ns: Stamps, increasing, (n,).
+        image_modes: For every image the heaviest modes of its own posterior, n of them; none for one that says nothing.
+        errors: How the images err.
+
+    Returns:
+        From 0 to 1, (n,); 0 where no image about it says anything.
+    """
+    n = len(trajectory)
+    fits, says = np.zeros(n), np.array([len(modes) > 0 for modes in image_modes], bool)
+    for i in np.flatnonzero(says).tolist():
+        modes = image_modes[i]
+        residual = (Poses.stack([mode.world_from_camera for mode in modes]).inverse() @ trajectory[i]).log()
+        information = np.linalg.inv(np.stack([mode.covariance for mode in modes]) + _REGULAR)
+        near = np.exp(-0.5 * np.einsum("ki,kij,kj->k", residual, information, residual) / PLACE**2)
+        weight = np.array([mode.weight for mode in modes])
+        untold = max(1.0 - weight.sum(), 0.0)  # of modes that were left out, one of which may be near
+        possible, most = (s / (s + errors.possible_share) for s in (weight @ near + untold, weight.max() + untold))
+        fits[i] = min(possible / most, 1.0)
+    at = np.arange(n)
+    first = np.minimum(np.searchsorted(times_ns, times_ns - _ABOUT_NS), np.maximum(at - _ABOUT_IMAGES, 0))
+    last = np.maximum(
+        np.searchsorted(times_ns, times_ns + _ABOUT_NS, side="right"), np.minimum(at + _ABOUT_IMAGES + 1, n)
+    )
+    summed, count = (np.concatenate([[0.0], np.cumsum(values)]) for values in (fits, says))
+    return (summed[last] - summed[first]) / np.maximum(count[last] - count[first], 1.0)
+
+
 def _initial_guesses(filtered: Poses, steps: Sequence[Odometry], converged: np.ndarray) -> list[Poses]:
     """Whole trajectories that obey odometry where the filter was unsure: from its last, and from its sure stretches."""
     n = len(filtered)
@@ -162,8 +207,7 @@ class _ImageModes:
         self._image = np.repeat(np.arange(len(modes)), counts)
         self._first = (np.cumsum(counts) - counts)[self.images]
         self.poses = Poses.stack([mode.world_from_camera for mode in flat]) if flat else Poses.identity(0)
-        # A tenth of a millimetre and of a milliradian keep modes of equal samples regular.
-        stated = np.stack([mode.covariance for mode in flat]) + 1e-8 * np.eye(6) if flat else np.zeros((0, 6, 6))
+        stated = np.stack([mode.covariance for mode in flat]) + _REGULAR if flat else np.zeros((0, 6, 6))
         self.kernel = np.sqrt((errors.tail + 6.0) * worth)
         self.covariance = stated * (errors.tail / np.square(self.kernel))[:, None, None]
         self._information = np.linalg.inv(self.covariance)

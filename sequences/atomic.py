@@ -1,31 +1,151 @@
-"""Output files that appear under their name only when they are complete."""
+"""Output files that appear under their name only when they are complete, and what killed processes leave of them."""
 
 from __future__ import annotations
 
+import fcntl
+import itertools
 import os
+import re
 import secrets
-from collections.abc import Iterator
-from contextlib import contextmanager
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from sequences.errors import SequenceError
 
+_HIDDEN = re.compile(r"\..+\.[0-9a-f]{8}\.partial")
+NEW = "new"
+_REPLACED, _ADDED = "replaced", "added"
+
 
 @contextmanager
 def atomic_output(path: Path) -> Iterator[Path]:
-    """Give a neighbouring path to write to; rename it to `path` on success, remove it on any error.
+    """Give a path to write to; it takes the place of `path` on success, and is removed on any error.
 
     Raises:
-        SequenceError: the folder is missing, or cannot be written to.
+        SequenceError: the folder is missing or cannot be written to, or the path is that of something else than a file.
     """
     path = Path(path)
     if not path.parent.is_dir():
         raise SequenceError(f"{path}: cannot write, expected the folder {path.parent} to exist")
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    path = followed(path)
+    if path.exists() and not path.is_file():
+        raise SequenceError(f"{path}: cannot write: {'Is a directory' if path.is_dir() else 'not a regular file'}")
     try:
-        yield partial
-        os.replace(partial, path)
+        with workspace(path.parent, path.name) as work:
+            yield work / path.name
+            os.replace(work / path.name, path)
     except OSError as error:
         raise SequenceError(f"{path}: cannot write: {error.strerror or error}") from error
+
+
+def followed(path: Path) -> Path:
+    """Where a path leads: itself, or what it is a link to.
+
+    Raises:
+        SequenceError: the link leads to nothing.
+    """
+    if path.is_symlink() and not path.exists():
+        raise SequenceError(f"{path}: is a link to {os.readlink(path)}, which does not exist, expected it to")
+    return path.resolve() if path.is_symlink() else path
+
+
+@contextmanager
+def workspace(place: Path, name: str) -> Iterator[Path]:
+    """A hidden folder in `place` in which `name` is made; it is removed with all that is left in it.
+
+    It is locked for as long. So those of processes that were killed are told from those in use, and cleared away first.
+
+    Raises:
+        OSError: `place` cannot be written to.
+    """
+    clear_leftovers(place)
+    work, lock = _locked_folder(place, name)
+    try:
+        yield work
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):  # what cannot be removed now is a leftover
+            _clear(work)
+        os.close(lock)
+
+
+def is_workspace(name: str) -> bool:
+    """Whether a file or folder of this name is one that `workspace` made, or atomic outputs of earlier versions."""
+    return _HIDDEN.fullmatch(name) is not None
+
+
+def clear_leftovers(place: Path) -> None:
+    """Remove what killed processes left in a folder; files that they were replacing there are put back."""
+    try:
+        hidden = [entry for entry in place.iterdir() if is_workspace(entry.name)]
+    except OSError:
+        return
+    for leftover in hidden:
+        with suppress(OSError):  # in use, or not ours to remove
+            lock = os.open(leftover, os.O_RDONLY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _clear(leftover)
+            finally:
+                os.close(lock)
+
+
+def move_in(work: Path, names: Iterable[str], *, instead_of: Iterable[str]) -> None:
+    """Move files of `work / NEW` one by one into the folder that a workspace lies in.
+
+    If that fails or is interrupted, the workspace puts back what was there; if the process is killed, the next that
+    clears leftovers does.
+
+    Args:
+        work: The workspace.
+        names: The files, all that are there; the last one completes them.
+        instead_of: Files that go, the first of them before anything else changes.
+    """
+    folder, new, replaced, added = work.parent, work / NEW, work / _REPLACED, work / _ADDED
+    added.mkdir()
+    replaced.mkdir()
+    number = itertools.count()
+    for name in instead_of:
+        os.rename(folder / name, replaced / f"{next(number):06d}.{name}")
+    for name in names:
+        if os.path.lexists(folder / name):
+            os.rename(folder / name, replaced / f"{next(number):06d}.{name}")
+        else:
+            (added / name).touch()
+        os.rename(new / name, folder / name)
+
+
+def _clear(work: Path) -> None:
+    if not work.is_dir():  # of an earlier version
+        work.unlink()
+        return
+    if (work / _REPLACED).is_dir() and any((work / NEW).iterdir()):
+        _put_back(work)
+    shutil.rmtree(work)
+
+
+def _put_back(work: Path) -> None:
+    """Undo `move_in` as far as it came; what it moved first goes back last."""
+    for marker in (work / _ADDED).iterdir():
+        if not (work / NEW / marker.name).exists():
+            (work.parent / marker.name).unlink(missing_ok=True)
+    for file in sorted((work / _REPLACED).iterdir(), reverse=True):
+        os.rename(file, work.parent / file.name.partition(".")[2])
+
+
+def _locked_folder(place: Path, name: str) -> tuple[Path, int]:
+    while True:
+        work = place / f".{name[:50]}.{secrets.token_hex(4)}.partial"
+        work.mkdir()
+        lock = -1
+        try:
+            lock = os.open(work, os.O_RDONLY)
+            with suppress(OSError):  # where files cannot be locked, leftovers stay
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            if os.path.samestat(os.fstat(lock), os.stat(work)):
+                return work, lock
+        except FileNotFoundError:  # another process took it for a leftover before it was locked
+            pass
+        if lock >= 0:
+            os.close(lock)

@@ -14,6 +14,7 @@ from mcap_ros2.writer import Writer
 
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
+from sequences.bag import Bag
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.message_definitions import schema_name, schema_text
@@ -168,6 +169,14 @@ class SequenceWriter(_MessageWriter):
             transform = _transform(time_ns, BASE_FRAME, CAMERA_FRAME, self._base_from_camera)
             self._write("/tf_static", "tf2_msgs/TFMessage", {"transforms": [transform]}, time_ns)
         return _header(time_ns, frame_id)
+
+
+def is_own_sequence(path: Path) -> bool:
+    """Whether a file is an MCAP file that a `SequenceWriter` wrote, with metadata."""
+    try:
+        return METADATA_NAME in Bag(path).metadata
+    except SequenceError:
+        return False
 
 
 class EstimateWriter(_MessageWriter):

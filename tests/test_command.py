@@ -15,6 +15,7 @@ from filtering.se3 import Poses
 from sequences import route
 from sequences.frame import Trajectory
 from sequences.reader import SequenceReader
+from sequences.results import results_folder
 from sequences.synthesize import synthesize
 from sequences.tum import read_tum, write_tum
 from tests import sequence_files
@@ -56,11 +57,11 @@ def refuse(words: list[str], capsys: pytest.CaptureFixture[str], *said: object) 
 
 @pytest.fixture
 def earlier(tmp_path: Path) -> Path:
-    """A directory that already holds a result, which must stay as it is."""
-    folder = tmp_path / "earlier"
-    folder.mkdir()
-    (folder / "report.json").write_text("{}\n")
-    (folder / "trajectory.tum").write_text("an earlier result\n")
+    """A directory that already holds results, which must stay as they are."""
+    folder, names = tmp_path / "earlier", ("report.json", "trajectory.tum")
+    with results_folder(folder, "run", writes=names) as new:
+        for name in names:
+            (new / name).write_text("an earlier result\n")
     return folder
 
 
@@ -304,6 +305,103 @@ def test_an_output_that_is_or_lies_in_a_file_is_refused(walk_of_25, tiny_model, 
     words = words_of_run(walk_of_25, tiny_model, tmp_path / "file" / "out")
     refuse(words, capsys, tmp_path / "file" / "out", "cannot write", "expected a directory")
     assert contents(tmp_path) == {"file": b"mine"}
+
+
+OUTPUTS = {
+    "run": ["run", "walk.mcap", "--model", "m.safetensors", "--output"],
+    "a fleet": ["run", "walk.mcap", "gone.mcap", "--model", "m.safetensors", "--output"],
+    "fuse": ["fuse", "truth.tum", "--simulate-odometry", "truth.tum", "--output"],
+    "demo": ["demo", "--output"],
+    "inspect": ["inspect", "walk.mcap", "--output"],
+    "benchmark": ["benchmark", "localization", "ceiling", "--models", "m.safetensors", "--output"],
+    "faults": ["benchmark", "faults", "ceiling", "--models", "m.safetensors", "--output"],
+    "alpha": ["experiment", "alpha", "round-table", "--output"],
+    "decay": ["experiment", "decay", "--output"],
+    "schedule": ["experiment", "schedule", "--output"],
+    "table": ["experiment", "table", "round-table", "--output"],
+    "synthesize": ["synthesize", "round-table"],
+    "convert": ["convert", "data"],
+    "posterior": ["posterior", "walk.mcap", "--model", "m.safetensors", "--output"],
+    "train": ["train", "walk.mcap", "--output"],
+    "calibrate": ["calibrate", "m.safetensors", "walk.mcap", "--output"],
+    "evaluate": ["evaluate", "earlier", "--output"],
+}
+FOLDERS = ("run", "a fleet", "fuse", "demo", "inspect", "benchmark", "faults", "alpha", "decay", "schedule", "table")
+
+
+@pytest.fixture
+def belongings(walk_of_25, tiny_model, earlier, monkeypatch) -> Path:
+    """The working directory, with a sequence, a model, and things of the user's under names of results."""
+    folder = earlier.parent
+    monkeypatch.chdir(folder)
+    (folder / "walk.mcap").write_bytes(walk_of_25.read_bytes())
+    (folder / "m.safetensors").write_bytes(tiny_model.read_bytes())
+    for name in ("report.json", "summary.json", "walk/trajectory.tum", "notes.txt", "photo.png"):
+        (folder / "mine" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "mine" / name).write_text("mine")
+    (folder / "link").symlink_to("nowhere")
+    return folder
+
+
+@pytest.mark.parametrize("name", OUTPUTS)
+def test_no_command_replaces_what_no_command_wrote(name, belongings, capsys):
+    before = contents(belongings)
+    for output in ["mine"] if name in FOLDERS else ["mine/notes.txt", "mine/photo.png", "mine/report.json"]:
+        refuse([*OUTPUTS[name], output], capsys, "mine", "--overwrite")
+    refuse([*OUTPUTS[name], "link"], capsys, "link: is a link to nowhere, which does not exist")
+    for empty in ("", " "):
+        with pytest.raises(SystemExit) as stopped:
+            main([*OUTPUTS[name], empty])
+        assert stopped.value.code == 2
+    assert contents(belongings) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "own"), [("synthesize", "walk.mcap"), ("calibrate", "earlier.safetensors"), ("train", "m.safetensors")]
+)
+def test_files_of_the_same_kind_are_replaced(name, own, belongings, capsys):
+    """What is refused here is the rest of the words: the output was found to be such a file."""
+    (belongings / "earlier.safetensors").write_bytes((belongings / "m.safetensors").read_bytes())
+    words = {"synthesize": ["synthesize", "nowhere"], "train": ["train", "gone.mcap", "--output"]}
+    words["calibrate"] = ["calibrate", "m.safetensors", "gone.mcap", "--output"]
+    if name == "synthesize":
+        with pytest.raises(SystemExit):
+            main([*words[name], own])
+        assert "nowhere" in capsys.readouterr().err
+    else:
+        refuse([*words[name], own], capsys, "gone.mcap")
+
+
+def test_a_file_that_is_read_is_not_written_to(belongings, capsys):
+    before = contents(belongings)
+    words = {"calibrate": "m.safetensors", "posterior": "walk.mcap"}
+    for name, output in words.items():
+        refuse([*OUTPUTS[name], output, "--overwrite"], capsys, f"{output}: is read")
+    refuse([*OUTPUTS["train"], "m.safetensors", "--initial-model", "m.safetensors"], capsys, "m.safetensors: is read")
+    truth = belongings / "own" / "ground_truth.tum"
+    truth.parent.mkdir()
+    write_tum(truth, Trajectory(np.array([0, 10**9]), Poses.identity(2)))
+    words = [*OUTPUTS["run"], "own", "--poses", str(truth), "--overwrite"]
+    refuse(words, capsys, "ground_truth.tum: is read, and would be written to")
+    assert contents(belongings).items() >= before.items()
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_the_folder_of_the_sequence_is_only_taken_when_told_and_keeps_what_is_in_it(belongings, capsys):
+    folder = belongings / "own"
+    folder.mkdir()
+    (belongings / "walk.mcap").rename(folder / "walk.mcap")
+    (folder / "ground_truth.tum").write_text("mine")
+    (folder / "config.json").write_text("mine")
+    before = contents(folder)
+    words = ["run", "own/walk.mcap", "--model", "m.safetensors", "--output", "own", "--ground-truth-topic", "", *SMALL]
+    refuse(
+        words, capsys, "own: holds config.json, ground_truth.tum, walk.mcap (which is read), expected", "--overwrite"
+    )
+    assert contents(folder) == before
+    assert main([*words, "--no-recording", "--overwrite"]) == 0
+    after = contents(folder)
+    assert {name for name in before if after[name] != before[name]} == {"config.json"}
 
 
 @pytest.mark.usefixtures("unchecked", "plain_results")

@@ -149,13 +149,13 @@ def test_a_fleet_gives_each_sequence_what_it_gets_alone_and_one_summary(
 def test_an_interrupted_fleet_keeps_what_was_finished_whole(bags, tiny_model, tmp_path, capsys, monkeypatch):
     real, out = fleet_module.run, tmp_path / "out"
 
-    def interrupted(sequence, model, output, config, *, reading, progress):
+    def interrupted(sequence, model, output, config, *, progress, **options):
         def stop(done: int, of: int) -> None:
             progress(done, of)
             if sequence.name == "walk.mcap" and done == 3:
                 raise KeyboardInterrupt
 
-        return real(sequence, model, output, config, reading=reading, progress=stop)
+        return real(sequence, model, output, config, progress=stop, **options)
 
     monkeypatch.setattr(fleet_module, "run", interrupted)
     assert run([bags / "bag", bags / "kitchen"], tiny_model, out) == 130

@@ -1,8 +1,10 @@
 """What `vapor-track run` and `evaluate` write, that it is the same twice, and the Python API beside it."""
 
+import csv
 import json
 import re
 import shutil
+from collections import Counter
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from io import StringIO
@@ -42,6 +44,7 @@ TRAJECTORIES = {
 }  # fmt: skip
 WITH_TRUTH = {"ground_truth.tum", "errors.png"}
 FILES = TRAJECTORIES | {"estimate.mcap", "config.json", "report.json", "trajectory.png", "particles.png"}
+FILES |= {"manifest.json", "status.csv"}
 ROUGH = ErrorModel(radius_m=1.0)
 METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "worse_than"}
 METHODS = {"single_image", "dead_reckoning", "kalman", "gaussian_sum", "filter", "smoothed"}
@@ -121,6 +124,31 @@ def test_every_trajectory_has_a_pose_for_every_image(finished, walk_of_25):
     stamps = [frame.time_ns for frame in SequenceReader(walk_of_25)]
     for name in TRAJECTORIES | {"ground_truth.tum"}:
         assert read_tum(finished.directory / name).times_ns.tolist() == stamps
+
+
+def test_the_status_says_of_every_pose_what_is_to_be_thought_of_it(finished):
+    with (finished.directory / "status.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["time", "status", "std_m", "std_deg", "smoothed"]
+    lines = (finished.directory / "smoothed.tum").read_text().splitlines()
+    assert [row["time"] for row in rows] == [line.split()[0] for line in lines]
+    shares = Counter(row["status"] for row in rows)
+    said = report_of(finished.directory)["status"]
+    assert {name: shares[name] / 25 for name in said} == pytest.approx(said)
+    assert {row["smoothed"] for row in rows} <= {"fits", "doubtful"}
+    assert all(0.0 < float(row["std_m"]) < 1e4 and 0.0 < float(row["std_deg"]) < 1e4 for row in rows)
+
+
+def test_evaluate_refuses_files_that_are_not_those_of_the_run(finished, tmp_path, capsys):
+    out = tmp_path / "out"
+    shutil.copytree(finished.directory, out)
+    with (out / "smoothed.tum").open("a") as file:
+        file.write("# a note\n")
+    assert main(["evaluate", str(out)]) == 1
+    assert "smoothed.tum: differs from what manifest.json lists" in capsys.readouterr().err
+    (out / "manifest.json").unlink()
+    assert main(["evaluate", str(out)]) == 0
+    assert "could not be checked" in capsys.readouterr().out
 
 
 def test_the_estimate_can_be_read_back_with_the_poses_of_the_trajectory(finished):
@@ -222,7 +250,9 @@ def test_without_true_poses_nothing_is_judged_and_nothing_of_an_earlier_run_stay
     (out / "notes.txt").write_text("not a result")
     blind = rewrite(walk_of_25, tmp_path / "blind.mcap", keep=lambda topic, _: topic != "/ground_truth/pose")
     capsys.readouterr()
-    assert run(blind, tiny_model, out, "--no-recording") == 0
+    assert run(blind, tiny_model, out, "--no-recording") == 1
+    assert "holds notes.txt, expected an empty folder or unchanged results" in capsys.readouterr().err
+    assert run(blind, tiny_model, out, "--no-recording", "--overwrite") == 0
     assert names(out) == FILES | {"notes.txt"}
     assert not METHODS & set(report_of(out))
     assert re.search(r"25 images: .*converged", capsys.readouterr().out)

@@ -133,7 +133,7 @@ def test_a_failing_disk_is_one_error_that_names_the_file(tmp_path: Path) -> None
 
     def write_to_a_full_disk() -> None:
         with sequence_writer(path) as writer:
-            (partial,) = tmp_path.iterdir()
+            (partial,) = tmp_path.glob(".*.partial/out.mcap")
             fd = next(f for f in Path("/proc/self/fd").iterdir() if f.exists() and f.resolve() == partial)
             full = os.open("/dev/full", os.O_WRONLY)
             os.dup2(full, int(fd.name))

@@ -27,7 +27,7 @@ from vapor.familiarity import Familiarity, description_size
 from vapor.network import NetworkConfig, PoseRegressor, SceneBox
 from vapor.retrieval import Memory, RetrievalRegressor
 from vapor.scene_scale import default_errors
-from vapor.tensor_files import CHECKSUM, SHIPPED, CheckpointError, read_safetensors, write_safetensors
+from vapor.tensor_files import CHECKSUM, SHIPPED, CheckpointError, format_of, read_safetensors, write_safetensors
 
 FORMAT = "vapor-track model"
 VERSION = 8
@@ -332,6 +332,11 @@ def find_model(name_or_path: str) -> Path:
         return shipped
     names = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.safetensors"))) or "none"
     raise CheckpointError(f"{name_or_path}: no such model file, expected one, or a model that ships: {names}")
+
+
+def is_model(path: Path) -> bool:
+    """Whether a file is a model of any version of this package, by what it says of itself."""
+    return format_of(path) == FORMAT
 
 
 def read_json(path: Path, text: str | None) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
+from sequences.results import verify
 from sequences.tum import read_tum
 
 THRESHOLDS: Mapping[str, tuple[float, float]] = MappingProxyType(
@@ -251,7 +252,7 @@ def evaluate_directory(directory: Path, ground_truth: Path | None = None) -> dic
         `frames`, `frames_with_true_pose`, and for each method found its metrics, as in `report.json`.
 
     Raises:
-        VaporTrackError: a file is missing or malformed, or nothing overlaps.
+        VaporTrackError: a file is missing, malformed or not as its manifest lists it, or nothing overlaps.
     """
     if not directory.is_dir():
         raise VaporTrackError(f"{directory}: no such directory, expected one that `vapor-track run` wrote")
@@ -259,6 +260,7 @@ def evaluate_directory(directory: Path, ground_truth: Path | None = None) -> dic
         raise VaporTrackError(
             f"{directory}: no {FILES['filter']} in it, expected a directory that `vapor-track run` wrote"
         )
+    verify(directory, [*FILES.values(), *(["ground_truth.tum"] if ground_truth is None else [])])
     truth_path = directory / "ground_truth.tum" if ground_truth is None else ground_truth
     if not truth_path.is_file():
         hint = "; give the true poses with --ground-truth FILE" if ground_truth is None else ""

@@ -14,7 +14,9 @@ import numpy as np
 from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output
 from sequences.options import SequenceOptions
-from vapor.run import RunConfig, RunResult, load_model, refuse_file, run
+from sequences.results import folder_to_write, refuse_other, require_replaceable
+from vapor.report import is_report
+from vapor.run import RESULTS, RunConfig, RunResult, files_read, load_model, run
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -129,6 +131,7 @@ def run_fleet(
     config: RunConfig | None = None,
     *,
     reading: SequenceOptions | None = None,
+    overwrite: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Iterator[Outcome]:
     """Localize sequence after sequence; each has the results that it would have alone.
@@ -139,6 +142,7 @@ def run_fleet(
         output: Directory for the results, a folder a sequence and `summary.json`, which tells of those done so far.
         config: Settings of every run.
         reading: What to read of every sequence.
+        overwrite: As of `run`, of the folder of each sequence, and of `summary.json`.
         progress: Called after every image with the name of the sequence, the number done and an upper bound of all.
 
     Yields:
@@ -149,8 +153,13 @@ def run_fleet(
         VaporTrackError: unusable model or output; with the first sequence.
     """
     config = config or RunConfig()
-    refuse_file(output)
+    folder_to_write(output)
     loaded = load_model(model, config)
+    for name, sequence in sequences.items():
+        require_replaceable(output / name, RESULTS, files_read(sequence, loaded, reading), overwrite=overwrite)
+    refuse_other(
+        output / SUMMARY, "summary of a fleet", lambda path: is_report(path, "sequences_in_all"), overwrite=overwrite
+    )
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -163,7 +172,9 @@ def run_fleet(
                 progress(name, done, total)
 
         try:
-            result = run(sequence, loaded, output / name, config, reading=reading, progress=advance)
+            result = run(
+                sequence, loaded, output / name, config, reading=reading, overwrite=overwrite, progress=advance
+            )
             outcomes.append(_outcome(name, sequence, result))
         except (VaporTrackError, OSError) as error:
             outcomes.append(Outcome(name, str(sequence), error=" ".join(str(error).splitlines())))

@@ -15,7 +15,8 @@ from filtering.localizer import LocalizerConfig
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.estimates import EstimateOptions, EstimateSequence
-from vapor.run import FilteringConfig, RunResult, complete_directory, localize, refuse_file, write_results
+from sequences.results import results_folder
+from vapor.run import RESULTS, FilteringConfig, RunResult, localize, write_results
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,7 @@ def fuse(
     ground_truth: Path | None = None,
     trust: EstimateConfig | None = None,
     reading: EstimateOptions | None = None,
+    overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunResult:
     """Localize frames of which others gave pose estimates, and write everything about it into a directory.
@@ -102,29 +104,30 @@ def fuse(
         ground_truth: True poses; None for those that the odometry is simulated from.
         trust: How far to trust the estimates.
         reading: How to read the files.
+        overwrite: As of `vapor.run.run`.
         progress: Called after every frame with the number done and an upper bound of all.
 
     Raises:
         VaporTrackError: unusable files or output, or no frame left to localize.
     """
     config, trust, reading = config or FilteringConfig(), trust or EstimateConfig(), reading or EstimateOptions()
-    refuse_file(output)
-    sequence = EstimateSequence(
-        estimates,
-        odometry=odometry,
-        simulate_odometry_from=simulate_odometry,
-        ground_truth=ground_truth,
-        options=reading,
-        seed=config.seed,
-    )
-    errors = errors_of(sequence, trust)
-    model = EstimateModel(len(sequence.files), trust, errors)
-    config = replace(config, localizer=over_sequences(config.localizer))
-    with complete_directory(output) as partial:
+    reads = [path for path in (*estimates, odometry, simulate_odometry, ground_truth) if path is not None]
+    with results_folder(output, "fuse", writes=RESULTS, reads=reads, overwrite=overwrite) as directory:
+        sequence = EstimateSequence(
+            estimates,
+            odometry=odometry,
+            simulate_odometry_from=simulate_odometry,
+            ground_truth=ground_truth,
+            options=reading,
+            seed=config.seed,
+        )
+        errors = errors_of(sequence, trust)
+        model = EstimateModel(len(sequence.files), trust, errors)
+        config = replace(config, localizer=over_sequences(config.localizer))
         record = localize(
             sequence,
             model,
-            partial,
+            directory,
             config,
             errors,
             observed=lambda frame: frame.estimates,
@@ -138,7 +141,7 @@ def fuse(
             "reading": asdict(reading),
             "errors": asdict(errors),
         }
-        return write_results(record, partial, settings, title=", ".join(file.path.stem for file in sequence.files))
+        return write_results(record, directory, settings, title=", ".join(file.path.stem for file in sequence.files))
 
 
 def over_sequences(config: LocalizerConfig) -> LocalizerConfig:

@@ -50,6 +50,7 @@ COLORS: Mapping[str, str] = MappingProxyType(
 """One colour for each method in every picture (Okabe and Ito's palette, safe for the colour-blind)."""
 
 _AXES = ("x", "y", "z")
+_SOFTWARE = "vapor-track"  # as a PNG says that made it
 _INK = "#333333"
 _FAINT = "#b8b8b8"
 _THINNEST = 0.12  # of the longest axis: thinner, and the labels would not fit
@@ -312,5 +313,11 @@ def _quiet(ax: Axes) -> None:
 def save_figure(figure: Figure, path: Path) -> Path:
     """Write a PNG, the same bytes for the same figure; it appears under its name only when complete."""
     with atomic_output(path) as partial:
-        figure.savefig(partial, format="png", metadata={"Software": None})
+        figure.savefig(partial, format="png", metadata={"Software": _SOFTWARE})
     return path
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a file is a PNG that `save_figure` wrote."""
+    with path.open("rb") as file:
+        return b"tEXtSoftware\0" + _SOFTWARE.encode() in file.read(1000)

@@ -65,6 +65,7 @@ class RunRecord:
             where that is unknown, and anew where there is no odometry; None for a sequence without any.
         truth: True poses of the images that have one; None if none has.
         smoothed: Smoothed trajectory, if any.
+        smoothed_agreement: How well the images about each of its poses fit it, in [0, 1], (n,); if there is one.
         kalman: Trajectory of the single-hypothesis baseline, if any.
         gaussian_sum: Trajectory of the baseline to which no hypothesis is added after the first image, if any.
         moments: A few moments in order of time, the first and last image among them.
@@ -88,6 +89,7 @@ class RunRecord:
     dead_reckoning: Poses | None
     truth: Trajectory | None
     smoothed: Trajectory | None
+    smoothed_agreement: Float64[np.ndarray, " n"] | None
     kalman: Trajectory | None
     gaussian_sum: Trajectory | None
     moments: tuple[Moment, ...]
@@ -173,6 +175,7 @@ class RunRecorder:
         skipped: Mapping[str, int] | None = None,
         images: ImageCounts | None = None,
         smoothed: Trajectory | None = None,
+        smoothed_agreement: Float64[np.ndarray, " n"] | None = None,
         kalman: Trajectory | None = None,
         gaussian_sum: Trajectory | None = None,
         peak_rss_mb: float | None = None,
@@ -204,6 +207,7 @@ class RunRecorder:
             dead_reckoning=Poses.stack(self._dead_reckoning) if self._has_odometry else None,
             truth=truth,
             smoothed=smoothed,
+            smoothed_agreement=smoothed_agreement,
             kalman=kalman,
             gaussian_sum=gaussian_sum,
             moments=tuple(self._moments),

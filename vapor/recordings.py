@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import json
-import secrets
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -18,6 +16,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from filtering.errors import VaporTrackError, quoted
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from sequences.atomic import workspace
 from sequences.errors import SequenceError
 from sequences.place import find_place
 from sequences.reader import SequenceReader
@@ -237,20 +236,20 @@ def _keep(settings: RecordingSettings | FileSettings, directory: Path, record: C
     folder = directory / settings.name
     if folder.is_dir():
         return
-    partial = directory / f".{settings.name}.{secrets.token_hex(4)}.partial"
     try:
-        partial.mkdir(parents=True)
-        with limited_threads(1):
-            record(partial)
-        (partial / _SETTINGS).write_text(json.dumps(settings.told, indent=2) + "\n", encoding="utf-8")
-        if not folder.is_dir():  # another process may have been faster
-            partial.rename(folder)
+        directory.mkdir(parents=True, exist_ok=True)
+        with workspace(directory, settings.name) as work:
+            partial = work / settings.name
+            partial.mkdir()
+            with limited_threads(1):
+                record(partial)
+            (partial / _SETTINGS).write_text(json.dumps(settings.told, indent=2) + "\n", encoding="utf-8")
+            if not folder.is_dir():  # another process may have been faster
+                partial.rename(folder)
     except OSError as error:
         raise VaporTrackError(
             f"{folder}: cannot write: {error.strerror or error}, expected a directory that can be written to"
         ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -> None:

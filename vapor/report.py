@@ -11,12 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sequences.atomic import atomic_output
+from sequences.tum import format_time
 from vapor.evaluate import FILES, TAIL_M, THRESHOLDS, associate, evaluate_consistency, evaluate_methods
 from vapor.pictures import LABELS, write_pictures
 from vapor.record import RunRecord, RunRecorder
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+FITS = 0.7
+"""Share of the images about a smoothed pose that must fit it; as of the filter's to be `converged`."""
+
+_POSITION, _ROTATION = slice(0, 3), slice(3, 6)
 
 __all__ = ["RunRecord", "RunRecorder", "build_report", "format_table", "write_pictures", "write_report"]
 
@@ -58,6 +64,32 @@ def write_report(path: Path, report: Mapping[str, Any]) -> None:
     text = json.dumps(_rounded(report), indent=2, sort_keys=True, allow_nan=False) + "\n"
     with atomic_output(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def write_status(path: Path, record: RunRecord) -> None:
+    """Write what is to be thought of the poses of each image, as CSV.
+
+    `time`: as in the trajectories. `status`, `std_m`, `std_deg`: of the filter's pose, its verdict and the standard
+    deviations along the widest axis of position and rotation, by what it believed at that moment. `smoothed`: `fits` or
+    `doubtful`, whether the images about the smoothed pose fit it.
+    """
+    widest = [np.sqrt(np.linalg.eigvalsh(record.covariance[:, part, part]))[:, -1] for part in (_POSITION, _ROTATION)]
+    fits = [""] * len(record.times_ns)
+    if record.smoothed_agreement is not None:
+        fits = np.where(record.smoothed_agreement >= FITS, "fits", "doubtful").tolist()
+    with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:
+        file.write("time,status,std_m,std_deg,smoothed\n")
+        for time_ns, status, std_m, std_rad, fit in zip(record.times_ns, record.status, *widest, fits, strict=True):
+            file.write(f"{format_time(int(time_ns))},{status},{std_m:.4f},{np.degrees(std_rad):.3f},{fit}\n")
+
+
+def is_report(path: Path, *keys: str) -> bool:
+    """Whether a file is a JSON object with these keys among others."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.keys() >= set(keys)
 
 
 def format_table(report: Mapping[str, Any], *, title: str | None = None, tail: bool = False) -> Table:

@@ -7,12 +7,9 @@ import importlib.metadata
 import json
 import platform
 import resource
-import secrets
-import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
@@ -29,12 +26,14 @@ from filtering.motion import Odometry
 from filtering.posterior import ObservationModel
 from filtering.rivals import GaussianSumLocalizer
 from filtering.se3 import Poses
-from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth
+from filtering.smoothing import JUDGED_MODES, SMOOTHED_MODES, SmoothingConfig, agreement, smooth
+from sequences.atomic import atomic_output
 from sequences.estimates import EstimateSequence
 from sequences.frame import Trajectory
 from sequences.odometry_fit import OdometryFit
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
+from sequences.results import results_folder
 from sequences.tum import write_tum
 from sequences.writer import EstimateWriter
 from vapor.checkpoint import find_model
@@ -42,13 +41,20 @@ from vapor.evaluate import FILES
 from vapor.ground import told_unshown
 from vapor.observation import VaporObservationModel
 from vapor.record import RunRecord, RunRecorder
-from vapor.report import build_report, write_pictures, write_report
+from vapor.report import build_report, write_pictures, write_report, write_status
 from vapor.threads import limited_threads
 from vapor.view import NullViewer, RerunViewer
 
 _PUBLISHED_PARTICLES = 500
 _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
-_SOMETIMES_WRITTEN = (*FILES.values(), "ground_truth.tum", "errors.png", "recording.rrd")
+RESULTS = frozenset(
+    {
+        *FILES.values(),
+        *("ground_truth.tum", "status.csv", "config.json", "report.json", "estimate.mcap", "recording.rrd"),
+        *("trajectory.png", "particles.png", "errors.png"),
+    }
+)
+"""Names of all files that a run may write."""
 
 
 @dataclass(frozen=True)
@@ -118,11 +124,13 @@ class LoadedModel:
 
     Attributes:
         name: Name of its file, or the name it ships by.
+        file: Where it lies.
         sha256: Of its file.
         observation: The model itself.
     """
 
     name: str
+    file: Path
     sha256: str
     observation: VaporObservationModel
 
@@ -141,7 +149,7 @@ def load_model(model: str, config: RunConfig) -> LoadedModel:
     observation = VaporObservationModel.from_checkpoint(
         str(checkpoint), num_samples=config.num_samples, device=config.device
     )
-    return LoadedModel(Path(model).name, hashlib.sha256(checkpoint.read_bytes()).hexdigest(), observation)
+    return LoadedModel(Path(model).name, checkpoint, hashlib.sha256(checkpoint.read_bytes()).hexdigest(), observation)
 
 
 def run(
@@ -151,6 +159,7 @@ def run(
     config: RunConfig | None = None,
     *,
     reading: SequenceOptions | None = None,
+    overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunResult:
     """Localize a recorded sequence and write everything about it into a directory.
@@ -159,24 +168,49 @@ def run(
         sequence: MCAP file or rosbag2 folder.
         model: Model file, name of a model that ships with the package, or what `load_model` made of one with these
             settings.
-        output: Directory for the results; made if absent. Its files appear when the run is complete, or not at all.
+        output: Directory for the results, which appear when the run is complete, or not at all: absent, empty, or
+            results, which are replaced (see `results_folder`).
         config: Settings.
         reading: What to read of the sequence; None for all of it, as found.
+        overwrite: Take any directory as output, and replace in it what has the names of results.
         progress: Called after every image with the number done and an upper bound of all.
 
     Raises:
         VaporTrackError: unusable sequence, model or output, or fewer than one in ten of the images left to localize.
     """
-    config, reading = config or RunConfig(), reading or SequenceOptions()
-    refuse_file(output)
+    config = config or RunConfig()
     loaded = load_model(model, config) if isinstance(model, str) else model
-    reader = SequenceReader(sequence, reading)
-    observation = loaded.observation.seen_by(reader.camera)
+    reads = files_read(sequence, loaded, reading)
+    with results_folder(output, "run", writes=RESULTS, reads=reads, overwrite=overwrite) as directory:
+        return run_into(directory, sequence, loaded, config, reading=reading, progress=progress)
 
-    with complete_directory(output) as partial, limited_threads(config.threads):
+
+def files_read(sequence: Path, model: LoadedModel, reading: SequenceOptions | None) -> list[Path]:
+    """Files and folders that a run reads, as far as they are known before it."""
+    poses = () if reading is None else (reading.poses, reading.poses_times)
+    return [path for path in (sequence, model.file, *poses) if path is not None]
+
+
+def run_into(
+    directory: Path,
+    sequence: Path,
+    model: LoadedModel,
+    config: RunConfig,
+    *,
+    reading: SequenceOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> RunResult:
+    """As `run`, into a directory that is there, file by file."""
+    reading = reading or SequenceOptions()
+    reader = SequenceReader(sequence, reading)
+    observation = model.observation.seen_by(reader.camera)
+
+    with limited_threads(config.threads):
         calibration = observation.checkpoint.calibration
         fit = calibration.odometry if config.fitted_odometry else None
-        record = localize(reader, observation, partial, config, calibration.errors, odometry_fit=fit, progress=progress)
+        record = localize(
+            reader, observation, directory, config, calibration.errors, odometry_fit=fit, progress=progress
+        )
         if reader.counts.are_very_few and not reading.allow_few_images:
             raise VaporTrackError(
                 f"{sequence}: {reader.counts.warning} Expected at least one in ten (--allow-few-images localizes fewer)"
@@ -185,21 +219,15 @@ def run(
         settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
         settings = {
             "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
-            "model": {"name": loaded.name, "sha256": loaded.sha256},
+            "model": {"name": model.name, "sha256": model.sha256},
             **settings,
         }
-        result = write_results(record, partial, settings, title=sequence.name)
+        result = write_results(record, directory, settings, title=sequence.name)
         notices = [*reader.notices, *observation.notices]
         if (memory := observation.checkpoint.memory) is not None and record.smoothed is not None:
             trained = Poses(memory.rotation.double().numpy(), memory.translation.double().numpy())
             notices += [told] if (told := told_unshown(record.smoothed.poses, trained)) else []
         return replace(result, notices=tuple(notices))
-
-
-def refuse_file(output: Path) -> None:
-    """Raise VaporTrackError where the directory for the results is a file."""
-    if output.exists() and not output.is_dir():
-        raise VaporTrackError(f"{output}: is a file, expected a directory to write the results to")
 
 
 def localize(
@@ -262,7 +290,7 @@ def localize(
                 single = alone[0].world_from_camera
             elif single is None:
                 single = estimate.modes[0].world_from_camera
-            modes_of_images.append(() if posterior.says_nothing else alone[:SMOOTHED_MODES])
+            modes_of_images.append(() if posterior.says_nothing else alone[:JUDGED_MODES])
             odometry.append(frame.odometry)
             ways.append(estimate.way)
             following = kalman.update(posterior, frame.odometry, elapsed_s=elapsed_s)
@@ -278,7 +306,7 @@ def localize(
     record = recorder.finish(skipped=source.skipped, images=source.counts)
     sure = np.array([status == "converged" for status in record.status])
     smoothed = smooth(
-        modes_of_images,
+        [modes[:SMOOTHED_MODES] for modes in modes_of_images],
         odometry,
         np.array(ways),
         record.filter,
@@ -290,6 +318,7 @@ def localize(
         skipped=source.skipped,
         images=source.counts,
         smoothed=Trajectory(record.times_ns, smoothed),
+        smoothed_agreement=agreement(smoothed, record.times_ns, modes_of_images, errors),
         kalman=Trajectory(record.times_ns, Poses.stack(kalman_poses)),
         gaussian_sum=Trajectory(record.times_ns, Poses.stack(gaussian_sum_poses)),
         peak_rss_mb=peak_rss_mb(),
@@ -302,10 +331,11 @@ def write_results(record: RunRecord, directory: Path, settings: dict[str, Any], 
         write_tum(directory / FILES[name], trajectory)
     if record.truth is not None:
         write_tum(directory / "ground_truth.tum", record.truth)
+    write_status(directory / "status.csv", record)
     pictures = write_pictures(record, directory, title=title)
     versions = {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in _PACKAGES}
-    text = json.dumps(settings | {"versions": versions}, indent=2) + "\n"
-    (directory / "config.json").write_text(text, encoding="utf-8")
+    with atomic_output(directory / "config.json") as partial:
+        partial.write_text(json.dumps(settings | {"versions": versions}, indent=2) + "\n", encoding="utf-8")
     report = build_report(record)
     write_report(directory / "report.json", report)
     return RunResult(record, report, tuple(picture.name for picture in pictures))
@@ -315,35 +345,3 @@ def peak_rss_mb() -> float:
     """Peak resident memory of this process, MiB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
-
-
-@contextmanager
-def complete_directory(directory: Path) -> Iterator[Path]:
-    """A hidden directory to write to; on success its files take the place of an earlier run's in `directory`."""
-    directory = directory.absolute()
-    # In the directory itself where it exists: its parent may be another disk, or not be writable.
-    place = directory if directory.is_dir() else directory.parent
-    partial = place / f".{directory.name}.{secrets.token_hex(4)}.partial"
-    try:
-        with _writing(directory):
-            partial.mkdir(parents=True)
-        yield partial
-        with _writing(directory):
-            directory.mkdir(exist_ok=True)
-            new = sorted(file.name for file in partial.iterdir())
-            for name in set(_SOMETIMES_WRITTEN) - set(new):  # of an earlier run, with other true poses or options
-                (directory / name).unlink(missing_ok=True)
-            for name in new:
-                (partial / name).replace(directory / name)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-
-
-@contextmanager
-def _writing(directory: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise VaporTrackError(
-            f"{directory}: cannot write: {error.strerror or error}, expected a directory that can be written to"
-        ) from error

@@ -79,6 +79,15 @@ def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     return metadata, tensors
 
 
+def format_of(path: Path) -> str | None:
+    """What a safetensors file says that it is; None where it says nothing, or is none."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            return (file.metadata() or {}).get("format")
+    except (OSError, SafetensorError, ValueError):
+        return None
+
+
 def content_sha256(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:
     """SHA-256 of names, types, shapes and bytes of all tensors, and of all metadata but the checksum itself."""
     said = {name: value for name, value in metadata.items() if name != CHECKSUM}

@@ -16,7 +16,7 @@ from sequences.errors import SequenceError
 from sequences.values import parse_number
 from vapor.checkpoint import parse_config, read_json
 from vapor.network import PoseRegressor
-from vapor.tensor_files import CHECKSUM, CheckpointError, read_safetensors, write_safetensors
+from vapor.tensor_files import CHECKSUM, CheckpointError, format_of, read_safetensors, write_safetensors
 from vapor.training_memory import Seen
 from vapor.validation import Validation
 
@@ -53,6 +53,11 @@ class TrainingState:
 def state_path(output: Path) -> Path:
     """Where the state of a training lies whose model will be `output`."""
     return output.with_suffix(".training.safetensors")
+
+
+def is_training_state(path: Path) -> bool:
+    """Whether a file is a training's state, of any version."""
+    return format_of(path) == FORMAT
 
 
 def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> None:

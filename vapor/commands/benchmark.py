@@ -14,11 +14,12 @@ from rich.table import Table
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from sequences.place import is_place
+from sequences.results import claim_folder
 from vapor import real_benchmark
 from vapor.benchmark import Benchmark, BenchmarkConfig
 from vapor.commands import real_tables
 from vapor.commands.benchmark_tables import failures, fault_failures, fault_tables, tables
-from vapor.commands.console import bar, parse, progress_of, show, usage_error
+from vapor.commands.console import OutputPath, Overwrite, bar, parse, progress_of, show, usage_error
 from vapor.familiarity_benchmark import IN_A_ROW, judge
 from vapor.faults import FaultBenchmark, FaultsConfig, summarise_faults
 from vapor.observation import Device, VaporObservationModel
@@ -82,8 +83,9 @@ class SceneOptions:
         tyro.conf.arg(metavar="{staircase,ceiling,corridor,building-N} ..."),
     ]
     """What the camera moves through; of buildings, N is the number that draws one."""
-    output: Path
+    output: OutputPath
     """Directory for recordings, results and summary.json; an interrupted benchmark of the same output goes on."""
+    overwrite: Overwrite = False
     models: tuple[str, ...] = ()
     """Model file, or name of a model that ships, for each scene. Default: the scenes' names; none of the corridor
     or of a building ships."""
@@ -155,9 +157,10 @@ class RealOptions:
 
     data: Path
     """Folder with the recordings; what is missing there is left out."""
-    output: Path
+    output: OutputPath
     """Directory for models, sequences, recordings, results and summary.json; an interrupted benchmark goes on, and what
     was made with the same settings and code is not made again."""
+    overwrite: Overwrite = False
     only: tuple[str, ...] = ()
     """Rows or groups of rows, such as tum_fr1 or stairs; all by default."""
     config: Annotated[RealConfig, tyro.conf.arg(name="")] = field(default_factory=RealConfig)
@@ -218,6 +221,7 @@ def _familiarity(arguments: Sequence[str]) -> None:
 def _real(arguments: Sequence[str]) -> None:
     o = parse("benchmark real", RealOptions, arguments)
     rows, missing = real_benchmark.choose(o.data, o.only)
+    claim_folder(o.output, "benchmark real", overwrite=o.overwrite)
     for name, needs in missing.items():
         show(f"left out: {name}, for want of {', '.join(needs)}")
     results = []
@@ -237,7 +241,7 @@ def _real(arguments: Sequence[str]) -> None:
 def _localization(arguments: Sequence[str]) -> None:
     o = parse("benchmark localization", LocalizationOptions, arguments)
     benchmark = Benchmark(o.model_of, o.output, o.config, o.replaced)
-    o.output.mkdir(parents=True, exist_ok=True)
+    claim_folder(o.output, "benchmark localization", overwrite=o.overwrite)
     with bar("choosing runs") as advance:
         trials = benchmark.choose(advance)
     with bar("recording") as advance:
@@ -260,7 +264,7 @@ def _localization(arguments: Sequence[str]) -> None:
 def _faults(arguments: Sequence[str]) -> None:
     o = parse("benchmark faults", FaultsOptions, arguments)
     benchmark = FaultBenchmark(o.model_of, o.output, o.config, o.replaced)
-    o.output.mkdir(parents=True, exist_ok=True)
+    claim_folder(o.output, "benchmark faults", overwrite=o.overwrite)
     with bar("choosing walks") as advance:
         walks, unused = benchmark.choose(advance)
     with bar("recording") as advance:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -12,8 +11,10 @@ from rich.table import Table
 
 from filtering.error_model import Six
 from sequences.options import SequenceOptions
+from sequences.results import refuse_other
 from vapor.calibrate import CalibrationResult, calibrate_model
-from vapor.commands.console import bar, parse, show, show_notices, show_skipped, usage_error
+from vapor.checkpoint import find_model, is_model
+from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_notices, show_skipped, usage_error
 from vapor.image_fit import REGIONS
 from vapor.observation import Device
 
@@ -26,8 +27,9 @@ class Options:
     """Model file, or name of a model that ships."""
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
     """MCAP files or data set folders that it was not trained on; PATH@START:STOP takes only those images."""
-    output: Path
-    """Model file to write (.safetensors)."""
+    output: OutputPath
+    """Model file to write (.safetensors), new or an earlier model."""
+    overwrite: Overwrite = False
     training: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Data that it was trained on, or some of it: what the place looks like is learned from that, for models that do
     not know it (`train --no-calibrate`) or are to learn it again; without it, from half of the held-out data."""
@@ -49,6 +51,8 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("calibrate", "no held-out data, expected at least one file or folder")
     if o.images < 1 or o.seed < 0:
         usage_error("calibrate", f"images {o.images} and seed {o.seed}, expected at least 1 and 0")
+    reads = [find_model(o.model)]
+    refuse_other(o.output, "model of vapor-track", is_model, reads=reads, overwrite=o.overwrite)
     with bar("images") as advance:
         result = calibrate_model(
             o.model,

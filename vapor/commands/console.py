@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import tyro
 from rich.console import Console
@@ -20,6 +20,32 @@ from filtering.errors import VaporTrackError
 from vapor.terminal import raise_of_output, say
 
 Options = TypeVar("Options")
+
+
+def _output(words: list[str]) -> Path:
+    if not words[0].strip():
+        raise ValueError("is empty, expected a path")
+    return Path(words[0])
+
+
+OutputPath = Annotated[
+    Path,
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="PATH",
+        instance_from_str=_output,
+        is_instance=lambda value: isinstance(value, Path),
+        str_from_instance=lambda path: [str(path)],
+    ),
+]
+"""A path to write to, which is not empty."""
+
+Overwrite = Annotated[
+    bool,
+    tyro.conf.FlagCreatePairsOff,
+    tyro.conf.arg(help="Write there even if something else is there, and replace what has the names of the results."),
+]
+"""Whether to replace what is not known to be results of an earlier call."""
 _MIN_WIDTH = 100  # of a table, where the output is no terminal
 
 

@@ -12,7 +12,9 @@ import tyro
 
 from sequences.convert import convert
 from sequences.odometry import OdometryNoise
-from vapor.commands.console import parse, show, show_skipped, usage_error
+from sequences.results import refuse_other
+from sequences.writer import is_own_sequence
+from vapor.commands.console import OutputPath, Overwrite, parse, show, show_skipped, usage_error
 
 
 @dataclass(frozen=True)
@@ -21,8 +23,9 @@ class Options:
 
     dataset: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
     """Folder of the data set, of any layout that `train` takes, or the file that lists a split of it."""
-    output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT.mcap")]
-    """MCAP file to write."""
+    output: Annotated[tyro.conf.Positional[OutputPath], tyro.conf.arg(metavar="OUT.mcap")]
+    """MCAP file to write, new or converted before."""
+    overwrite: Overwrite = False
     odometry: Path | None = None
     """Recorded odometry: a TUM trajectory of the camera, in any frame, of which only the relative motion counts."""
     odometry_noise: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -44,6 +47,8 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("convert", "--odometry and --odometry-noise exclude each other")
     if o.noise != OdometryNoise() and not o.odometry_noise:
         usage_error("convert", "--noise.* are settings of simulated odometry, expected --odometry-noise with them")
+    reads = [o.dataset] if o.odometry is None else [o.dataset, o.odometry]
+    refuse_other(o.output, "sequence that vapor-track wrote", is_own_sequence, reads=reads, overwrite=o.overwrite)
     start, stop = (int(number) if number else None for number in match.groups())
     summary = convert(
         o.dataset,

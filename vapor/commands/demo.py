@@ -10,11 +10,13 @@ from typing import Literal
 import tyro
 
 from sequences.errors import SequenceError
+from sequences.results import results_folder
 from sequences.synthesize import synthesize, write_synthetic
-from vapor.commands.console import bar, parse, show, show_files, usage_error
+from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_files, usage_error
 from vapor.report import format_table
-from vapor.run import RunConfig, run
+from vapor.run import RESULTS, RunConfig, load_model, run_into
 
+_SEQUENCE = "sequence.mcap"
 _METHODS = ("single_image", "dead_reckoning", "filter")
 
 
@@ -24,8 +26,9 @@ class Options:
 
     scene: tyro.conf.Positional[Literal["staircase", "ceiling"]] = "staircase"
     """What the camera moves through."""
-    output: Path | None = None
-    """Directory for sequence and results. Default: demo/SCENE."""
+    output: OutputPath | None = None
+    """Directory for sequence and results, new or with earlier ones. Default: demo/SCENE."""
+    overwrite: Overwrite = False
     seed: int = 1
     """Of the sequence and of the filter."""
     frames: int = 300
@@ -40,12 +43,13 @@ def main(arguments: Sequence[str]) -> None:
         synthetic = synthesize(options.scene, seed=options.seed, num_frames=options.frames)
     except SequenceError as error:  # of numbers that no sequence can have
         usage_error("demo", str(error))
-    output.mkdir(parents=True, exist_ok=True)
-    sequence = output / "sequence.mcap"
-    with bar("rendering") as advance:
-        write_synthetic(synthetic, sequence, progress=advance)
-    with bar("localizing") as advance:
-        result = run(sequence, options.scene, output, RunConfig(seed=options.seed), progress=advance)
+    with results_folder(output, "demo", writes=RESULTS | {_SEQUENCE}, overwrite=options.overwrite) as directory:
+        with bar("rendering") as advance:
+            write_synthetic(synthetic, directory / _SEQUENCE, progress=advance)
+        with bar("localizing") as advance:
+            config = RunConfig(seed=options.seed)
+            model = load_model(options.scene, config)
+            result = run_into(directory, directory / _SEQUENCE, model, config, progress=advance)
     shown = {name: result.report[name] for name in _METHODS if name in result.report}
     show(format_table(shown, title=f"{options.scene}, {result.report['frames']} synthetic images"))
     show_files(output, result.pictures, recording=True)

@@ -9,9 +9,10 @@ from typing import Annotated
 
 import tyro
 
-from vapor.commands.console import parse, show
+from sequences.results import MANIFEST, UNCHECKED, refuse_other
+from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
 from vapor.evaluate import evaluate_directory
-from vapor.report import format_table, write_report
+from vapor.report import format_table, is_report, write_report
 
 
 @dataclass(frozen=True)
@@ -22,14 +23,24 @@ class Options:
     """What `vapor-track run` wrote."""
     ground_truth: Path | None = None
     """True poses as a TUM file. Default: ground_truth.tum in the directory."""
-    output: Path | None = None
-    """JSON file to write the figures to."""
+    output: OutputPath | None = None
+    """JSON file to write the figures to, new or of an earlier evaluation."""
+    overwrite: Overwrite = False
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     options = parse("evaluate", Options, arguments)
+    if options.output is not None:
+        reads = [] if options.ground_truth is None else [options.ground_truth]
+        kind = "report of vapor-track"
+        refuse_other(options.output, kind, _is_evaluation, reads=reads, overwrite=options.overwrite)
     report = evaluate_directory(options.directory, options.ground_truth)
     if options.output is not None:
         write_report(options.output, report)
     show(format_table(report, title=str(options.directory)))
+    show_notices([UNCHECKED] if not (options.directory / MANIFEST).exists() else [])
+
+
+def _is_evaluation(path: Path) -> bool:
+    return is_report(path, "frames", "frames_with_true_pose")

@@ -15,7 +15,8 @@ from rich.table import Table
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
-from vapor.commands.console import bar, parse, show, usage_error
+from sequences.results import claim_folder
+from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, usage_error
 from vapor.commands.named_settings import Preset, parse_named
 from vapor.evaluate import RIGHT, THRESHOLDS
 from vapor.experiments.alpha import AlphaConfig
@@ -44,8 +45,9 @@ class AlphaOptions:
 
     scenes: _Tables
     """What the camera moves about."""
-    output: Path
+    output: OutputPath
     """Directory for images, results, alpha.json and pictures; an interrupted experiment goes on."""
+    overwrite: Overwrite = False
     threshold: _Threshold = "0.1m/10deg"
     """Limits of what is near the true pose, of the table and the pictures; alpha.json has all."""
     config: Annotated[AlphaConfig, tyro.conf.arg(name="")] = field(default_factory=AlphaConfig)
@@ -58,8 +60,9 @@ class AlphaOptions:
 class DecayOptions:
     """Train with many weight decays of the encoder, and measure modes, recall and densities."""
 
-    output: Path
+    output: OutputPath
     """Directory for images, results, decay.json and pictures; an interrupted experiment goes on."""
+    overwrite: Overwrite = False
     scenes: _Tables = ("round-table",)
     """What the camera moves about."""
     threshold: _Threshold = "0.3m/20deg"
@@ -81,8 +84,9 @@ class TableOptions:
 
     scenes: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="SCENE ...")]
     """Synthetic scenes by name, or your own data: NAME=TRAIN,...=TEST,... with whatever `train` reads."""
-    output: Path
+    output: OutputPath
     """Directory for images, results, table.json and table.md; an interrupted experiment goes on."""
+    overwrite: Overwrite = False
     preset: Preset = "demo"
     """Named settings of training, of which the options below change single ones; tables: small and fast, for the scenes
     of that name; paper-...: the paper's."""
@@ -97,8 +101,9 @@ class ScheduleOptions:
     differs in rate, batches, samples an image, crops and arithmetic, and neither averages nor decays weights.
     """
 
-    output: Path
+    output: OutputPath
     """Directory for images, results, schedule.json and the picture; trainings that are done are not done again."""
+    overwrite: Overwrite = False
     scene: Literal["staircase", "ceiling", "round-table", "dinner-table", "corridor"] = "staircase"
     """What the camera moves through."""
     preset: Preset = "demo"
@@ -125,11 +130,12 @@ def main(arguments: Sequence[str]) -> None:
 
 def _table(arguments: Sequence[str]) -> None:
     o = parse_named("experiment table", TableOptions, arguments, ("preset",), _table_config)
+    claim_folder(o.output, "experiment table", overwrite=o.overwrite)
     experiment = TableExperiment([parse_scene(text) for text in o.scenes], o.output, o.config)
     order = {method: k for k, method in enumerate(o.config.methods)}
     settings = _settings(o.config, o.scenes)
     results: list[dict[str, Any]] = []
-    for result in _trained(experiment, o.output, len(o.scenes) * len(o.config.methods) * o.config.seeds):
+    for result in _trained(experiment, len(o.scenes) * len(o.config.methods) * o.config.seeds):
         results.append(result)
         results.sort(key=lambda r: (r["scene"], order[r["label"]], r["seed"]))
         write_report(o.output / "table.json", {"settings": settings, "runs": results})
@@ -142,6 +148,7 @@ def _alpha(arguments: Sequence[str]) -> None:
     from vapor.experiments.sweep_pictures import draw_positions, draw_recall
 
     o = parse("experiment alpha", AlphaOptions, arguments)
+    claim_folder(o.output, "experiment alpha", overwrite=o.overwrite)
     experiment = Sweep(o.scenes, o.output, o.config)
     results = _swept(experiment, o.scenes)
     recalls = {threshold: by_value(results, "alpha", _recall(threshold)) for threshold in THRESHOLDS}
@@ -166,6 +173,7 @@ def _decay(arguments: Sequence[str]) -> None:
     from vapor.experiments.sweep_pictures import draw_decay, draw_positions
 
     o = parse("experiment decay", DecayOptions, arguments)
+    claim_folder(o.output, "experiment decay", overwrite=o.overwrite)
     experiment = Sweep(o.scenes, o.output, o.config)
     results = _swept(experiment, o.scenes)
     medians = {
@@ -189,8 +197,9 @@ def _schedule(arguments: Sequence[str]) -> None:
     from vapor.experiments.schedule_pictures import draw_courses
 
     o = parse_named("experiment schedule", ScheduleOptions, arguments, ("preset",), _schedule_config)
+    claim_folder(o.output, "experiment schedule", overwrite=o.overwrite)
     experiment = ScheduleExperiment(o.scene, o.output, o.config)
-    _render(experiment, o.output)
+    _render(experiment)
     courses: dict[str, list[Point]] = {}
     with bar("training") as advance:
         for schedule in SCHEDULES:
@@ -221,7 +230,7 @@ def _schedule_config(preset: str) -> ScheduleConfig:
 
 def _swept(experiment: Sweep, scenes: Sequence[str]) -> list[Mapping[str, Any]]:
     c = experiment.config
-    results = _trained(experiment, experiment.directory, len(scenes) * len(c.values) * c.runs)
+    results = _trained(experiment, len(scenes) * len(c.values) * c.runs)
     return in_order(list(results), c.parameter)
 
 
@@ -263,16 +272,15 @@ def _show_failed(results: Sequence[Mapping[str, Any]], parameter: str, symbol: s
             show(f"{r['scene']}, {symbol} = {r[parameter]:g}, seed {r['seed']}: {r['error']}")
 
 
-def _render(experiment: Sweep | ScheduleExperiment | TableExperiment, output: Path) -> None:
-    output.mkdir(parents=True, exist_ok=True)
+def _render(experiment: Sweep | ScheduleExperiment | TableExperiment) -> None:
     with bar("rendering") as advance:
         for done, total in experiment.render():
             advance(done, total)
 
 
-def _trained(experiment: Sweep | TableExperiment, output: Path, total: int) -> Iterator[dict[str, Any]]:
+def _trained(experiment: Sweep | TableExperiment, total: int) -> Iterator[dict[str, Any]]:
     """Render and train with progress; the result of every training as it is done."""
-    _render(experiment, output)
+    _render(experiment)
     with bar("training") as advance:
         for done, result in enumerate(experiment.train(), start=1):
             yield result

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from sequences.estimates import EstimateOptions
-from vapor.commands.console import bar, parse, show, show_files, show_skipped, usage_error
+from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_files, show_skipped, usage_error
 from vapor.fuse import EstimateConfig, fuse
 from vapor.report import format_table
 from vapor.run import FilteringConfig
@@ -25,8 +25,9 @@ class Options:
 
     estimates: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="ESTIMATES")]
     """Files of pose estimates, one for each method; each is one hypothesis of where the camera is."""
-    output: Path
-    """Directory for the results."""
+    output: OutputPath
+    """Directory for the results, new or with earlier ones."""
+    overwrite: Overwrite = False
     odometry: Path | None = None
     """Recorded odometry: poses of the camera in any frame, of which only the relative motion counts."""
     simulate_odometry: Path | None = None
@@ -55,6 +56,7 @@ def main(arguments: Sequence[str]) -> None:
             ground_truth=o.ground_truth,
             trust=o.trust,
             reading=o.reading,
+            overwrite=o.overwrite,
             progress=advance,
         )
     report = result.report

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -14,9 +15,18 @@ import tyro
 from rich.table import Table
 
 from filtering.errors import VaporTrackError
-from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
-from vapor.commands.console import parse, progress_of, show, show_notices, show_skipped, usage_error
+from sequences.results import results_folder
+from vapor.commands.console import (
+    OutputPath,
+    Overwrite,
+    parse,
+    progress_of,
+    show,
+    show_notices,
+    show_skipped,
+    usage_error,
+)
 from vapor.inspection.coverage import Coverage, height
 from vapor.inspection.inspect import Inspection, inspect
 from vapor.inspection.odometry import OdometryCheck
@@ -27,6 +37,7 @@ from vapor.observation import Device, VaporObservationModel
 from vapor.report import write_report
 
 _TOLD = 8
+_MAP, _REPORT = "map.png", "report.json"
 
 
 @dataclass(frozen=True)
@@ -38,8 +49,9 @@ class Options:
     of it."""
     model: str | None = None
     """Model file, or name of a model that ships with the package: say, too, where it is unsure or wrong."""
-    output: Path | None = None
-    """Folder for report.json and, where there are true poses, map.png."""
+    output: OutputPath | None = None
+    """Folder for report.json and, where there are true poses, map.png; new or with earlier ones."""
+    overwrite: Overwrite = False
     json: bool = False
     """Print the report as JSON instead."""
     num_samples: int = 300
@@ -60,23 +72,16 @@ def main(arguments: Sequence[str]) -> None:
     o = parse("inspect", Options, arguments)
     if not o.data:
         usage_error("inspect", "no data, expected at least one file or folder")
-    if o.output is not None and o.output.exists() and not o.output.is_dir():
-        raise SequenceError(f"{o.output}: is a file, expected a folder to write to")
-    model = None
-    if o.model is not None:
-        model = VaporObservationModel.from_checkpoint(o.model, num_samples=o.num_samples, device=o.device)
-    with progress_of("inspect") as advance:
-        found = inspect(o.data, o.reading, model=model, seed=o.seed, progress=advance)
-    written = []
-    if o.output is not None:
-        try:
-            o.output.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise SequenceError(f"{o.output}: cannot write: {error.strerror or error}") from error
-        if found.coverage is not None:
-            written.append(draw_map(o.output / "map.png", found.coverage, found.predictions))
-        write_report(o.output / "report.json", found.as_json())
-        written.append(o.output / "report.json")
+    with _outputs(o) as directory:
+        model = None
+        if o.model is not None:
+            model = VaporObservationModel.from_checkpoint(o.model, num_samples=o.num_samples, device=o.device)
+        with progress_of("inspect") as advance:
+            found = inspect(o.data, o.reading, model=model, seed=o.seed, progress=advance)
+        if directory is not None:
+            if found.coverage is not None:
+                draw_map(directory / _MAP, found.coverage, found.predictions)
+            write_report(directory / _REPORT, found.as_json())
     if o.json:
         show(json.dumps(found.as_json(), indent=2, sort_keys=True, allow_nan=False))
         return
@@ -91,8 +96,16 @@ def main(arguments: Sequence[str]) -> None:
         show_notices([*_model_lines(found.predictions, found.coverage)])
     show("\nVerdict")
     show_notices([f"{number}. {sentence}" for number, sentence in enumerate(found.verdict, 1)])
-    for path in written:
-        show(f"{path}")
+    if o.output is not None:
+        for name in (_MAP,) * (found.coverage is not None) + (_REPORT,):
+            show(f"{o.output / name}")
+
+
+def _outputs(o: Options) -> AbstractContextManager[Path | None]:
+    if o.output is None:
+        return nullcontext()
+    reads = [Path(entry.split("@")[0]) for entry in o.data]
+    return results_folder(o.output, "inspect", writes=(_MAP, _REPORT), reads=reads, overwrite=o.overwrite)
 
 
 def _show_walks(walks: Sequence[Walk]) -> None:

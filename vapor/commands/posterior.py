@@ -13,10 +13,12 @@ import tyro
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.datasets import posed_frames
+from sequences.results import refuse_other
 from vapor.checkpoint import find_model, load_checkpoint
-from vapor.commands.console import parse, show, show_notices
+from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
 from vapor.evaluate import THRESHOLDS
 from vapor.observation import Device, VaporObservationModel
+from vapor.pictures import is_picture
 from vapor.posterior_metrics import posterior_metrics
 from vapor.posterior_pictures import draw_posterior
 
@@ -27,8 +29,9 @@ class Options:
 
     data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")]
     """MCAP file or data set folder with true poses."""
-    output: Path
-    """Picture to write (.png)."""
+    output: OutputPath
+    """Picture to write (.png), new or one of vapor-track's."""
+    overwrite: Overwrite = False
     model: str = "staircase"
     """Model file, or name of a model that ships with the package."""
     image: int = 0
@@ -52,7 +55,9 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("posterior", Options, arguments)
-    checkpoint = load_checkpoint(find_model(o.model))
+    file = find_model(o.model)
+    refuse_other(o.output, "picture of vapor-track", is_picture, reads=[o.data, file], overwrite=o.overwrite)
+    checkpoint = load_checkpoint(file)
     frame = next(posed_frames(o.data, frames=slice(o.image, o.image + 1)))
     model = VaporObservationModel(checkpoint, num_samples=o.num_samples, device=o.device, camera=frame.camera)
     truth = frame.world_from_camera

@@ -12,6 +12,8 @@ import tyro
 from filtering.errors import VaporTrackError
 from sequences.options import SequenceOptions
 from vapor.commands.console import (
+    OutputPath,
+    Overwrite,
     bar,
     parse,
     progress_of,
@@ -35,8 +37,10 @@ class Options:
     """MCAP files or rosbag2 folders with images and odometry; any other folder stands for all that are in it."""
     model: str
     """Model file, or name of a model that ships with the package: staircase, ceiling."""
-    output: Path
-    """Directory for the results; of several sequences it gets a folder each, and summary.json."""
+    output: OutputPath
+    """Directory for the results, new or with earlier ones; of several sequences it gets a folder each, and
+    summary.json."""
+    overwrite: Overwrite = False
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
     config: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
 
@@ -61,6 +65,7 @@ def _run_one(options: Options) -> None:
             options.output,
             options.config,
             reading=options.reading,
+            overwrite=options.overwrite,
             progress=advance,
         )
     report = result.report
@@ -88,6 +93,7 @@ def _run_fleet(options: Options) -> None:
                 options.output,
                 options.config,
                 reading=options.reading,
+                overwrite=options.overwrite,
                 progress=lambda name, done, count: advance(numbers[name], done, max(done, count)),
             ):
                 outcomes.append(outcome)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from sequences.errors import SequenceError
 from sequences.place import SCENES
+from sequences.results import refuse_other
 from sequences.route import Cues
 from sequences.synthesize import synthesize, write_synthetic
-from vapor.commands.console import bar, parse, show, usage_error
+from sequences.writer import is_own_sequence
+from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, usage_error
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,9 @@ class Options:
         tyro.conf.arg(metavar="{" + ",".join([*SCENES, "building-N"]) + "}"),
     ]
     """What the camera moves through. The number N draws a building, with a camera and an odometry of its own."""
-    output: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT.mcap")]
-    """MCAP file to write."""
+    output: Annotated[tyro.conf.Positional[OutputPath], tyro.conf.arg(metavar="OUT.mcap")]
+    """MCAP file to write, new or synthesized before."""
+    overwrite: Overwrite = False
     seed: int = 0
     """Of path, odometry noise and sensor noise; in a building of light and people, too."""
     frames: int = 300
@@ -48,6 +50,7 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("synthesize", Options, arguments)
+    refuse_other(o.output, "sequence that vapor-track wrote", is_own_sequence, overwrite=o.overwrite)
     try:
         sequence = synthesize(
             o.scene,

@@ -13,12 +13,23 @@ import tyro
 from rich.table import Table
 
 from sequences.options import SequenceOptions
+from sequences.results import refuse_other
+from vapor.checkpoint import is_model
 from vapor.commands.calibrate import show_calibration
-from vapor.commands.console import progress_display, show, show_notices, show_skipped, usage_error
+from vapor.commands.console import (
+    OutputPath,
+    Overwrite,
+    progress_display,
+    show,
+    show_notices,
+    show_skipped,
+    usage_error,
+)
 from vapor.commands.named_settings import Method, Preset, parse_named
 from vapor.presets import METHODS, PRESETS
 from vapor.train import Progress, TrainConfig, TrainResult, train
 from vapor.training_check import TrainingCheck
+from vapor.training_state import is_training_state, state_path
 from vapor.validation import Validation
 
 
@@ -28,8 +39,9 @@ class Options:
 
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
     """MCAP files, data set folders or files that list a split; PATH@START:STOP takes only those images of it."""
-    output: Path
-    """Model file to write (.safetensors)."""
+    output: OutputPath
+    """Model file to write (.safetensors), new or an earlier model."""
+    overwrite: Overwrite = False
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Held-out data, of other images; without it passes over ground that others cover are held out."""
     preset: Preset = "auto"
@@ -53,6 +65,10 @@ def main(arguments: Sequence[str]) -> None:
     )
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
+    initial = [] if options.config.initial_model is None else [options.config.initial_model]
+    refuse_other(options.output, "model of vapor-track", is_model, reads=initial, overwrite=options.overwrite)
+    state = state_path(options.output)
+    refuse_other(state, "interrupted training", is_training_state, reads=initial, overwrite=options.overwrite)
     with _display() if sys.stderr.isatty() else _log() as report:
         result = train(
             options.data,

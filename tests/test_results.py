@@ -1,0 +1,453 @@
+"""Results are only ever replaced by results, whole: what outputs refuse, what they keep, and what kills leave."""
+
+import builtins
+import errno
+import fcntl
+import io
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from sequences import results
+from sequences.atomic import NEW, atomic_output, clear_leftovers, move_in, workspace
+from sequences.errors import SequenceError
+from sequences.results import MANIFEST, claim_folder, read_manifest, refuse_other, results_folder, verify
+
+WRITES = ("a.tum", "b.json", "sometimes.png")
+
+
+def interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+def write(
+    directory: Path, content: str, *, sometimes: bool = False, meanwhile: Callable[[], object] = int, **options
+) -> None:
+    with results_folder(directory, "run", writes=WRITES, **options) as new:
+        for name in WRITES if sometimes else WRITES[:2]:
+            with atomic_output(new / name) as partial:
+                partial.write_text(content)
+        meanwhile()
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+
+
+def whole(directory: Path) -> str:
+    """What results were written with, once they are found to be complete and of one run."""
+    files = contents(directory)
+    assert set(files) - {"notes.txt", "sometimes.png"} == {"a.tum", "b.json", MANIFEST}
+    verify(directory, WRITES)
+    (content,) = {files[name] for name in WRITES if name in files}
+    return content
+
+
+def refused(directory: Path, *said: str, **options) -> None:
+    """Check that nothing is written, or even begun."""
+    before = contents(directory.parent)
+    with pytest.raises(SequenceError) as error, results_folder(directory, "run", writes=WRITES, **options):
+        pytest.fail("the work began")
+    assert all(words in str(error.value) for words in (str(directory), "expected", *said))
+    assert "\n" not in str(error.value)
+    assert contents(directory.parent) == before
+
+
+@pytest.fixture
+def one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Folders cannot be exchanged, as where they are mounted."""
+
+    def fails(one: Path, other: Path) -> None:
+        raise OSError(errno.EBUSY, "Device or resource busy")
+
+    monkeypatch.setattr(results, "_exchange", fails)
+
+
+# --- which folders are written to ----------------------------------------------------------------------
+
+
+def test_results_appear_with_a_manifest_and_are_replaced_as_one(tmp_path):
+    out = tmp_path / "deep" / "out"
+    write(out, "first", sometimes=True)
+    assert set(contents(out)) == {*WRITES, MANIFEST}
+    manifest = read_manifest(out)
+    assert manifest["command"] == "run"
+    assert manifest["files"]["a.tum"].size == 5
+    write(out, "second")
+    assert whole(out) == "second"
+    assert set(contents(out)) == {"a.tum", "b.json", MANIFEST}
+    assert os.listdir(out.parent) == ["out"]
+
+
+def test_an_error_on_the_way_leaves_nothing_of_new_folders_and_all_of_old_ones(tmp_path):
+    write(tmp_path / "old", "first")
+    for out in (tmp_path / "deep" / "new", tmp_path / "old"):
+        with pytest.raises(KeyboardInterrupt):
+            write(out, "half", meanwhile=interrupt)
+    assert os.listdir(tmp_path) == ["old"]
+    assert whole(tmp_path / "old") == "first"
+
+
+def test_a_folder_with_files_of_the_users_is_refused_and_names_three_of_them(tmp_path):
+    mine = {"seq.mcap": "images", "a.tum": "my truth", "b.json": "{}", "notes.txt": "mine"}
+    for name, text in mine.items():
+        (tmp_path / name).write_text(text)
+    refused(tmp_path, "a.tum, b.json, notes.txt and 1 more", "--overwrite")
+    write(tmp_path, "new", overwrite=True)
+    assert contents(tmp_path).items() >= {"seq.mcap": "images", "notes.txt": "mine", "a.tum": "new"}.items()
+    assert read_manifest(tmp_path)["files"].keys() == {"a.tum", "b.json"}
+
+
+def test_results_with_a_note_or_a_change_of_the_users_are_refused(tmp_path):
+    out = tmp_path / "out"
+    write(out, "first", sometimes=True)
+    (out / "notes.txt").write_text("mine")
+    refused(out, "holds notes.txt,")
+    (out / "sometimes.png").write_text("FIRST")
+    refused(out, "notes.txt, sometimes.png (changed)")
+    write(out, "second", overwrite=True)
+    assert contents(out)["notes.txt"] == "mine"
+    assert contents(out)["sometimes.png"] == "FIRST"  # no longer what was listed, and not written anew
+    assert contents(out)["a.tum"] == "second"
+
+
+def test_with_overwrite_files_of_the_earlier_manifest_go_and_no_others(tmp_path):
+    write(tmp_path, "first", sometimes=True)
+    (tmp_path / "notes.txt").write_text("mine")
+    write(tmp_path, "second", overwrite=True)
+    assert set(contents(tmp_path)) == {"a.tum", "b.json", "notes.txt", MANIFEST}
+    assert whole(tmp_path) == "second"
+
+
+def test_what_is_read_is_never_replaced(tmp_path):
+    out = tmp_path / "out"
+    write(out, "first", sometimes=True)
+    refused(out, "sometimes.png (which is read)", reads=[out / "sometimes.png"])
+    refused(out, "is read", reads=[out / "sometimes.png"], overwrite=True)
+    refused(out, "is read", reads=[out], overwrite=True)
+    (out / "poses.txt").write_text("truth")
+    write(out, "second", reads=[out / "poses.txt"], overwrite=True)
+    assert contents(out)["poses.txt"] == "truth"
+
+
+def test_a_sequence_that_results_list_stays_where_they_are_written_anew(tmp_path):
+    with results_folder(tmp_path, "demo", writes=[*WRITES, "sequence.mcap"]) as new:
+        (new / "sequence.mcap").write_text("images")
+    refused(tmp_path, "sequence.mcap (which is read)", reads=[tmp_path / "sequence.mcap"])
+    write(tmp_path, "new", reads=[tmp_path / "sequence.mcap"], overwrite=True)
+    assert contents(tmp_path)["sequence.mcap"] == "images"
+
+
+def test_links_are_followed_unless_they_lead_nowhere(tmp_path):
+    (tmp_path / "link").symlink_to("real")
+    refused(tmp_path / "link", "is a link to real, which does not exist")
+    with pytest.raises(SequenceError, match="link to real"), atomic_output(tmp_path / "link"):
+        pytest.fail("the work began")
+    (tmp_path / "real").mkdir()
+    for content in ("first", "second"):
+        write(tmp_path / "link", content)
+        assert whole(tmp_path / "real") == content
+    assert (tmp_path / "link").is_symlink()
+
+
+def test_a_file_and_a_folder_in_the_place_of_a_file_are_refused(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    refused(tmp_path / "file", "is a file")
+    (tmp_path / "out" / "a.tum").mkdir(parents=True)
+    refused(tmp_path / "out", "a.tum: is a folder", overwrite=True)
+
+
+def test_results_in_the_working_directory_are_replaced_within_it(tmp_path, monkeypatch):
+    write(tmp_path, "first", sometimes=True)
+    monkeypatch.chdir(tmp_path)
+    folder = os.stat(".").st_ino
+    write(Path("."), "second")
+    assert os.stat(tmp_path).st_ino == folder
+    assert whole(tmp_path) == "second"
+    assert set(os.listdir(tmp_path)) == {"a.tum", "b.json", MANIFEST}
+
+
+@pytest.mark.usefixtures("one_by_one")
+def test_where_folders_cannot_be_exchanged_files_are_replaced(tmp_path):
+    out = tmp_path / "out"
+    write(out, "first", sometimes=True)
+    write(out, "second")
+    assert whole(out) == "second"
+    assert set(os.listdir(out)) == {"a.tum", "b.json", MANIFEST}
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_a_file_that_a_user_adds_during_the_work_is_not_lost(tmp_path):
+    write(tmp_path / "out", "first")
+    write(tmp_path / "out", "second", meanwhile=lambda: (tmp_path / "out" / "notes.txt").write_text("mine"))
+    assert contents(tmp_path / "out")["notes.txt"] == "mine"
+    assert whole(tmp_path / "out") == "second"
+    (tmp_path / "out" / "notes.txt").unlink()
+    with pytest.raises(SequenceError, match=r"a\.tum: was written meanwhile"):
+        write(tmp_path / "out", "third", meanwhile=lambda: (tmp_path / "out" / "a.tum").write_text("mine"))
+    assert contents(tmp_path / "out")["a.tum"] == "mine"
+
+
+@pytest.mark.parametrize(
+    "text", ["{}", "[1]", "no json", '{"format": "vapor-track results", "version": 1, "files": 3}']
+)
+def test_a_manifest_of_someone_else_is_a_file_like_any_other(text, tmp_path):
+    (tmp_path / MANIFEST).write_text(text)
+    refused(tmp_path, MANIFEST)
+    with pytest.raises(SequenceError, match="manifest"):
+        verify(tmp_path, WRITES)
+
+
+def test_a_manifest_cannot_name_files_of_other_folders(tmp_path):
+    (tmp_path / "precious").write_text("first")
+    write(tmp_path / "out", "first")
+    manifest = json.loads((tmp_path / "out" / MANIFEST).read_text())
+    manifest["files"]["../precious"] = manifest["files"].pop("a.tum")
+    (tmp_path / "out" / MANIFEST).write_text(json.dumps(manifest))
+    refused(tmp_path / "out", "a.tum")
+    write(tmp_path / "out", "second", overwrite=True)
+    assert (tmp_path / "precious").read_text() == "first"
+
+
+def test_a_file_that_differs_from_its_manifest_or_is_missing_is_named(tmp_path):
+    write(tmp_path, "first")
+    verify(tmp_path, WRITES)
+    (tmp_path / "a.tum").write_text("FIRST")
+    verify(tmp_path, ["b.json"])
+    with pytest.raises(SequenceError, match=r"a\.tum: differs"):
+        verify(tmp_path, WRITES)
+    (tmp_path / "b.json").unlink()
+    with pytest.raises(SequenceError, match=r"b\.json: missing"):
+        verify(tmp_path, ["b.json"])
+
+
+def test_a_folder_that_grows_is_known_again_and_others_are_refused(tmp_path):
+    claim_folder(tmp_path / "bench", "benchmark faults")
+    (tmp_path / "bench" / "summary.json").write_text("{}")
+    claim_folder(tmp_path / "bench", "benchmark faults")
+    refused(tmp_path / "bench", MANIFEST, "summary.json")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "summary.json").write_text("mine")
+    with pytest.raises(SequenceError, match=r"holds summary\.json, expected"):
+        claim_folder(tmp_path / "mine", "benchmark faults")
+    claim_folder(tmp_path / "mine", "benchmark faults", overwrite=True)
+    claim_folder(tmp_path / "mine", "benchmark faults")
+
+
+# --- single files --------------------------------------------------------------------------------------
+
+
+def test_a_file_is_only_replaced_by_its_kind(tmp_path):
+    path = tmp_path / "model"
+
+    def ours(file: Path) -> bool:
+        return file.read_text() == "model"
+
+    refuse_other(path, "model", ours)
+    path.write_text("thesis")
+    with pytest.raises(SequenceError, match="exists and is no model, expected a new file or one; --overwrite"):
+        refuse_other(path, "model", ours)
+    refuse_other(path, "model", ours, overwrite=True)
+    path.write_text("model")
+    refuse_other(path, "model", ours)
+    with pytest.raises(SequenceError, match="is read"):
+        refuse_other(path, "model", ours, reads=[tmp_path / "." / "model"], overwrite=True)
+
+
+def test_a_file_of_results_is_not_replaced_by_another_of_its_kind(tmp_path):
+    write(tmp_path, "first")
+    with pytest.raises(SequenceError, match="belongs to the results"):
+        refuse_other(tmp_path / "b.json", "report", lambda _: True)
+
+
+def test_a_link_to_a_file_stays_one_and_devices_stay_devices(tmp_path):
+    (tmp_path / "real").write_text("before")
+    (tmp_path / "link").symlink_to("real")
+    with atomic_output(tmp_path / "link") as partial:
+        partial.write_text("after")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "real").read_text() == "after"
+    with pytest.raises(SequenceError, match="not a regular file"), atomic_output(Path(os.devnull)):
+        pytest.fail("the work began")
+
+
+# --- processes that are killed -------------------------------------------------------------------------
+
+
+def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
+    dead = tmp_path / ".out.0123abcd.partial"
+    (dead / NEW).mkdir(parents=True)
+    (tmp_path / ".m.safetensors.00000000.partial").write_text("of an earlier version")
+    (tmp_path / ".mine.partial").write_text("mine")
+    with workspace(tmp_path, "other") as living:
+        (living / "file").write_text("half")
+        write(tmp_path / "out", "first")
+        assert (living / "file").exists()
+        assert set(os.listdir(tmp_path)) == {"out", living.name, ".mine.partial"}
+
+
+@pytest.mark.parametrize("after", range(8))
+def test_files_that_were_half_replaced_are_put_back(after, tmp_path):
+    """The process dies between two renames; of what it leaves the next one makes the results that were there."""
+    write(tmp_path, "first", sometimes=True)
+    work = tmp_path / ".out.0123abcd.partial"
+    write(tmp_path / "made", "second")
+    (tmp_path / "made").rename(work)
+    (work / NEW).mkdir()
+    for name in ("a.tum", "b.json", MANIFEST):
+        (work / name).rename(work / NEW / name)
+    (work / NEW / "added").write_text("second")
+    rename, left = os.rename, iter(range(after))
+
+    def dying(*paths: object) -> None:
+        if next(left, None) is None:
+            raise InterruptedError
+        rename(*paths)
+
+    moving = pytest.MonkeyPatch()
+    moving.setattr(os, "rename", dying)
+    with pytest.raises(InterruptedError):
+        move_in(work, ["a.tum", "b.json", "added", MANIFEST], instead_of=[MANIFEST, "sometimes.png"])
+    moving.undo()
+    verify(tmp_path, WRITES)
+    assert whole(tmp_path) == "first"
+    assert set(os.listdir(tmp_path)) == {*WRITES, MANIFEST}
+
+
+def test_results_that_are_being_replaced_are_not_read(tmp_path):
+    write(tmp_path, "first")
+    with workspace(tmp_path, "out"):
+        (tmp_path / MANIFEST).unlink()
+        with pytest.raises(SequenceError, match="being replaced"):
+            verify(tmp_path, WRITES)
+
+
+WRITER = """
+import sys
+sys.path[:] = eval(sys.argv.pop(1))
+from pathlib import Path
+from sequences import results
+from sequences.atomic import atomic_output
+if sys.argv[2] == "one by one":
+    def fails(one, other):
+        raise OSError(16, "busy")
+    results._exchange = fails
+for number in range(10**6):
+    with results.results_folder(Path(sys.argv[1]), "run", writes=("a.tum", "b.json", "sometimes.png")) as new:
+        for name in ("a.tum", "b.json") + ("sometimes.png",) * (number % 2):
+            with atomic_output(new / name) as partial:
+                partial.write_text(f"{number}\\n" * 500)
+    print(number, flush=True)
+"""
+
+
+@pytest.mark.parametrize("how", ["exchanged", "one by one"])
+def test_kills_at_random_moments_leave_whole_results(how, tmp_path):
+    kills = int(os.environ.get("KILLS", "30")) // 2
+    rng = random.Random(how)
+    out = tmp_path / "out"
+    for _ in range(kills):
+        process = subprocess.Popen(
+            [sys.executable, "-S", "-c", WRITER, repr(sys.path), str(out), how],
+            stdout=subprocess.PIPE,
+        )
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        time.sleep(0.05 * rng.random())
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        if (out / MANIFEST).exists():
+            assert all(listed.is_of(out / name) for name, listed in read_manifest(out)["files"].items())
+        clear_leftovers(tmp_path)
+        verify(out, WRITES)
+        whole(out)
+        assert os.listdir(tmp_path) == ["out"]
+
+
+# --- full disks ----------------------------------------------------------------------------------------
+
+
+class Disk:
+    """Counts what is written, and is full from some call on."""
+
+    def __init__(self, room: float) -> None:
+        self.room = room
+
+    def use(self) -> None:
+        self.room -= 1
+        if self.room < 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def taking(self, call: Callable) -> Callable:
+        def taken(*arguments, **options):
+            self.use()
+            return call(*arguments, **options)
+
+        return taken
+
+
+@contextmanager
+def filling(room: float) -> Iterator[Disk]:
+    disk = Disk(room)
+
+    def opened(path, mode="r", *arguments, original=io.open, **options):
+        file = original(path, mode, *arguments, **options)
+        if not set(mode) & set("wxa+"):
+            return file
+        disk.use()
+        file.write = disk.taking(file.write) if not isinstance(file, io.TextIOWrapper) else file.write
+        return file
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("mkdir", "rename", "replace"):
+            patch.setattr(os, name, disk.taking(getattr(os, name)))
+        patch.setattr(results, "_exchange", disk.taking(results._exchange))
+        for module in (io, builtins):
+            patch.setattr(module, "open", opened)
+        yield disk
+
+
+@pytest.mark.parametrize("how", ["exchanged", "one_by_one"])
+def test_a_disk_that_is_full_at_any_call_leaves_the_old_results(how, tmp_path, request):
+    if how == "one_by_one":
+        request.getfixturevalue(how)
+    write(tmp_path / "out", "first", sometimes=True)
+    with filling(float("inf")) as disk:
+        disk.room = 10**6
+        write(tmp_path / "other", "second")
+        write(tmp_path / "other", "third", sometimes=True)
+    calls = 0
+    while True:
+        with filling(calls), suppress(SequenceError):
+            write(tmp_path / "out", "second")
+            break
+        if calls % 5 == 0:
+            with filling(calls), pytest.raises(SequenceError, match=r"^[^\n]*No space left[^\n]*$"):
+                write(tmp_path / "out", "second")
+        clear_leftovers(tmp_path / "out")
+        clear_leftovers(tmp_path)
+        assert whole(tmp_path / "out") == "first"
+        assert set(os.listdir(tmp_path)) == {"out", "other"}
+        calls += 1
+    assert calls > 10
+    assert whole(tmp_path / "out") == "second"
+
+
+def test_a_file_system_without_locks_can_be_written_to(tmp_path, monkeypatch):
+    def fails(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", fails)
+    (tmp_path / ".out.0123abcd.partial").mkdir()
+    write(tmp_path / "out", "first")
+    assert whole(tmp_path / "out") == "first"
+    assert (tmp_path / ".out.0123abcd.partial").exists()  # who knows whose it is
