@@ -357,12 +357,12 @@ class _Pairing:
         except SequenceError as error:
             return self._skip_image(why_left_out(error), time_ns, error)
         odometry = None
-        is_fixed = self._base_from_camera is not None and (self._moved_ns is None or time_ns < self._moved_ns)
-        if is_fixed and previous_ns is not None and covered and self._previous_covered:
+        base_from_camera = self._base_from_camera if self._moved_ns is None or time_ns < self._moved_ns else None
+        if base_from_camera is not None and previous_ns is not None and covered and self._previous_covered:
             odometry = self._odometry.odometry_between(
                 previous_ns,
                 time_ns,
-                base_from_camera=self._base_from_camera,
+                base_from_camera=base_from_camera,
                 motion_noise=self._options.motion_noise,
             )
         truth = self._true_pose(time_ns)
