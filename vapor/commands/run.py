@@ -24,6 +24,7 @@ from vapor.commands.console import (
 from vapor.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
 from vapor.report import format_table
 from vapor.run import RunConfig, run
+from vapor.terminal import shortened
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def _show_outcomes(outcomes: Sequence[Outcome], output: Path) -> None:
     show(format_fleet(outcomes))
     for outcome in outcomes:
         if outcome.error is not None or outcome.skipped or outcome.notices:
-            show(f"{outcome.name}{f': failed: {outcome.error}' if outcome.error is not None else ''}")
+            show(f"{outcome.name}{f': failed: {shortened(outcome.error)}' if outcome.error is not None else ''}")
             show_skipped(outcome.skipped)
             show_notices(outcome.notices)
     summed = total(outcomes)
