@@ -167,7 +167,7 @@ def test_an_error_keeps_its_status_where_it_cannot_be_told():
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_help_and_errors_are_printed_on_terminals_of_any_encoding(encoding):
-    process = started([*COMMAND, "experiment", "alpha", "--help"], env={"PYTHONIOENCODING": encoding})
+    process = started([*COMMAND, "--help"], env={"PYTHONIOENCODING": encoding})
     out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
     assert "?" in out

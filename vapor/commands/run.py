@@ -27,6 +27,7 @@ from vapor.commands.console import (
 from vapor.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
 from vapor.report import format_table
 from vapor.run import RunConfig, run
+from vapor.terminal import shortened
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def _show_outcomes(outcomes: Sequence[Outcome], output: Path) -> None:
     for outcome in outcomes:
         few = [] if outcome.few_images is None else [outcome.few_images]
         if outcome.error is not None or outcome.skipped or outcome.notices or few:
-            show(f"{outcome.name}{f': failed: {outcome.error}' if outcome.error is not None else ''}")
+            show(f"{outcome.name}{f': failed: {shortened(outcome.error)}' if outcome.error is not None else ''}")
             show_skipped(outcome.skipped)
             show_notices([*outcome.notices, *few])
     summed = total(outcomes)
