@@ -498,7 +498,7 @@ def test_a_folder_must_be_a_rosbag2_with_its_files(walk_file: Path, tmp_path: Pa
     listing = tmp_path / "metadata.yaml"
     for text, said in [
         ("version: 5\n", "names no files"),
-        ("relative_file_paths:\n- gone.mcap\n", r"gone\.mcap, which is not in the folder"),
+        ("relative_file_paths:\n- gone.mcap\n", r"gone\.mcap', which is not in the folder"),
         ("relative_file_paths:\n- bag_0.db3\n", r"bag_0\.db3, expected \.mcap"),
     ]:
         listing.write_text(text)
