@@ -40,7 +40,7 @@ def decoder(message_type: str, encoding: str, definition: bytes) -> Callable[[by
 
 
 def _json_fields(data: bytes) -> SimpleNamespace:
-    fields = _with_attributes(parse_json(data, "message"))
+    fields = _with_attributes(parse_json(data, "no JSON"))
     if not isinstance(fields, SimpleNamespace):
         raise SequenceError("no JSON object")
     return fields

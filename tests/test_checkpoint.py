@@ -108,7 +108,7 @@ MALFORMED = {
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
     "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '8', '7' or '6', or '4'"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
-    "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "not JSON"),
+    "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "expected JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
     "surplus tensor": (lambda t, m: ({**t, "network.extra": torch.zeros(1)}, m), "surplus tensor network.extra"),
     "wrong shape": (lambda t, m: ({**t, HEAD: torch.zeros(4, 15)}, m), r"shape \(4, 15\), expected \(4, 16\)"),

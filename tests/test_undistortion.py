@@ -264,7 +264,7 @@ BAD = {
     ),
     "NaN in K": (
         {"k": matrix(5.0, 5.0, np.nan)},
-        "camera with cx nan, expected a finite number",
+        "camera with cx nan, expected between",
     ),
     "no width": ({"width": 0}, "camera with width 0, expected between"),
     "folded": ({"d": [-400.0, 0, 0, 0, 0]}, "fold the image about its principal point"),
