@@ -276,9 +276,10 @@ def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, mon
 
 
 def test_processes_give_the_results_of_one(folder, tiny_model, tmp_path):
-    assert run(folder, tiny_model, "--kinds", "cue", "--runs", "2") == 0
+    kinds = ("--kinds", "cue", "no-cue")
+    assert run(folder, tiny_model, *kinds) == 0
     alone = json.loads((folder / "summary.json").read_text())["runs"]
-    assert run(tmp_path, tiny_model, "--kinds", "cue", "--runs", "2", "--workers", "2") == 0
+    assert run(tmp_path, tiny_model, *kinds, "--workers", "2") == 0
     together = json.loads((tmp_path / "summary.json").read_text())["runs"]
     assert len(together) == 2
     for ours, theirs in zip(alone, together, strict=True):

@@ -104,7 +104,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_fleet_gives_each_sequence_what_it_gets_alone_and_one_summary(
     bags, tiny_model, tmp_path, capsys, monkeypatch
 ):

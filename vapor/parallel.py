@@ -14,7 +14,12 @@ Result = TypeVar("Result")
 
 
 def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers: int) -> Iterator[Result]:
-    """The result of `function(*job)` for every job, in no order, as each is done."""
+    """The result of `function(*job)` for every job, in no order, as each is done.
+
+    A process takes seconds to start: no more are started than there are jobs, and for a single one none.
+    """
+    jobs = list(jobs)
+    workers = max(1, min(workers, len(jobs)))
     # Processes start with the signals blocked that are blocked here: a terminal sends its own to all of them, but it is
     # this process that answers and ends the others, which would die with a traceback each.
     warnings.filterwarnings("ignore", r"\d+ tasks (which|have) ", UserWarning)  # of those left when it is interrupted

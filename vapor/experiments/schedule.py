@@ -52,11 +52,13 @@ class ScheduleConfig:
     """The paper's schedule is given up after so many times the time that the default one takes to its best epoch."""
     seed: int = 0
     """Of both trainings."""
+    workers: int = 2
+    """Sequences that are rendered at a time."""
     train: TrainConfig = field(default_factory=TrainConfig)
     """The default schedule, and the network, its first weights, α and unit of positions of both."""
 
     def __post_init__(self) -> None:
-        counts = dict.fromkeys(("sequences", "frames", "validation_frames"), (1, 10**6))
+        counts = dict.fromkeys(("sequences", "frames", "validation_frames", "workers"), (1, 10**6))
         require_within(self, most=(0.0, 1e6), seed=(0, 10**9), **counts)
 
     def of(self, schedule: str) -> TrainConfig:
@@ -113,7 +115,7 @@ class ScheduleExperiment:
             test_walks=1,
             test_frames=c.validation_frames,
             height=rendered_height(c.train.network.frame_size),
-            workers=2,
+            workers=c.workers,
         ):
             (self._scene,) = scenes
             yield done, total
