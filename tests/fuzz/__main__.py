@@ -105,6 +105,8 @@ def fuzz(
                     _end(running.pop(each.connection))
                     if each.numbers:
                         again.append((each.name, each.numbers))
+    except KeyboardInterrupt:  # what is known so far is told
+        return tallies
     finally:
         for each in running.values():
             _end(each)
@@ -120,7 +122,8 @@ def _start(name: str, numbers: range, seed: int) -> _Running:
 
 
 def _work(connection: Connection, name: str, numbers: range, seed: int, folder: Path) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its processes
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # decoders of images say there what they think
     sample = Sample(name, folder)
     limit_memory()
@@ -213,6 +216,7 @@ def main() -> int:
     parser.add_argument("--save", type=Path, help="a folder for what failed, one example a cause")
     parser.add_argument("--keep", action="store_true", help="add these examples to the corpus that the tests replay")
     o = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     torch.set_num_threads(1)
     cv2.setNumThreads(0)
     until = None if o.files is not None else time.monotonic() + o.seconds

@@ -65,6 +65,8 @@ class Sample:
                 str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()
             }
             self._whole = self._reader.read(self._path)
+        if self._reader.image_topic is not None and self._reader.stated(self._path) != self._whole.items:
+            raise RuntimeError(f"{name}: {self._whole.items} images read of {self._reader.stated(self._path)} stated")
 
     def changes(self, seed: int, number: int) -> tuple[Changes, str]:
         """The damage of a case, and what it is in words; the same whenever it is asked for."""

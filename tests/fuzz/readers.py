@@ -34,6 +34,7 @@ from vapor.network import NetworkConfig, SceneBox
 from vapor.retrieval import RetrievalRegressor, memory_of
 
 _IMAGES = 6
+_WALK_TOPIC, _ROBOT_TOPIC = "/camera/image/compressed", "/image/compressed"
 
 
 class UnsoundError(Exception):
@@ -341,7 +342,7 @@ def _load_model(path: Path) -> Reading:
 # --- all -------------------------------------------------------------------------------------------
 
 
-def _mcap(make: Callable[[Path], Path], topic: str = "/image/compressed", odometry: OdometryUse = "required") -> Reader:
+def _mcap(make: Callable[[Path], Path], topic: str = _WALK_TOPIC, odometry: OdometryUse = "required") -> Reader:
     return Reader(make, partial(_recording, odometry=odometry), topic, counts_images=True)
 
 
@@ -360,10 +361,12 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "mcap-protobuf": _mcap(partial(_foxglove, encoding="protobuf"), "/camera/image"),
         "mcap-json": _mcap(partial(_foxglove, encoding="json"), "/camera/image"),
         "mcap-foxglove-cdr": _mcap(partial(_foxglove, encoding="cdr"), "/camera/image"),
-        "mcap-tf": _mcap(_tf),
-        "mcap-path": _mcap(partial(_told_by, message_type="nav_msgs/Path")),
-        "mcap-covariance": _mcap(partial(_told_by, message_type="geometry_msgs/PoseWithCovarianceStamped")),
-        "mcap-transform": _mcap(partial(_told_by, message_type="geometry_msgs/TransformStamped")),
+        "mcap-tf": _mcap(_tf, _ROBOT_TOPIC),
+        "mcap-path": _mcap(partial(_told_by, message_type="nav_msgs/Path"), _ROBOT_TOPIC),
+        "mcap-covariance": _mcap(
+            partial(_told_by, message_type="geometry_msgs/PoseWithCovarianceStamped"), _ROBOT_TOPIC
+        ),
+        "mcap-transform": _mcap(partial(_told_by, message_type="geometry_msgs/TransformStamped"), _ROBOT_TOPIC),
         "mcap-raw": _mcap(_raw, "/image"),
         "mcap-video": _mcap(partial(_video, of_ros=False), "/camera/image", "unread"),
         "mcap-ffmpeg": _mcap(partial(_video, of_ros=True), "/camera/image/ffmpeg", "unread"),
