@@ -109,7 +109,8 @@ def test_an_mcap_file_put_together_again_is_whole_and_damage_is_under_checksums_
         assert sample.judge({file: put_together(take_apart(data), repair=repair)}).outcome == "same"
     assert sample.judge({file: put_together(take_apart(data), repair=True, compression="zstd")}).outcome == "same"
     found = take_apart(data)
-    odometry = next(r for r in _messages(found) if 600 < len(r.body) < 800)  # but for its header as short as the others
+    told = [record for record in _messages(found) if 600 < len(record.body) < 800]  # which only odometry has
+    odometry = told[len(told) // 2]
     odometry.body = odometry.body[:-8] + np.float64(0.5).tobytes()  # the last number of its covariance
     assert sample.judge({file: put_together(found, repair=True)}).outcome == "silent"
     if name in ("mcap", "mcap-lz4", "mcap-zstd"):

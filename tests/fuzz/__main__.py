@@ -27,6 +27,7 @@ HANG_S = 10.0
 
 _SETUP_S = 120.0  # a sample may take so long to make
 _BLOCK = 200  # files of one reader in a row
+_ANEW = 77  # exit status of a process that another one goes on for
 _FORK = multiprocessing.get_context("fork")
 
 
@@ -133,6 +134,8 @@ def _work(connection: Connection, name: str, numbers: range, seed: int, folder: 
         changes, damage = sample.changes(seed, number)
         verdict = sample.judge(changes, damage)
         connection.send((verdict, time.process_time() - begin_s))
+        if verdict.cause.startswith("memory"):
+            sys.exit(_ANEW)  # the peak of a process only grows
 
 
 def _take(each: _Running, tally: Tally) -> bool:
@@ -142,10 +145,10 @@ def _take(each: _Running, tally: Tally) -> bool:
         verdict, took_s = each.connection.recv()
     except EOFError:
         each.process.join()
-        if each.numbers and each.ready:
+        if each.numbers and each.ready and each.process.exitcode != _ANEW:
             tally.add(each.numbers[0], Verdict("failure", f"crash with exit status {each.process.exitcode}"))
             each.numbers = each.numbers[1:]
-        elif each.numbers:
+        elif not each.ready:
             raise RuntimeError(f"the sample of {each.name} cannot be made or read") from None
         return True
     if each.ready:

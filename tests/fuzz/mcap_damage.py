@@ -119,11 +119,11 @@ def put_together(found: list[Record], *, repair: bool, compression: str | None =
         opcode, body = record.opcode, record.body
         if opcode == Opcode.CHUNK and (chunk := record.parsed()) is not None and (repair or record.held):
             plain, entries = _chunk_content(record.held)
-            if repair or compression is not None:
+            if compression is not None or plain != _decompressed(chunk):
                 chunk.compression = chunk.compression if compression is None else compression
+                chunk.data = _compressed(plain, chunk.compression)
             if repair:
                 chunk.uncompressed_size, chunk.uncompressed_crc = len(plain), zlib.crc32(plain)
-            chunk.data = _compressed(plain, chunk.compression)
             body = _body(chunk)
             places.append((out.tell(), 9 + len(body), chunk))
             indexes.append({})
