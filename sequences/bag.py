@@ -251,10 +251,21 @@ def _check_summary(file: Path, stream: IO[bytes]) -> None:
         raise SequenceError(f"{file}: damaged MCAP: index from byte {begin} on does not match its checksum")
 
 
+class _Bounded(io.BufferedReader):
+    """A file of which no more is asked for than it has: for a damaged length, memory of that length would be taken."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__(io.FileIO(file))
+        self._most = os.fstat(self.fileno()).st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        return super().read(self._most if size is None or size < 0 else min(size, self._most))
+
+
 @contextmanager
 def _reading(file: Path) -> Iterator[IO[bytes]]:
     """Open a file; whatever goes wrong in the library while reading becomes an error that names file and byte."""
-    with open(file, "rb") as stream:
+    with _Bounded(file) as stream:
         try:
             yield stream
         except SequenceError:

@@ -99,7 +99,9 @@ def test_a_case_is_the_same_whenever_it_is_asked_for_and_leaves_the_sample_whole
     assert {str(f.relative_to(one.folder)): f.read_bytes() for f in one.folder.rglob("*") if f.is_file()} == one.files
 
 
-@pytest.mark.parametrize("name", ["mcap", "mcap-lz4", "mcap-zstd", "mcap-without-checksums", "mcap-without-chunks"])
+@pytest.mark.parametrize(
+    "name", ["mcap", "mcap-lz4", "mcap-zstd", "mcap-without-checksums", "mcap-without-chunks", "mcap-without-index"]
+)
 def test_an_mcap_file_put_together_again_is_whole_and_damage_is_under_checksums_that_fit(
     name: str, tmp_path: Path
 ) -> None:
@@ -131,3 +133,9 @@ def test_what_is_kept_of_a_file_gives_it_back() -> None:
         for data in (whole[: at[0]] + rng.bytes(int(rng.integers(0, 5))) + whole[at[1] :], whole + whole, b""):
             assert _spliced(whole, _splice(whole, data)) == data
     assert _spliced(b"whole", _splice(b"whole", None)) is None
+
+
+def test_what_once_failed_fails_no_more() -> None:
+    for name, entries in cases.kept().items():
+        for entry, verdict in zip(entries, cases.judge_all(name, entries), strict=True):
+            assert verdict.outcome != "failure", f"{name}: {verdict.cause}: {verdict.said}: {str(entry)[:200]}"

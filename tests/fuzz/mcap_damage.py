@@ -149,7 +149,8 @@ def put_together(found: list[Record], *, repair: bool, compression: str | None =
             body = struct.pack("<I", zlib.crc32(out.getvalue()))
         elif opcode == Opcode.FOOTER and repair and len(body) == 20:
             head = struct.pack("<BQQQ", opcode, 20, summary_start, 0)
-            body = head[9:] + struct.pack("<I", zlib.crc32(out.getvalue()[summary_start:] + head))
+            begin = summary_start or out.tell()
+            body = head[9:] + struct.pack("<I", zlib.crc32(out.getvalue()[begin:] + head))
         if in_summary and not summary_start and opcode != Opcode.FOOTER:
             summary_start = out.tell()
         if opcode == Opcode.SUMMARY_OFFSET and repair:
