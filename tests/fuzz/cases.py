@@ -152,31 +152,20 @@ class Sample:
                 (self.folder / name).write_bytes(self.files[name])
 
 
-def judge_all(name: str, cases: list[Changes]) -> list[Verdict]:
-    """Verdicts on several changes of one reader's sample, in this process."""
-    with tempfile.TemporaryDirectory() as folder:
-        sample = Sample(name, Path(folder))
-        return [sample.judge(changes) for changes in cases]
-
-
 # --- what is kept ----------------------------------------------------------------------------------
 
 
-def kept() -> dict[str, list[Changes]]:
-    """Cases that once failed, by reader: files as splices of those of the sample."""
-    found: dict[str, list[Changes]] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        samples: dict[str, Sample] = {}
-        for line in _CORPUS.read_text(encoding="ascii").splitlines():
-            entry = json.loads(line)
-            name = entry["reader"]
-            if name not in samples:
-                (Path(folder) / name).mkdir()
-                samples[name] = Sample(name, Path(folder) / name)
-            whole = samples[name].files
-            changes = {file: _spliced(whole[file], splice) for file, splice in entry["files"].items()}
-            found.setdefault(name, []).append(changes)
-    return found
+def replay() -> Iterator[tuple[str, Verdict]]:
+    """Readers and verdicts of the cases that once failed: files as splices of those of the sample."""
+    entries = [json.loads(line) for line in _CORPUS.read_text(encoding="ascii").splitlines()]
+    for name in dict.fromkeys(entry["reader"] for entry in entries):
+        with tempfile.TemporaryDirectory() as folder:
+            sample = Sample(name, Path(folder))
+            for entry in entries:
+                if entry["reader"] == name:
+                    files = entry["files"].items()
+                    changes = {file: _spliced(sample.files[file], splice) for file, splice in files}
+                    yield name, sample.judge(changes, entry["damage"])
 
 
 def keep(sample: Sample, changes: Changes, verdict: Verdict) -> bool:
