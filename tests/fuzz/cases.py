@@ -116,8 +116,8 @@ class Sample:
         except VaporTrackError as error:
             if any(isinstance(each, MemoryError) for each in _chain(error)):
                 return "failure", "memory: over the limit", str(error)
-            if len(str(error)) > MOST_CHARACTERS:
-                return "failure", f"long message at {_place(error)}", f"{len(str(error))} characters: {error}"
+            if (length := len(str(error).replace(str(self.folder), ""))) > MOST_CHARACTERS:  # wherever it lies
+                return "failure", f"long message at {_place(error)}", f"{length} characters: {error}"
             return "refused", "", ""
         except UnsoundError as error:
             return "failure", f"unsound {str(error).split()[0]}", str(error)
