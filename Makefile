@@ -17,7 +17,7 @@ CEILING_HELD_OUT := $(foreach seed,$(shell seq 100 103),$(DATA)/ceiling-$(seed).
 FORMER := --preset demo --network.no-shortcut --loss.position-unit metre --initial-log-variance 0 --batch-size 64
 SQUARE := $(FORMER) --network.image-width 128 --network.image-height 128 --network.shortest-edge 146
 
-.PHONY: demo test check models clean
+.PHONY: demo test check fuzz models clean
 
 demo: $(INSTALLED)
 	$(BIN)/vapor-track demo
@@ -30,6 +30,11 @@ check: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright --project pyproject.toml --level error
 	$(BIN)/lint-imports
+
+# Damaged files for every reader; `make fuzz SECONDS=60 FUZZ="--reader mcap-zstd --seed 1"`, see tests/fuzz.
+SECONDS ?= 600
+fuzz: $(INSTALLED)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --seconds $(SECONDS) $(FUZZ)
 
 $(INSTALLED): pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv

@@ -24,12 +24,23 @@ class VaporTrackError(Exception):
         return shortened(text, MAX_MESSAGE)
 
 
-def shortened(text: str, most: int) -> str:
-    """A text of at most so many characters: of a longer one, the middle is left out."""
-    if len(text) <= most:
+def shortened(message: str, length: int = MAX_MESSAGE) -> str:
+    """A message of at most so many characters: of words that are too long, then of the whole, the middle goes."""
+    words, excess = message.split(" "), len(message) - length
+    for index in sorted(range(len(words)), key=lambda index: -len(words[index])):
+        word = words[index]
+        if excess <= 0 or len(word) <= _MAX_QUOTED:
+            break
+        words[index] = _without_middle(word, max(len(word) - excess, _MAX_QUOTED))
+        excess -= len(word) - len(words[index])
+    return _without_middle(" ".join(words), length)
+
+
+def _without_middle(text: str, length: int) -> str:
+    if len(text) <= length:
         return text
-    begin = (most - 5) * 3 // 5
-    return f"{text[:begin]} ... {text[len(text) - (most - 5 - begin) :]}"
+    end = (length - 1) // 3
+    return f"{text[: length - 1 - end]}…{text[len(text) - end :]}"
 
 
 def quoted(value: object) -> str:

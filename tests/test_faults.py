@@ -15,6 +15,8 @@ from vapor.evaluate import dead_reckoning
 from vapor.faults import (
     FAULTS,
     NONE,
+    a_third,
+    ahead,
     find_moment,
     frozen,
     judge,
@@ -152,6 +154,22 @@ def test_late_odometry_is_that_of_two_images_before():
     np.testing.assert_array_equal(motions(faulty)[:3], motions(walk())[[0, 1, 1]])
 
 
+def test_a_clock_that_jumps_ahead_gives_the_motion_of_later_and_skips_images_when_it_is_back():
+    faulty = ahead(walk(), DURING)
+    poses, truth = dead_reckoning(Poses.identity(), faulty.odometry), walk().truth
+    when = [*range(10), *range(20, 25), *[24] * 10, *range(25, 30)]  # what odometry tells of at each image
+    np.testing.assert_allclose(poses.as_matrix(), truth[np.array(when)].as_matrix(), atol=1e-12)
+    assert seen(faulty) == [None if image in range(15, 25) else image for image in range(N)]
+    assert [each.duration_s for each in faulty.odometry][15:25] == [0.0] * 10
+    assert sum(each.duration_s for each in faulty.odometry) == pytest.approx(0.1 * N)
+
+
+def test_of_a_third_of_the_images_two_between_say_nothing():
+    faulty = a_third(walk(), range(N))
+    assert seen(faulty) == [None if image % 3 else image for image in range(N)]
+    assert_odometry_is_untouched(faulty)
+
+
 def test_faults_last_a_while_to_the_end_or_throughout():
     times_ns = 100_000_000 * np.arange(300, dtype=np.int64)
     assert FAULTS["black"].during(100, times_ns) == range(100, 150)
@@ -234,6 +252,7 @@ def test_a_summary_averages_shares_and_names_the_walks_that_failed():
 OPTIONS = [
     "--walks", "1", "--frames", "50", "--width", "32", "--height", "24", "--num-samples", "20", "--workers", "1",
     "--first-seed", "700", "--localizer.max-hypotheses", "4", "--faults", "black", "tripled", "upside-down",
+    "three-times",
 ]  # fmt: skip
 ALWAYS_SURE = [
     "--localizer.converged-weight", "0", "--localizer.converged-std-m", "1e9",
@@ -262,19 +281,22 @@ def short(monkeypatch) -> None:
 def test_a_walk_runs_without_and_with_every_fault_once(folder, tiny_model, monkeypatch, capsys):
     followed = []
     follow = faults.follow_trial
-    monkeypatch.setattr(faults, "follow_trial", lambda *arguments: followed.append(1) or follow(*arguments))
+    monkeypatch.setattr(faults, "follow_trial", lambda *arguments: followed.append(arguments[2]) or follow(*arguments))
     assert run(folder, tiny_model, *ALWAYS_SURE) == 0
-    assert len(followed) == 4
+    assert len(followed) == 5
     out, summary = capsys.readouterr().out, (folder / "summary.json").read_bytes()
     for said in ("ceiling: 1 walks", "no fault", "black images", "odometry tripled", "images upside down"):
         assert said in out
     content = json.loads(summary)
     assert {each["fault"]: each["begin"] for each in content["runs"]} == dict.fromkeys(
-        [NONE, "black", "tripled", "upside-down"], 10
+        [NONE, "black", "tripled", "upside-down", "three-times"], 10
     )
+    once, *_, more = followed
+    np.testing.assert_array_equal(more.times_ns[::3], once.times_ns)
+    np.testing.assert_allclose(more.truth[::3].as_matrix(), once.truth.as_matrix(), atol=1e-9)
     assert content["summary"]["ceiling"].keys() == {each["fault"] for each in content["runs"]}
     assert run(folder, tiny_model, *ALWAYS_SURE) == 0
-    assert len(followed) == 4
+    assert len(followed) == 5
     assert (capsys.readouterr().out, (folder / "summary.json").read_bytes()) == (out, summary)
 
 

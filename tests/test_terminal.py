@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from rich.table import Table
 
+from filtering.errors import MAX_MESSAGE, shortened
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.tum import write_tum
 from tests.simulated_run import simulated_steps
 from vapor.commands import console
 from vapor.signals import Signals
-from vapor.terminal import MESSAGE_LENGTH, say, shortened
+from vapor.terminal import say
 from vapor.track import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -211,16 +212,16 @@ raise SystemExit(main())
 def test_messages_are_shortened_where_they_are_longest_and_keep_both_ends(capsys):
     path, token = "/data/walk.mcap", "x" * 100_000
     found = shortened(f"{path}: topic is {token!r}, expected the name of a topic")
-    assert len(found) == MESSAGE_LENGTH
+    assert len(found) == MAX_MESSAGE
     assert found.startswith(f"{path}: topic is 'xxx")
     assert found.endswith("xxx', expected the name of a topic")
-    assert len(shortened("word " * 1000)) == MESSAGE_LENGTH
-    assert len(shortened(" ".join([token] * 20))) == MESSAGE_LENGTH
-    fits = "y" * MESSAGE_LENGTH
+    assert len(shortened("word " * 1000)) == MAX_MESSAGE
+    assert len(shortened(" ".join([token] * 20))) == MAX_MESSAGE
+    fits = "y" * MAX_MESSAGE
     assert shortened(fits) == fits
     say(f"two\nlines {token}")
     err = capsys.readouterr().err
-    assert (err.count("\n"), len(err)) == (1, MESSAGE_LENGTH + 1)
+    assert (err.count("\n"), len(err)) == (1, MAX_MESSAGE + 1)
 
 
 LONG = "9" * 3000
@@ -242,7 +243,7 @@ def test_no_message_is_longer_than_300_characters(words, said, capsys, monkeypat
     err = capsys.readouterr().err
     assert said in err
     assert err.count("\n") == 1
-    assert len(err) <= MESSAGE_LENGTH + 1
+    assert len(err) <= MAX_MESSAGE + 1
 
 
 def test_wrong_arguments_are_told_in_a_line_without_the_help_of_what_is_there(capsys):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, reduce
 from itertools import islice
@@ -49,11 +49,14 @@ LONG_S = 1.0
 NONE = "none"
 """The name of the run without a fault."""
 
+_AHEAD_S = 1.0  # that a clock jumps
+_MORE_IMAGES = 3  # for every one
 _NOISE_IMAGES = 50  # that differ; walks share them
 _BARREN = 20  # walks in a row without a moment for a fault, after which there is none to be hoped for
 
-Film = Literal["black", "noise", "upside-down", "elsewhere"]
-"""Images that are shown instead of those of the walk, as the network sees them."""
+Film = Literal["black", "noise", "upside-down", "elsewhere", "three-times"]
+"""Images that are shown instead of those of the walk, as the network sees them; the last: all of them, and two more
+after each."""
 
 
 # What a fault changes. Each takes a replay of n images, and the images during which the fault lasts, one at least.
@@ -61,7 +64,16 @@ Film = Literal["black", "noise", "upside-down", "elsewhere"]
 
 def no_images(replay: Replay, during: range) -> Replay:
     """The camera gives nothing, odometry goes on: an image that says nothing moves the belief as `predict` does."""
-    return shown(replay, during, lambda image: Poses.identity(0), np.zeros(len(replay.times_ns)))
+    return _missing(replay, during)
+
+
+def a_third(replay: Replay, during: range) -> Replay:
+    """The camera gives a third of the images; odometry goes on."""
+    return _missing(replay, [image for image in during if (image - during.start) % 3])
+
+
+def _missing(replay: Replay, images: Collection[int]) -> Replay:
+    return shown(replay, images, lambda image: Poses.identity(0), np.zeros(len(replay.times_ns)))
 
 
 def frozen(replay: Replay, during: range) -> Replay:
@@ -71,7 +83,10 @@ def frozen(replay: Replay, during: range) -> Replay:
 
 
 def shown(
-    replay: Replay, during: range, posterior_poses: Callable[[int], Poses], unfamiliarity: Float64[np.ndarray, " n"]
+    replay: Replay,
+    during: Collection[int],
+    posterior_poses: Callable[[int], Poses],
+    unfamiliarity: Float64[np.ndarray, " n"],
 ) -> Replay:
     """Other images are shown.
 
@@ -81,7 +96,7 @@ def shown(
         posterior_poses: Posterior samples of the other images, by the number of the image that each replaces.
         unfamiliarity: Of the other images, (n,).
     """
-    affected = np.isin(np.arange(len(replay.times_ns)), during)
+    affected = np.isin(np.arange(len(replay.times_ns)), [*during])
     return replace(
         replay,
         posterior_poses=lambda image: (posterior_poses if image in during else replay.posterior_poses)(image),
@@ -134,6 +149,20 @@ def late(replay: Replay, during: range) -> Replay:
     return replace(replay, odometry=tuple(odometry))
 
 
+def ahead(replay: Replay, during: range) -> Replay:
+    """The camera's clock jumps ahead by a second, and back at the end.
+
+    Images get the motion of a second later. Those of the second after the end have stamps that were there already: they
+    are skipped, and the motion to the next one is counted from the last stamp before.
+    """
+    by = images_in(_AHEAD_S, replay.times_ns)
+    odometry = list(replay.odometry)
+    odometry[during.start] = reduce(Odometry.then, replay.odometry[during.start : during.start + by + 1])
+    odometry[during.start + 1 : during.stop] = replay.odometry[during.start + 1 + by : during.stop + by]
+    odometry[during.stop : during.stop + by] = [Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)] * by
+    return _missing(replace(replay, odometry=tuple(odometry)), range(during.stop, during.stop + by))
+
+
 def _reported(replay: Replay, during: range, change: Callable[[Odometry], Odometry]) -> Replay:
     """The same with odometry that is changed, increment by increment."""
     odometry = [change(each) if image in during else each for image, each in enumerate(replay.odometry)]
@@ -181,6 +210,9 @@ FAULTS: Mapping[str, Fault] = MappingProxyType(
         "scale": Fault("odometry 20 % long", too_long),
         "scale-throughout": Fault("odometry 20 % long, always", too_long, "throughout"),
         "late": Fault("odometry 0.2 s late, always", late, "throughout"),
+        "ahead": Fault("camera's clock 1 s ahead", ahead),
+        "a-third": Fault("a third of images, always", a_third, "throughout"),
+        "three-times": Fault("3 times the images, always", "three-times", "throughout"),
         "elsewhere": Fault("another scene, to the end", "elsewhere", "to the end"),
         "noise": Fault("noise, to the end", "noise", "to the end"),
         "turned-over": Fault("upside down, to the end", "upside-down", "to the end"),
@@ -197,8 +229,8 @@ class FaultsConfig(RecordingsConfig):
     """Walks of each scene, each without a fault and with every one."""
     faults: tuple[str, ...] = tuple(FAULTS)
     """Of camera, for five seconds: black, frozen, upside-down, no-images; of odometry: standing-still, tripled, reset,
-    scale, and all the walk scale-throughout and late; images of no place in the map, to the end: elsewhere, noise,
-    turned-over."""
+    scale, and all the walk scale-throughout; of clocks: all the walk late, for five seconds ahead; of rates, all the
+    walk: a-third, three-times; images of no place in the map, to the end: elsewhere, noise, turned-over."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -317,6 +349,9 @@ class FaultBenchmark:
         shared = replace(own, seed=self.config.first_seed)
         if cause == "upside-down":
             return replace(own, part=(piece.start, piece.length), change="upside down")
+        if cause == "three-times":
+            part = (_MORE_IMAGES * piece.start, _MORE_IMAGES * (piece.length - 1) + 1)
+            return replace(own, frames=_MORE_IMAGES * own.frames, rate_hz=_MORE_IMAGES * own.rate_hz, part=part)
         if cause == "black":
             return replace(shared, frames=1, change="black")
         if cause == "noise":
@@ -342,7 +377,8 @@ def run_without(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
         replay = load_replay(trial, setup, directory)
         beliefs = follow_trial(trial, setup, replay).beliefs
         begin = find_moment(beliefs["filter"].status, replay.times_ns)
-        return _result(trial, NONE, begin, range(len(replay.times_ns)), replay, beliefs)
+        whole = range(len(replay.times_ns))
+        return _result(trial, NONE, begin, None if begin is None else _judge_all(beliefs, replay, begin, whole))
 
     return _kept(trial, NONE, setup, directory, compute)
 
@@ -370,8 +406,12 @@ def run_fault(
     def compute() -> dict[str, Any]:
         replay = load_replay(trial, setup, directory)
         cause, during = FAULTS[fault].cause, FAULTS[fault].during(begin, replay.times_ns)
-        faulty = cause(replay, during) if callable(cause) else _filmed(replay, during, film, directory)
-        return _result(trial, fault, begin, during, replay, follow_trial(trial, setup, faulty).beliefs)
+        faulty = cause(replay, during) if callable(cause) else _filmed(replay, during, cause, film, directory)
+        # It may have more images; the fault begins at the same time.
+        first = int(np.searchsorted(faulty.times_ns, replay.times_ns[begin]))
+        during = FAULTS[fault].during(first, faulty.times_ns)
+        judged = _judge_all(follow_trial(trial, setup, faulty).beliefs, faulty, first, during)
+        return _result(trial, fault, begin, judged)
 
     more = {"begin": begin, "film": None if film is None else film.name}
     return _kept(trial, fault, setup, directory, compute, more)
@@ -486,14 +526,11 @@ def _aggregate(results: Sequence[Mapping[str, Any]], method: str) -> dict[str, A
     }
 
 
-def _result(
-    trial: Trial, fault: str, begin: int | None, during: range, replay: Replay, beliefs: Mapping[str, Belief]
-) -> dict[str, Any]:
-    methods = None
-    if begin is not None:
-        methods = {
-            name: judge(belief, replay.times_ns, replay.truth, begin, during) for name, belief in beliefs.items()
-        }
+def _judge_all(beliefs: Mapping[str, Belief], replay: Replay, begin: int, during: range) -> dict[str, Any]:
+    return {name: judge(belief, replay.times_ns, replay.truth, begin, during) for name, belief in beliefs.items()}
+
+
+def _result(trial: Trial, fault: str, begin: int | None, methods: Mapping[str, Any] | None) -> dict[str, Any]:
     return {"name": trial.name, "scene": trial.scene, "fault": fault, "begin": begin, "methods": methods}
 
 
@@ -509,11 +546,15 @@ def _kept(
     return kept(directory / "faults" / f"{trial.name}-{fault}", settings, compute)
 
 
-def _filmed(replay: Replay, during: range, film: RecordingSettings | None, directory: Path) -> Replay:
-    """The replay with a film shown; a short one begins again."""
+def _filmed(replay: Replay, during: range, cause: Film, film: RecordingSettings | None, directory: Path) -> Replay:
+    """The replay with a film shown; a short one begins again, and one of the walk itself takes its place."""
     assert film is not None
     recording = load_recording(film, directory / "recordings")
     count = len(recording.times_ns)
+    if cause == "three-times":
+        odometry, truth = tuple(map(recording.motion, range(count))), recording.path.world_from_camera
+        posterior_poses, unfamiliarity = recording.posterior_poses, recording.unfamiliarity
+        return Replay(recording.times_ns, odometry, truth, posterior_poses, unfamiliarity, replay.cue_images)
     numbers = np.arange(len(replay.times_ns)) % count
     return shown(
         replay, during, lambda image: recording.posterior_poses(image % count), recording.unfamiliarity[numbers]

@@ -8,8 +8,7 @@ import os
 import sys
 from typing import NoReturn, TextIO
 
-MESSAGE_LENGTH = 300
-_WORD_LENGTH = 60  # to which words are cut before sentences are
+from filtering.errors import shortened
 
 
 def encode_anything() -> None:
@@ -20,7 +19,7 @@ def encode_anything() -> None:
 
 
 def say(message: str) -> None:
-    """One line on standard error, of at most `MESSAGE_LENGTH` characters; nothing where it cannot be written to."""
+    """One line on standard error, of at most `MAX_MESSAGE` characters; nothing where it cannot be written to."""
     if sys.stderr is None:  # closed by the shell
         return
     try:
@@ -41,25 +40,6 @@ def write(text: str) -> None:
             sys.stdout.write(text + "\n")
     except OSError as error:
         raise_of_output(error)
-
-
-def shortened(message: str, length: int = MESSAGE_LENGTH) -> str:
-    """A message of at most so many characters: of words that are too long, then of the whole, the middle goes."""
-    words, excess = message.split(" "), len(message) - length
-    for index in sorted(range(len(words)), key=lambda index: -len(words[index])):
-        word = words[index]
-        if excess <= 0 or len(word) <= _WORD_LENGTH:
-            break
-        words[index] = _without_middle(word, max(len(word) - excess, _WORD_LENGTH))
-        excess -= len(word) - len(words[index])
-    return _without_middle(" ".join(words), length)
-
-
-def _without_middle(text: str, length: int) -> str:
-    if len(text) <= length:
-        return text
-    end = (length - 1) // 3
-    return f"{text[: length - 1 - end]}…{text[len(text) - end :]}"
 
 
 def flush_output() -> None:

@@ -71,7 +71,8 @@ def _run(words: list[str], signals: Signals) -> int:
     """Run the command that the words name; gives the exit status."""
     import importlib
 
-    from vapor.terminal import say, shortened, write
+    from filtering.errors import shortened
+    from vapor.terminal import say, write
 
     if not words or words[0] in ("-h", "--help"):
         write(_overview())

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, shortened
 from sequences.options import SequenceOptions
 from vapor.commands.console import (
     OutputPath,
@@ -27,7 +27,6 @@ from vapor.commands.console import (
 from vapor.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
 from vapor.report import format_table
 from vapor.run import RunConfig, run
-from vapor.terminal import shortened
 
 
 @dataclass(frozen=True)

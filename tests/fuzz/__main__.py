@@ -1,0 +1,243 @@
+"""`make fuzz`: damage files for as long as asked, and say what became of them."""
+
+import argparse
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import get_args
+
+import cv2
+import torch
+
+from tests.fuzz.cases import Outcome, Sample, Verdict, keep, limit_memory
+from tests.fuzz.readers import READERS
+
+HANG_S = 10.0
+"""A reading that takes longer hangs."""
+
+_SETUP_S = 120.0  # a sample may take so long to make
+_BLOCK = 200  # files of one reader in a row
+_ANEW = 77  # exit status of a process that another one goes on for
+_FORK = multiprocessing.get_context("fork")
+
+
+@dataclass
+class Failure:
+    """Files that failed alike: how many, and the one that differs from the sample by the fewest bytes."""
+
+    count: int
+    number: int
+    verdict: Verdict
+
+
+@dataclass
+class Tally:
+    """What became of the files of one reader."""
+
+    outcomes: Counter[Outcome] = field(default_factory=Counter)
+    failures: dict[str, Failure] = field(default_factory=dict)
+    seconds: float = 0.0  # of a processor
+
+    def add(self, number: int, verdict: Verdict) -> None:
+        """Count a file."""
+        self.outcomes[verdict.outcome] += 1
+        if verdict.outcome != "failure":
+            return
+        known = self.failures.setdefault(verdict.cause, Failure(0, number, verdict))
+        known.count += 1
+        if (verdict.size, number) < (known.verdict.size, known.number):
+            known.number, known.verdict = number, verdict
+
+
+@dataclass
+class _Running:
+    """A process that reads one block of files."""
+
+    process: BaseProcess
+    connection: Connection
+    name: str
+    numbers: range  # not judged yet
+    folder: Path
+    since: float
+    ready: bool = False
+
+
+def fuzz(
+    blocks: Iterable[tuple[str, range]], *, seed: int, workers: int, until: float | None = None
+) -> dict[str, Tally]:
+    """Read blocks of damaged files, each in a process of its own, so that what hangs or crashes is survived and named.
+
+    Args:
+        blocks: Names of readers, and numbers of cases.
+        seed: Of all cases.
+        workers: How many processes at a time.
+        until: `time.monotonic()` at which to stop.
+    """
+    tallies: dict[str, Tally] = {}
+    waiting = iter(blocks)
+    again: deque[tuple[str, range]] = deque()  # what is left of blocks whose process ended
+    running: dict[Connection, _Running] = {}
+    try:
+        while True:
+            over = until is not None and time.monotonic() > until
+            while not over and len(running) < workers:
+                block = again.popleft() if again else next(waiting, None)
+                if block is None:
+                    break
+                started = _start(*block, seed)
+                running[started.connection] = started
+            if over or not running:
+                return tallies
+            ready = wait([*running], timeout=0.2)
+            for each in [*running.values()]:
+                tally = tallies.setdefault(each.name, Tally())
+                ended = _take(each, tally) if each.connection in ready else _is_hung(each, tally)
+                if ended:
+                    _end(running.pop(each.connection))
+                    if each.numbers:
+                        again.append((each.name, each.numbers))
+    except KeyboardInterrupt:  # what is known so far is told
+        return tallies
+    finally:
+        for each in running.values():
+            _end(each)
+
+
+def _start(name: str, numbers: range, seed: int) -> _Running:
+    ours, theirs = _FORK.Pipe(duplex=False)
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    process = _FORK.Process(target=_work, args=(theirs, name, numbers, seed, folder), daemon=True)
+    process.start()
+    theirs.close()
+    return _Running(process, ours, name, numbers, folder, time.monotonic())
+
+
+def _work(connection: Connection, name: str, numbers: range, seed: int, folder: Path) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its processes
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # decoders of images say there what they think
+    sample = Sample(name, folder)
+    limit_memory()
+    connection.send((None, 0.0))
+    for number in numbers:
+        begin_s = time.process_time()
+        changes, damage = sample.changes(seed, number)
+        verdict = sample.judge(changes, damage)
+        connection.send((verdict, time.process_time() - begin_s))
+        if verdict.cause.startswith("memory"):
+            sys.exit(_ANEW)  # the peak of a process only grows
+
+
+def _take(each: _Running, tally: Tally) -> bool:
+    """Take what a process found; whether it has ended."""
+    now = time.monotonic()
+    try:
+        verdict, took_s = each.connection.recv()
+    except EOFError:
+        each.process.join()
+        if each.numbers and each.ready and each.process.exitcode != _ANEW:
+            tally.add(each.numbers[0], Verdict("failure", f"crash with exit status {each.process.exitcode}"))
+            each.numbers = each.numbers[1:]
+        elif not each.ready:
+            raise RuntimeError(f"the sample of {each.name} cannot be made or read") from None
+        return True
+    if each.ready:
+        tally.add(each.numbers[0], verdict)
+        tally.seconds += took_s
+        each.numbers = each.numbers[1:]
+    each.ready, each.since = True, now
+    return False
+
+
+def _is_hung(each: _Running, tally: Tally) -> bool:
+    took = time.monotonic() - each.since
+    if took <= (HANG_S if each.ready else _SETUP_S):
+        return False
+    if not each.ready:
+        raise RuntimeError(f"the sample of {each.name} takes more than {_SETUP_S:g} s")
+    tally.add(each.numbers[0], Verdict("failure", f"hang over {HANG_S:g} s"))
+    each.numbers = each.numbers[1:]
+    return True
+
+
+def _end(each: _Running) -> None:
+    each.process.kill()
+    each.process.join()
+    each.connection.close()
+    shutil.rmtree(each.folder, ignore_errors=True)
+
+
+def rounds(names: Sequence[str], first: int, files: int | None) -> Iterator[tuple[str, range]]:
+    """Blocks of every reader in turn: of so many files each, or without end."""
+    begin = first
+    while files is None or begin < first + files:
+        end = begin + _BLOCK if files is None else min(begin + _BLOCK, first + files)
+        for name in names:
+            yield name, range(begin, end)
+        begin = end
+
+
+def report(tallies: dict[str, Tally], seed: int) -> str:
+    """A table of the readers, and what failed, each with the command that repeats it."""
+    outcomes = get_args(Outcome)
+    lines = ["| reader | files | a second | " + " | ".join(outcomes) + " |", "|---" * (3 + len(outcomes)) + "|"]
+    for name in sorted(tallies, key=[*READERS].index):
+        tally = tallies[name]
+        total = tally.outcomes.total()
+        rate = f"{total / tally.seconds:.0f}" if tally.seconds else ""
+        lines.append(f"| {name} | {total} | {rate} | " + " | ".join(str(tally.outcomes[o]) for o in outcomes) + " |")
+    sums = sum((tally.outcomes for tally in tallies.values()), Counter())
+    lines.append(f"| all | {sums.total()} | | " + " | ".join(str(sums[o]) for o in outcomes) + " |")
+    for name, tally in tallies.items():
+        for cause, failure in sorted(tally.failures.items(), key=lambda item: -item[1].count):
+            v = failure.verdict
+            lines.append(f"\n{name}: {cause}, {failure.count} times; case {failure.number}: {v.damage}")
+            lines += [f"  {v.said}"] if v.said else []
+            lines.append(f"  python -m tests.fuzz --reader {name} --seed {seed} --first {failure.number} --files 1")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Run the command; 1 where a file failed."""
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60.0, help="how long, unless --files is given")
+    parser.add_argument("--files", type=int, help="how many files of each reader")
+    parser.add_argument("--seed", type=int, default=0, help="of the damage")
+    parser.add_argument("--first", type=int, default=0, help="number of the first file of each reader")
+    parser.add_argument("--reader", action="append", choices=[*READERS], help="which readers; all of them by default")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--save", type=Path, help="a folder for what failed, one example a cause")
+    parser.add_argument("--keep", action="store_true", help="add these examples to the corpus that the tests replay")
+    o = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    torch.set_num_threads(1)
+    cv2.setNumThreads(0)
+    until = None if o.files is not None else time.monotonic() + o.seconds
+    tallies = fuzz(rounds(o.reader or [*READERS], o.first, o.files), seed=o.seed, workers=o.workers, until=until)
+    print(report(tallies, o.seed))
+    for name, tally in tallies.items():
+        for failure in tally.failures.values():
+            with tempfile.TemporaryDirectory() as folder:
+                sample = Sample(name, Path(folder))
+                changes, damage = sample.changes(o.seed, failure.number)
+                if o.keep and not keep(sample, changes, failure.verdict):
+                    print(f"not kept, as too large or known: {name} {failure.number}: {damage}")
+                for file, data in changes.items() if o.save else ():
+                    saved = o.save / f"{name}-{o.seed}-{failure.number}" / file
+                    saved.parent.mkdir(parents=True, exist_ok=True)
+                    saved.write_bytes(data or b"")
+    return 1 if any(tally.failures for tally in tallies.values()) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

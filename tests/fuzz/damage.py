@@ -1,0 +1,239 @@
+"""Damage to files of every kind: by disks and transfers, by programs that err, and by people who edit."""
+
+import io
+import json
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+Rng = np.random.Generator
+Damage = Callable[[bytes, Rng], tuple[bytes, str]]
+"""The bytes of a whole file -> of a damaged one, and what was done to it, in words."""
+
+NUMBERS = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 10**6, 2**31 - 1, 2**31, 2**32 - 1, 10**15, 2**63 - 1, 2**64 - 1)
+"""At which lengths, offsets and counts go wrong."""
+
+WORDS = (
+    *("nan", "inf", "-inf", "0", "-0", "-1", "0.5", "1e-320", "1e308", "-1e308", "1e400", "1e999999", "1e-999999"),
+    *("9" * 25, "9" * 5000, "1700000000123456789", "1700000000123456", "1_0", "0x10", "1e3", "٣", "1,5", "true"),
+    *("", "x", "#", "\0", "\n", "\ufeff", "\ud800", "..", "../../../etc/hostname", "/", "/dev/zero", "a" * 100_000),
+    *("[", "]", "{", "}", '"', "'", ":", "- ", "&a [*a]", "!!python/object/apply:os.getcwd []", "~", "🙂", "\u2028"),
+)
+"""In place of a number or a name."""
+
+
+def damaged_bytes(data: bytes, rng: Rng) -> tuple[bytes, str]:
+    """What needs no knowledge of the format."""
+    size = len(data)
+    at = int(rng.integers(size + 1))
+    length = min(int(2 ** rng.uniform(0, np.log2(size + 2))), size - at)
+    kind = int(rng.integers(9))
+    if kind == 0 and size:
+        at, bit = int(rng.integers(size)), int(rng.integers(8))
+        return data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :], f"bit {bit} of byte {at} flipped"
+    if kind == 1:
+        count = int(rng.integers(1, 9))
+        return data[:at] + rng.bytes(count) + data[at + count :], f"{count} random bytes at {at}"
+    if kind == 2:
+        value, width = pick(rng, NUMBERS), pick(rng, (2, 4, 8))
+        packed = (value % 256**width).to_bytes(width, pick(rng, ("little", "big")))
+        return data[:at] + packed + data[at + width :], f"the number {value} in {width} bytes at {at}"
+    if kind == 3:
+        return data[:at], f"cut at byte {at} of {size}"
+    if kind == 4:
+        return data[:at] + data[at + length :], f"bytes {at} to {at + length} left out"
+    if kind == 5:
+        return data[: at + length] + data[at:], f"bytes {at} to {at + length} twice"
+    if kind == 6:
+        return data[:at] + bytes(length) + data[at + length :], f"bytes {at} to {at + length} zeroed"
+    if kind == 7:
+        extra = rng.bytes(int(rng.integers(1, 65)))
+        return data[:at] + extra + data[at:], f"{len(extra)} bytes inserted at {at}"
+    start = int(rng.integers(size + 1))
+    return data[:at] + data[start : start + length] + data[at + length :], f"bytes of {start} at {at}, {length} of them"
+
+
+def damaged_text(data: bytes, rng: Rng) -> tuple[bytes, str]:
+    """Lines and words: lost, repeated, in another order, or others in their place."""
+    text = data.decode("utf-8", "surrogateescape")
+    kind = int(rng.integers(10))
+    if kind < 6 and (words := [*re.finditer(r"[^\s,;:\[\]{}\"']+", text)]):
+        found = pick(rng, words)
+        word = pick(rng, WORDS) if kind < 5 else damaged_word(found[0], rng)
+        begin, end = found.span()
+        return _encoded(text[:begin] + word + text[end:]), f"{short(found[0])} became {short(word)}"
+    lines = text.splitlines(keepends=True)
+    if kind < 9 and lines:
+        i, j = int(rng.integers(len(lines))), int(rng.integers(len(lines)))
+        line = lines[i]
+        if kind == 6:
+            del lines[i]
+            return _encoded("".join(lines)), f"line {i + 1} left out"
+        if kind == 7:
+            lines[j:j] = [line]
+            return _encoded("".join(lines)), f"line {i + 1} again as line {j + 1}"
+        lines[i], lines[j] = lines[j], line
+        return _encoded("".join(lines)), f"lines {i + 1} and {j + 1} exchanged"
+    return damaged_bytes(data, rng)
+
+
+def damaged_word(word: str, rng: Rng) -> str:
+    """A slip of the keyboard."""
+    at = int(rng.integers(len(word) + 1))
+    return pick(rng, (word[:at] + word[at + 1 :], f"{word[:at]}{pick(rng, '0123456789.-e+')}{word[at:]}", f"-{word}"))
+
+
+def damaged_json(data: bytes, rng: Rng) -> tuple[bytes, str]:
+    """One value of a document: of another kind, gone, far too large, or nested without end."""
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError):
+        return damaged_text(data, rng)
+    if rng.random() < 0.15:
+        return damaged_text(data, rng)
+    holders = [*_holders(document)]
+    if not holders:
+        return damaged_text(data, rng)
+    holder, key = pick(rng, holders)
+    before = holder[key]
+    kind = int(rng.integers(8))
+    if kind == 0:
+        del holder[key]
+        return json.dumps(document).encode(), f"{key!r} left out"
+    if kind == 1:
+        holder[key] = pick(rng, holders)[0]
+        if holder[key] is holder or _contains(holder[key], holder):
+            holder[key] = [before]
+        return json.dumps(document).encode(), f"{key!r} became another part of the document"
+    if kind == 2 and isinstance(before, list):
+        holder[key] = before + before if rng.random() < 0.5 else before[: int(rng.integers(len(before) + 1))]
+        return json.dumps(document).encode(), f"{key!r} with {len(holder[key])} items for {len(before)}"
+    holder[key] = mark = "\0here\0"
+    text = json.dumps(document)
+    raw = pick(rng, _JSON_VALUES)
+    if kind < 5 and isinstance(before, int | float) and not isinstance(before, bool):
+        factors = (before * 1000, before / 1000, -before, before + 1, before * 10.0**300)
+        raw = json.dumps(pick(rng, factors))
+    return text.replace(json.dumps(mark), raw).encode(), f"{key!r} became {short(raw)}"
+
+
+_JSON_VALUES = (
+    *("NaN", "Infinity", "-Infinity", "0", "-1", "1e999", "1e400", "0.5", "1" + "0" * 400, "9" * 5000, "true", "null"),
+    *('""', '"x"', '"' + "a" * 100_000 + '"', '"\\ud800"', '"\\u0000"', '"../../../etc/hostname"', '"/dev/zero"'),
+    *("[]", "{}", "[" * 100_000, "[" * 900 + "]" * 900, '{"a":' * 100_000, "[[]]", '{"x": 1}', '{"__class__": 1}'),
+)
+
+
+def _holders(value: Any) -> Any:
+    """Every list and object of a document with each of its keys."""
+    keys = value.keys() if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+    for key in list(keys):
+        yield value, key
+        yield from _holders(value[key])
+
+
+def _contains(value: Any, part: Any) -> bool:
+    return any(holder[key] is part or holder is part for holder, key in _holders(value))
+
+
+def damaged_png(data: bytes, rng: Rng) -> tuple[bytes, str]:
+    """Bytes of an image; of a PNG also what its header says, under a checksum that is right."""
+    if rng.random() < 0.6 or data[:4] != b"\x89PNG":
+        return damaged_bytes(data, rng)
+    at, value = int(rng.choice([16, 20])), pick(rng, NUMBERS) % 2**32
+    header = bytearray(data[12:29])
+    if rng.random() < 0.7:
+        header[at - 12 : at - 8] = value.to_bytes(4, "big")
+        told = f"PNG of {'width' if at == 16 else 'height'} {value}"
+    else:
+        header[12:15] = bytes(int(rng.choice([0, 1, 2, 3, 4, 6, 8, 16, 255])) for _ in range(3))
+        told = f"PNG of depth, colours and compression {tuple(header[12:15])}"
+    return data[:12] + bytes(header) + zlib.crc32(header).to_bytes(4, "big") + data[33:], told
+
+
+def damaged_zip(data: bytes, rng: Rng) -> tuple[bytes, str]:
+    """An archive with a member that is damaged, under a checksum that is right."""
+    if rng.random() < 0.4:
+        return damaged_bytes(data, rng)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    name = pick(rng, [*members])
+    if rng.random() < 0.6:
+        name = next((each for each in members if "metadata" in each), name)
+    members[name], told = damage_of(f"{name}.json" if "metadata" in name else name)(members[name], rng)
+    return zipped(members), f"{name}: {told}"
+
+
+def zipped(members: dict[str, bytes]) -> bytes:
+    """An archive that is the same whenever it is made."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(zipfile.ZipInfo(name), content)
+    return stream.getvalue()
+
+
+def damaged_model(data: bytes, rng: Rng) -> tuple[bytes, str]:
+    """A safetensors file: its header, the configuration in that, or a tensor's numbers."""
+    kind = int(rng.integers(6))
+    (length,) = struct.unpack("<Q", data[:8])
+    header, tensors = data[8 : 8 + length], data[8 + length :]
+    if kind == 0:
+        return damaged_bytes(data, rng)
+    if kind == 1:
+        value = pick(rng, (*NUMBERS, length - 1, length + 1, len(data)))
+        return struct.pack("<Q", value) + data[8:], f"a header of {value} bytes"
+    if kind == 2:
+        header, told = damaged_json(header, rng)
+        return _model(header, tensors), f"header: {told}"
+    if kind == 3:
+        content = json.loads(header)
+        name = pick(rng, [*content["__metadata__"]])
+        text, told = damaged_json(content["__metadata__"][name].encode(), rng)
+        content["__metadata__"][name] = text.decode("utf-8", "replace")
+        return _model(json.dumps(content).encode(), tensors), f"{name} in the metadata: {told}"
+    content = {name: entry for name, entry in json.loads(header).items() if name != "__metadata__"}
+    name = pick(rng, [*content])
+    begin, end = content[name]["data_offsets"]
+    values, told = damaged_bytes(tensors[begin:end], rng)
+    values = values[: end - begin].ljust(end - begin, b"\0")
+    return data[: 8 + length] + tensors[:begin] + values + tensors[end:], f"tensor {name}: {told}"
+
+
+def _model(header: bytes, tensors: bytes) -> bytes:
+    return struct.pack("<Q", len(header)) + header + tensors
+
+
+def damage_of(name: str) -> Damage:
+    """How to damage a file of this name."""
+    from tests.fuzz.mcap_damage import damaged_mcap  # which damages what messages hold by this
+
+    kinds: dict[str, Damage] = {
+        **dict.fromkeys((".txt", ".csv", ".yaml", ".tum"), damaged_text),
+        ".json": damaged_json,
+        ".png": damaged_png,
+        ".r3d": damaged_zip,
+        ".safetensors": damaged_model,
+        ".mcap": damaged_mcap,
+    }
+    return kinds.get(PurePath(name).suffix, damaged_bytes)
+
+
+def pick(rng: Rng, choices: Any) -> Any:
+    """One of a sequence, as it is (numpy would make arrays of tuples)."""
+    return choices[int(rng.integers(len(choices)))]
+
+
+def short(text: str) -> str:
+    """At most forty characters of it."""
+    return repr(text) if len(text) <= 40 else f"{text[:20]!r}... of {len(text)}"
+
+
+def _encoded(text: str) -> bytes:
+    return text.encode("utf-8", "surrogatepass" if "\ud800" in text else "surrogateescape")
