@@ -186,7 +186,7 @@ class _Pairing:
         self._roles = roles
         self._options = options
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
-        self._moved_ns: int | None = None  # stamp at which the camera was no longer where it was on its base
+        self._moves_from_ns: int | None = None  # where the camera began to move on the base
         self._camera = camera
         self._images = roles.open_images()
         self._odometry = PoseWindow(MAX_ODOMETRY_GAP_S)
@@ -240,9 +240,9 @@ class _Pairing:
             except SequenceError as error:
                 if extrinsics is not roles.extrinsics or roles.odometry_required:
                     raise SequenceError(f"{self._path}: {error}") from error
-                if self._moved_ns is None:
+                if self._moves_from_ns is None:
                     self._skip("odometry from where the camera moved on its base", raw.log_time_ns, error)
-                    self._moved_ns = min(stamp_ns(transform.header) for transform in message.transforms)
+                    self._moves_from_ns = min(stamp_ns(stamped.header) for stamped in message.transforms)
 
     def _take_image(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
         time_ns = stamp_ns(message.header) if message is not None else 0
@@ -357,7 +357,8 @@ class _Pairing:
         except SequenceError as error:
             return self._skip_image(why_left_out(error), time_ns, error)
         odometry = None
-        base_from_camera = self._base_from_camera if self._moved_ns is None or time_ns < self._moved_ns else None
+        moves = self._moves_from_ns is not None and time_ns >= self._moves_from_ns
+        base_from_camera = None if moves else self._base_from_camera
         if base_from_camera is not None and previous_ns is not None and covered and self._previous_covered:
             odometry = self._odometry.odometry_between(
                 previous_ns,
