@@ -455,7 +455,7 @@ def test_floors_are_judged_in_the_lengths_of_the_scene(scale, monkeypatch):
             assert "on_floor" not in belief
 
 
-@pytest.mark.parametrize("width", [80, 100])
+@pytest.mark.parametrize("width", [90, 100])
 def test_the_tables_fit_a_terminal(width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
     monkeypatch.setattr(console, "_MIN_WIDTH", width)

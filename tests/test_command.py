@@ -88,13 +88,13 @@ def skipped_in_run(sequence: Path, model: Path, output: Path) -> tuple[int, dict
     ("lacking", "said"),
     [
         (IMAGES, ["no image topic", "sensor_msgs/Image or sensor_msgs/CompressedImage", "/odom (nav_msgs/Odometry)"]),
-        (ODOMETRY, ["no odometry topic", "expected one of type nav_msgs/Odometry", IMAGES]),
+        (ODOMETRY, ["no odometry topic", "expected one of type nav_msgs/Odometry", "--odometry-frame"]),
         ("/tf_static", ["no transform from 'base_link' (/odom", "'camera_optical_frame'", "--base-from-camera"]),
     ],
 )
 def test_a_sequence_that_lacks_a_topic_is_refused(lacking, said, walk_of_25, tiny_model, earlier, capsys):
     path = rewrite(walk_of_25, earlier.parent / "poor.mcap", keep=lambda topic, _: topic != lacking)
-    refuse_run(path, tiny_model, earlier, capsys, path, *said)
+    refuse_run(path, tiny_model, earlier, capsys, path.name, *said)
 
 
 @pytest.mark.parametrize("name", ["nav2_turtlebot.mcap", "talker.mcap", "only_topics.mcap"])
@@ -248,7 +248,7 @@ def test_where_no_image_is_left_the_run_fails_and_says_why(spoil, said, tiny_mod
     walk = Walk()
     spoil(walk)
     path = walk.write(earlier.parent / "walk.mcap")
-    refuse_run(path, tiny_model, earlier, capsys, str(path), *said)
+    refuse_run(path, tiny_model, earlier, capsys, path.name, *said)
 
 
 @pytest.mark.parametrize(("stream", "topic"), [("odometry", "/odom"), ("truth", "/ground_truth/pose")])
@@ -673,7 +673,7 @@ def test_a_converted_7_scenes_folder_with_simulated_odometry_can_be_run(tiny_mod
 
 def test_a_conversion_of_nothing_is_refused(tmp_path, capsys):
     words = ["convert", str(tmp_path / "data"), str(tmp_path / "o.mcap")]
-    refuse(words, capsys, tmp_path / "data", "no such folder", "TUM RGB-D", "7-Scenes")
+    refuse(words, capsys, "data: no such folder", "transforms.json")
     make_tum(tmp_path / "data")
     write_tum(tmp_path / "day.tum", Trajectory(np.array([10**9, 2 * 10**9]), Poses.identity(2)))
     refuse([*words, "--odometry", str(tmp_path / "day.tum")], capsys, "day.tum", "covers no image")

@@ -25,7 +25,7 @@ def misbehave(path: Path) -> Reading:
     if word == "key":
         raise KeyError(word)
     if word == "long":
-        raise SequenceError("x" * 301)
+        raise type("Long", (SequenceError,), {"__str__": lambda self: "x" * 301})()
     if word == "refused":
         raise SequenceError("x" * 300)
     if word == "unsound":

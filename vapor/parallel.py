@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from multiprocessing import resource_tracker
@@ -26,8 +27,13 @@ def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers:
     resource_tracker.ensure_running()  # which unblocks SIGINT when it starts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
-        with parallel_config(backend="loky", inner_max_num_threads=1):
-            results = Parallel(n_jobs=workers, return_as="generator_unordered")(delayed(function)(*job) for job in jobs)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    yield from results  # pyright: ignore[reportReturnType]
+        try:
+            with parallel_config(backend="loky", inner_max_num_threads=1):
+                parallel = Parallel(n_jobs=workers, return_as="generator_unordered")
+                results = parallel(delayed(function)(*job) for job in jobs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        yield from results  # pyright: ignore[reportReturnType]
+    except KeyboardInterrupt:
+        threading.excepthook = lambda _: None  # loky's thread may miss a worker that was still starting
+        raise

@@ -236,7 +236,7 @@ class _Source:
         try:
             SequenceReader(self._path, self._reading, odometry=odometry, true_poses=true_poses)
         except SequenceError as error:
-            self.lacks[what] = str(error).removeprefix(f"{self._path}: ")
+            self.lacks[what] = str(error.args[0]).removeprefix(f"{self._path}: ")
 
 
 @dataclass
