@@ -225,7 +225,7 @@ def main() -> int:
     until = None if o.files is not None else time.monotonic() + o.seconds
     tallies = fuzz(rounds(o.reader or [*READERS], o.first, o.files), seed=o.seed, workers=o.workers, until=until)
     print(report(tallies, o.seed))
-    for name, tally in tallies.items():
+    for name, tally in tallies.items() if o.save or o.keep else ():
         for failure in tally.failures.values():
             with tempfile.TemporaryDirectory() as folder:
                 sample = Sample(name, Path(folder))

@@ -79,7 +79,8 @@ class Sample:
             name = pick(rng, described if described and rng.random() < 0.8 else [*self.files])
             before = changed.get(name, self.files[name])
             if before is None or rng.random() < 0.03:
-                other = pick(rng, [*self.files])
+                # Not one of its kind: that may be a whole list of other images.
+                other = pick(rng, [each for each in self.files if not each.endswith(Path(name).suffix)] or [name])
                 changed[name] = pick(rng, (None, b"", self.files[other]))
                 told.append(f"{name}: gone, empty, or {other}")
                 continue
