@@ -54,12 +54,12 @@ def whole(directory: Path) -> str:
 
 def refused(directory: Path, *said: str, **options) -> None:
     """Check that nothing is written, or even begun."""
-    before = contents(directory.parent)
+    before = contents(directory), sorted(directory.parent.iterdir())  # beside it lie other tests' folders
     with pytest.raises(SequenceError) as error, results_folder(directory, "run", writes=WRITES, **options):
         pytest.fail("the work began")
     assert all(words in str(error.value) for words in (str(directory), "expected", *said))
     assert "\n" not in str(error.value)
-    assert contents(directory.parent) == before
+    assert (contents(directory), sorted(directory.parent.iterdir())) == before
 
 
 @pytest.fixture
