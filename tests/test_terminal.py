@@ -43,10 +43,15 @@ raise SystemExit(main())
 
 
 def started(words, **options):
+    """A process that takes SIGINT as one at a terminal does, also where the tests run in the background of a shell."""
+
+    def foreground():
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     environment.update(options.pop("env", {}))
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "encoding": "latin-1"}
-    return subprocess.Popen(words, env=environment, **{**pipes, **options})
+    return subprocess.Popen(words, env=environment, preexec_fn=foreground, **{**pipes, **options})
 
 
 # --- signals -------------------------------------------------------------------------------------------
