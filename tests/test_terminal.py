@@ -65,7 +65,10 @@ def test_a_signal_undoes_what_the_command_began_and_ends_it_with_a_line_and_128_
     process.send_signal(number)
     process.send_signal(number)  # what a terminal that closes does
     out, err = process.communicate(timeout=20)
-    assert process.returncode == 128 + number
+    assert process.returncode in (
+        128 + number,
+        -number,
+    )  # the second may come when Python has ended: a shell says 128 + n
     assert out == "undone\n"
     by = "" if name == "SIGINT" else f" by {name}"
     assert err == f"vapor-track evaluate: interrupted{by}\n"
