@@ -196,8 +196,8 @@ import vapor.commands
 from types import ModuleType
 steps = list(simulated_steps(5))
 def work(_):
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
     with RerunViewer(Path({str(tmp_path / "recording.rrd")!r})) as viewer:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
         for frame, _, estimate, _ in steps:
             viewer.log(frame, estimate, estimate.particles)
 sys.modules["vapor.commands.run"] = command = ModuleType("run")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING, Protocol
@@ -25,6 +26,7 @@ _CLOUD_SIZE = 300
 _FRUSTA = 40  # samples of an image's posterior that are shown as cameras
 _IMAGE_SIDE = 480  # pixels
 _JPEG_QUALITY = 75
+_LEAST_FREE = 1 << 20  # bytes; where its first ones find no room, Rerun waits for ever
 _EPOCH_NS = 10**17  # stamps below are seconds since some start, not since 1970
 _JUMP_M = 0.5  # an estimate that moves so much farther than the odometry changed its mind
 _STATUS_LEVEL: dict[Status, float] = {"lost": 0.0, "ambiguous": 0.5, "converged": 1.0}
@@ -83,6 +85,8 @@ class RerunViewer:
         rr = _quiet_rerun()
         if path is None and not spawn:
             raise VaporTrackError("a viewer needs a recording to write or a window to open, got neither")
+        if path is not None and path.parent.is_dir() and shutil.disk_usage(path.parent).free < _LEAST_FREE:
+            raise VaporTrackError(f"{path}: the recording cannot be written: no room on the disk, expected some")
         self._path = path
         self._output = None if path is None else atomic_output(path)
         self._stream = rr.RecordingStream("vapor-track", recording_id=title)
