@@ -186,34 +186,6 @@ def test_help_and_errors_are_printed_on_terminals_of_any_encoding(encoding):
     assert "unknown command '???'" in err
 
 
-def test_a_recording_that_finds_the_disk_full_is_an_error_in_one_line_and_leaves_nothing(tmp_path):
-    script = f"""
-import resource, sys
-from pathlib import Path
-from tests.simulated_run import simulated_steps
-from vapor.view import RerunViewer
-import vapor.commands
-from types import ModuleType
-steps = list(simulated_steps(5))
-def work(_):
-    with RerunViewer(Path({str(tmp_path / "recording.rrd")!r})) as viewer:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-        for frame, _, estimate, _ in steps:
-            viewer.log(frame, estimate, estimate.particles)
-sys.modules["vapor.commands.run"] = command = ModuleType("run")
-command.main = work
-sys.argv[1:] = ["run"]
-from vapor.track import main
-raise SystemExit(main())
-"""
-    process = started([sys.executable, "-c", script])
-    out, err = process.communicate(timeout=60)
-    assert (process.returncode, out) == (1, "")
-    assert err.startswith(f"vapor-track run: {tmp_path}/recording.rrd: the recording cannot be written")
-    assert err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
 # --- messages and tables -------------------------------------------------------------------------------
 
 
