@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
@@ -171,7 +172,7 @@ def _width_of_whole_words(table: Table, console: Console) -> int:
         return sorted(word for word in text.get().split() if any(map(str.isalnum, word)))
 
     own, whole = console.width, words(max(widest, console.width))
-    return next((width for width in range(own, widest) if words(width) == whole), max(widest, own))
+    return own + bisect_left(range(own, widest), True, key=lambda width: words(width) == whole)
 
 
 def show_notices(notices: Sequence[str]) -> None:
