@@ -24,11 +24,11 @@ def main() -> None:
     brought: dict[str, str] = {}
     for extra in _EXTRAS:
         follow("vapor-track", extra, brought)
-    print(_TEXT)  # noqa: T201
-    print("| package | version | licence | extra |\n|---|---|---|---|")  # noqa: T201
+    print(_TEXT)
+    print("| package | version | licence | extra |\n|---|---|---|---|")
     for name, extra in sorted(brought.items()):
         package = distribution(name)
-        print(f"| {name} | {package.version} | {licence(package)} | {extra} |")  # noqa: T201
+        print(f"| {name} | {package.version} | {licence(package)} | {extra} |")
 
 
 def follow(name: str, extra: str, brought: dict[str, str]) -> None:

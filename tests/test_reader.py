@@ -466,7 +466,10 @@ def relogged(walk: Path, target: Path, late_ns: Callable[[str, int], int]) -> Pa
 def test_neighbours_logged_in_swapped_order_are_used_in_the_order_of_their_stamps(topic: str, tmp_path: Path) -> None:
     source = Walk(30).write(tmp_path / "in.mcap")
     step_ns = 20 * MS if topic == "/odom" else 100 * MS
-    late = lambda name, t: 3 * step_ns // 2 if name == topic and (t - BEGIN_NS) // step_ns % 2 else 0  # noqa: E731
+
+    def late(name: str, time_ns: int) -> int:
+        return 3 * step_ns // 2 if name == topic and (time_ns - BEGIN_NS) // step_ns % 2 else 0
+
     reader = SequenceReader(relogged(source, tmp_path / "out.mcap", late))
     with open(tmp_path / "out.mcap", "rb") as file:
         stamps = [bytes(message.data[4:12]) for _, _, message in make_reader(file).iter_messages([topic])]
@@ -484,7 +487,9 @@ def test_neighbours_logged_in_swapped_order_are_used_in_the_order_of_their_stamp
 
 
 def test_images_logged_later_than_the_window_are_counted(tmp_path: Path) -> None:
-    late = lambda name, t: 900 * MS if name == IMAGES and t == BEGIN_NS + 1000 * MS else 0  # noqa: E731
+    def late(name: str, time_ns: int) -> int:
+        return 900 * MS if name == IMAGES and time_ns == BEGIN_NS + 1000 * MS else 0
+
     reader = SequenceReader(relogged(Walk(30).write(tmp_path / "in.mcap"), tmp_path / "out.mcap", late))
     assert len(list(reader)) == 29
     assert reader.counts.as_json() == {

@@ -20,7 +20,7 @@ from sequences.pose_files import read_poses
 from sequences.pose_tables import read_pose_table
 from sequences.tum import read_tum
 from sequences.values import natural, parse_json, parse_number, parse_time_ns, read_arrays, read_lines
-from vapor.checkpoint import CheckpointError, read_json
+from vapor.checkpoint import CheckpointError, parse_metadata
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 REST = "0 0 0 0 0 0 1"
@@ -177,7 +177,7 @@ def test_json_beyond_its_limits_is_refused_wherever_it_is_read(text: str | bytes
     refused(lambda: decoder("foxglove.PoseInFrame", "json", b"")(data), said)
     if isinstance(text, str):
         with pytest.raises(CheckpointError, match=said):
-            read_json(tmp_path / "model.safetensors", text)
+            parse_metadata(tmp_path / "model.safetensors", text)
 
 
 def test_json_of_64_levels_is_read_and_of_a_message_gives_fields() -> None:

@@ -192,7 +192,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
             f"{path}: format version is {version!r}, expected '{VERSION}', '{_BEFORE_MISTAKES}' or '{_BEFORE_GROWTH}',"
             f" or {older} of which network and scene are taken; train the model anew"
         )
-    config = read_json(path, metadata.get("config"))
+    config = parse_metadata(path, metadata.get("config"))
     network = config.get("network")
     if version == _BEFORE_SHORTCUT and isinstance(network, dict):
         network = network | _UNSAID
@@ -339,7 +339,7 @@ def is_model(path: Path) -> bool:
     return format_of(path) == FORMAT
 
 
-def read_json(path: Path, text: str | None) -> dict[str, Any]:
+def parse_metadata(path: Path, text: str | None) -> dict[str, Any]:
     """The JSON object in a file's metadata.
 
     Raises:

@@ -14,7 +14,7 @@ from torch import Tensor
 from filtering.errors import quoted
 from sequences.errors import SequenceError
 from sequences.values import parse_number
-from vapor.checkpoint import parse_config, read_json
+from vapor.checkpoint import parse_config, parse_metadata
 from vapor.network import PoseRegressor
 from vapor.tensor_files import CHECKSUM, CheckpointError, format_of, read_safetensors, write_safetensors
 from vapor.training_memory import Seen
@@ -98,7 +98,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     found = metadata.get("format"), metadata.get("version")
     if found != (FORMAT, str(VERSION)):
         raise CheckpointError(f"{path}: format and version are {found}, expected {(FORMAT, str(VERSION))}")
-    config = read_json(path, metadata.get("config"))
+    config = parse_metadata(path, metadata.get("config"))
     expected = json.loads(json.dumps(identity))
     other = config.get("identity")
     if other != expected:
