@@ -63,6 +63,17 @@ def test_a_selection_is_judged_by_its_own_images():
     assert not np.allclose(of_part[0].translation, next(iter(predict(network, loaded, 5, 0))).translation, atol=1e-5)
 
 
+def test_without_odometry_the_same_images_and_poses_are_read(walk_of_25):
+    whole, bare = (
+        load_training_set(open_sequences([walk_of_25], None, odometry), (32, 24)) for odometry in ("optional", "unread")
+    )
+    assert any(step is not None for step in whole.odometry)
+    assert not any(step is not None for step in bare.odometry)
+    np.testing.assert_array_equal(bare.images, whole.images)
+    np.testing.assert_array_equal(bare.poses.as_matrix(), whole.poses.as_matrix())
+    np.testing.assert_array_equal(bare.times_ns, whole.times_ns)
+
+
 def test_each_sequence_of_a_split_has_its_own_name_and_pairs(tmp_path):
     scene = make_7scenes(tmp_path / "chess", sequences=("seq-01", "seq-02"))
     (scene / "TrainSplit.txt").write_text("sequence1\nsequence2\n")

@@ -113,9 +113,10 @@ def calibrate_model(
     checkpoint = load_checkpoint(file)
     config = checkpoint.network
     require_apart(training, data)
-    held_out = load_training_set(open_sequences(data, reading), config.frame_size, camera=checkpoint.camera)
+    odometry = "unread" if familiarity_only else "optional"
+    held_out = load_training_set(open_sequences(data, reading, odometry), config.frame_size, camera=checkpoint.camera)
     trained_on = (
-        load_training_set(open_sequences(training, reading), config.frame_size, camera=checkpoint.camera)
+        load_training_set(open_sequences(training, reading, odometry), config.frame_size, camera=checkpoint.camera)
         if training
         else None
     )

@@ -137,8 +137,9 @@ def train(
     """
     if validation or config.validation_share > 0:
         require_apart(data, validation or None)
-    held_out = open_sequences(validation, reading)
-    return train_on(open_sequences(data, reading), output, config, validation=held_out, progress=progress)
+    odometry = "optional" if config.calibrate else "unread"  # which nothing else asks for
+    held_out = open_sequences(validation, reading, odometry)
+    return train_on(open_sequences(data, reading, odometry), output, config, validation=held_out, progress=progress)
 
 
 def train_on(

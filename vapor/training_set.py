@@ -24,7 +24,7 @@ from sequences.bag import bag_files
 from sequences.datasets import PosedFrames, is_recording, list_images, posed_frames
 from sequences.frame import Camera, Frame
 from sequences.layouts.packed import ImageFile
-from sequences.options import SequenceOptions
+from sequences.options import OdometryUse, SequenceOptions
 from vapor.cameras import AsTakenBy, described
 from vapor.images import centre_crop, scale_to_cover
 
@@ -92,18 +92,22 @@ class TrainingSet:
         )
 
 
-def open_sequences(data: Sequence[Path | str], reading: SequenceOptions | None = None) -> dict[str, Iterable[Frame]]:
+def open_sequences(
+    data: Sequence[Path | str], reading: SequenceOptions | None = None, odometry: OdometryUse = "optional"
+) -> dict[str, Iterable[Frame]]:
     """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
 
     Args:
         data: The entries.
         reading: What to read of those that are MCAP sequences; None for all of it, as found.
+        odometry: Whether their odometry is read.
 
     Raises:
         TrainingError: what follows the @ is no range.
     """
     return {
-        name: posed_frames(path, frames=frames, options=reading) for name, (path, frames) in name_entries(data).items()
+        name: posed_frames(path, frames=frames, options=reading, odometry=odometry)
+        for name, (path, frames) in name_entries(data).items()
     }
 
 
