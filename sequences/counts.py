@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 OUTSIDE = "outside the stretch asked for"
@@ -38,6 +38,16 @@ class ImageCounts:
             return None
         ((reason, number),) = self._lost.most_common(1)
         return f"Only {self.used} of {self._asked} images were used: {number} were skipped, {reason}."
+
+    def taken(self, number: int) -> ImageCounts:
+        """The same where only so many frames were taken, and no others asked for."""
+        others = self.stated - number - self.skipped.total()
+        return replace(self, used=number, skipped=self.skipped + Counter({OUTSIDE: others}))
+
+    def __add__(self, other: ImageCounts) -> ImageCounts:
+        return ImageCounts(
+            self.stated + other.stated, self.read + other.read, self.used + other.used, self.skipped + other.skipped
+        )
 
     def as_json(self) -> dict[str, Any]:
         """For a report."""

@@ -131,7 +131,8 @@ def _writing(directory: Path) -> Iterator[None]:
 def claim_folder(directory: Path, command: str, *, overwrite: bool = False) -> None:
     """Make a folder in which a command keeps what it found, goes on after interruptions, and replaces only its own.
 
-    It is told by a manifest that lists no files.
+    It is told by a manifest that lists no files. What killed processes left is cleared away there and in all folders
+    within, as the call that goes on may have nothing to write to some of them.
 
     Raises:
         SequenceError: the folder holds something else, is none, or cannot be written to.
@@ -139,6 +140,8 @@ def claim_folder(directory: Path, command: str, *, overwrite: bool = False) -> N
     with _writing(directory):
         given, directory = directory, folder_to_write(directory)
         directory.mkdir(parents=True, exist_ok=True)
+        for place in {path.parent for path in directory.rglob("*") if is_workspace(path.name)}:
+            clear_leftovers(place)
         if (manifest := _own_manifest(directory)) is not None and manifest["files"] is None:
             return
         names = [entry.name for entry in sorted(directory.iterdir()) if not is_workspace(entry.name)]

@@ -22,11 +22,12 @@ _MAX_GAP_S = 0.5
 _MAX_STEPS = 1 << 21  # half a day
 _LEAST_CORRELATION = 0.6
 _RIVAL_SHARE = 0.9  # another offset must correlate by less than this share of the best
-_MAX_DEVIATION_S = 0.004  # as the correlation tells it
 _LEAST_TURN_RAD_PER_S = 0.02  # standard deviation of how fast it turns
 
 
-def find_time_offset(odometry: Trajectory, poses: Trajectory, *, within_s: float = np.inf) -> float:
+def find_time_offset(
+    odometry: Trajectory, poses: Trajectory, *, within_s: float = np.inf, certain_s: float = 0.004
+) -> float:
     """Seconds to add to the stamps of poses for those of odometry, to a fraction of their intervals.
 
     Turn rates, over 0.4 s, are correlated at every offset with ten seconds
@@ -37,6 +38,7 @@ def find_time_offset(odometry: Trajectory, poses: Trajectory, *, within_s: float
         odometry: One recording of the motion.
         poses: The other.
         within_s: Only offsets up to this are possible, either way: a motion that repeats itself tells them, too.
+        certain_s: Standard deviation of the offset, as the correlation tells it, at most.
 
     Raises:
         SequenceError: too short, too little or too regular a rotation, or rotations that do not agree.
@@ -63,11 +65,11 @@ def find_time_offset(odometry: Trajectory, poses: Trajectory, *, within_s: float
     # Errors of the turn rate are independent where it is measured over other times; a sharp peak makes them small.
     independent = max(float(seconds[best]) / (_SPAN * _STEP_S), 1.0)
     deviation_s = _STEP_S * np.sqrt(max(1 - peak**2, 0.0) / (independent * bend))
-    if peak < _LEAST_CORRELATION or rival > _RIVAL_SHARE * peak or deviation_s > _MAX_DEVIATION_S:
+    if peak < _LEAST_CORRELATION or rival > _RIVAL_SHARE * peak or deviation_s > certain_s:
         raise SequenceError(
             f"rotation says too little about the time offset: that of odometry and poses correlates by {peak:.2f} at"
             f" best, to {1e3 * deviation_s:.1f} ms, and by {rival:.2f} at another offset, expected at least"
-            f" {_LEAST_CORRELATION:g}, {1e3 * _MAX_DEVIATION_S:g} ms and a clear best; give --time-offset-s a number"
+            f" {_LEAST_CORRELATION:g}, {1e3 * certain_s:g} ms and a clear best; give --time-offset-s a number"
         )
     return float(offsets_s[best]) + 0.5 * (right - left) / bend * _STEP_S
 

@@ -1,6 +1,7 @@
 """Recordings inspected: figures against what is known of simulated ones, and what is said of bad ones."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,12 +13,15 @@ from filtering.error_model import ErrorModel
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.counts import OUTSIDE
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.pairing import interpolate
 from sequences.scenes.paths import walk_stairs
 from sequences.writer import SequenceWriter
+from tests.sequence_files import BEGIN_NS as BEGIN_NS_OF_WALK
+from tests.sequence_files import rewrite
 from tests.test_datasets import make_tum
 from tests.test_holding_out import corridor, recorded, stairwell
 from vapor.floors import find_floors
@@ -178,6 +182,90 @@ def test_a_camera_turned_by_less_on_its_base_is_noticed_too():
     assert found.axes is not None
     assert found.axes.tilted
     assert np.degrees(found.axes.off_rad) == pytest.approx(25.0, abs=2.0)
+
+
+# --- clocks --------------------------------------------------------------------------------------------
+
+SKY = np.zeros((180, 360), np.float32)
+for size in (6, 15, 45, 180):
+    noise = np.random.default_rng(size).uniform(0.0, 255.0 / 4, (size, 2 * size)).astype(np.float32)
+    SKY += cv2.resize(noise, (360, 180), interpolation=cv2.INTER_CUBIC)
+
+
+def panorama(pose: Poses) -> np.ndarray:
+    """What a camera sees that is far away: bright or dark by the direction, coarse and fine."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1) @ pose.rotation.T
+    around = 180 + np.degrees(np.arctan2(rays[..., 1], rays[..., 0]))
+    down = 90 - np.degrees(np.arctan2(rays[..., 2], np.hypot(rays[..., 0], rays[..., 1])))
+    seen = cv2.remap(SKY, around.astype(np.float32), down.astype(np.float32), cv2.INTER_LINEAR, None, cv2.BORDER_WRAP)
+    return np.repeat(np.asarray(seen).clip(0, 255).astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def clocked(path: Path, *, seconds: float = 30.0, image: Callable[[Poses], np.ndarray] = panorama, **late_s: float):
+    """A walk of stairs: images and true poses at 10 Hz, odometry at 50, each by a clock of its own."""
+    rng = np.random.default_rng(3)
+    walk = walk_stairs(seconds, rng=rng)
+    times_ns = BEGIN_NS + np.arange(len(walk)) * (SECOND // 50)
+    odometry, covariances = simulate_odometry(times_ns, walk, OdometryNoise(), rng=rng)
+    base_from_camera = Poses(LEVEL, np.zeros(3))
+    with SequenceWriter(path, camera=CAMERA, base_from_camera=base_from_camera, metadata={}) as writer:
+
+        def write_image(time_ns: int, i: int) -> None:
+            writer.write_image(time_ns, image(walk[i] @ base_from_camera))
+
+        def write_odometry(time_ns: int, i: int) -> None:
+            writer.write_odometry(time_ns, odometry[i], covariances[i])
+
+        def write_pose(time_ns: int, i: int) -> None:
+            writer.write_true_pose(time_ns, walk[i] @ base_from_camera)
+
+        every = {"odometry": (1, write_odometry), "poses": (5, write_pose), "images": (5, write_image)}
+        due = [
+            (int(times_ns[i]) + round(late_s.get(what, 0.0) * SECOND), i, tell)
+            for what, (step, tell) in every.items()
+            for i in range(0, len(walk), step)
+        ]
+        for time_ns, i, tell in sorted(due, key=lambda each: each[:2]):
+            tell(time_ns, i)
+    return path
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("late_s", "odometry_ms", "images_ms"),
+    [
+        ({}, 0.0, 0.0),
+        ({"images": 0.5}, 0.0, 500.0),
+        ({"images": -1.5}, 0.0, -1500.0),
+        ({"odometry": 0.5}, 500.0, -500.0),
+        ({"poses": 0.5}, -500.0, 0.0),
+        ({"poses": 0.5, "images": 0.5}, -500.0, 500.0),
+    ],
+)
+def test_a_clock_that_is_off_is_found_and_named(late_s, odometry_ms, images_ms, tmp_path):
+    found = inspect([clocked(tmp_path / "w.mcap", **late_s)])
+    (clock,) = found.clocks
+    assert clock.against == "odometry"
+    assert clock.late_ms == pytest.approx(images_ms, abs=30.0)
+    assert found.odometry is not None
+    assert found.odometry.typical_late_ms == pytest.approx(odometry_ms, abs=8.0)
+    said = [sentence for sentence in found.verdict if " against the " in sentence]
+    assert len(said) == (odometry_ms != 0) + (images_ms != 0)
+    if odometry_ms:
+        assert re.match(rf"odometry is {OFF[odometry_ms > 0]} against the true poses", said[0])
+    if images_ms:
+        assert re.match(rf"the images of w\.mcap are {OFF[images_ms > 0]} against the odometry", said[-1])
+
+
+OFF = (r"\d+ ms early", r"\d+ ms late")
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_images_whose_view_does_not_shift_as_the_camera_turns_tell_no_clock(tmp_path):
+    found = inspect([clocked(tmp_path / "w.mcap", image=lambda _: scenery(0), images=0.5)])
+    assert [clock.late_ms for clock in found.clocks] == [None]
+    assert not any("clock" in sentence or "against" in sentence for sentence in found.verdict)
 
 
 # --- what is shown -------------------------------------------------------------------------------------
@@ -356,6 +444,24 @@ def test_a_range_takes_the_images_that_training_takes(tmp_path):
     assert np.bincount(images.sequence).tolist() == [30, 60]
     assert [i for i, step in enumerate(images.odometry) if step is None] == [0, 30]
     np.testing.assert_allclose(images.poses[0].translation, walked()[20].translation, atol=1e-9)
+
+
+def test_images_are_counted_as_a_run_counts_them(walk_of_25, tmp_path, capfd):
+    damaged = BEGIN_NS_OF_WALK + 300_000_000
+    path = rewrite(
+        walk_of_25,
+        tmp_path / "w.mcap",
+        data=lambda topic, time_ns, data: b"" if topic.startswith("/camera/image") and time_ns == damaged else data,
+    )
+    assert main(["inspect", str(path)]) == 0
+    said = capfd.readouterr().out
+    assert "images     25 stated, 25 read, 24 used, 1 skipped" in said
+    assert "skipped 1: undecodable image" in said
+    assert main(["inspect", f"{path}@:10", f"{walk_of_25}@5:", "--json"]) == 0
+    first, second = (walk["counts"] for walk in json.loads(capfd.readouterr().out)["walks"])
+    assert (first["stated"], first["used"]) == (25, 10)
+    assert first["skipped"] == {"undecodable image": 1, OUTSIDE: 14}
+    assert (second["stated"], second["used"], second["skipped"]) == (25, 20, {OUTSIDE: 5})
 
 
 def test_a_data_set_on_disk_is_inspected_as_well(tmp_path):

@@ -230,6 +230,13 @@ def test_a_file_that_differs_from_its_manifest_or_is_missing_is_named(tmp_path):
         verify(tmp_path, ["b.json"])
 
 
+def test_what_a_killed_process_left_deep_in_a_folder_that_grows_is_cleared_away(tmp_path):
+    claim_folder(tmp_path / "bench", "benchmark faults")
+    (tmp_path / "bench" / "trials" / ".walk.json.0123abcd.partial" / NEW).mkdir(parents=True)
+    claim_folder(tmp_path / "bench", "benchmark faults")
+    assert os.listdir(tmp_path / "bench" / "trials") == []
+
+
 def test_a_folder_that_grows_is_known_again_and_others_are_refused(tmp_path):
     claim_folder(tmp_path / "bench", "benchmark faults")
     (tmp_path / "bench" / "summary.json").write_text("{}")

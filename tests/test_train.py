@@ -138,6 +138,8 @@ def test_an_interrupted_training_ends_with_the_same_weights_as_an_uninterrupted_
     assert [done for stage, done in steps if stage == "training"] == [5, 6, 7, 8]
     assert _same(resumed.checkpoint, whole.checkpoint)
     assert resumed.history == whole.history
+    assert resumed.images_seen == whole.images_seen
+    assert resumed.seconds > 0.0
     assert not state_path(output).exists()
     anew = train_on_most(frames, tmp_path / "other.safetensors", replace(TINY, seed=1))
     assert not _same(anew.checkpoint, whole.checkpoint)

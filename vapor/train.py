@@ -58,7 +58,7 @@ class Progress:
         epochs: Of so many.
         loss: Mean training loss of this epoch so far.
         learning_rate: Of the last step.
-        seconds: Of training in this call, reading and judging left out.
+        seconds: Of training since its start, interrupted or not, reading and judging left out.
         left_s: Of training still to come, about.
         validation: Figures of the last epoch judged.
         best: Figures of the best epoch.
@@ -87,8 +87,8 @@ class TrainResult:
         checkpoint: The model that was written.
         history: Figures of every epoch judged.
         best: Figures of the epoch that was kept; None without held-out images.
-        seconds: Of training in this call, reading and judging left out.
-        images_seen: Of this call.
+        seconds: Of training since its start, interrupted or not, reading and judging left out.
+        images_seen: Likewise.
         calibration: What was calibrated at the end, and what that gained; None where it was not asked for.
         check: The filter on the held-out passes; None without any, or without odometry through them.
         skipped: Images and poses of all data that were left out in reading, by reason.
@@ -295,8 +295,8 @@ def _fit(
         checkpoint,
         tuple(state.history),
         course.best,
-        course.seconds,
-        course.images_seen(state.epoch) - course.images_seen(course.begun),
+        state.seconds,
+        course.images_seen(state.epoch),
         found.calibrated,
         found.check,
         skipped + split.held_out.skipped if apart else skipped,
@@ -312,13 +312,11 @@ class _Course:
         config: With its number of epochs.
         goes_on: Whether there is more to learn from once the model was judged.
         epochs: In all.
-        begun: Epochs done when it was begun or taken up again.
         best: Figures of the best epoch so far.
-        seconds: Of training since it was begun or taken up again, judging left out.
     """
 
     def __init__(self, state: TrainingState, split: Split, config: TrainConfig, report: ProgressCallback) -> None:
-        self.state, self.config, self.begun, self.seconds = state, config, state.epoch, 0.0
+        self.state, self.config = state, config
         self.goes_on = bool(split.judged.any()) and config.finish > 0 and len(split.everything) > len(split.training)
         self.epochs = state.epochs + (finishing(config).known_epochs if self.goes_on else 0)
         self.best = _best(state.history, config)
@@ -337,7 +335,7 @@ class _Course:
 
     def epoch(self) -> float:
         """Learn from all images once; returns the mean loss."""
-        state, seconds_before, begin_s = self.state, self.seconds, perf_counter() - self.seconds
+        state, seconds_before, begin_s = self.state, self.state.seconds, perf_counter() - self.state.seconds
         judged = state.epoch < state.epochs
         config, since = (self.config, 0) if judged else (finishing(self.config), state.epochs)
         steps = [steps_per_epoch(self._images(epoch), config) for epoch in range(self.epochs)]
@@ -350,7 +348,7 @@ class _Course:
             seconds, done = perf_counter() - begin_s, before + step
             if step == 1:
                 first_s = seconds
-                self._per_step_s = self._per_step_s or seconds / (done - sum(steps[: self.begun]))
+                self._per_step_s = self._per_step_s or seconds / done
             else:
                 self._per_step_s = (seconds - first_s) / (step - 1)
             left_s = self._per_step_s * (sum(steps) - done)
@@ -374,7 +372,7 @@ class _Course:
 
         loss = train_epoch(state, self._images(state.epoch), config, report, since=since)
         state.epoch += 1
-        self.seconds = perf_counter() - begin_s
+        state.seconds = perf_counter() - begin_s
         return loss
 
     def judge(self, judged: TrainingSet, loss: float) -> None:

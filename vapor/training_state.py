@@ -35,6 +35,7 @@ class TrainingState:
         optimizer: Adam, with its moments.
         epochs: How many there will be before the model is judged.
         epoch: Epochs done; more than that while it goes on with everything.
+        seconds: They took so many, judging left out.
         history: Figures of the epochs done, where there are held-out images.
         best: Weights of the best epoch so far, on the CPU.
         seen: The images of the epoch as a retrieval regressor sees them; found again after an interruption.
@@ -45,6 +46,7 @@ class TrainingState:
     optimizer: torch.optim.Optimizer
     epochs: int = 0
     epoch: int = 0
+    seconds: float = 0.0
     history: list[Validation] = field(default_factory=list)
     best: dict[str, Tensor] = field(default_factory=dict)
     seen: Seen | None = None
@@ -79,6 +81,7 @@ def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         "identity": json.loads(json.dumps(identity)),
         "epochs": state.epochs,
         "epoch": state.epoch,
+        "seconds": state.seconds,
         "history": [asdict(validation) for validation in state.history],
     }
     write_safetensors(path, tensors, {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config)})
@@ -123,6 +126,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         state.epochs, state.epoch = (
             int(parse_number(config.get(name), f"{path}: {name}", 0)) for name in ("epochs", "epoch")
         )
+        state.seconds = parse_number(config.get("seconds", 0.0), f"{path}: seconds", 0)  # earlier states lack them
     except SequenceError as error:
         raise CheckpointError(str(error)) from error
     history = config.get("history")

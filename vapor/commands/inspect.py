@@ -15,6 +15,7 @@ import tyro
 from rich.table import Table
 
 from filtering.errors import VaporTrackError
+from sequences.counts import ImageCounts
 from sequences.options import SequenceOptions
 from sequences.results import results_folder
 from vapor.commands.console import (
@@ -23,10 +24,12 @@ from vapor.commands.console import (
     parse,
     progress_of,
     show,
+    show_images,
     show_notices,
     show_skipped,
     usage_error,
 )
+from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage, height
 from vapor.inspection.inspect import Inspection, inspect
 from vapor.inspection.odometry import OdometryCheck
@@ -90,7 +93,7 @@ def main(arguments: Sequence[str]) -> None:
         show("\nWhat they show")
         show_notices([*_coverage_lines(found, found.coverage)])
     show("\nOdometry")
-    show_notices([*_odometry_lines(found)])
+    show_notices([*_odometry_lines(found), *_clock_lines(found.clocks)])
     if found.predictions is not None:
         show("\nThe model")
         show_notices([*_model_lines(found.predictions, found.coverage)])
@@ -134,6 +137,9 @@ def _show_walks(walks: Sequence[Walk]) -> None:
         show_notices([f"{walk.name}: {line}" for line in _walk_lines(walk)])
     for notice in dict.fromkeys(notice for walk in walks for notice in walk.notices):
         show_notices([notice])
+    counts = [walk.counts for walk in walks if walk.counts is not None]
+    if counts:
+        show_images(sum(counts, ImageCounts(0)).as_json())
     sources = {id(walk.skipped): walk.skipped for walk in walks}
     show_skipped(sum((Counter(skipped) for skipped in sources.values()), Counter()))
 
@@ -195,6 +201,13 @@ def _odometry_lines(found: Inspection) -> Iterator[str]:
         yield "nothing can be said: " + ("; ".join(reasons) or "no two images in a row have both it and true poses")
         return
     yield from _check_lines(check)
+
+
+def _clock_lines(clocks: Sequence[ImageClock]) -> Iterator[str]:
+    told = [clock for clock in clocks if clock.late_ms is not None]
+    if told:
+        late = ", ".join(f"{clock.late_ms:+.0f} ms ({clock.name}, {clock.against})" for clock in told[:_TOLD])
+        yield f"clock of the images, later than others by: {late}{', ...' if len(told) > _TOLD else ''}"
 
 
 def _check_lines(check: OdometryCheck) -> Iterator[str]:

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from filtering.errors import VaporTrackError, require_within
-from sequences.atomic import atomic_output
+from sequences.atomic import atomic_output, workspace
 from sequences.values import read_json
 from vapor.experiments.trainings import Scene, identities, render_scenes, rendered_height, trained_from
 from vapor.observation import resolve_device
@@ -151,8 +150,8 @@ class ScheduleExperiment:
             return [Point(**point) for point in read_json(file)]
         batch_size = min(config.batch_size, self.config.sequences * self.config.frames)
         clock = _Clock(batch_size, enough, most_s, advance)
-        with tempfile.TemporaryDirectory(dir=folder) as temporary, contextlib.suppress(_EnoughError):
-            model = Path(temporary) / "model.safetensors"
+        with workspace(folder, file.name) as work, contextlib.suppress(_EnoughError):
+            model = work / "model.safetensors"
             result = train(self._scene.train, model, config, validation=self._scene.test, progress=clock.follow)
             if not result.history:
                 raise VaporTrackError(f"{self._name}: {'; '.join(result.checkpoint.training['holding_out'])}")

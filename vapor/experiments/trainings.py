@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.atomic import atomic_output
+from sequences.atomic import atomic_output, workspace
 from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
 from sequences.values import read_arrays, read_json
 from vapor.checkpoint import load_checkpoint, spaced
@@ -206,14 +205,14 @@ def _run(training: Training, directory: Path) -> dict[str, Any]:
         return read_json(file)
     seed, scene = training.config.seed, training.scene
     result: dict[str, Any] = {"scene": scene.name, "label": training.label, "seed": seed}
-    with limited_threads(1), tempfile.TemporaryDirectory(dir=directory / "runs") as folder:
-        model = training.model_file(directory) if training.keep_model else Path(folder) / "model.safetensors"
+    with limited_threads(1), workspace(file.parent, file.name) as folder:
+        model = training.model_file(directory) if training.keep_model else folder / "model.safetensors"
         try:
             result |= _train(training, model)
         except TrainingError as error:
             result["error"] = str(error)
         else:
-            result |= _test(training, directory, model, Path(folder))
+            result |= _test(training, directory, model, folder)
     with atomic_output(file) as partial:
         partial.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result

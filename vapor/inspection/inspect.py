@@ -12,6 +12,7 @@ import numpy as np
 from filtering.posterior import ObservationModel
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
+from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck, check_odometry
 from vapor.inspection.predictions import Predictions, Said
@@ -28,6 +29,7 @@ class Inspection:
         walks: The recordings, at least one.
         coverage: What they show; None without true poses.
         odometry: How it compares with true poses; None without both.
+        clocks: How the images' stamps compare with those of odometry or true poses, of each recording.
         predictions: What a model says of the images; None without a model.
         notices: What a person should know of the true poses.
         verdict: Sentences, the most important first.
@@ -36,6 +38,7 @@ class Inspection:
     walks: tuple[Walk, ...]
     coverage: Coverage | None
     odometry: OdometryCheck | None
+    clocks: tuple[ImageClock, ...]
     predictions: Predictions | None
     notices: tuple[str, ...]
     verdict: tuple[str, ...]
@@ -46,6 +49,7 @@ class Inspection:
             "walks": [walk.as_json() for walk in self.walks],
             "coverage": None if self.coverage is None else self.coverage.as_json(),
             "odometry": None if self.odometry is None else self.odometry.as_json(),
+            "clocks": [clock.as_json() for clock in self.clocks],
             "model": None if self.predictions is None else self.predictions.as_json(self.coverage),
             "notices": list(self.notices),
             "verdict": list(self.verdict),
@@ -93,5 +97,6 @@ def inspect(
     if model is not None:
         posed = np.concatenate([walk.posed for walk in walks])
         predictions = Predictions.of(said, images.poses if images is not None else walks[0].poses, posed)
-    found = verdict(walks, coverage, odometry, predictions)
-    return Inspection(tuple(walks), coverage, odometry, predictions, notices, found)
+    clocks = tuple(ImageClock.of(walk) for walk in walks)
+    found = verdict(walks, coverage, odometry, clocks, predictions)
+    return Inspection(tuple(walks), coverage, odometry, clocks, predictions, notices, found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import permutations, product
+from itertools import accumulate, permutations, product
 from typing import Any
 
 import numpy as np
@@ -158,13 +158,16 @@ def _late_s(odometry: Trajectory, truth: Trajectory) -> float:
 
 def _track(stretch: OdometryStretch) -> tuple[Trajectory, Trajectory]:
     """Odometry from its first image on, and the true poses, at the same times."""
-    poses = [Poses.identity()]
-    for step in stretch.odometry:
-        poses.append(poses[-1] @ step.previous_from_current)
+    poses = chained([step.previous_from_current for step in stretch.odometry])
     seconds = np.concatenate([[0.0], np.cumsum([step.duration_s for step in stretch.odometry])])
     times_ns = np.round(seconds * 1e9).astype(np.int64)
     kept = np.flatnonzero(np.diff(times_ns, prepend=-1) > 0)
-    return Trajectory(times_ns[kept], Poses.stack(poses)[kept]), Trajectory(times_ns[kept], stretch.truth[kept])
+    return Trajectory(times_ns[kept], poses[kept]), Trajectory(times_ns[kept], stretch.truth[kept])
+
+
+def chained(steps: Sequence[Poses]) -> Poses:
+    """Where n motions lead, one after the other, from the identity on, (n + 1,)."""
+    return Poses.stack(list(accumulate(steps, Poses.__matmul__, initial=Poses.identity())))
 
 
 def _turned(stretch: OdometryStretch, turn: Float64[np.ndarray, "3 3"]) -> OdometryStretch:

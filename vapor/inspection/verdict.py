@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage, Floor, height
 from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
@@ -18,7 +19,8 @@ _STANDS_M, _STANDS_RAD = 0.05, float(np.deg2rad(5.0))
 _BLURRED, _BADLY_EXPOSED, _FROZEN, _LOST, _JUMPS = 0.1, 0.05, 0.02, 0.05, 0.01  # shares of a recording
 _LONG_GAP_S = 2.0
 _ALONE = 0.1  # of all images
-_LATE_MS, _SCALE, _CERTAIN = 20.0, 0.05, 3.0  # the last in standard errors
+_LATE_MS, _IMAGES_LATE_MS = 20.0, 100.0  # these are told five times less exactly
+_SCALE, _CERTAIN = 0.05, 3.0  # the last in standard errors
 _UNKNOWN = 0.05  # of the images
 _SCARCE = 0.5  # of what a floor would have if all had as many images
 _TOLD = 3
@@ -28,10 +30,11 @@ def verdict(
     walks: Sequence[Walk],
     coverage: Coverage | None,
     odometry: OdometryCheck | None,
+    clocks: Sequence[ImageClock],
     predictions: Predictions | None,
 ) -> tuple[str, ...]:
     """Sentences, each with what to do; one that says that it is good enough where there is nothing."""
-    found = [*_useless(walks, coverage)]
+    found = [*_useless(walks, coverage), *_clocks(odometry, clocks)]
     if odometry is not None:
         found += _odometry(odometry)
     if coverage is not None:
@@ -65,8 +68,28 @@ def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
         )
 
 
+def _clocks(odometry: OdometryCheck | None, clocks: Sequence[ImageClock]) -> Iterator[str]:
+    """Clocks that are off, before what else is wrong: that may come of it."""
+    late_ms = None if odometry is None else odometry.typical_late_ms
+    if late_ms is not None and abs(late_ms) >= _LATE_MS:
+        yield (
+            f"odometry is {_late_said(late_ms)} against the true poses: use --time-offset-s auto where these are"
+            " a file (--poses), else correct the stamps"
+        )
+    for clock in clocks:
+        if clock.late_ms is not None and abs(clock.late_ms) >= _IMAGES_LATE_MS:
+            yield (
+                f"the images of {clock.name} are {_late_said(clock.late_ms)} against the {clock.against}, as their view"
+                " shifts: correct the stamps, or see whether --stamps log has one clock for all"
+            )
+
+
+def _late_said(late_ms: float) -> str:
+    return f"{abs(late_ms):.0f} ms {'late' if late_ms > 0 else 'early'}"
+
+
 def _odometry(check: OdometryCheck) -> Iterator[str]:
-    axes, late_ms, fit = check.axes, check.typical_late_ms, check.fit
+    axes, fit = check.axes, check.fit
     if axes is not None and axes.swapped:
         yield f"check the extrinsics (tf, --base-from-camera): {axes.said()}"
     elif axes is not None and axes.tilted:
@@ -78,12 +101,6 @@ def _odometry(check: OdometryCheck) -> Iterator[str]:
         yield (
             f"check odometry and true poses: their motions have little in common (correlation {axes.correlation:.2f}),"
             " whichever way the axes are turned"
-        )
-    if late_ms is not None and abs(late_ms) >= _LATE_MS:
-        late = "late" if late_ms > 0 else "early"
-        yield (
-            f"odometry is {abs(late_ms):.0f} ms {late} against the true poses: use --time-offset-s auto where these are"
-            " a file (--poses), else correct the stamps"
         )
     if fit is not None and abs(fit.scale) > max(_SCALE, _CERTAIN * fit.scale_error):
         far = "long" if fit.scale > 0 else "short"

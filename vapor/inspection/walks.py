@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from sequences.counts import ImageCounts
 from sequences.datasets import is_recording, list_images, posed_frames
 from sequences.errors import SequenceError
 from sequences.frame import Frame
@@ -20,6 +21,7 @@ from sequences.options import OdometryUse, SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.roles import TruePoseUse
 from vapor.inspection.looks import Look, Looks, look_at
+from vapor.inspection.turns import outline, turn_between
 from vapor.training_set import TrainingError, TrainingSet, name_entries
 
 _GAP_STEPS, _GAP_S = 3.0, 0.25  # longer than so many usual steps, and than so long
@@ -36,10 +38,13 @@ class Walk:
         times_ns: Stamps, (n,).
         sizes: Width and height of images, pixels, and how many have them.
         looks: How its images look.
+        turns: How far the view turned since the image before, rotation vectors (see `turn_between`), (n, 3).
         posed: Which of them have a true pose, (n,).
         poses: These k poses, world_from_camera.
         odometry: Motion since the image before, n of them; None where it is not known.
-        skipped: What was left out in reading, by reason.
+        counts: What became of the images of the recording, those that were not asked for among the skipped ones; None
+            of images on disk.
+        skipped: What was left out in reading, by reason: images, and messages that are none.
         notices: What the reader says of odometry and true poses.
         assumed_hz: The rate that stamps were made up with; None where they were recorded.
         lacks: What was not found, "true poses" and "odometry", and why.
@@ -50,9 +55,11 @@ class Walk:
     times_ns: Int64[np.ndarray, " n"]
     sizes: Mapping[tuple[int, int], int]
     looks: Looks
+    turns: Float64[np.ndarray, "n 3"]
     posed: Bool[np.ndarray, " n"]
     poses: Poses
     odometry: tuple[Odometry | None, ...]
+    counts: ImageCounts | None
     skipped: Mapping[str, int]
     notices: tuple[str, ...]
     assumed_hz: int | None
@@ -140,6 +147,7 @@ class Walk:
             "brightness_jumps": np.flatnonzero(looks.jumps).tolist(),
             "frozen_images": [list(run) for run in self.frozen],
             "gaps": [{"at_s": at_s, "seconds": long_s} for at_s, long_s in self.gaps],
+            "counts": None if self.counts is None else self.counts.as_json(),
             "skipped": dict(self.skipped),
             "notices": list(self.notices),
             "lacks": dict(self.lacks),
@@ -191,10 +199,11 @@ class _Source:
     """Where the frames of one entry come from: a recording, whose true poses may be missing, or images on disk.
 
     Attributes:
-        skipped, notices, assumed_hz, lacks, recorded: As of `Walk`; complete after `frames`.
+        counts, skipped, notices, assumed_hz, lacks, recorded: As of `Walk`; complete after `frames`.
     """
 
     def __init__(self, path: Path, which: slice, reading: SequenceOptions | None) -> None:
+        self.counts: ImageCounts | None = None
         self.skipped: Counter[str] = Counter()
         self.notices: list[str] = []
         self.assumed_hz: int | None = None
@@ -218,18 +227,20 @@ class _Source:
             self._ask("odometry", odometry="required")
         start, stop = self._which.start or 0, self._which.stop
         number = -1  # of images with a true pose, by which a range counts; of all images where none has one
-        found = False
+        taken = 0
         for frame in reader:
             number += "true poses" in self.lacks or frame.world_from_camera is not None
             if stop is not None and number >= stop:
                 break
-            if number >= start:
-                yield replace(frame, odometry=frame.odometry if found else None)
-                found = True
-        if not found:
+            if max(number, 0) >= start:
+                yield replace(frame, odometry=frame.odometry if taken else None)
+                taken += 1
+        if not taken:
             raise SequenceError(f"{self._path}: no image in {start}:{stop}, expected at least one; it has {number + 1}")
-        few = [reader.counts.warning] if reader.counts.warning else []
-        self.skipped, self.notices = reader.skipped, [*reader.notices, *few]
+        self.counts = reader.counts.taken(taken)
+        few = [self.counts.warning] if self.counts.warning else []
+        self.skipped = reader.skipped + (self.counts.skipped - reader.counts.skipped)
+        self.notices = [*reader.notices, *few]
 
     def _ask(self, what: str, *, odometry: OdometryUse, true_poses: TruePoseUse = "optional") -> None:
         """Note why something is not found, where it is not."""
@@ -241,16 +252,21 @@ class _Source:
 
 @dataclass
 class _Part:
-    """Frames of one recording as they come, without their pixels."""
+    """Frames of one recording as they come, without their pixels but for the outline of the last."""
 
     times_ns: list[int] = field(default_factory=list)
     looks: list[Look] = field(default_factory=list)
+    turns: list[np.ndarray] = field(default_factory=list)
+    last: np.ndarray | None = None
     poses: list[Poses | None] = field(default_factory=list)
     odometry: list[Odometry | None] = field(default_factory=list)
 
     def take(self, frame: Frame) -> None:
         self.times_ns.append(frame.time_ns)
         self.looks.append(look_at(frame.image))
+        seen = outline(frame.image)
+        self.turns.append(turn_between(seen if self.last is None else self.last, seen))
+        self.last = seen
         self.poses.append(frame.world_from_camera)
         self.odometry.append(frame.odometry)
 
@@ -261,9 +277,11 @@ class _Part:
             np.array(self.times_ns, np.int64),
             Counter((look.width, look.height) for look in self.looks),
             Looks.of(self.looks),
+            np.stack(self.turns),
             np.array([pose is not None for pose in self.poses]),
             Poses.stack(known) if known else Poses.identity(0),
             tuple(self.odometry),
+            source.counts,
             source.skipped,
             tuple(source.notices),
             source.assumed_hz,
