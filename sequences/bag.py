@@ -49,6 +49,12 @@ class Topic:
         return foxglove.encodings(self.type)
 
     @property
+    def is_misnamed(self) -> bool:
+        """Whether it is called /tf or /tf_static and has no transforms."""
+        is_transforms = self.type in ("tf2_msgs/TFMessage", "tf/tfMessage") or foxglove.is_transforms(self.type)
+        return self.name in (TF_STATIC, TF) and not is_transforms
+
+    @property
     def is_foxglove_tf(self) -> bool:
         """Whether it has transforms of Foxglove's, which may have any name, and stand for /tf and /tf_static."""
         return foxglove.is_transforms(self.type) and self.encoding in self.encodings
@@ -92,7 +98,7 @@ class Bag:
 
     Attributes:
         path: What was opened.
-        topics: Topics by name.
+        topics: Topics by name; without those that are misnamed, which nobody could ask for.
         metadata: Metadata records by name, later ones over earlier ones; empty for files without an index.
         uncounted: Files that do not say how many messages they have, so that lost ones cannot be told.
     """
@@ -119,7 +125,9 @@ class Bag:
                 type_name = _type_name(file.schemas.get(channel.schema_id))
                 known = self.topics.get(channel.topic)
                 count = file.counts[channel.id] + (known.num_messages if known else 0)
-                self.topics[channel.topic] = Topic(channel.topic, type_name, count, channel.message_encoding)
+                topic = Topic(channel.topic, type_name, count, channel.message_encoding)
+                if not topic.is_misnamed:
+                    self.topics[topic.name] = topic
 
     def __contains__(self, topic: str) -> bool:
         """Whether messages of a topic can be asked for."""
@@ -131,7 +139,8 @@ class Bag:
         Those of Foxglove's transforms come once as /tf_static and once as /tf, where both are asked for.
 
         Raises:
-            SequenceError: a file is damaged, or at its end has other numbers of messages than it states.
+            SequenceError: a file is damaged, or at its end has other numbers of messages than it states, or a topic has
+                messages of several types.
         """
         asked = {t.name: [name for name in self._stands_for(t) if name in topics] for t in self.topics.values()}
         names = [name for name, stands_for in asked.items() if stands_for]
@@ -140,12 +149,19 @@ class Bag:
                 channel = file.channels[record.channel_id]
                 schema = file.schemas.get(channel.schema_id)
                 definition = schema.data if schema is not None else b""
+                topic, type_name = self.topics[channel.topic], _type_name(schema)
+                if (type_name, channel.message_encoding) != (topic.type, topic.encoding):
+                    raise SequenceError(
+                        f"{file.path}: {quoted(topic.name)} has messages of {quoted(type_name)}"
+                        f" ({quoted(channel.message_encoding)}) and of {quoted(topic.type)} ({quoted(topic.encoding)}),"
+                        " expected one type a topic"
+                    )
                 for name in asked[channel.topic]:
                     yield RawMessage(
                         name,
                         record.log_time_ns,
                         record.data,
-                        _type_name(schema),
+                        type_name,
                         channel.message_encoding,
                         definition,
                         self._restamped,

@@ -42,13 +42,16 @@ def check_before_decoding(data: bytes) -> None:
     """Check what can be told of a compressed image without decoding it.
 
     Raises:
-        DamagedImageError: a JPEG that is cut off, or whose coded pixels are broken by a marker that cannot be there.
+        DamagedImageError: a JPEG that is cut off, or whose coded pixels are broken by a marker that cannot be there; a
+            PNG without an end.
         SequenceError: it is no JPEG, PNG, WebP or BMP, or has more than 100 megapixels.
     """
     size = stated_size(data)
     if size is None:
         raise SequenceError(f"{len(data)} bytes are no image, expected JPEG, PNG, WebP or BMP")
     require_pixels(*size, "image")
+    if is_png(data) and not _png_ends(data):  # the decoder would ask for as much memory as a chunk says it has
+        raise DamagedImageError(f"PNG of {len(data)} bytes is cut off or broken, expected chunks up to an end")
     if not is_jpeg(data):
         return
     _, markers = _markers_of_scans(data)
@@ -117,6 +120,16 @@ def _size(data: bytes) -> tuple[int, int]:
             width, height = struct.unpack_from("<ii", data, 18)
         return abs(width), abs(height)
     return 0, 0
+
+
+def _png_ends(data: bytes) -> bool:
+    """Whether the chunks of a PNG follow each other up to its last."""
+    at = 8
+    while at + 12 <= len(data):
+        if data[at + 4 : at + 8] == b"IEND":
+            return True
+        at += 12 + int.from_bytes(data[at : at + 4], "big")
+    return False
 
 
 def _jpeg(data: bytes) -> _Jpeg:

@@ -243,6 +243,8 @@ def _records(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
                 checksum = zlib.crc32(stream.read(min(_PIECE, length - at)), checksum)
             continue
         content = stream.read(length)
+        if opcode == Opcode.FOOTER and stream.tell() + len(_MAGIC) != size:
+            raise McapError(f"footer with {size - stream.tell() - len(_MAGIC)} bytes behind it, expected it at the end")
         if opcode == Opcode.DATA_END and (stated := struct.unpack_from("<I", content)[0]) not in (0, checksum):
             raise McapError(f"data section has checksum {checksum}, expected {stated}")
         checksum = zlib.crc32(content, zlib.crc32(head, checksum))

@@ -63,9 +63,9 @@ def read_poses(path: Path, direction: Direction | None = None) -> PoseFile:
         direction: Which way the poses of named frames map; without it only a TUM trajectory can be read.
 
     Raises:
-        SequenceError: the file is missing or empty, a line has too few columns, no number where one belongs, a value
-            that is not finite or a quaternion without length, or names the same frame as an earlier one; or the
-            direction is missing, or contradicts a TUM trajectory.
+        SequenceError: the file is missing or empty, a line has too few columns or others than the first, no number
+            where one belongs, a value that is not finite or a quaternion without length, or names the same frame as an
+            earlier one; or the direction is missing, or contradicts a TUM trajectory.
     """
     path = Path(path)
     first = next(read_rows(path), None)
@@ -83,6 +83,8 @@ def read_poses(path: Path, direction: Direction | None = None) -> PoseFile:
         where, fields = f"{path}:{number}", line.split()
         if len(fields) < 8:
             raise SequenceError(f"{where}: {len(fields)} columns, expected the eight of `{_COLUMNS}`")
+        if len(fields) != len(first[1].split()):
+            raise SequenceError(f"{where}: {len(fields)} columns, expected as many as on line {first[0]}")
         frame = _frame_name(fields[0], where)
         if frame in seen:
             raise SequenceError(

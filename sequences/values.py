@@ -154,7 +154,7 @@ def parse_number(value: object, where: str, low: int | float = -LARGEST, high: i
         SequenceError: it is none, or lies outside.
     """
     try:
-        found = float(value) if isinstance(value, str | int | float) and not isinstance(value, bool) else math.nan
+        found = _float(value) if isinstance(value, str | int | float) and not isinstance(value, bool) else math.nan
     except (ValueError, OverflowError):
         found = math.nan
     if not low <= found <= high:  # NaN compares as false
@@ -170,7 +170,7 @@ def parse_numbers(values: Iterable[Any], where: str, expected: str = "numbers") 
     """
     values = list(values)
     try:
-        return [float(value) for value in values]
+        return [_float(value) for value in values]
     except (ValueError, TypeError, OverflowError):
         wrong = next(value for value in values if not is_number(value))
         raise SequenceError(f"{where}: {quoted(wrong)} is no number, expected {expected}") from None
@@ -179,10 +179,22 @@ def parse_numbers(values: Iterable[Any], where: str, expected: str = "numbers") 
 def is_number(value: object) -> bool:
     """Whether a field of a row is a number, NaN and infinity included."""
     try:
-        float(value)  # pyright: ignore[reportArgumentType]
+        _float(value)
     except (ValueError, TypeError, OverflowError):
         return False
     return True
+
+
+def _float(value: Any) -> float:
+    """A number. Raises ValueError, TypeError or OverflowError where it is none, or one to Python only."""
+    if isinstance(value, str) and not _is_plain(value):
+        raise ValueError
+    return float(value)
+
+
+def _is_plain(text: str) -> bool:
+    """Whether text has nothing that Python alone reads as a part of a number: `1_0`, and digits of other scripts."""
+    return text.isascii() and "_" not in text
 
 
 def parse_whole(text: str, where: str, low: int, high: int) -> int:
@@ -204,7 +216,7 @@ def parse_time_ns(text: str, where: str) -> int:
         SequenceError: no number, or a time before 1824 or after 2116. `where` begins the message.
     """
     try:
-        seconds = Decimal(text) if len(text) <= _MAX_DIGITS else Decimal("NaN")
+        seconds = Decimal(text) if len(text) <= _MAX_DIGITS and _is_plain(text) else Decimal("NaN")
         if -_MAX_TIME_S <= seconds <= _MAX_TIME_S:
             return int(seconds.scaleb(9).to_integral_value())
     except DecimalException:  # NaN too, which cannot be compared

@@ -11,7 +11,7 @@ import pytest
 
 from filtering.se3 import Poses
 from sequences.convert import convert
-from sequences.datasets import count_frames, posed_frames
+from sequences.datasets import count_frames, list_images, posed_frames
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
@@ -115,6 +115,9 @@ def test_what_is_left_out_of_frames_is_counted(tmp_path: Path) -> None:
     frames = posed_frames(folder)
     assert [int(frame.image[0, 0, 0]) // 10 for frame in frames] == [0, 1, 3, 5, 6, 7, 8]
     assert frames.skipped == {"no image": 1, "undecodable image": 1, "true pose does not cover": 1}
+    rows = (folder / "rgb.txt").read_text().splitlines()
+    (folder / "rgb.txt").write_text("\n".join(rows[:-1]))
+    assert list_images(folder).skipped == {"no image": 1, "image not in the list": 1}
     walk = Walk()
     walk.images[5] = (walk.images[5][0], b"no image")
     bag = posed_frames(walk.write(tmp_path / "walk.mcap"))

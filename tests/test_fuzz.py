@@ -14,7 +14,7 @@ from tests.fuzz import __main__ as command
 from tests.fuzz import cases
 from tests.fuzz.cases import Sample, _splice, _spliced
 from tests.fuzz.mcap_damage import put_together, stated_images, take_apart
-from tests.fuzz.readers import Reader, Reading, UnsoundError
+from tests.fuzz.readers import READERS, Reader, Reading, UnsoundError
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -138,3 +138,11 @@ def test_what_is_kept_of_a_file_gives_it_back() -> None:
 def test_what_once_failed_fails_no_more() -> None:
     for name, verdict in cases.replay():
         assert verdict.outcome != "failure", f"{name}: {verdict.cause}: {verdict.said}: {verdict.damage}"
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_few_damaged_files_are_refused_or_read_and_what_is_lost_is_counted(name: str, tmp_path: Path) -> None:
+    sample = Sample(name, tmp_path)
+    for number in range(5):  # `make fuzz` tries more
+        verdict = sample.judge(*sample.changes(0, number))
+        assert verdict.outcome != "failure", f"case {number}: {verdict.cause}: {verdict.said}: {verdict.damage}"

@@ -200,6 +200,19 @@ def test_intrinsics_are_unknown_until_somebody_states_them_and_then_a_conversion
     ]
 
 
+def test_images_of_a_sequence_that_lost_its_poses_are_counted(tmp_path: Path) -> None:
+    for make, poses in ((make_ambiguous, "seq10/poses_seq10.txt"), (make_ceiling, "10/poses.txt")):
+        split = make(tmp_path / make.__name__) / "train"
+        (split / poses).unlink()
+        (split / "notes").mkdir()
+        check(split, [0, 1, 2])
+        assert list_images(split).skipped == {"no true pose": 2}
+    scene = make_7scenes(tmp_path / "chess", num_images=2, sequences=("seq-01", "seq-02"))
+    for pose in (scene / "seq-02").glob("*.pose.txt"):
+        pose.unlink()
+    assert list_images(scene).skipped == {"no true pose": 2}
+
+
 def test_two_files_of_poses_in_one_sequence_are_refused(tmp_path: Path) -> None:
     train = make_ambiguous(tmp_path / "scene") / "train"
     (train / "seq10" / "poses_seq00.txt").write_text("")
@@ -327,6 +340,8 @@ def test_what_a_cambridge_list_leaves_out_is_counted(tmp_path: Path) -> None:
         "no image": 1,
         "image not in the list": 1,  # seq10/frame00002.png; those of seq1 are another split's
     }
+    (scene / "dataset_train.txt").write_text(HEADER + cambridge_row("seq2/frame00010.png", true_pose(1)))
+    assert list_images(scene / "dataset_train.txt").skipped == {"image not in the list": 3}  # of seq10 two
 
 
 @pytest.mark.parametrize(
@@ -493,7 +508,7 @@ def test_what_a_colmap_model_leaves_out_is_counted(tmp_path: Path) -> None:
     (root / "sparse" / "0" / "images.txt").write_text("\n".join(rows))
     write_images(root / "images", {7: "a/frame11.png"})
     check(root, [1])
-    counted = {"true pose not finite": 1, "no image": 1, "image not in the list": 1}
+    counted = {"true pose not finite": 1, "no image": 1, "image not in the list": 2}  # one in a folder of its own
     assert list_images(root).skipped == counted
 
 

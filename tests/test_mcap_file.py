@@ -182,6 +182,16 @@ def test_a_record_that_is_said_to_be_longer_than_the_file_is_refused(walk_file: 
         list(Bag(path).messages([IMAGES]))
 
 
+def test_a_footer_that_hides_what_the_file_states_is_refused(walk_file: Path, tmp_path: Path) -> None:
+    def with_a_second_footer(data: bytearray) -> None:
+        place = next(place for opcode, place, _ in records(data) if opcode == Opcode.STATISTICS)
+        data[place - 9 : place - 9] = data[-37:-8]
+
+    path = damaged(walk_file, tmp_path / "a.mcap", with_a_second_footer, use_chunking=False)
+    with pytest.raises(SequenceError, match=r"footer with \d+ bytes behind it, expected it at the end"):
+        Bag(path)
+
+
 def test_chunks_that_all_claim_the_same_time_are_not_held_without_limit(
     walk_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

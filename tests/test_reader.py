@@ -254,6 +254,13 @@ def test_a_topic_that_is_missing_or_of_another_type_is_named(
         SequenceReader(walk_file, options)
 
 
+def test_a_topic_of_two_types_is_refused_with_both(tmp_path: Path) -> None:
+    bag = with_second(tmp_path, "/odom", "/ground_truth/pose")
+    said = r"'/ground_truth/pose' has messages of 'geometry_msgs/PoseStamped' \('cdr'\) and of 'nav_msgs/Odometry'"
+    with pytest.raises(SequenceError, match=said):
+        list(SequenceReader(bag, SequenceOptions(ground_truth_topic="/ground_truth/pose")))
+
+
 # --- extrinsics ------------------------------------------------------------------------------------
 
 

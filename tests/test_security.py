@@ -15,7 +15,7 @@ import pytest
 from sequences.bag import bag_files
 from sequences.datasets import list_images, posed_frames
 from sequences.errors import SequenceError
-from sequences.image_headers import stated_size
+from sequences.image_headers import DamagedImageError, stated_size
 from sequences.layouts.packed import Archive
 from sequences.messages import decode_image_bytes
 
@@ -218,6 +218,14 @@ def jpeg(width: int, height: int) -> bytes:
     return data.replace(struct.pack(">HH", 48, 64), struct.pack(">HH", height, width))
 
 
+def test_a_png_with_a_chunk_longer_than_itself_is_not_decoded(monkeypatch) -> None:
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("memory was asked for"))
+    whole = png(640, 480)
+    for damaged in (whole[:33] + b"\x7f\xff\xff\xff" + whole[37:], whole[:-12], whole[:60]):
+        with pytest.raises(DamagedImageError, match=rf"PNG of {len(damaged)} bytes is cut off or broken"):
+            decode_image_bytes(damaged)
+
+
 @pytest.mark.parametrize("data", [png(30_000, 30_000), png(2**31 - 1, 2**31 - 1), jpeg(30_000, 30_000)])
 def test_an_image_that_says_it_is_larger_than_any_is_not_decoded(data: bytes, monkeypatch, tmp_path: Path) -> None:
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("memory was asked for"))
@@ -258,6 +266,21 @@ def test_a_member_of_an_archive_that_unpacks_to_gigabytes_is_not_unpacked(monkey
     with pytest.raises(SequenceError, match=r"scan\.r3d: 'metadata' has 68,157,440 bytes, expected at most 67,108,864"):
         list_images(path)
     assert Archive(path).names == {"metadata"}
+
+
+def test_an_archive_whose_names_are_no_text_or_that_is_of_a_later_version_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "scan.r3d"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("métadonnées", b"{}")
+    whole = path.read_bytes()
+    entry = whole.rindex(b"PK\x01\x02")
+    for damaged in (
+        whole[: entry + 46] + whole[entry + 46 :].replace("é".encode(), b"\xd3a"),
+        whole[: entry + 6] + b"\xff" + whole[entry + 7 :],
+    ):
+        path.write_bytes(damaged)
+        with pytest.raises(SequenceError, match=r"scan\.r3d: cannot be read as a zip archive"):
+            Archive(path)
 
 
 def test_yaml_whose_references_multiply_is_refused(tmp_path: Path) -> None:

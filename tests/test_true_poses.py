@@ -13,6 +13,7 @@ from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
+from tests import foxglove_files
 from tests.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk
 from tests.tf_files import MS, Event, body, header, images, mounted, odometry, pose, record, robot, stamps, tf, told_by
 from vapor.track import main
@@ -337,6 +338,22 @@ def test_broken_transforms_do_no_harm_where_true_poses_are_not_needed(tmp_path: 
 def test_a_frame_needs_a_name(name: str) -> None:
     with pytest.raises(SequenceError, match=rf"{name} is '', expected the name of a frame"):
         SequenceOptions(**{name: ""})  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("encoding", [*foxglove_files.ENCODINGS, "ros"])
+@pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
+def test_what_is_called_tf_and_has_no_transforms_is_no_tf(topic: str, encoding: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    if encoding == "ros":
+        message = {"header": header(BEGIN_NS, "map"), "pose": pose(body(BEGIN_NS))}
+        other = [Event(BEGIN_NS, topic, "geometry_msgs/PoseStamped", message)]
+        record(path, images(), told_by("geometry_msgs/PoseStamped", stamps()), other)
+    else:
+        walk = (foxglove_files.images(), foxglove_files.robot(), foxglove_files.calibration(topic))
+        foxglove_files.write(path, encoding, *walk)
+    reader = SequenceReader(path, odometry="optional")
+    assert len(list(reader)) == 12
+    assert reader.camera is None
 
 
 # --- commands --------------------------------------------------------------------------------------

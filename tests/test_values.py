@@ -19,7 +19,16 @@ from sequences.layouts.intrinsics import find_camera
 from sequences.pose_files import read_poses
 from sequences.pose_tables import read_pose_table
 from sequences.tum import read_tum
-from sequences.values import natural, parse_json, parse_number, parse_time_ns, read_arrays, read_lines
+from sequences.values import (
+    is_number,
+    natural,
+    parse_json,
+    parse_number,
+    parse_numbers,
+    parse_time_ns,
+    read_arrays,
+    read_lines,
+)
 from vapor.checkpoint import CheckpointError, parse_metadata
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
@@ -72,6 +81,14 @@ def test_a_stamp_too_small_to_be_told_from_zero_is_zero() -> None:
 
 
 # --- numbers ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", ["1_0", "\u0663", "0.\u0665", "1_700_000_000.5"])
+def test_what_only_python_takes_for_a_number_is_none(text: str) -> None:
+    assert not is_number(text)
+    refused(lambda: parse_number(text, "there"), "there is ")
+    refused(lambda: parse_numbers(["1", text], "a.txt:3"), "a.txt:3: ", "is no number")
+    refused(lambda: parse_time_ns(text, "a.tum:7"), "a.tum:7: time", "expected a number of seconds")
 
 
 @settings(max_examples=60)

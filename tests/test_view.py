@@ -1,7 +1,9 @@
 """The viewers: one that shows nothing, one that writes a Rerun recording."""
 
+import resource
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -89,6 +91,41 @@ def test_an_error_in_the_loop_leaves_no_recording_and_keeps_the_old_one(tmp_path
         fail()
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@contextmanager
+def room_for(num_bytes):
+    """No file of this process may become larger: as on a disk that is full, but with another word for it."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("num_bytes", [0, 20_000])
+def test_a_recording_for_which_there_is_no_room_is_an_error_and_leaves_nothing(num_bytes, tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    viewer = RerunViewer(path)
+
+    def record():
+        with viewer:
+            for frame, _, estimate, _ in 40 * steps:  # more than a pipe holds
+                viewer.log(frame, estimate, estimate.particles)
+
+    said = r"recording\.rrd: the recording cannot be written: File too large.*--no-recording"
+    with room_for(num_bytes), pytest.raises(VaporTrackError, match=said):
+        record()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_whose_last_bytes_find_no_room_is_an_error_and_leaves_nothing(tmp_path, steps):
+    viewer = RerunViewer(tmp_path / "recording.rrd")
+    viewer.log(steps[0][0], steps[0][2], None)
+    with room_for(0), pytest.raises(VaporTrackError, match=r"recording\.rrd: the recording cannot be written"):
+        viewer.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_closing_twice_is_harmless(tmp_path, steps):

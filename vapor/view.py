@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import threading
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING, Protocol
@@ -26,7 +27,6 @@ _CLOUD_SIZE = 300
 _FRUSTA = 40  # samples of an image's posterior that are shown as cameras
 _IMAGE_SIDE = 480  # pixels
 _JPEG_QUALITY = 75
-_LEAST_FREE = 1 << 20  # bytes; where its first ones find no room, Rerun waits for ever
 _EPOCH_NS = 10**17  # stamps below are seconds since some start, not since 1970
 _JUMP_M = 0.5  # an estimate that moves so much farther than the odometry changed its mind
 _STATUS_LEVEL: dict[Status, float] = {"lost": 0.0, "ambiguous": 0.5, "converged": 1.0}
@@ -85,10 +85,7 @@ class RerunViewer:
         rr = _quiet_rerun()
         if path is None and not spawn:
             raise VaporTrackError("a viewer needs a recording to write or a window to open, got neither")
-        if path is not None and path.parent.is_dir() and shutil.disk_usage(path.parent).free < _LEAST_FREE:
-            raise VaporTrackError(f"{path}: the recording cannot be written: no room on the disk, expected some")
-        self._path = path
-        self._output = None if path is None else atomic_output(path)
+        self._recording: _Recording | None = None
         self._stream = rr.RecordingStream("vapor-track", recording_id=title)
         sinks: list[rr.FileSink | rr.GrpcSink] = []
         if spawn:
@@ -97,8 +94,9 @@ class RerunViewer:
             except RuntimeError as error:
                 raise VaporTrackError(f"the Rerun viewer cannot be started: {error}") from error
             sinks.append(rr.GrpcSink())
-        if self._output is not None:
-            sinks.append(rr.FileSink(self._output.__enter__()))
+        if path is not None:
+            self._recording = _Recording(path)
+            sinks.append(rr.FileSink(self._recording.pipe))
         self._stream.set_sinks(*sinks, default_blueprint=_blueprint())
         self._camera: Camera | None = None
         self._last_best: Poses | None = None
@@ -118,7 +116,13 @@ class RerunViewer:
         self._finish(keep=True)
 
     def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
-        """Show one image, the belief after it, and samples (m,) of the image's own posterior."""
+        """Show one image, the belief after it, and samples (m,) of the image's own posterior.
+
+        Raises:
+            VaporTrackError: what came before could not be written.
+        """
+        if self._recording is not None and self._recording.error is not None:
+            raise self._recording.error
         if frame.time_ns >= _EPOCH_NS:
             self._stream.set_time("time", timestamp=np.datetime64(frame.time_ns, "ns"))
         else:
@@ -206,21 +210,65 @@ class RerunViewer:
 
     def _finish(self, *, keep: bool) -> None:
         """Close the streams; the recording gets its name, or goes."""
-        failed = None if keep else VaporTrackError("the run failed")
         try:
             self._stream.flush()
-        except RuntimeError as error:  # of an error in writing it says no more than that there was one
-            failed = VaporTrackError(
-                f"{self._path or 'the Rerun viewer'}: the recording cannot be written ({error}), expected room for it"
-                " on the disk; a run with --no-recording needs none"
-            )
+        except RuntimeError as error:  # it says no more than that there was one
             if keep:
-                raise failed from error
+                keep = False
+                raise VaporTrackError(f"the Rerun viewer cannot be written to: {error}") from error
         finally:
             self._stream.disconnect()
-            if self._output is not None:
-                output, self._output = self._output, None
-                output.__exit__(failed and type(failed), failed, None)
+            if self._recording is not None:
+                recording, self._recording = self._recording, None
+                recording.close(keep=keep)
+
+
+class _Recording:
+    """A file that Rerun writes through a pipe: where there is no room, Rerun itself would wait for ever.
+
+    Attributes:
+        pipe: What Rerun is to write to.
+        error: Why the file could not be written; None while it can. What is written to the pipe then is lost.
+
+    Raises:
+        SequenceError: the folder is missing or cannot be written to.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._output = atomic_output(path)
+        partial = self._output.__enter__()
+        pipe, self._end = os.pipe()
+        self.pipe = f"/dev/fd/{self._end}"
+        self.error: VaporTrackError | None = None
+        self._thread = threading.Thread(target=self._copy, args=(pipe, partial), daemon=True)
+        self._thread.start()
+
+    def _copy(self, pipe: int, partial: Path) -> None:
+        with open(pipe, "rb") as stream:
+            try:
+                with partial.open("wb") as file:
+                    shutil.copyfileobj(stream, file)
+            except OSError as error:
+                self.error = VaporTrackError(
+                    f"{self._path}: the recording cannot be written: {error.strerror or error}; expected room for it on"
+                    " the disk, a run with --no-recording needs none"
+                )
+            while stream.read(1 << 16):  # so that nobody waits for room in the pipe
+                pass
+
+    def close(self, *, keep: bool) -> None:
+        """Give the file its name, or remove it, once Rerun has closed the pipe.
+
+        Raises:
+            VaporTrackError: the file was to be kept, and could not be written.
+        """
+        os.close(self._end)
+        self._thread.join()
+        failed = self.error or (None if keep else VaporTrackError("the run failed"))
+        self._output.__exit__(failed and type(failed), failed, None)
+        if keep and failed:
+            raise failed
 
 
 def _quiet_rerun() -> ModuleType:

@@ -33,13 +33,19 @@ def list_images(path: Path) -> PosedImages | None:
     """
     if not path.is_dir():
         return None
-    folders = [path, *sorted((p for p in path.iterdir() if p.is_dir()), key=lambda p: natural(p.name))]
-    found = [files for folder in folders if (files := sorted(folder.glob("poses_seq*.txt")))]
-    if not found:
+    folders = [path]
+    if not _pose_files(path):
+        folders = sorted((p for p in path.iterdir() if p.is_dir()), key=lambda p: natural(p.name))
+    found = {folder: _pose_files(folder) for folder in folders}
+    if not any(found.values()):
         return None
-    sequences = found[:1] if found[0][0].parent == path else found
-    for files in sequences:
+    for files in found.values():
         if len(files) > 1:
             names = " and ".join(file.name for file in files)
             raise SequenceError(f"{files[0].parent}: {names}, expected one file of poses a sequence")
-    return _LAYOUT.list_images([files[0] for files in sequences])
+    unposed = [folder for folder, files in found.items() if not files]
+    return _LAYOUT.list_images([files[0] for files in found.values() if files], unposed)
+
+
+def _pose_files(folder: Path) -> list[Path]:
+    return sorted(folder.glob("poses_seq*.txt"))

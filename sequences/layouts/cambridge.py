@@ -65,6 +65,13 @@ def list_images(path: Path) -> PosedImages | None:
         else:
             poses[name] = Poses(np.ascontiguousarray(pose.rotation.T), pose.translation)
     scene = path.absolute().parent
-    images = list_named("Cambridge Landmarks", path.parent, path.parent, poses)
+    images = list_named("Cambridge Landmarks", path.parent, path.parent, poses, _in_no_list(path.parent))
     camera = find_camera((scene, scene.parent), images.files)
     return replace(images, cameras=[camera] * len(images))
+
+
+def _in_no_list(scene: Path) -> list[Path]:
+    """Folders of a scene that none of its lists names."""
+    lists = [file for file in scene.glob("dataset_*.txt") if file.is_file()]
+    named = {line.strip().partition("/")[0] for file in lists for _, line in read_lines(file)}
+    return [folder for folder in scene.iterdir() if folder.is_dir() and folder.name not in named]

@@ -30,4 +30,5 @@ def list_images(path: Path) -> PosedImages | None:
     if (path / "poses.txt").is_file():
         return _LAYOUT.list_images([path / "poses.txt"])
     pose_files = sorted(path.glob("*/poses.txt"), key=lambda file: natural(file.parent.name))
-    return _LAYOUT.list_images(pose_files) if pose_files else None
+    unposed = {folder for folder in path.glob("*/") if folder.is_dir()} - {file.parent for file in pose_files}
+    return _LAYOUT.list_images(pose_files, unposed) if pose_files else None

@@ -63,7 +63,8 @@ def list_images(path: Path) -> PosedImages | None:
     cameras = _read_cameras(found[0])
     poses, camera_ids = _read_images(found[1], cameras)
     base, root = _image_folder(found[1], camera_ids)
-    images = list_named("COLMAP", base, root, poses)
+    folders = [Path(each) for each, _, _ in os.walk(root)] if root != base else ()  # which may hold what not
+    images = list_named("COLMAP", base, root, poses, folders)
     ids: dict[ImageFile, str] = {root / name: camera_id for name, camera_id in camera_ids.items()}
     used = [ids[file] for file in images.files]
     scaled = {

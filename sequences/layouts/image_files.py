@@ -42,16 +42,20 @@ def images_in(folder: Path) -> list[Path]:
     return sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())
 
 
+def images_in_first(folder: Path, subfolders: tuple[str, ...]) -> list[Path]:
+    """Images of the first of the subfolders that holds any, or else of the folder; none where there are none."""
+    places = [*(folder / name for name in subfolders), folder]
+    return next((files for place in places if (files := images_in(place))), [])
+
+
 def images_by_number(folder: Path, subfolders: tuple[str, ...]) -> dict[int, Path]:
     """Images by the last number in their names, from the first of the subfolders that holds any, or else the folder.
 
     Raises:
         SequenceError: two images have the same number, or none has one.
     """
-    places = [*(folder / name for name in subfolders), folder]
-    files = next((files for place in places if (files := images_in(place))), [])
     numbered: dict[int, Path] = {}
-    for file in files:
+    for file in images_in_first(folder, subfolders):
         match = re.search(r"(\d+)\D*$", file.stem, flags=re.ASCII)
         if match is None:
             continue
@@ -65,7 +69,8 @@ def images_by_number(folder: Path, subfolders: tuple[str, ...]) -> dict[int, Pat
     return numbered
 
 
-def num_beside(files: Iterable[Path]) -> int:
-    """How many other images lie in the folders of these."""
+def num_beside(files: Iterable[Path], folders: Iterable[Path] = ()) -> int:
+    """How many other images lie in the folders of these, and in further folders."""
     wanted = set(files)
-    return sum(file not in wanted for folder in {file.parent for file in wanted} for file in images_in(folder))
+    places = {file.parent for file in wanted}.union(folders)
+    return sum(file not in wanted for folder in places for file in images_in(folder))

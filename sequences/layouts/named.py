@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import groupby
 from pathlib import Path, PurePosixPath
 
@@ -15,7 +15,13 @@ from sequences.layouts.posed_images import PosedImages
 from sequences.values import natural, require_inside
 
 
-def list_named(layout: str, folder: Path, root: Path, world_from_camera: Mapping[str, Poses | str]) -> PosedImages:
+def list_named(
+    layout: str,
+    folder: Path,
+    root: Path,
+    world_from_camera: Mapping[str, Poses | str],
+    folders: Iterable[Path] = (),
+) -> PosedImages:
     """Images in the order of their names, those of one folder as one sequence, without intrinsics yet.
 
     Args:
@@ -23,6 +29,7 @@ def list_named(layout: str, folder: Path, root: Path, world_from_camera: Mapping
         folder: Where the data set lies: no name leads out of it.
         root: What the names are relative to.
         world_from_camera: One pose by the name of each image, or why it has none.
+        folders: Where other images than these should not be, beside their own folders: they are counted as left out.
 
     Raises:
         SequenceError: a name leads out of the folder.
@@ -45,7 +52,7 @@ def list_named(layout: str, folder: Path, root: Path, world_from_camera: Mapping
                 files.append(root / name)
                 poses.append(pose)
                 numbers[-1].append(number)
-    skipped["image not in the list"] += num_beside(root / name for name in ordered)
+    skipped["image not in the list"] += num_beside((root / name for name in ordered), folders)
     return PosedImages.numbered(layout, files, stack_poses(poses), numbers, skipped)
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.layouts.image_files import images_by_number
+from sequences.layouts.image_files import images_by_number, images_in_first
 from sequences.layouts.intrinsics import find_camera
 from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row, stack_poses
 from sequences.layouts.posed_images import PosedImages
@@ -35,16 +35,17 @@ class NumberedLayout:
     image_folders: tuple[str, ...]
     levels: int
 
-    def list_images(self, pose_files: Sequence[Path]) -> PosedImages:
+    def list_images(self, pose_files: Sequence[Path], unposed: Iterable[Path] = ()) -> PosedImages:
         """Images of sequences, each in the folder of its pose file, camera-to-world poses as they stand.
 
         Args:
             pose_files: One a sequence, at least one.
+            unposed: Folders of sequences without one, if they are any: their images are counted as left out.
 
         Raises:
             SequenceError: a file is missing or damaged, or a frame is there twice.
         """
-        skipped: Counter[str] = Counter()
+        skipped = Counter({"no true pose": sum(len(images_in_first(each, self.image_folders)) for each in unposed)})
         files: list[Path] = []
         poses: list[Poses] = []
         numbers: list[list[int]] = []

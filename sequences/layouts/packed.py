@@ -78,7 +78,7 @@ class Archive:
         self.path = path
         try:
             self._file = zipfile.ZipFile(path)
-        except (OSError, zipfile.BadZipFile) as error:
+        except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:  # of version, and of names
             raise SequenceError(f"{path}: cannot be read as a zip archive: {error}; expected a complete one") from error
         self._sizes = {member.filename: member.file_size for member in self._file.infolist()}
         self.names = frozenset(self._sizes)

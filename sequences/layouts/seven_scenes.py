@@ -53,10 +53,11 @@ def _split(path: Path) -> list[Path]:
 
 
 def _sequences(path: Path) -> list[Path]:
-    """The folder itself where it holds frames, else its seq-* that do."""
+    """The folder itself where it holds poses, else its seq-* where one of them does."""
     if _holds_frames(path):
         return [path]
-    return [folder for folder in sorted(path.glob("seq-*")) if _holds_frames(folder)] if path.is_dir() else []
+    folders = [folder for folder in sorted(path.glob("seq-*")) if folder.is_dir()] if path.is_dir() else []
+    return folders if any(map(_holds_frames, folders)) else []
 
 
 def _holds_frames(folder: Path) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from filtering.errors import quoted
 from sequences.errors import SequenceError
 from sequences.frame import Camera
+from sequences.layouts.image_files import num_beside
 from sequences.layouts.intrinsics import find_camera
 from sequences.layouts.posed_images import PosedImages
 from sequences.pairing import MAX_TRUE_POSE_GAP_S, interpolate
@@ -39,20 +40,23 @@ def list_images(path: Path) -> PosedImages | None:
     truth = read_tum(path / "groundtruth.txt")
     times_ns: list[int] = []
     files: list[Path] = []
+    listed: list[Path] = []
     for number, line in read_rows(path / "rgb.txt"):
         where, fields = f"{path / 'rgb.txt'}:{number}", line.split(maxsplit=1)
         if len(fields) != 2:
             raise SequenceError(f"{where}: {quoted(line)}, expected `time file`")
         found_ns = parse_time_ns(fields[0], where)
+        listed.append(file := path / fields[1].strip())
         if times_ns and found_ns <= times_ns[-1]:
             skipped["time stamp not increasing"] += 1
             continue
-        if not os.path.isfile(file := path / fields[1].strip()):
+        if not os.path.isfile(file):
             skipped["no image"] += 1
             continue
         times_ns.append(found_ns)
         files.append(file)
-    require_inside(path, files)
+    require_inside(path, listed)
+    skipped["image not in the list"] += num_beside(listed)
     times = np.array(times_ns, np.int64)
     poses, covered = interpolate(truth.times_ns, truth.poses, times, max_gap_s=MAX_TRUE_POSE_GAP_S)
     if not covered.all():
@@ -61,4 +65,4 @@ def list_images(path: Path) -> PosedImages | None:
     files = [files[i] for i in kept]
     known = next((camera for name, camera in _KNOWN_CAMERAS.items() if name in path.name), _CAMERA)
     camera = find_camera((path, path.parent), files, known)
-    return PosedImages("TUM RGB-D", files, times[kept], poses[kept], [camera] * len(files), skipped=skipped)
+    return PosedImages("TUM RGB-D", files, times[kept], poses[kept], [camera] * len(files), skipped=+skipped)
