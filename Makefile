@@ -52,26 +52,38 @@ $(DATA)/staircase-held-out-%.mcap: | $(INSTALLED) $(DATA)
 $(DATA)/ceiling-held-out-%.mcap: | $(INSTALLED) $(DATA)
 	$(BIN)/vapor-track synthesize ceiling $@ --seed $* --frames 500 --split train --width 240 --height 180
 
-# Small images first: what is alike is learned from them in a fifth of the time, and what is not from larger ones.
+# Small images first: what looks alike is learned from them in a third of the time, and what does not from larger ones.
 # Of six floors and of 15 places that look alike, no more samples than one in so many may learn from an image.
-LEARNING_staircase := --loss.alpha 0.1
-LEARNING_ceiling := --loss.alpha 0.045 --loss.num-samples 333 --learning-rate 1e-3
-TRAIN = $(BIN)/vapor-track train $(filter-out $(HELD_OUT_100) %.safetensors,$^) --validation $(HELD_OUT_100) --output $@ \
-    --preset demo --no-calibrate $(LEARNING_$*)
+FIRST_staircase := --loss.alpha 0.1 --epochs 4
+LATER_staircase := --loss.alpha 0.1 --loss.beta 0.005 --learning-rate 2e-3 --epochs 4
+FIRST_ceiling := --loss.alpha 0.05 --loss.num-samples 333 --learning-rate 1e-3 --evolve 0.4 --epochs 5
+LATER_ceiling := --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 --learning-rate 1e-3 --epochs 4
+LAST_ceiling := $(subst epochs 4,epochs 5,$(LATER_ceiling))
+SMALL := --network.image-width 64 --network.image-height 48 --network.shortest-edge 51
+MIDDLE := --network.image-width 96 --network.image-height 72 --network.shortest-edge 76
+FULL := --select-by log_density
 HELD_OUT_100 = $(DATA)/$*-held-out-100.mcap
+TRAIN = $(BIN)/vapor-track train $(subst %,$*,$(WALKS)) --validation $(HELD_OUT_100) --output $@ --preset demo --no-calibrate
+LEARN_FROM := $(WALKS) $(DATA)/%-held-out-100.mcap
 
-$(SCENES:%=$(DATA)/%-small.safetensors): $(DATA)/%-small.safetensors: $(WALKS) $(DATA)/%-held-out-100.mcap
-	$(TRAIN) --epochs 5 --network.image-width 64 --network.image-height 48 --network.shortest-edge 51
+$(SCENES:%=$(DATA)/%-small.safetensors): $(DATA)/%-small.safetensors: $(LEARN_FROM)
+	$(TRAIN) $(SMALL) $(FIRST_$*)
 
-$(SCENES:%=$(DATA)/%-middle.safetensors): $(DATA)/%-middle.safetensors: $(DATA)/%-small.safetensors $(WALKS) $(DATA)/%-held-out-100.mcap
-	$(TRAIN) --epochs 4 --network.image-width 96 --network.image-height 72 --network.shortest-edge 76 --initial-model $<
+$(SCENES:%=$(DATA)/%-middle.safetensors): $(DATA)/%-middle.safetensors: $(DATA)/%-small.safetensors $(LEARN_FROM)
+	$(TRAIN) $(MIDDLE) --initial-model $< $(LATER_$*)
 
-$(SCENES:%=$(DATA)/%-large.safetensors): $(DATA)/%-large.safetensors: $(DATA)/%-middle.safetensors $(WALKS) $(DATA)/%-held-out-100.mcap
-	$(TRAIN) --epochs 4 --select-by log_density --initial-model $<
+$(SCENES:%=$(DATA)/%-large.safetensors): $(DATA)/%-large.safetensors: $(DATA)/%-middle.safetensors $(LEARN_FROM)
+	$(TRAIN) $(FULL) --initial-model $< $(LATER_$*)
+
+$(DATA)/ceiling-longer.safetensors: $(DATA)/%-longer.safetensors: $(DATA)/%-large.safetensors $(LEARN_FROM)
+	$(TRAIN) $(FULL) --initial-model $< $(LAST_$*)
 
 # Errors of images last for metres: of one sequence too few are independent.
-$(SCENES:%=vapor/models/%.safetensors): vapor/models/%.safetensors: $(DATA)/%-large.safetensors $(HELD_OUT) $(WALKS)
-	$(BIN)/vapor-track calibrate $< $(subst %,$*,$(HELD_OUT)) --training $(subst %,$*,$(WALKS)) --images 2000 --output $@
+vapor/models/staircase.safetensors: $(DATA)/staircase-large.safetensors
+vapor/models/ceiling.safetensors: $(DATA)/ceiling-longer.safetensors
+$(SCENES:%=vapor/models/%.safetensors): vapor/models/%.safetensors: $(WALKS) $(HELD_OUT)
+	$(BIN)/vapor-track calibrate $(filter %.safetensors,$^) $(subst %,$*,$(HELD_OUT)) --training $(subst %,$*,$(WALKS)) \
+	    --images 2000 --output $@
 
 $(DATA):
 	mkdir -p $@
