@@ -78,12 +78,12 @@ $(SCENES:%=$(DATA)/%-large.safetensors): $(DATA)/%-large.safetensors: $(DATA)/%-
 $(DATA)/ceiling-longer.safetensors: $(DATA)/%-longer.safetensors: $(DATA)/%-large.safetensors $(LEARN_FROM)
 	$(TRAIN) $(FULL) --initial-model $< $(LAST_$*)
 
-# Errors of images last for metres: of one sequence too few are independent.
+# Errors of images last for metres: of one sequence too few are independent. The light is always the same.
 vapor/models/staircase.safetensors: $(DATA)/staircase-large.safetensors
 vapor/models/ceiling.safetensors: $(DATA)/ceiling-longer.safetensors
 $(SCENES:%=vapor/models/%.safetensors): vapor/models/%.safetensors: $(WALKS) $(HELD_OUT)
 	$(BIN)/vapor-track calibrate $(filter %.safetensors,$^) $(subst %,$*,$(HELD_OUT)) --training $(subst %,$*,$(WALKS)) \
-	    --images 2000 --output $@
+	    --images 2000 --same-conditions --output $@
 
 $(DATA):
 	mkdir -p $@

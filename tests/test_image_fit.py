@@ -213,7 +213,7 @@ def test_how_long_errors_last_is_found(length_m, share):
     assert found.errors.outlier_share == 0.05
 
 
-def mistaking(lasts: float, *, count: int = 500, seed: int = 0) -> ErrorModel:
+def mistaking(lasts: float, *, count: int = 500, seed: int = 0, same_conditions: bool = False) -> ErrorModel:
     """The fit of a walk of which two fifths of the images take one wall for another, over stretches so long."""
     rng = np.random.default_rng(seed)
     truth = walk(count, STEP, rng=rng)
@@ -226,7 +226,8 @@ def mistaking(lasts: float, *, count: int = 500, seed: int = 0) -> ErrorModel:
     samples = posteriors(seen, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
     scene = Poses.concatenate([truth, Poses(truth.rotation, truth.translation + np.array([0.0, 0.0, 45.0]))])
     way = Way.along(truth, np.zeros(count, np.int64))
-    return fit_errors(Seen(samples, truth, None), way, scene, default_errors(scene)).errors
+    before = default_errors(scene)
+    return fit_errors(Seen(samples, truth, None), way, scene, before, same_conditions=same_conditions).errors
 
 
 def test_how_long_a_place_is_mistaken_for_another_is_found_apart_from_how_long_errors_last():
@@ -236,6 +237,12 @@ def test_how_long_a_place_is_mistaken_for_another_is_found_apart_from_how_long_e
     # Both ways of the correlation, and three times that.
     assert one.mistaken_lengths * one.length_m == pytest.approx(3 * 2.0, rel=0.6)
     assert four.mistaken_lengths * four.length_m > 3 * 3.0
+
+
+def test_where_conditions_are_those_of_use_mistakes_last_as_long_as_on_held_out_images():
+    elsewhere, here = mistaking(1.0), mistaking(1.0, same_conditions=True)
+    assert here.mistaken_lengths - 1.0 == pytest.approx((elsewhere.mistaken_lengths - 1.0) / 3)
+    assert replace(here, mistaken_lengths=elsewhere.mistaken_lengths) == elsewhere
 
 
 def test_images_that_never_mistake_the_place_are_worth_one_a_length():

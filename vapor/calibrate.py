@@ -81,6 +81,7 @@ def calibrate_model(
     *,
     training: Sequence[Path | str] = (),
     familiarity_only: bool = False,
+    same_conditions: bool = False,
     max_images: int = 500,
     seed: int = 0,
     device: Device = "auto",
@@ -98,6 +99,7 @@ def calibrate_model(
         output: The model file to write.
         training: Data that the model was trained on, or some of it.
         familiarity_only: Fit nothing but that.
+        same_conditions: As of `calibrate`.
         max_images: Held-out images of the fits, at most.
         seed: Of latent noise.
         device: Where the network runs.
@@ -147,6 +149,7 @@ def calibrate_model(
         calibration,
         training=trained_on,
         familiarity=familiarity,
+        same_conditions=same_conditions,
         max_images=max_images,
         seed=seed,
         advance=advance,
@@ -196,6 +199,7 @@ def calibrate(
     *,
     training: TrainingSet | None = None,
     familiarity: Familiarity | None = None,
+    same_conditions: bool = False,
     max_images: int,
     seed: int,
     advance: Advance = lambda done, total: None,
@@ -209,6 +213,8 @@ def calibrate(
         calibration: Values to start from, and to keep where there is too little data.
         training: Data that it was trained on: their odometry is used where the held-out data have too little of it.
         familiarity: What is familiar to it: unfamiliar images err more, as held-out and trained ones tell together.
+        same_conditions: Whether held-out images are of the hours, the light and the seasons of use: mistakes about the
+            place then last as long as on them; else they are taken to last longer.
         max_images: At most so many images are used; of the odometry all.
         seed: Of latent noise.
         advance: Called with the number of images seen by the network and of all.
@@ -241,7 +247,7 @@ def calibrate(
         before = calibration.bandwidth_translation_m, calibration.bandwidth_rotation_rad
         widths, wider = fit_widths(samples, truth, scene, before)
         trained = seen[1] if len(seen) > 1 else None
-        fit = fit_errors(seen[0], way, scene, calibration.errors, trained=trained)
+        fit = fit_errors(seen[0], way, scene, calibration.errors, trained=trained, same_conditions=same_conditions)
     return CalibrationResult(
         Calibration(*widths, fit.errors, calibration.odometry),
         (wider, *fit.changes),

@@ -125,7 +125,15 @@ class ErrorFit:
     effective_images: float
 
 
-def fit_errors(seen: Seen, way: Way, scene: Poses, before: ErrorModel, *, trained: Seen | None = None) -> ErrorFit:
+def fit_errors(
+    seen: Seen,
+    way: Way,
+    scene: Poses,
+    before: ErrorModel,
+    *,
+    trained: Seen | None = None,
+    same_conditions: bool = False,
+) -> ErrorFit:
     """Fit how the posteriors of n images err.
 
     Places, spread, floor, tails and outliers are those of highest mean log likelihood
@@ -144,6 +152,7 @@ def fit_errors(seen: Seen, way: Way, scene: Poses, before: ErrorModel, *, traine
         scene: Poses that outline the scene: all lengths are sought in proportion to it.
         before: Of which the rest is kept.
         trained: Images that were trained on, best those that others are compared with.
+        same_conditions: Whether held-out images are of the hours, the light and the seasons of use.
     """
     samples, truth = seen.samples, seen.truth
     extent = scene_extent(scene)
@@ -182,7 +191,7 @@ def fit_errors(seen: Seen, way: Way, scene: Poses, before: ErrorModel, *, traine
         lasting_share=lasting,
         length_m=length_m,
         length_rad=LENGTH_RAD,
-        mistaken_lengths=_mistaken_lengths(evidence, way, length_m),
+        mistaken_lengths=_mistaken_lengths(evidence, way, length_m, 1.0 if same_conditions else _ANOTHER_HOUR),
         typical_std=places.typical_std(errors),
     )
     formerly = _Places.near(samples, truth, before.radius_m, before.radius_rad)
@@ -469,13 +478,15 @@ def _lasting(
     return float(np.clip(best[1], *_LASTING)), best[2]
 
 
-def _mistaken_lengths(evidence: Float64[np.ndarray, " n"], way: Way, length_m: float) -> float:
+def _mistaken_lengths(
+    evidence: Float64[np.ndarray, " n"], way: Way, length_m: float, in_use: float = _ANOTHER_HOUR
+) -> float:
     """Over how many lengths of errors images say alike whether the camera is where it is; 1 where none mistakes it.
 
     Along a pass the evidence of two images, so many lengths apart, correlates by a share that fades; the sum of the
-    correlations of an image with all others a length apart is what its evidence is worth less for their sake. Held-out
-    passes are of the hours of the training, and mistakes last longer at others: what is beyond one length is tripled,
-    and at least one length is taken to be.
+    correlations of an image with all others a length apart is what its evidence is worth less for their sake. What is
+    beyond one length is multiplied by `in_use`, as mistakes last longer at other hours than held-out passes are of; and
+    at least one length is taken to be.
     """
     if len(evidence) < _LEAST_PAIRS or (evidence < np.log(0.5)).mean() < _NO_MISTAKE:
         return 1.0
@@ -495,7 +506,7 @@ def _mistaken_lengths(evidence: Float64[np.ndarray, " n"], way: Way, length_m: f
         share = float(np.clip((kernel * products).sum() / np.square(kernel).sum(), 0.0, 1.0))
         together = 1.0 + 2.0 * share / np.expm1(1.0 / lengths)
         best = min(best, (float(np.square(products - share * kernel).mean()), float(together)))
-    return min(1.0 + _ANOTHER_HOUR * max(best[1] - 1.0, 1.0), _MOST_MISTAKEN)
+    return min(1.0 + in_use * max(best[1] - 1.0, 1.0), _MOST_MISTAKEN)
 
 
 def _effective_images(way: Way, length_m: float) -> float:

@@ -35,6 +35,9 @@ class Options:
     not know it (`train --no-calibrate`) or are to learn it again; without it, from half of the held-out data."""
     familiarity_only: bool = False
     """Learn that only, and leave the rest as it is."""
+    same_conditions: bool = False
+    """The held-out data are of the hours, the light and the seasons of use. Mistakes about the place then count as long
+    as they last there; else they are taken to last three times as long, as at another hour."""
     images: int = 500
     """Held-out images that are used, at most."""
     seed: int = 0
@@ -60,6 +63,7 @@ def main(arguments: Sequence[str]) -> None:
             o.output,
             training=o.training,
             familiarity_only=o.familiarity_only,
+            same_conditions=o.same_conditions,
             max_images=o.images,
             seed=o.seed,
             device=o.device,
