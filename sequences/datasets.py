@@ -57,7 +57,8 @@ class PosedFrames(Iterator[Frame]):
     def __init__(self, path: Path, frames: slice, options: SequenceOptions | None, odometry: OdometryUse) -> None:
         self.skipped: Counter[str] = Counter()
         self.notices: list[str] = []
-        self._path, self._slice, self._options, self._odometry = path, frames, options, odometry
+        self._path, self._slice, self._options = path, frames, options
+        self._odometry: OdometryUse = odometry
         self._source: SequenceReader | PosedImages | None = None
         self._frames = _posed_frames(path, frames, options, self._open, self.skipped, self.notices)
 
