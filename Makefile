@@ -5,9 +5,9 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 DATA := build/model-data
 
-# What the models that ship learn from: 24 walks of each scene, and four that are held out.
+# What the models that ship learn from: 16 walks of each scene, and four that are held out.
 SCENES := staircase ceiling
-WALKS := $(foreach seed,$(shell seq 0 23),$(DATA)/%-$(seed).mcap)
+WALKS := $(foreach seed,$(shell seq 0 15),$(DATA)/%-$(seed).mcap)
 HELD_OUT := $(foreach seed,100 101 102 103,$(DATA)/%-held-out-$(seed).mcap)
 
 .PHONY: demo test check fuzz models clean
@@ -54,11 +54,11 @@ $(DATA)/ceiling-held-out-%.mcap: | $(INSTALLED) $(DATA)
 
 # Small images first: what looks alike is learned from them in a third of the time, and what does not from larger ones.
 # Of six floors and of 15 places that look alike, no more samples than one in so many may learn from an image.
-FIRST_staircase := --loss.alpha 0.1 --epochs 4
-LATER_staircase := --loss.alpha 0.1 --loss.beta 0.005 --learning-rate 2e-3 --epochs 4
-FIRST_ceiling := --loss.alpha 0.05 --loss.num-samples 333 --learning-rate 1e-3 --evolve 0.4 --epochs 5
-LATER_ceiling := --loss.alpha 0.045 --loss.num-samples 333 --loss.beta 0.003 --learning-rate 1e-3 --epochs 4
-LAST_ceiling := $(subst epochs 4,epochs 5,$(LATER_ceiling))
+FIRST_staircase := --loss.alpha 0.1 --epochs 6
+LATER_staircase := --loss.alpha 0.1 --loss.beta 0.005 --learning-rate 2e-3
+CEILING := --loss.alpha 0.045 --loss.num-samples 333 --learning-rate 1e-3
+FIRST_ceiling := $(CEILING) --evolve 0.4 --epochs 8
+LATER_ceiling := $(CEILING) --loss.beta 0.003
 SMALL := --network.image-width 64 --network.image-height 48 --network.shortest-edge 51
 MIDDLE := --network.image-width 96 --network.image-height 72 --network.shortest-edge 76
 FULL := --select-by log_density
@@ -70,19 +70,14 @@ $(SCENES:%=$(DATA)/%-small.safetensors): $(DATA)/%-small.safetensors: $(LEARN_FR
 	$(TRAIN) $(SMALL) $(FIRST_$*)
 
 $(SCENES:%=$(DATA)/%-middle.safetensors): $(DATA)/%-middle.safetensors: $(DATA)/%-small.safetensors $(LEARN_FROM)
-	$(TRAIN) $(MIDDLE) --initial-model $< $(LATER_$*)
+	$(TRAIN) $(MIDDLE) --initial-model $< $(LATER_$*) --epochs 6
 
 $(SCENES:%=$(DATA)/%-large.safetensors): $(DATA)/%-large.safetensors: $(DATA)/%-middle.safetensors $(LEARN_FROM)
-	$(TRAIN) $(FULL) --initial-model $< $(LATER_$*)
-
-$(DATA)/ceiling-longer.safetensors: $(DATA)/%-longer.safetensors: $(DATA)/%-large.safetensors $(LEARN_FROM)
-	$(TRAIN) $(FULL) --initial-model $< $(LAST_$*)
+	$(TRAIN) $(FULL) --initial-model $< $(LATER_$*) --epochs 10
 
 # Errors of images last for metres: of one sequence too few are independent. The light is always the same.
-vapor/models/staircase.safetensors: $(DATA)/staircase-large.safetensors
-vapor/models/ceiling.safetensors: $(DATA)/ceiling-longer.safetensors
-$(SCENES:%=vapor/models/%.safetensors): vapor/models/%.safetensors: $(WALKS) $(HELD_OUT)
-	$(BIN)/vapor-track calibrate $(filter %.safetensors,$^) $(subst %,$*,$(HELD_OUT)) --training $(subst %,$*,$(WALKS)) \
+$(SCENES:%=vapor/models/%.safetensors): vapor/models/%.safetensors: $(DATA)/%-large.safetensors $(WALKS) $(HELD_OUT)
+	$(BIN)/vapor-track calibrate $< $(subst %,$*,$(HELD_OUT)) --training $(subst %,$*,$(WALKS)) \
 	    --images 2000 --same-conditions --output $@
 
 $(DATA):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
 
 from tests import checks
 from tests.checks import no_checks
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from sequences.scenes.surface import Scene
 
 checks.install(["filtering", "sequences", "vapor"])
+settings.register_profile("unhurried", deadline=None)  # how long an example takes says how busy the machine is
+settings.load_profile("unhurried")
 
 
 @pytest.fixture(scope="session")

@@ -145,7 +145,7 @@ def test_what_moves_is_what_happens_to_draws_of_the_state():
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),
     cuts=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=5),

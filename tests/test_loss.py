@@ -17,7 +17,7 @@ CONFIG = LossConfig(
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_kl_divergence_is_that_of_torch_distributions(seed):
     mean, log_variance = torch.from_numpy(np.random.default_rng(seed).standard_normal((2, 4, 6)))
     normal = distributions.Normal(mean, torch.exp(0.5 * log_variance))

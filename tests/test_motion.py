@@ -66,7 +66,7 @@ def motions(draw):
     return np.concatenate([moved, turn]), draw(st.sampled_from([0.0, 0.1, 30.0])), np.diff([0.0, *cuts, 1.0])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(motion=motions())
 def test_a_motion_in_any_parts_is_as_uncertain_as_in_one(motion):
     tangent, duration_s, shares = motion

@@ -61,7 +61,7 @@ def test_smaller_resnets_have_a_share_of_every_stages_channels(name, width):
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_six_numbers_become_a_rotation_whose_first_column_keeps_its_direction(seed):
     columns = torch.from_numpy(np.random.default_rng(seed).standard_normal((5, 6)))
     rotation = rotation_from_6d(columns)

@@ -43,7 +43,7 @@ def test_one_image_is_worth_one_image_however_far_the_way_to_it():
     assert meter.looked()[1] == 1.0
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(parts=st.lists(st.floats(0.001, 2.0), min_size=1, max_size=30))
 def test_a_straight_way_in_any_parts_is_as_long_as_it_is(parts):
     _, new, way = walked(METER, [forward(part) for part in parts])

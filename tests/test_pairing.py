@@ -48,7 +48,7 @@ def test_times_outside_and_in_gaps_are_not_covered_but_stamps_beside_gaps_are() 
     np.testing.assert_array_equal(covered, [False, True, True, False, True, False])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10_000), cut=st.floats(0.1, 0.9), measured=st.integers(0, 6))
 def test_increments_and_their_covariances_add_up_wherever_the_images_fall(seed: int, cut: float, measured: int) -> None:
     times_ns, poses, twists = random_walk(12, seed)

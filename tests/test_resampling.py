@@ -53,7 +53,7 @@ def test_systematic_agrees_with_filterpy_for_the_same_offset(monkeypatch):
 # --- thinning out -----------------------------------------------------------------------------------
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     size=st.integers(2, 60),
     kept=st.floats(0.0, 1.0),
