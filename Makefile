@@ -73,7 +73,7 @@ $(SCENES:%=$(DATA)/%-middle.safetensors): $(DATA)/%-middle.safetensors: $(DATA)/
 	$(TRAIN) $(MIDDLE) --initial-model $< $(LATER_$*) --epochs 6
 
 $(SCENES:%=$(DATA)/%-large.safetensors): $(DATA)/%-large.safetensors: $(DATA)/%-middle.safetensors $(LEARN_FROM)
-	$(TRAIN) $(FULL) --initial-model $< $(LATER_$*) --epochs 10
+	$(TRAIN) $(FULL) --initial-model $< $(LATER_$*) --epochs 8
 
 # Errors of images last for metres: of one sequence too few are independent. The light is always the same.
 $(SCENES:%=vapor/models/%.safetensors): vapor/models/%.safetensors: $(DATA)/%-large.safetensors $(WALKS) $(HELD_OUT)
