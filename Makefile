@@ -53,12 +53,11 @@ $(DATA)/ceiling-held-out-%.mcap: | $(INSTALLED) $(DATA)
 	$(BIN)/vapor-track synthesize ceiling $@ --seed $* --frames 500 --split train --width 240 --height 180
 
 # Small images first: what looks alike is learned from them in a third of the time, and what does not from larger ones.
+# The ceiling goes on with what the staircase's network learned to see.
 # Of six floors and of 15 places that look alike, no more samples than one in so many may learn from an image.
-FIRST_staircase := --loss.alpha 0.1 --epochs 6
 LATER_staircase := --loss.alpha 0.1 --loss.beta 0.005 --learning-rate 2e-3
-CEILING := --loss.alpha 0.045 --loss.num-samples 333 --learning-rate 1e-3
-FIRST_ceiling := $(CEILING) --evolve 0.4 --epochs 8
-LATER_ceiling := $(CEILING) --loss.beta 0.003
+CEILING := --loss.num-samples 333 --learning-rate 1e-3
+LATER_ceiling := $(CEILING) --loss.alpha 0.045 --loss.beta 0.003
 SMALL := --network.image-width 64 --network.image-height 48 --network.shortest-edge 51
 MIDDLE := --network.image-width 96 --network.image-height 72 --network.shortest-edge 76
 FULL := --select-by log_density
@@ -66,11 +65,14 @@ HELD_OUT_100 = $(DATA)/$*-held-out-100.mcap
 TRAIN = $(BIN)/vapor-track train $(subst %,$*,$(WALKS)) --validation $(HELD_OUT_100) --output $@ --preset demo --no-calibrate
 LEARN_FROM := $(WALKS) $(DATA)/%-held-out-100.mcap
 
-$(SCENES:%=$(DATA)/%-small.safetensors): $(DATA)/%-small.safetensors: $(LEARN_FROM)
-	$(TRAIN) $(SMALL) $(FIRST_$*)
+$(DATA)/staircase-small.safetensors: $(DATA)/%-small.safetensors: $(LEARN_FROM)
+	$(TRAIN) $(SMALL) --loss.alpha 0.1 --epochs 6
 
-$(SCENES:%=$(DATA)/%-middle.safetensors): $(DATA)/%-middle.safetensors: $(DATA)/%-small.safetensors $(LEARN_FROM)
+$(DATA)/staircase-middle.safetensors: $(DATA)/%-middle.safetensors: $(DATA)/%-small.safetensors $(LEARN_FROM)
 	$(TRAIN) $(MIDDLE) --initial-model $< $(LATER_$*) --epochs 6
+
+$(DATA)/ceiling-middle.safetensors: $(DATA)/%-middle.safetensors: $(DATA)/staircase-small.safetensors $(LEARN_FROM)
+	$(TRAIN) $(MIDDLE) --pretrained-weights $< $(CEILING) --loss.alpha 0.05 --evolve 0.4 --epochs 10
 
 $(SCENES:%=$(DATA)/%-large.safetensors): $(DATA)/%-large.safetensors: $(DATA)/%-middle.safetensors $(LEARN_FROM)
 	$(TRAIN) $(FULL) --initial-model $< $(LATER_$*) --epochs 8
