@@ -187,8 +187,7 @@ def run(
 
 def files_read(sequence: Path, model: LoadedModel, reading: SequenceOptions | None) -> list[Path]:
     """Files and folders that a run reads, as far as they are known before it."""
-    poses = () if reading is None else (reading.poses, reading.poses_times)
-    return [path for path in (sequence, model.file, *poses) if path is not None]
+    return [sequence, model.file, *(() if reading is None else reading.files_read)]
 
 
 def run_into(
