@@ -208,12 +208,15 @@ def run_into(
         calibration = observation.checkpoint.calibration
         fit = calibration.odometry if config.fitted_odometry else None
         record = localize(
-            reader, observation, directory, config, calibration.errors, odometry_fit=fit, progress=progress
+            reader,
+            observation,
+            directory,
+            config,
+            calibration.errors,
+            odometry_fit=fit,
+            allow_few_images=reading.allow_few_images,
+            progress=progress,
         )
-        if reader.counts.are_very_few and not reading.allow_few_images:
-            raise VaporTrackError(
-                f"{sequence}: {reader.counts.warning} Expected at least one in ten (--allow-few-images localizes fewer)"
-            )
         device = str(observation.device)
         settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
         settings = {
@@ -238,6 +241,7 @@ def localize(
     *,
     observed: Callable[[Any], np.ndarray] = attrgetter("image"),
     odometry_fit: OdometryFit | None = None,
+    allow_few_images: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunRecord:
     """Frame by frame: observe, update, show, write; then smooth.
@@ -250,10 +254,11 @@ def localize(
         errors: How the model's posteriors err.
         observed: What the model takes of a frame.
         odometry_fit: How wrong the odometry is; None for what the frames state and the settings assume.
+        allow_few_images: Go on also where fewer than one in ten of the images asked for were used.
         progress: Called after every frame with the number done and an upper bound of all.
 
     Raises:
-        VaporTrackError: unusable frames, or none.
+        VaporTrackError: unusable frames, none, or fewer than one in ten of those asked for.
     """
     settings = config.localizer
     if odometry_fit is not None:
@@ -302,6 +307,10 @@ def localize(
             viewer.log(frame, estimate, posterior.samples)
             if progress is not None:
                 progress(len(recorder), source.num_images)
+    if source.counts.are_very_few and not allow_few_images:
+        raise VaporTrackError(
+            f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes fewer)"
+        )
     record = recorder.finish(skipped=source.skipped, images=source.counts)
     sure = np.array([status == "converged" for status in record.status])
     smoothed = smooth(
