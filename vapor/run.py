@@ -41,7 +41,7 @@ from vapor.evaluate import FILES
 from vapor.ground import told_unshown
 from vapor.observation import VaporObservationModel
 from vapor.record import RunRecord, RunRecorder
-from vapor.report import build_report, write_pictures, write_report, write_status
+from vapor.report import build_report, told_doubtful, write_pictures, write_report, write_status
 from vapor.threads import limited_threads
 from vapor.view import NullViewer, RerunViewer
 
@@ -104,7 +104,7 @@ class RunResult:
         record: Everything collected on the way.
         report: Content of `report.json`.
         pictures: Names of the pictures in the output directory.
-        notices: What a person should know of the sequence and the model.
+        notices: What a person should know of the sequence, the model and the smoothed trajectory.
     """
 
     record: RunRecord
@@ -225,7 +225,7 @@ def run_into(
             **settings,
         }
         result = write_results(record, directory, settings, title=sequence.name)
-        notices = [*reader.notices, *observation.notices]
+        notices = [*reader.notices, *observation.notices, *result.notices]
         if (memory := observation.checkpoint.memory) is not None and record.smoothed is not None:
             trained = Poses(memory.rotation.double().numpy(), memory.translation.double().numpy())
             notices += [told] if (told := told_unshown(record.smoothed.poses, trained)) else []
@@ -346,7 +346,8 @@ def write_results(record: RunRecord, directory: Path, settings: dict[str, Any], 
         partial.write_text(json.dumps(settings | {"versions": versions}, indent=2) + "\n", encoding="utf-8")
     report = build_report(record)
     write_report(directory / "report.json", report)
-    return RunResult(record, report, tuple(picture.name for picture in pictures))
+    told = told_doubtful(record)
+    return RunResult(record, report, tuple(picture.name for picture in pictures), (told,) if told else ())
 
 
 def peak_rss_mb() -> float:
