@@ -7,6 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 OUTSIDE = "outside the stretch asked for"
+NO_ESTIMATE = "no estimate"
+"""Frames that others' estimates leave out, as those of a part of a walk do: they were not asked for either."""
+_NOT_ASKED = (OUTSIDE, NO_ESTIMATE)
 _FEW, _VERY_FEW = 0.5, 0.1  # shares of the images asked for
 
 
@@ -65,8 +68,8 @@ class ImageCounts:
 
     @property
     def _asked(self) -> int:
-        return self.stated - self.skipped[OUTSIDE]
+        return self.stated - sum(self.skipped[reason] for reason in _NOT_ASKED)
 
     @property
     def _lost(self) -> Counter[str]:
-        return Counter({reason: number for reason, number in self.skipped.items() if reason != OUTSIDE})
+        return Counter({reason: number for reason, number in self.skipped.items() if reason not in _NOT_ASKED})

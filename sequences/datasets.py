@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -24,6 +25,7 @@ from sequences.layouts import (
     tum_rgbd,
 )
 from sequences.layouts.image_files import read_image_bytes
+from sequences.layouts.packed import PackedImage
 from sequences.layouts.posed_images import PosedImages
 from sequences.messages import decode_image_bytes
 from sequences.options import OdometryUse, SequenceOptions
@@ -42,7 +44,9 @@ _LAYOUTS = (
     nerfstudio,
     colmap,
 )
-_FILES_OF_LAYOUTS = (".txt", ".json", ".r3d")  # a file of another kind is a recording
+_LISTS = (".txt", ".json")  # files by which a layout lists what lies beside them
+_FILES_OF_LAYOUTS = (*_LISTS, ".r3d")  # a file of another kind is a recording
+_LEVELS = 3  # folders above a data set in which layouts look for `intrinsics.json`, at most
 _SPLITS = ("train", "test", "TrainSplit.txt", "TestSplit.txt", "dataset_train.txt", "dataset_test.txt")
 
 
@@ -176,6 +180,23 @@ def list_images(path: Path) -> PosedImages:
     if not len(images):
         raise SequenceError(f"{path}: no image with a true pose: {dict(images.skipped)}; expected at least one")
     return images
+
+
+def files_read(path: Path) -> Iterator[Path]:
+    """Files and folders that a recording or data set is read from, for outputs: they must be none of these.
+
+    Of a data set these are its folder, or that of the list, images that lie elsewhere, and `intrinsics.json` above it.
+    Of what cannot be read, what is known of it.
+    """
+    path = Path(path)
+    yield path
+    if is_recording(path):
+        return
+    folder = path.parent if path.suffix in _LISTS else path
+    yield folder
+    yield from (above / "intrinsics.json" for above in folder.absolute().parents[:_LEVELS])
+    with suppress(SequenceError):
+        yield from (image.path if isinstance(image, PackedImage) else image for image in list_images(path).files)
 
 
 def _what_is_there(path: Path) -> str:

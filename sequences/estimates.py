@@ -13,7 +13,7 @@ from jaxtyping import Float64, Int64
 from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
 from sequences.convert import BASE_FROM_CAMERA
-from sequences.counts import ImageCounts
+from sequences.counts import NO_ESTIMATE, ImageCounts
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.layouts.posed_images import ASSUMED_HZ
@@ -49,6 +49,8 @@ class EstimateOptions:
     """Of simulated odometry."""
     motion_noise: MotionNoise = field(default_factory=MotionNoise)
     """Of recorded odometry, whose text states none."""
+    allow_few_images: bool = False
+    """Localize also where odometry covers fewer than one in ten of the estimated frames."""
 
     def __post_init__(self) -> None:
         if not 1e-3 <= self.rate_hz <= 1e6:
@@ -127,7 +129,7 @@ class EstimateSequence:
     def __iter__(self) -> Iterator[EstimatedFrame]:
         unseen = 0 if self._all.timed else len(set(self._all.frames) - set(self._frames))
         self.counts = ImageCounts(self.num_images + unseen, self.num_images + unseen)
-        self.counts.skipped += Counter({"no estimate": unseen})
+        self.counts.skipped += Counter({NO_ESTIMATE: unseen})
         true_poses, known = self._true_poses()
         previous: tuple[str, int] | None = None
         for i, frame in enumerate(self._frames):

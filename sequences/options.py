@@ -13,6 +13,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+from sequences.pose_tables import times_beside
 
 OdometryUse = Literal["required", "optional", "unread"]
 
@@ -88,6 +89,13 @@ class SequenceOptions:
         if self.odometry_topic is not None and self.odometry_frame is not None:
             raise SequenceError("--odometry-topic and --odometry-frame are both given, expected one of them")
         self._check_true_poses()
+
+    @property
+    def files_read(self) -> tuple[Path, ...]:
+        """Files beside the sequence that are read, or looked for."""
+        if self.poses is None:
+            return ()
+        return self.poses, self.poses_times or times_beside(self.poses)
 
     def _check_true_poses(self) -> None:
         given = [

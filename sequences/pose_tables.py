@@ -44,13 +44,18 @@ def read_pose_table(path: Path, times: Path | None = None) -> Trajectory:
     if "," in line:
         return _read_euroc(path, rows)
     if columns == 12:
-        return _read_kitti(path, rows, Path(times) if times is not None else path.parent / "times.txt")
+        return _read_kitti(path, rows, Path(times) if times is not None else times_beside(path))
     if columns == 8:
         return read_tum(path)
     raise SequenceError(
         f"{path}:{number}: {columns} columns, expected TUM text (8), EuRoC's data.csv (with commas) or KITTI's poses"
         " (12)"
     )
+
+
+def times_beside(poses: Path) -> Path:
+    """Where the times of KITTI's poses lie where nothing is said."""
+    return poses.parent / "times.txt"
 
 
 def _read_euroc(path: Path, rows: list[tuple[int, str]]) -> Trajectory:

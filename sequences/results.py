@@ -72,13 +72,14 @@ def results_folder(
         directory: Absent, empty or results; made with the folders above it. A link to a folder is followed.
         command: What writes it.
         writes: Names of all files that it may write.
-        reads: Files and folders that it reads, which are never replaced.
+        reads: Files and folders that it reads: they are never replaced, nor what lies in them but unchanged results.
         overwrite: Take any folder, and replace files of these names, and of an earlier manifest, only.
 
     Raises:
         SequenceError: the folder holds something else, is none, is or holds what is read, or cannot be written to.
             All but failing disks are found before anything is written.
     """
+    reads = list(reads) if directory.exists() else []
     given, (directory, one_by_one) = directory, require_replaceable(directory, writes, reads, overwrite=overwrite)
     with ExitStack() as stack:
         with _writing(given):
@@ -108,13 +109,14 @@ def require_replaceable(
     """
     with _writing(directory):
         given, directory = directory, folder_to_write(directory)
+        reads = list(reads) if directory.exists() else []
         foreign = _foreign(directory, reads)
         if foreign and not overwrite:
             raise SequenceError(
-                f"{given}: {_told(foreign)}, expected an empty folder or unchanged results; --overwrite replaces files"
-                " of the results' names only"
+                f"{given}: {_told([*foreign.values()])}, expected an empty folder or unchanged results; --overwrite"
+                " replaces files of the results' names only"
             )
-        _refuse_lost(directory, reads, writes)
+        _refuse_lost(directory, foreign, reads, writes)
         return directory, bool(foreign) or not _exchangeable(directory)
 
 
@@ -128,17 +130,29 @@ def _writing(directory: Path) -> Iterator[None]:
         ) from error
 
 
-def claim_folder(directory: Path, command: str, *, overwrite: bool = False) -> None:
+def claim_folder(directory: Path, command: str, *, reads: Iterable[Path] = (), overwrite: bool = False) -> None:
     """Make a folder in which a command keeps what it found, goes on after interruptions, and replaces only its own.
 
     It is told by a manifest that lists no files. What killed processes left is cleared away there and in all folders
     within, as the call that goes on may have nothing to write to some of them.
 
+    Args:
+        directory: Absent, empty or such a folder; made with the folders above it.
+        command: What writes there.
+        reads: Files and folders that it reads: none may lie in the folder, nor the folder among what is in them.
+        overwrite: Take any other folder.
+
     Raises:
-        SequenceError: the folder holds something else, is none, or cannot be written to.
+        SequenceError: the folder holds something else, is, holds or lies among what is read, is none, or cannot be
+            written to.
     """
     with _writing(directory):
         given, directory = directory, folder_to_write(directory)
+        reads = [path.resolve() for path in reads] if directory.exists() else []
+        if inside := [path for path in reads if path.is_relative_to(directory.resolve())]:
+            raise SequenceError(
+                f"{inside[0]}: is read, and would be written to; expected another folder for the results"
+            )
         directory.mkdir(parents=True, exist_ok=True)
         for place in {path.parent for path in directory.rglob("*") if is_workspace(path.name)}:
             clear_leftovers(place)
@@ -149,6 +163,10 @@ def claim_folder(directory: Path, command: str, *, overwrite: bool = False) -> N
             raise SequenceError(
                 f"{given}: {_told(names)}, expected an empty folder or one of `vapor-track {command}`; --overwrite uses"
                 " it all the same"
+            )
+        if names and (around := [path for path in reads if directory.resolve().is_relative_to(path)]):
+            raise SequenceError(
+                f"{given}: {_told(names)} and lies in {around[0]}, which is read; expected a new folder"
             )
         _write_manifest(directory, command, None)
 
@@ -167,15 +185,19 @@ def refuse_other(
         path: The output.
         kind: What is written, for the message.
         is_of_kind: Whether an existing file is such a thing.
-        reads: Files that the command reads.
-        overwrite: Take any file but those.
+        reads: Files and folders that the command reads; of no use where the output is new.
+        overwrite: Take any file but those, and but what lies in those folders.
 
     Raises:
         SequenceError: the output exists and is something else, is read, is part of results, or is a link to nothing.
     """
     path = followed(path)
-    if path.resolve() in {read.resolve() for read in reads}:
-        raise SequenceError(f"{path}: is read, and would be written to; expected another file")
+    place = path.resolve()
+    for read in (read.resolve() for read in (reads if path.exists() else ())):
+        if place == read:
+            raise SequenceError(f"{path}: is read, and would be written to; expected another file")
+        if place.is_relative_to(read) and not (path.is_file() and is_of_kind(path)):
+            raise SequenceError(f"{path}: lies in {read}, which is read, and is no {kind}; expected another file")
     if overwrite or not path.is_file():
         return
     if not is_of_kind(path):
@@ -262,34 +284,41 @@ def _write_manifest(directory: Path, command: str, files: Mapping[str, Listed] |
         partial.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
 
 
-def _foreign(directory: Path, reads: Iterable[Path]) -> list[str]:
-    """What a folder holds beside the results that its manifest lists; what a command reads is never a result."""
+def _foreign(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
+    """What a folder holds beside the results that its manifest lists, by name: how to tell of it.
+
+    What a command reads is never a result.
+    """
     if not directory.is_dir():
-        return []
+        return {}
     manifest = _own_manifest(directory)
     listed = {} if manifest is None else manifest["files"] or {}
     read = {path.resolve() for path in reads}
-    foreign = []
+    foreign: dict[str, str] = {}
     for entry in sorted(directory.iterdir()):
         name, ours = entry.name, listed.get(entry.name)
         if is_workspace(name) or (name == MANIFEST and listed):
             continue
         if entry.resolve() in read:
-            foreign.append(f"{name} (which is read)")
+            foreign[name] = f"{name} (which is read)"
         elif ours is None:
-            foreign.append(name)
+            foreign[name] = name
         elif not ours.is_of(entry):
-            foreign.append(f"{name} (changed)")
+            foreign[name] = f"{name} (changed)"
     return foreign
 
 
-def _refuse_lost(directory: Path, reads: Iterable[Path], writes: Collection[str]) -> None:
+def _refuse_lost(directory: Path, foreign: Collection[str], reads: Iterable[Path], writes: Collection[str]) -> None:
     """Raise where replacing files by name would lose what is read, or a folder."""
+    names, place = sorted({*writes, MANIFEST}), directory.resolve()
     for path in reads:
         path = path.resolve()
-        if path == directory.resolve() or (path.parent == directory.resolve() and path.name in {*writes, MANIFEST}):
-            raise SequenceError(f"{path}: is read, and would be written to; expected another folder for the results")
-    for name in (*writes, MANIFEST):
+        lost = [place / name for name in names if name in foreign] if place.is_relative_to(path) else []
+        if path == place or (path.parent == place and path.name in names):
+            lost = [path]
+        if lost:
+            raise SequenceError(f"{lost[0]}: is read, and would be written to; expected another folder for the results")
+    for name in names:
         if (directory / name).is_dir():
             raise SequenceError(f"{directory / name}: is a folder, expected none of a file's name")
 

@@ -21,6 +21,7 @@ from sequences.tum import read_tum, write_tum
 from tests import sequence_files
 from tests.sequence_files import BEGIN_NS, Walk, rewrite
 from tests.test_datasets import make_7scenes, make_tum, truth_at
+from tests.test_layouts import make_colmap
 from tests.tiny_model import SMALL, altered
 from vapor import checkpoint as checkpoint_module
 from vapor import train as train_module
@@ -199,7 +200,8 @@ def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path
     assert skipped == {
         "odometry does not cover": 3,
         "time stamp not increasing": 2,
-        "undecodable image": 2,
+        "undecodable image": 1,
+        "damaged image": 1,  # it is cut
     }
     assert frames == 30 + 1 - 3 - 2 - 2
     images = json.loads((tmp_path / "out" / "report.json").read_text())["images"]
@@ -384,6 +386,67 @@ def test_a_file_that_is_read_is_not_written_to(belongings, capsys):
     words = [*OUTPUTS["run"], "own", "--poses", str(truth), "--overwrite"]
     refuse(words, capsys, "ground_truth.tum: is read, and would be written to")
     assert contents(belongings).items() >= before.items()
+
+
+IMAGE, POSE = "data/seq-01/frame-000003.color.png", "data/seq-01/frame-000003.pose.txt"
+READ = {
+    "train": (["train", "walk.mcap@0:9", "--output"], ["walk.mcap"]),
+    "validation": (["train", "walk.mcap", "--validation", "notes.txt", "--output"], ["notes.txt"]),
+    "weights": (
+        ["train", "walk.mcap", "--pretrained-weights", "m.training.safetensors", "--output"],
+        ["m.training.safetensors", "m.safetensors"],  # beside which the state of the training lies
+    ),
+    "poses": (["train", "walk.mcap", "--poses", "truth.tum", "--output"], ["truth.tum", "times.txt"]),
+    "data set": (["train", "data", "--output"], [IMAGE, POSE]),
+    "list": (["train", "data/TrainSplit.txt", "--output"], ["data/TrainSplit.txt", IMAGE]),
+    "camera": (["train", "data/seq-01", "--output"], ["data/intrinsics.json"]),
+    "images elsewhere": (["train", "colmap/sparse/0", "--output"], ["colmap/images/a/frame9.png"]),
+    "calibrate": (["calibrate", "m.safetensors", "walk.mcap", "--output"], ["m.safetensors", "walk.mcap"]),
+    "training": (["calibrate", "m.safetensors", "gone.mcap", "--training", "data", "--output"], [IMAGE]),
+    "calibrate's poses": (["calibrate", "m.safetensors", "d", "--poses", "truth.tum", "--output"], ["truth.tum"]),
+    "convert": (["convert", "data"], [IMAGE, POSE]),
+    "odometry": (["convert", "data", "--odometry", "truth.tum"], ["truth.tum"]),
+    "posterior": (["posterior", "data", "--model", "m.safetensors", "--output"], ["m.safetensors", IMAGE]),
+    "evaluate": (["evaluate", "earlier", "--output"], ["earlier/trajectory.tum", "earlier/manifest.json"]),
+    "evaluate's truth": (["evaluate", "mine", "--output"], ["mine/ground_truth.tum"]),
+    "other truth": (["evaluate", "earlier", "--ground-truth", "truth.tum", "--output"], ["truth.tum"]),
+    "run": (["run", "walk.mcap", "--model", "config.json", "--output"], ["."]),
+    "run's poses": ([*OUTPUTS["run"][:-1], "--poses", "mine/ground_truth.tum", "--output"], ["mine"]),
+    "a fleet": (["run", "walk.mcap", "walk/estimate.mcap", "--model", "m.safetensors", "--output"], ["."]),
+    "fuse": (["fuse", "trajectory.tum", "--simulate-odometry", "truth.tum", "--output"], ["."]),
+    "inspect": (["inspect", "data", "--output"], ["data", "data/seq-01"]),
+    "inspect's model": (["inspect", "data", "--model", "report.json", "--output"], ["."]),
+    "inspect's poses": (["inspect", "walk.mcap", "--poses", "map.png", "--output"], ["."]),
+    "benchmark": (OUTPUTS["benchmark"], ["."]),
+    "faults": (OUTPUTS["faults"], ["."]),
+    "real": (["benchmark", "real", "--data", "real", "--output"], [".", "real/7scenes_stairs"]),
+    "alpha": ([*OUTPUTS["alpha"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
+    "decay": ([*OUTPUTS["decay"][:-1], "--train.pretrained-weights", "m.safetensors", "--output"], ["."]),
+    "schedule": ([*OUTPUTS["schedule"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
+    "table": (["experiment", "table", "own=data=walk.mcap", "--output"], [".", "data/seq-01"]),
+}
+"""Words of a command that reads, and outputs that are read, or that hold or lie in what is."""
+
+
+@pytest.mark.parametrize("name", READ)
+def test_what_a_command_reads_is_never_written_to(name, belongings, capsys):
+    make_7scenes(belongings / "data", num_images=4)
+    make_colmap(belongings / "colmap", "sparse/0", "images")
+    (belongings / "data" / "TrainSplit.txt").write_text("sequence1\n")
+    for copy in ("config.json", "report.json", "m.training.safetensors"):
+        (belongings / copy).write_bytes((belongings / "m.safetensors").read_bytes())
+    for file in (
+        *("walk/estimate.mcap", "mine/ground_truth.tum", "data/intrinsics.json", "data/seq-01/map.png", "map.png"),
+        *("notes.txt", "times.txt", "truth.tum", "trajectory.tum"),
+        *("real/7scenes_stairs/stairs_test.txt", "real/7scenes_stairs/estimates/stairs_hloc.txt"),
+    ):
+        (belongings / file).parent.mkdir(parents=True, exist_ok=True)
+        (belongings / file).write_text("mine")
+    before = contents(belongings)
+    words, outputs = READ[name]
+    for output in outputs:
+        refuse([*words, output, "--overwrite"], capsys, "read")
+    assert contents(belongings) == before
 
 
 @pytest.mark.usefixtures("unchecked", "plain_results")

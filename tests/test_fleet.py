@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.sequence_files import Walk, as_split_folder, rewrite
+from tests.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.test_datasets import make_7scenes
 from tests.tiny_model import SMALL
 from vapor import fleet as fleet_module
@@ -190,6 +190,25 @@ def test_folders_without_a_recording_and_absent_files_fail_each_in_its_row(tiny_
     assert "folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder" in printed.out
     assert "gone.mcap: no such file or folder" in printed.out
     assert printed.err.endswith("2 of 2 sequences failed: empty, gone\n")
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_a_sequence_that_used_hardly_any_of_its_images_fails_unless_it_may(tiny_model, tmp_path, capsys):
+    bags = tmp_path / "bags"
+    bags.mkdir()
+    walk = Walk(30)
+    walk.odometry = [(t, pose) for t, pose in walk.odometry if t < BEGIN_NS + 150_000_000]
+    walk.write(bags / "attic.mcap")
+    Walk(6).write(bags / "hall.mcap")
+    assert run([bags], tiny_model, tmp_path / "out") == 1
+    printed = capsys.readouterr()
+    assert "attic.mcap: Only 2 of 30 images were used: 28 were skipped, odometry does not cover. Exp" in printed.out
+    assert printed.err.splitlines()[-1] == "vapor-track run: 1 of 2 sequences failed: attic"
+    assert names(tmp_path / "out") == {"hall", "summary.json"}
+    assert run([bags], tiny_model, tmp_path / "out", "--allow-few-images") == 0
+    last = "Fewer than half of the images were used in 1 of 2 sequences: attic."
+    assert capsys.readouterr().out.splitlines()[-1] == last
+    assert {row["name"]: row["images"] for row in summary_of(tmp_path / "out")["sequences"]} == {"attic": 2, "hall": 6}
 
 
 def test_sequences_that_used_few_of_their_images_are_named_last(tmp_path, capsys):

@@ -185,7 +185,9 @@ def test_the_command_bridges_a_run_of_wrong_estimates(tmp_path, truth, capsys, r
     words = ["fuse", str(file_of(tmp_path / "one.txt", first)), str(file_of(tmp_path / "two.txt", second))]
     words += ["--simulate-odometry", str(truth), "--direction", "world-to-camera", "--output", str(output)]
     assert main([*words, *SMALL, "--std-m", "0.03", "0.04"]) == 0
-    assert "worse than" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "worse than" in out
+    assert "images     120 stated, 120 read, 120 used, 0 skipped" in out
     report = json.loads((output / "report.json").read_text())
     assert report["frames"] == report["frames_with_true_pose"] == 2 * FRAMES
     assert report["single_image"]["worse_than"] == pytest.approx({"0.1m": 0.1, "0.25m": 0.1, "0.5m": 0.1}, abs=0.02)
@@ -229,6 +231,42 @@ def test_another_sequence_starts_anew_however_much_the_first_one_said(tmp_path, 
     assert config["run"]["localizer"]["gap"]["action"] == "forget"
 
 
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_estimates_that_odometry_does_not_cover_count_and_frames_without_an_estimate_do_not(tmp_path, truth, capsys):
+    names, output = list(walk()), tmp_path / "result"
+
+    def fused(estimated: list[str], covered: list[str], *more: str) -> int:
+        one = file_of(tmp_path / "one.txt", {name: walk()[name] for name in estimated})
+        odometry = file_of(tmp_path / "odometry.txt", {name: walk()[name] for name in covered})
+        words = ["fuse", str(one), "--odometry", str(odometry), "--ground-truth", str(truth)]
+        return main([*words, "--direction", "world-to-camera", "--output", str(output), *SMALL, *more])
+
+    assert fused(names[:5], names) == 0  # few of the walk, and all that were estimated
+    out = capsys.readouterr().out
+    assert "images     120 stated, 120 read, 5 used, 115 skipped" in out
+    assert "  skipped 115: no estimate" in out
+    assert "Only" not in out
+
+    assert fused(names[:100], names[:20]) == 0
+    out = capsys.readouterr().out
+    assert "images     120 stated, 120 read, 20 used, 100 skipped" in out
+    assert out.splitlines()[-1] == "Only 20 of 100 images were used: 80 were skipped, odometry does not cover."
+
+    before = (output / "report.json").read_bytes()
+    assert fused(names[:100], names[:8]) == 1
+    error = capsys.readouterr().err
+    assert "one.txt: Only 8 of 100 images were used" in error
+    assert "--allow-few-images" in error
+    assert (output / "report.json").read_bytes() == before
+    assert fused(names[:100], names[:8], "--allow-few-images") == 0
+    assert json.loads((output / "report.json").read_text())["images"] == {
+        "stated": 120,
+        "read": 120,
+        "used": 8,
+        "skipped": {"no estimate": 20, "odometry does not cover": 92},
+    }
+
+
 @pytest.mark.usefixtures("no_pictures")
 def test_tum_trajectories_with_recorded_odometry_and_no_true_poses(tmp_path, capsys):
     poses = Poses.stack(list(walk().values())[:FRAMES])
@@ -268,8 +306,8 @@ def test_what_cannot_be_used_is_one_line_and_leaves_nothing(tmp_path, truth, cap
 
 
 @pytest.mark.usefixtures("unchecked", "no_pictures")
-def test_real_estimates_of_a_staircase_have_no_tail_left(shared_data: Path, tmp_path: Path):
-    """The 150 frames of 7-Scenes stairs around hloc's longest run of wrong estimates."""
+def test_real_estimates_of_a_staircase_have_no_tail_left(shared_data: Path, tmp_path: Path, capsys):
+    """The 150 frames of 7-Scenes stairs around hloc's longest run of wrong estimates: all that were asked for."""
     folder = shared_data / "7scenes_stairs"
     lines = (folder / "estimates" / "stairs_hloc.txt").read_text().splitlines()
     kept = [line for line in lines if "seq-01/frame-000200" <= line.split(".")[0] < "seq-01/frame-000350"]
@@ -280,5 +318,6 @@ def test_real_estimates_of_a_staircase_have_no_tail_left(shared_data: Path, tmp_
     report = json.loads((tmp_path / "result" / "report.json").read_text())
     assert report["frames"] == 150
     assert report["skipped"] == {"no estimate": 850}
+    assert "Only" not in capsys.readouterr().out
     assert report["single_image"]["worse_than"]["0.25m"] > 0.3
     assert report["filter"]["worse_than"]["0.25m"] < 0.02

@@ -134,6 +134,9 @@ def test_what_is_read_is_never_replaced(tmp_path):
     refused(out, "sometimes.png (which is read)", reads=[out / "sometimes.png"])
     refused(out, "is read", reads=[out / "sometimes.png"], overwrite=True)
     refused(out, "is read", reads=[out], overwrite=True)
+    (out / "b.json").write_text("mine")
+    refused(out, "b.json: is read", reads=[tmp_path], overwrite=True)
+    (out / "b.json").write_text("first")
     (out / "poses.txt").write_text("truth")
     write(out, "second", reads=[out / "poses.txt"], overwrite=True)
     assert contents(out)["poses.txt"] == "truth"
@@ -250,6 +253,20 @@ def test_a_folder_that_grows_is_known_again_and_others_are_refused(tmp_path):
     claim_folder(tmp_path / "mine", "benchmark faults")
 
 
+def test_a_folder_that_grows_holds_nothing_that_is_read_and_lies_in_none_of_the_users(tmp_path):
+    (tmp_path / "data" / "rgb").mkdir(parents=True)
+    (tmp_path / "data" / "rgb" / "1.png").write_text("image")
+    data, image = tmp_path / "data", tmp_path / "data" / "rgb" / "1.png"
+    for place, read in ((data, data), (data, image), (tmp_path, data)):
+        with pytest.raises(SequenceError, match=f"{read}: is read, and would be written to"):
+            claim_folder(place, "experiment table", reads=[read], overwrite=True)
+    with pytest.raises(SequenceError, match=r"rgb: holds 1\.png and lies in .*data, which is read"):
+        claim_folder(data / "rgb", "experiment table", reads=[data], overwrite=True)
+    for _ in range(2):
+        claim_folder(data / "out", "experiment table", reads=[data])
+    assert contents(data).keys() == {"rgb/1.png", f"out/{MANIFEST}"}
+
+
 # --- single files --------------------------------------------------------------------------------------
 
 
@@ -268,6 +285,20 @@ def test_a_file_is_only_replaced_by_its_kind(tmp_path):
     refuse_other(path, "model", ours)
     with pytest.raises(SequenceError, match="is read"):
         refuse_other(path, "model", ours, reads=[tmp_path / "." / "model"], overwrite=True)
+
+
+def test_what_lies_in_a_folder_that_is_read_is_only_replaced_by_its_kind(tmp_path):
+    (tmp_path / "image").write_text("image")
+    (tmp_path / "model").write_text("model")
+
+    def check(name: str, read: Path) -> None:
+        refuse_other(tmp_path / name, "model", lambda file: file.name == "model", reads=[read], overwrite=True)
+
+    for name in ("model", "new"):
+        check(name, tmp_path)
+    check("image", tmp_path / "other")
+    with pytest.raises(SequenceError, match=r"image: lies in .*, which is read, and is no model; expected another"):
+        check("image", tmp_path)
 
 
 def test_a_file_of_results_is_not_replaced_by_another_of_its_kind(tmp_path):

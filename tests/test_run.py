@@ -1,6 +1,7 @@
 """What `vapor-track run` and `evaluate` write, that it is the same twice, and the Python API beside it."""
 
 import csv
+import itertools
 import json
 import re
 import shutil
@@ -31,10 +32,11 @@ from tests.simulation import ERRORS, lifted, seen_at
 from tests.tf_files import robot, stamps
 from tests.tiny_model import NETWORK, SMALL
 from vapor.checkpoint import load_checkpoint, save_checkpoint
+from vapor.commands.run import show_run
 from vapor.familiarity import learn_familiarity
 from vapor.observation import VaporObservationModel
 from vapor.record import RunRecord
-from vapor.run import FilteringConfig, localize
+from vapor.run import FilteringConfig, localize, write_results
 from vapor.track import main
 from vapor.training_set import load_training_set
 
@@ -103,7 +105,7 @@ def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
 def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     report = report_of(finished.directory)
     about = {"frames", "frames_with_true_pose", "skipped", "images", "duration_s", "status", "particles"}
-    assert set(report) == METHODS | about | {"step_ms", "peak_rss_mb", "consistency"}
+    assert set(report) == METHODS | about | {"smoothed_doubtful", "step_ms", "peak_rss_mb", "consistency"}
     assert set(report["consistency"]) == {"images", "wrong", "coverage", "median_nees"}
     assert report["frames"] == 25
     assert report["skipped"] == {}
@@ -135,7 +137,11 @@ def test_the_status_says_of_every_pose_what_is_to_be_thought_of_it(finished):
     shares = Counter(row["status"] for row in rows)
     said = report_of(finished.directory)["status"]
     assert {name: shares[name] / 25 for name in said} == pytest.approx(said)
-    assert {row["smoothed"] for row in rows} <= {"fits", "doubtful"}
+    smoothed = Counter(row["smoothed"] for row in rows)
+    assert smoothed.keys() <= {"fits", "doubtful"}
+    assert report_of(finished.directory)["smoothed_doubtful"] == smoothed["doubtful"]
+    told = f"{smoothed['doubtful']} of 25 smoothed poses are doubtful: images about them do not fit (status.csv)"
+    assert (told in finished.printed) == (smoothed["doubtful"] > 0)
     assert all(0.0 < float(row["std_m"]) < 1e4 and 0.0 < float(row["std_deg"]) < 1e4 for row in rows)
 
 
@@ -324,6 +330,45 @@ def test_a_gap_in_the_odometry_widens_the_belief_but_does_not_forget_it(walk_of_
     assert std[after] > 1.1 * std[after - 1]
     assert record.best_weight[after:].min() > 0.9
     assert record.filter.distance(record.truth.poses)[0].max() < 0.2
+
+
+def wrong_odometry(kind: str, poses: list[tuple[int, Poses]], begin: int, end: int) -> list[tuple[int, Poses]]:
+    """Odometry that is wrong from increment `begin` to `end`; or set back at `begin` to an origin 5 m away."""
+    times_ns, given = zip(*poses, strict=True)
+    told = [Poses.exp(np.array([4.0, 3.0, 0.0, 0.0, 0.0, 0.0]))]
+    for i, (before, after) in enumerate(itertools.pairwise(given), start=1):
+        step = before.inverse() @ after
+        if kind != "reset" and begin <= i < end:
+            step = Poses.identity() if kind == "stuck" else Poses.exp(3.0 * step.log())
+        told.append(Poses.identity() if kind == "reset" and i == begin else told[-1] @ step)
+    return list(zip(times_ns, told, strict=True))
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+@pytest.mark.parametrize("kind", ["right", "stuck", "slipping", "reset"])
+def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, capsys):
+    walk, begin = Walk(60, twist_covariance=1e-6 * np.eye(6)), 150  # 50 Hz: three seconds
+    if kind != "right":
+        walk.odometry = wrong_odometry(kind, walk.odometry, begin, begin + 75)
+    sequence = walk.write(tmp_path / "walk.mcap")
+    record = follow(sequence, tmp_path / "out", floors_of(sequence, alone=60))
+    assert record.smoothed is not None
+    off_m = record.smoothed.poses.distance(record.truth.poses)[0]
+    result = write_results(record, tmp_path / "out", {}, title=kind)
+    with (tmp_path / "out" / "status.csv").open() as file:
+        doubtful = np.array([row["smoothed"] == "doubtful" for row in csv.DictReader(file)])
+    assert report_of(tmp_path / "out")["smoothed_doubtful"] == doubtful.sum()
+    show_run(result, tmp_path / "out", title=kind, recording=False)
+    printed = capsys.readouterr().out
+    if kind == "right":
+        assert off_m.max() < 0.1
+        assert not doubtful.any()
+        assert "doubtful" not in printed
+        return
+    assert (off_m > 0.5).sum() > 3
+    assert doubtful[off_m > 0.5].all()
+    assert doubtful[off_m < 0.1].mean() < 0.1  # images about a pose count, too
+    assert f"{doubtful.sum()} of 60 smoothed poses are doubtful: images about them do not fit (status.csv)" in printed
 
 
 @pytest.mark.usefixtures("unchecked", "plain_results")

@@ -15,7 +15,7 @@ from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
-from sequences.results import verify
+from sequences.results import MANIFEST, verify
 from sequences.tum import read_tum
 
 THRESHOLDS: Mapping[str, tuple[float, float]] = MappingProxyType(
@@ -50,6 +50,7 @@ REGIONS: Mapping[str, float] = MappingProxyType({"50%": 0.5, "90%": 0.9, "95%": 
 SURE = 0.95
 """Share of the remaining images that must be right once a method has found itself."""
 
+_TRUTH = "ground_truth.tum"
 _LEAST_VARIANCE = 1e-12  # of a mode whose particles coincide: a micrometre, a microradian
 
 
@@ -241,6 +242,12 @@ def evaluate_methods(methods: Mapping[str, Trajectory], truth: Trajectory) -> di
     }
 
 
+def files_read(directory: Path, ground_truth: Path | None = None) -> list[Path]:
+    """Files that `evaluate_directory` reads, as far as they are there."""
+    truth = directory / _TRUTH if ground_truth is None else ground_truth
+    return [*(directory / name for name in (*FILES.values(), MANIFEST)), truth]
+
+
 def evaluate_directory(directory: Path, ground_truth: Path | None = None) -> dict[str, Any]:
     """Recompute the metrics of a run from the trajectories that it wrote.
 
@@ -260,8 +267,8 @@ def evaluate_directory(directory: Path, ground_truth: Path | None = None) -> dic
         raise VaporTrackError(
             f"{directory}: no {FILES['filter']} in it, expected a directory that `vapor-track run` wrote"
         )
-    verify(directory, [*FILES.values(), *(["ground_truth.tum"] if ground_truth is None else [])])
-    truth_path = directory / "ground_truth.tum" if ground_truth is None else ground_truth
+    verify(directory, [*FILES.values(), *([_TRUTH] if ground_truth is None else [])])
+    truth_path = directory / _TRUTH if ground_truth is None else ground_truth
     if not truth_path.is_file():
         hint = "; give the true poses with --ground-truth FILE" if ground_truth is None else ""
         raise VaporTrackError(f"{truth_path}: no such file, expected true poses as TUM text{hint}")

@@ -155,11 +155,10 @@ def run_fleet(
     config = config or RunConfig()
     folder_to_write(output)
     loaded = load_model(model, config)
-    for name, sequence in sequences.items():
-        require_replaceable(output / name, RESULTS, files_read(sequence, loaded, reading), overwrite=overwrite)
-    refuse_other(
-        output / SUMMARY, "summary of a fleet", lambda path: is_report(path, "sequences_in_all"), overwrite=overwrite
-    )
+    reads = list({path: None for sequence in sequences.values() for path in files_read(sequence, loaded, reading)})
+    for name in sequences:
+        require_replaceable(output / name, RESULTS, reads, overwrite=overwrite)
+    refuse_other(output / SUMMARY, "summary of a fleet", _is_summary, reads=reads, overwrite=overwrite)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -217,6 +216,10 @@ def total(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "judged": len(successes),
         "successes": sum(successes),
     }
+
+
+def _is_summary(path: Path) -> bool:
+    return is_report(path, "sequences_in_all")
 
 
 def _write_summary(file: Path, model: str, outcomes: Sequence[Outcome], *, of: int) -> None:

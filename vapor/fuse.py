@@ -108,7 +108,7 @@ def fuse(
         progress: Called after every frame with the number done and an upper bound of all.
 
     Raises:
-        VaporTrackError: unusable files or output, or no frame left to localize.
+        VaporTrackError: unusable files or output, or fewer than one in ten of the estimated frames left to localize.
     """
     config, trust, reading = config or FilteringConfig(), trust or EstimateConfig(), reading or EstimateOptions()
     reads = [path for path in (*estimates, odometry, simulate_odometry, ground_truth) if path is not None]
@@ -131,6 +131,7 @@ def fuse(
             config,
             errors,
             observed=lambda frame: frame.estimates,
+            allow_few_images=reading.allow_few_images,
             progress=progress,
         )
         settings = {

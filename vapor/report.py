@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Bool
 
 from sequences.atomic import atomic_output
 from sequences.tum import format_time
@@ -32,12 +33,14 @@ def build_report(record: RunRecord) -> dict[str, Any]:
 
     Returns:
         `frames`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (share of the images by verdict),
-        `particles` (median), `step_ms`, `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each
-        method's metrics, and `consistency` (see `evaluate_consistency`).
+        `smoothed_doubtful` (number of poses, see `doubtful`; null without a smoothed trajectory), `particles` (median),
+        `step_ms`, `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each method's metrics, and
+        `consistency` (see `evaluate_consistency`).
     """
     verdicts = Counter(record.status)
     frames = len(record.times_ns)
     p50, p95 = np.percentile(record.step_ms, [50, 95])
+    doubts = doubtful(record)
     found = 0 if record.truth is None else int(associate(record.times_ns, record.truth)[0].sum())
     report: dict[str, Any] = {
         "frames": frames,
@@ -46,6 +49,7 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "images": None if record.images is None else record.images.as_json(),
         "duration_s": float(record.times_ns[-1] - record.times_ns[0]) / 1e9,
         "status": {name: verdicts[name] / frames for name in ("converged", "ambiguous", "lost")},
+        "smoothed_doubtful": None if doubts is None else int(doubts.sum()),
         "particles": int(np.median(record.num_particles)),
         "step_ms": {"p50": float(p50), "p95": float(p95)},
         "peak_rss_mb": record.peak_rss_mb,
@@ -57,6 +61,19 @@ def build_report(record: RunRecord) -> dict[str, Any]:
             record.methods["filter"], record.covariance, converged, record.truth
         )
     return _rounded(report)
+
+
+def doubtful(record: RunRecord) -> Bool[np.ndarray, " n"] | None:
+    """Which smoothed poses the images about them do not fit, (n,); None without a smoothed trajectory."""
+    return None if record.smoothed_agreement is None else record.smoothed_agreement < FITS
+
+
+def told_doubtful(record: RunRecord) -> str | None:
+    """What to say of a run with doubtful smoothed poses; None where there are none."""
+    doubts = doubtful(record)
+    if doubts is None or not doubts.any():
+        return None
+    return f"{doubts.sum()} of {len(doubts)} smoothed poses are doubtful: images about them do not fit (status.csv)"
 
 
 def write_report(path: Path, report: Mapping[str, Any]) -> None:
@@ -74,9 +91,8 @@ def write_status(path: Path, record: RunRecord) -> None:
     `doubtful`, whether the images about the smoothed pose fit it.
     """
     widest = [np.sqrt(np.linalg.eigvalsh(record.covariance[:, part, part]))[:, -1] for part in (_POSITION, _ROTATION)]
-    fits = [""] * len(record.times_ns)
-    if record.smoothed_agreement is not None:
-        fits = np.where(record.smoothed_agreement >= FITS, "fits", "doubtful").tolist()
+    doubts = doubtful(record)
+    fits = [""] * len(record.times_ns) if doubts is None else np.where(doubts, "doubtful", "fits").tolist()
     with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:
         file.write("time,status,std_m,std_deg,smoothed\n")
         for time_ns, status, std_m, std_rad, fit in zip(record.times_ns, record.status, *widest, fits, strict=True):

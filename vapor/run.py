@@ -41,7 +41,7 @@ from vapor.evaluate import FILES
 from vapor.ground import told_unshown
 from vapor.observation import VaporObservationModel
 from vapor.record import RunRecord, RunRecorder
-from vapor.report import build_report, write_pictures, write_report, write_status
+from vapor.report import build_report, told_doubtful, write_pictures, write_report, write_status
 from vapor.threads import limited_threads
 from vapor.view import NullViewer, RerunViewer
 
@@ -104,7 +104,7 @@ class RunResult:
         record: Everything collected on the way.
         report: Content of `report.json`.
         pictures: Names of the pictures in the output directory.
-        notices: What a person should know of the sequence and the model.
+        notices: What a person should know of the sequence, the model and the smoothed trajectory.
     """
 
     record: RunRecord
@@ -187,8 +187,7 @@ def run(
 
 def files_read(sequence: Path, model: LoadedModel, reading: SequenceOptions | None) -> list[Path]:
     """Files and folders that a run reads, as far as they are known before it."""
-    poses = () if reading is None else (reading.poses, reading.poses_times)
-    return [path for path in (sequence, model.file, *poses) if path is not None]
+    return [sequence, model.file, *(() if reading is None else reading.files_read)]
 
 
 def run_into(
@@ -209,12 +208,15 @@ def run_into(
         calibration = observation.checkpoint.calibration
         fit = calibration.odometry if config.fitted_odometry else None
         record = localize(
-            reader, observation, directory, config, calibration.errors, odometry_fit=fit, progress=progress
+            reader,
+            observation,
+            directory,
+            config,
+            calibration.errors,
+            odometry_fit=fit,
+            allow_few_images=reading.allow_few_images,
+            progress=progress,
         )
-        if reader.counts.are_very_few and not reading.allow_few_images:
-            raise VaporTrackError(
-                f"{sequence}: {reader.counts.warning} Expected at least one in ten (--allow-few-images localizes fewer)"
-            )
         device = str(observation.device)
         settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
         settings = {
@@ -223,7 +225,7 @@ def run_into(
             **settings,
         }
         result = write_results(record, directory, settings, title=sequence.name)
-        notices = [*reader.notices, *observation.notices]
+        notices = [*reader.notices, *observation.notices, *result.notices]
         if (memory := observation.checkpoint.memory) is not None and record.smoothed is not None:
             trained = Poses(memory.rotation.double().numpy(), memory.translation.double().numpy())
             notices += [told] if (told := told_unshown(record.smoothed.poses, trained)) else []
@@ -239,6 +241,7 @@ def localize(
     *,
     observed: Callable[[Any], np.ndarray] = attrgetter("image"),
     odometry_fit: OdometryFit | None = None,
+    allow_few_images: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunRecord:
     """Frame by frame: observe, update, show, write; then smooth.
@@ -251,10 +254,11 @@ def localize(
         errors: How the model's posteriors err.
         observed: What the model takes of a frame.
         odometry_fit: How wrong the odometry is; None for what the frames state and the settings assume.
+        allow_few_images: Go on also where fewer than one in ten of the images asked for were used.
         progress: Called after every frame with the number done and an upper bound of all.
 
     Raises:
-        VaporTrackError: unusable frames, or none.
+        VaporTrackError: unusable frames, none, or fewer than one in ten of those asked for.
     """
     settings = config.localizer
     if odometry_fit is not None:
@@ -303,6 +307,10 @@ def localize(
             viewer.log(frame, estimate, posterior.samples)
             if progress is not None:
                 progress(len(recorder), source.num_images)
+    if source.counts.are_very_few and not allow_few_images:
+        raise VaporTrackError(
+            f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes fewer)"
+        )
     record = recorder.finish(skipped=source.skipped, images=source.counts)
     sure = np.array([status == "converged" for status in record.status])
     smoothed = smooth(
@@ -338,7 +346,8 @@ def write_results(record: RunRecord, directory: Path, settings: dict[str, Any], 
         partial.write_text(json.dumps(settings | {"versions": versions}, indent=2) + "\n", encoding="utf-8")
     report = build_report(record)
     write_report(directory / "report.json", report)
-    return RunResult(record, report, tuple(picture.name for picture in pictures))
+    told = told_doubtful(record)
+    return RunResult(record, report, tuple(picture.name for picture in pictures), (told,) if told else ())
 
 
 def peak_rss_mb() -> float:

@@ -161,6 +161,11 @@ class TrainConfig:
             )
         return self.epochs
 
+    @property
+    def files_read(self) -> tuple[Path, ...]:
+        """Files of weights that a training starts from."""
+        return tuple(file for file in (self.initial_model, self.pretrained_weights) if file is not None)
+
     def settings(self) -> dict[str, Any]:
         """What makes a training this one: all but where it runs."""
         return {name: value for name, value in asdict(self).items() if name not in ("device", "resume")}

@@ -6,7 +6,7 @@ import mmap
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations, product
@@ -20,6 +20,7 @@ from jaxtyping import Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from sequences import datasets
 from sequences.bag import bag_files
 from sequences.datasets import PosedFrames, is_recording, list_images, posed_frames
 from sequences.frame import Camera, Frame
@@ -138,6 +139,17 @@ def parse_entry(entry: Path | str) -> tuple[Path, slice]:
     if re.search(r"@[^/]*:[^/]*$", str(entry)) and not Path(entry).exists():
         raise TrainingError(f"{entry}: expected START:STOP after @ to be whole numbers, or one of them left out")
     return Path(entry), slice(None)
+
+
+def files_read(data: Sequence[Path | str], reading: SequenceOptions | None = None) -> Iterator[Path]:
+    """Files and folders that `PATH`s and `PATH@START:STOP`s are read from, for outputs: they must be none of these.
+
+    Raises:
+        TrainingError: what follows an @ is no range.
+    """
+    for entry in data:
+        yield from datasets.files_read(parse_entry(entry)[0])
+    yield from () if reading is None else reading.files_read
 
 
 def require_apart(data: Sequence[Path | str], held_out: Sequence[Path | str] | None = None) -> None:

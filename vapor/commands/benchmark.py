@@ -17,6 +17,7 @@ from sequences.place import is_place
 from sequences.results import claim_folder
 from vapor import real_benchmark
 from vapor.benchmark import Benchmark, BenchmarkConfig
+from vapor.checkpoint import find_model
 from vapor.commands import real_tables
 from vapor.commands.benchmark_tables import failures, fault_failures, fault_tables, tables
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, progress_of, show, usage_error
@@ -107,6 +108,11 @@ class SceneOptions:
     def model_of(self) -> dict[str, str]:
         """The model by scene."""
         return dict(zip(self.scenes, self.models or self.scenes, strict=True))
+
+    @property
+    def files_read(self) -> list[Path]:
+        """Files of the models."""
+        return [find_model(model) for model in self.model_of.values()]
 
     @property
     def replaced(self) -> dict[str, Any]:
@@ -221,7 +227,7 @@ def _familiarity(arguments: Sequence[str]) -> None:
 def _real(arguments: Sequence[str]) -> None:
     o = parse("benchmark real", RealOptions, arguments)
     rows, missing = real_benchmark.choose(o.data, o.only)
-    claim_folder(o.output, "benchmark real", overwrite=o.overwrite)
+    claim_folder(o.output, "benchmark real", reads=[o.data], overwrite=o.overwrite)
     for name, needs in missing.items():
         show(f"left out: {name}, for want of {', '.join(needs)}")
     results = []
@@ -241,7 +247,7 @@ def _real(arguments: Sequence[str]) -> None:
 def _localization(arguments: Sequence[str]) -> None:
     o = parse("benchmark localization", LocalizationOptions, arguments)
     benchmark = Benchmark(o.model_of, o.output, o.config, o.replaced)
-    claim_folder(o.output, "benchmark localization", overwrite=o.overwrite)
+    claim_folder(o.output, "benchmark localization", reads=o.files_read, overwrite=o.overwrite)
     with bar("choosing runs") as advance:
         trials = benchmark.choose(advance)
     with bar("recording") as advance:
@@ -264,7 +270,7 @@ def _localization(arguments: Sequence[str]) -> None:
 def _faults(arguments: Sequence[str]) -> None:
     o = parse("benchmark faults", FaultsOptions, arguments)
     benchmark = FaultBenchmark(o.model_of, o.output, o.config, o.replaced)
-    claim_folder(o.output, "benchmark faults", overwrite=o.overwrite)
+    claim_folder(o.output, "benchmark faults", reads=o.files_read, overwrite=o.overwrite)
     with bar("choosing walks") as advance:
         walks, unused = benchmark.choose(advance)
     with bar("recording") as advance:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Annotated
 
 import tyro
@@ -17,6 +18,7 @@ from vapor.checkpoint import find_model, is_model
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_notices, show_skipped, usage_error
 from vapor.image_fit import REGIONS
 from vapor.observation import Device
+from vapor.training_set import files_read
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("calibrate", "no held-out data, expected at least one file or folder")
     if o.images < 1 or o.seed < 0:
         usage_error("calibrate", f"images {o.images} and seed {o.seed}, expected at least 1 and 0")
-    reads = [find_model(o.model)]
+    reads = chain([find_model(o.model)], files_read([*o.data, *o.training], o.reading))
     refuse_other(o.output, "model of vapor-track", is_model, reads=reads, overwrite=o.overwrite)
     with bar("images") as advance:
         result = calibrate_model(

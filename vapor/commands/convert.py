@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from sequences.convert import convert
+from sequences.datasets import files_read
 from sequences.odometry import OdometryNoise
 from sequences.results import refuse_other
 from sequences.writer import is_own_sequence
@@ -47,7 +49,7 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("convert", "--odometry and --odometry-noise exclude each other")
     if o.noise != OdometryNoise() and not o.odometry_noise:
         usage_error("convert", "--noise.* are settings of simulated odometry, expected --odometry-noise with them")
-    reads = [o.dataset] if o.odometry is None else [o.dataset, o.odometry]
+    reads = chain([] if o.odometry is None else [o.odometry], files_read(o.dataset))
     refuse_other(o.output, "sequence that vapor-track wrote", is_own_sequence, reads=reads, overwrite=o.overwrite)
     start, stop = (int(number) if number else None for number in match.groups())
     summary = convert(

@@ -11,7 +11,7 @@ import tyro
 
 from sequences.results import MANIFEST, UNCHECKED, refuse_other
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
-from vapor.evaluate import evaluate_directory
+from vapor.evaluate import evaluate_directory, files_read
 from vapor.report import format_table, is_report, write_report
 
 
@@ -32,8 +32,7 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     options = parse("evaluate", Options, arguments)
     if options.output is not None:
-        reads = [] if options.ground_truth is None else [options.ground_truth]
-        kind = "report of vapor-track"
+        kind, reads = "report of vapor-track", files_read(options.directory, options.ground_truth)
         refuse_other(options.output, kind, _is_evaluation, reads=reads, overwrite=options.overwrite)
     report = evaluate_directory(options.directory, options.ground_truth)
     if options.output is not None:

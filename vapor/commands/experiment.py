@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,6 +27,7 @@ from vapor.experiments.sweep import MODES, Sweep, SweepConfig, by_value, in_orde
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
 from vapor.presets import PRESETS
 from vapor.report import write_report
+from vapor.training_set import files_read
 
 _Tables = Annotated[
     tyro.conf.Positional[tuple[Literal["round-table", "dinner-table"], ...]], tyro.conf.arg(metavar="SCENE ...")
@@ -130,8 +132,10 @@ def main(arguments: Sequence[str]) -> None:
 
 def _table(arguments: Sequence[str]) -> None:
     o = parse_named("experiment table", TableOptions, arguments, ("preset",), _table_config)
-    claim_folder(o.output, "experiment table", overwrite=o.overwrite)
-    experiment = TableExperiment([parse_scene(text) for text in o.scenes], o.output, o.config)
+    scenes = [parse_scene(text) for text in o.scenes]
+    reads = chain(o.config.train.files_read, files_read([entry for s in scenes for entry in (*s.train, *s.test)]))
+    claim_folder(o.output, "experiment table", reads=reads, overwrite=o.overwrite)
+    experiment = TableExperiment(scenes, o.output, o.config)
     order = {method: k for k, method in enumerate(o.config.methods)}
     settings = _settings(o.config, o.scenes)
     results: list[dict[str, Any]] = []
@@ -148,7 +152,7 @@ def _alpha(arguments: Sequence[str]) -> None:
     from vapor.experiments.sweep_pictures import draw_positions, draw_recall
 
     o = parse("experiment alpha", AlphaOptions, arguments)
-    claim_folder(o.output, "experiment alpha", overwrite=o.overwrite)
+    claim_folder(o.output, "experiment alpha", reads=o.config.train.files_read, overwrite=o.overwrite)
     experiment = Sweep(o.scenes, o.output, o.config)
     results = _swept(experiment, o.scenes)
     recalls = {threshold: by_value(results, "alpha", _recall(threshold)) for threshold in THRESHOLDS}
@@ -173,7 +177,7 @@ def _decay(arguments: Sequence[str]) -> None:
     from vapor.experiments.sweep_pictures import draw_decay, draw_positions
 
     o = parse("experiment decay", DecayOptions, arguments)
-    claim_folder(o.output, "experiment decay", overwrite=o.overwrite)
+    claim_folder(o.output, "experiment decay", reads=o.config.train.files_read, overwrite=o.overwrite)
     experiment = Sweep(o.scenes, o.output, o.config)
     results = _swept(experiment, o.scenes)
     medians = {
@@ -197,7 +201,7 @@ def _schedule(arguments: Sequence[str]) -> None:
     from vapor.experiments.schedule_pictures import draw_courses
 
     o = parse_named("experiment schedule", ScheduleOptions, arguments, ("preset",), _schedule_config)
-    claim_folder(o.output, "experiment schedule", overwrite=o.overwrite)
+    claim_folder(o.output, "experiment schedule", reads=o.config.train.files_read, overwrite=o.overwrite)
     experiment = ScheduleExperiment(o.scene, o.output, o.config)
     _render(experiment)
     courses: dict[str, list[Point]] = {}

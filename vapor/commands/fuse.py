@@ -10,9 +10,9 @@ from typing import Annotated
 import tyro
 
 from sequences.estimates import EstimateOptions
-from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_files, show_skipped, usage_error
+from vapor.commands.console import OutputPath, Overwrite, bar, parse, usage_error
+from vapor.commands.run import show_run
 from vapor.fuse import EstimateConfig, fuse
-from vapor.report import format_table
 from vapor.run import FilteringConfig
 
 
@@ -59,10 +59,5 @@ def main(arguments: Sequence[str]) -> None:
             overwrite=o.overwrite,
             progress=advance,
         )
-    report = result.report
-    if report["frames_with_true_pose"]:
-        show(format_table(report, title=", ".join(path.name for path in o.estimates), tail=True))
-    verdicts = ", ".join(f"{100 * share:.0f} % {verdict}" for verdict, share in report["status"].items())
-    show(f"{report['frames']} frames: {verdicts}")
-    show_skipped(report["skipped"])
-    show_files(o.output, result.pictures, recording=o.config.recording)
+    title = ", ".join(path.name for path in o.estimates)
+    show_run(result, o.output, title=title, recording=o.config.recording, tail=True)

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,7 @@ from filtering.errors import VaporTrackError
 from sequences.counts import ImageCounts
 from sequences.options import SequenceOptions
 from sequences.results import results_folder
+from vapor.checkpoint import find_model
 from vapor.commands.console import (
     OutputPath,
     Overwrite,
@@ -38,6 +40,7 @@ from vapor.inspection.predictions import Predictions
 from vapor.inspection.walks import Walk
 from vapor.observation import Device, VaporObservationModel
 from vapor.report import write_report
+from vapor.training_set import files_read
 
 _TOLD = 8
 _MAP, _REPORT = "map.png", "report.json"
@@ -107,7 +110,7 @@ def main(arguments: Sequence[str]) -> None:
 def _outputs(o: Options) -> AbstractContextManager[Path | None]:
     if o.output is None:
         return nullcontext()
-    reads = [Path(entry.split("@")[0]) for entry in o.data]
+    reads = chain([] if o.model is None else [find_model(o.model)], files_read(o.data, o.reading))
     return results_folder(o.output, "inspect", writes=(_MAP, _REPORT), reads=reads, overwrite=o.overwrite)
 
 

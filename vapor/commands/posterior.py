@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,7 @@ import tyro
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from sequences.datasets import posed_frames
+from sequences.datasets import files_read, posed_frames
 from sequences.results import refuse_other
 from vapor.checkpoint import find_model, load_checkpoint
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
@@ -56,7 +57,8 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("posterior", Options, arguments)
     file = find_model(o.model)
-    refuse_other(o.output, "picture of vapor-track", is_picture, reads=[o.data, file], overwrite=o.overwrite)
+    reads = chain([file], files_read(o.data))
+    refuse_other(o.output, "picture of vapor-track", is_picture, reads=reads, overwrite=o.overwrite)
     checkpoint = load_checkpoint(file)
     frame = next(posed_frames(o.data, frames=slice(o.image, o.image + 1)))
     model = VaporObservationModel(checkpoint, num_samples=o.num_samples, device=o.device, camera=frame.camera)

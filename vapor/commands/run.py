@@ -26,7 +26,7 @@ from vapor.commands.console import (
 )
 from vapor.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
 from vapor.report import format_table
-from vapor.run import RunConfig, run
+from vapor.run import RunConfig, RunResult, run
 
 
 @dataclass(frozen=True)
@@ -68,15 +68,28 @@ def _run_one(options: Options) -> None:
             overwrite=options.overwrite,
             progress=advance,
         )
+    show_run(result, options.output, title=sequence.name, recording=options.config.recording)
+
+
+def show_run(result: RunResult, output: Path, *, title: str, recording: bool, tail: bool = False) -> None:
+    """Print what came of one run: figures, verdicts, what became of the images, where results lie, few images last.
+
+    Args:
+        result: The run.
+        output: Directory of its results.
+        title: Of the table of figures.
+        recording: Whether there is a recording among them.
+        tail: Whether figures are of the tail of the errors, as of `format_table`.
+    """
     report = result.report
     if report["frames_with_true_pose"]:
-        show(format_table(report, title=sequence.name))
+        show(format_table(report, title=title, tail=tail))
     verdicts = ", ".join(f"{100 * share:.0f} % {verdict}" for verdict, share in report["status"].items())
     show(f"{report['frames']} images: {verdicts}")
     show_images(report["images"])
     show_skipped(report["skipped"])
     show_notices(result.notices)
-    show_files(options.output, result.pictures, recording=options.config.recording)
+    show_files(output, result.pictures, recording=recording)
     if result.few_images is not None:
         show(result.few_images)
 

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +30,7 @@ from vapor.commands.named_settings import Method, Preset, parse_named
 from vapor.presets import METHODS, PRESETS
 from vapor.train import Progress, TrainConfig, TrainResult, train
 from vapor.training_check import TrainingCheck
+from vapor.training_set import files_read
 from vapor.training_state import is_training_state, state_path
 from vapor.validation import Validation
 
@@ -65,10 +67,13 @@ def main(arguments: Sequence[str]) -> None:
     )
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
-    initial = [] if options.config.initial_model is None else [options.config.initial_model]
-    refuse_other(options.output, "model of vapor-track", is_model, reads=initial, overwrite=options.overwrite)
     state = state_path(options.output)
-    refuse_other(state, "interrupted training", is_training_state, reads=initial, overwrite=options.overwrite)
+    for path, kind, is_kind in (
+        (options.output, "model of vapor-track", is_model),
+        (state, "interrupted training", is_training_state),
+    ):
+        data = files_read([*options.data, *options.validation], options.reading)
+        refuse_other(path, kind, is_kind, reads=chain(options.config.files_read, data), overwrite=options.overwrite)
     with _display() if sys.stderr.isatty() else _log() as report:
         result = train(
             options.data,
