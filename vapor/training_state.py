@@ -136,10 +136,10 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     history = config.get("history")
     if not isinstance(history, list):
         raise CheckpointError(f"{path}: history is {quoted(history)}, expected a list of the figures of epochs")
-    state.history = [parse_config(path, "history", Validation, entry) for entry in history]
-    for value in (value for figures in state.history for value in asdict(figures).values()):
+    for value in (value for entry in history if isinstance(entry, dict) for value in entry.values()):
         if type(value) not in (int, float):
             raise CheckpointError(f"{path}: history has {quoted(value)}, expected a number")
+    state.history = [parse_config(path, "history", Validation, entry) for entry in history]
     unchecked = f"{path.name} was written before states had checksums: whether it is damaged cannot be told"
     return () if CHECKSUM in metadata else (unchecked,)
 
