@@ -12,7 +12,8 @@ from mcap.opcode import Opcode
 from sequences.errors import SequenceError
 from tests.fuzz import __main__ as command
 from tests.fuzz import cases
-from tests.fuzz.cases import Sample, _splice, _spliced
+from tests.fuzz.cases import Sample, Verdict, _splice, _spliced, keep
+from tests.fuzz.damage import with_checksum
 from tests.fuzz.mcap_damage import put_together, stated_images, take_apart
 from tests.fuzz.readers import READERS, Reader, Reading, UnsoundError
 
@@ -133,6 +134,27 @@ def test_what_is_kept_of_a_file_gives_it_back() -> None:
         for data in (whole[: at[0]] + rng.bytes(int(rng.integers(0, 5))) + whole[at[1] :], whole + whole, b""):
             assert _spliced(whole, _splice(whole, data)) == data
     assert _spliced(b"whole", _splice(b"whole", None)) is None
+
+
+def test_a_case_that_was_kept_of_another_sample_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sample").mkdir()
+    monkeypatch.setattr(cases, "_CORPUS", tmp_path / "corpus.jsonl")
+    sample = Sample("tum", tmp_path / "sample")
+    assert keep(sample, {"walk.tum": sample.files["walk.tum"][:100]}, Verdict("failure", "a cause"))
+    assert [verdict.cause for _, verdict in cases.replay()] == [""]
+    sample.files["walk.tum"] = sample.files["walk.tum"].replace(b"1", b"2", 1)
+    assert keep(sample, {"walk.tum": b"1"}, Verdict("failure", "a cause"))
+    assert [verdict.cause for _, verdict in cases.replay()] == ["", "kept of another sample"]
+
+
+@pytest.mark.parametrize("name", ["model", "model-retrieval", "training-state"])
+def test_models_are_damaged_under_checksums_that_fit(name: str, tmp_path: Path) -> None:
+    sample = Sample(name, tmp_path)
+    ((file, data),) = sample.files.items()
+    assert with_checksum(data) is not None
+    altered = data[:-1] + bytes([data[-1] ^ 1])
+    assert sample.judge({file: altered}).outcome == "refused"
+    assert sample.judge({file: with_checksum(altered)}).outcome == "silent"
 
 
 def test_what_once_failed_fails_no_more() -> None:

@@ -180,6 +180,20 @@ def test_a_recording_of_a_stand_goes_on_where_the_camera_rests(checkpoint, tmp_p
     )
 
 
+def test_samples_take_room_as_they_are_written(checkpoint, tmp_path, monkeypatch):
+    """A file with holes kills the process that fills one of them where the disk is full."""
+    sizes = []
+    observe = VaporObservationModel.observe
+
+    def watched(model, image, *, rng):
+        sizes.append(next(tmp_path.rglob("samples.npy")).stat().st_size)
+        return observe(model, image, rng=rng)
+
+    monkeypatch.setattr(VaporObservationModel, "observe", watched)
+    make_recording(SETTINGS, checkpoint, tmp_path)
+    assert sizes[0] < sizes[-1] < next(tmp_path.rglob("samples.npy")).stat().st_size
+
+
 def test_how_unfamiliar_images_are_is_recorded(checkpoint, tmp_path, monkeypatch):
     told = iter(np.linspace(0.0, 2.2, 12))
     observe = VaporObservationModel.observe

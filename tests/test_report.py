@@ -12,7 +12,7 @@ from sequences.frame import Trajectory
 from tests.simulated_run import simulated_record, simulated_steps
 from vapor.evaluate import dead_reckoning
 from vapor.record import RunRecorder, telling_moments
-from vapor.report import build_report, format_table, write_pictures, write_report
+from vapor.report import build_report, format_table, is_report, write_pictures, write_report
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +155,16 @@ def test_the_table_names_every_method_with_its_recall(record):
         assert label in text
     assert f"{100 * report['filter']['recall']['0.3m/20deg']:.0f} %" in text
     assert f"{report['filter']['converged_at_s']:.1f} s" in text
+
+
+def test_a_file_that_is_too_large_to_be_a_report_is_none(tmp_path, monkeypatch):
+    path = tmp_path / "report.json"
+    path.write_text('{"frames": 1, "more": "' + "x" * 1000 + '"}')
+    assert is_report(path, "frames")
+    assert not is_report(path, "frames", "images")
+    monkeypatch.setattr("sequences.values._MAX_JSON", 1000)
+    assert not is_report(path, "frames")
+    assert not is_report(tmp_path / "nowhere.json")
 
 
 # --- pictures -------------------------------------------------------------------------------------------

@@ -1,9 +1,7 @@
 """Results are only ever replaced by results, whole: what outputs refuse, what they keep, and what kills leave."""
 
-import builtins
 import errno
 import fcntl
-import io
 import json
 import os
 import random
@@ -11,8 +9,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -21,6 +19,7 @@ from sequences import results
 from sequences.atomic import NEW, atomic_output, clear_leftovers, move_in, workspace
 from sequences.errors import SequenceError
 from sequences.results import MANIFEST, claim_folder, read_manifest, refuse_other, results_folder, verify
+from tests.full_disk import ENOUGH, filling
 
 WRITES = ("a.tum", "b.json", "sometimes.png")
 
@@ -414,53 +413,12 @@ def test_kills_at_random_moments_leave_whole_results(how, tmp_path):
 # --- full disks ----------------------------------------------------------------------------------------
 
 
-class Disk:
-    """Counts what is written, and is full from some call on."""
-
-    def __init__(self, room: float) -> None:
-        self.room = room
-
-    def use(self) -> None:
-        self.room -= 1
-        if self.room < 0:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    def taking(self, call: Callable) -> Callable:
-        def taken(*arguments, **options):
-            self.use()
-            return call(*arguments, **options)
-
-        return taken
-
-
-@contextmanager
-def filling(room: float) -> Iterator[Disk]:
-    disk = Disk(room)
-
-    def opened(path, mode="r", *arguments, original=io.open, **options):
-        file = original(path, mode, *arguments, **options)
-        if not set(mode) & set("wxa+"):
-            return file
-        disk.use()
-        file.write = disk.taking(file.write) if not isinstance(file, io.TextIOWrapper) else file.write
-        return file
-
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("mkdir", "rename", "replace"):
-            patch.setattr(os, name, disk.taking(getattr(os, name)))
-        patch.setattr(results, "_exchange", disk.taking(results._exchange))
-        for module in (io, builtins):
-            patch.setattr(module, "open", opened)
-        yield disk
-
-
 @pytest.mark.parametrize("how", ["exchanged", "one_by_one"])
 def test_a_disk_that_is_full_at_any_call_leaves_the_old_results(how, tmp_path, request):
     if how == "one_by_one":
         request.getfixturevalue(how)
     write(tmp_path / "out", "first", sometimes=True)
-    with filling(float("inf")) as disk:
-        disk.room = 10**6
+    with filling(ENOUGH):
         write(tmp_path / "other", "second")
         write(tmp_path / "other", "third", sometimes=True)
     calls = 0

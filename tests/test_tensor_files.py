@@ -22,6 +22,7 @@ from vapor.tensor_files import (
 from vapor.train_config import TrainConfig
 from vapor.training_start import start
 from vapor.training_state import load_state, save_state
+from vapor.validation import Validation
 
 DAMAGED = r"m\.safetensors: (damaged: .* do not match its checksum, expected the file as it was|cannot be read .*exp)"
 
@@ -164,6 +165,42 @@ def test_a_damaged_state_of_a_training_is_refused_with_what_to_do_and_an_older_o
     metadata, tensors = read_safetensors(path)
     save_file(tensors, path, {name: value for name, value in metadata.items() if name != CHECKSUM})
     assert "written before states had checksums" in load_state(path, state, {"seed": 0})[0]
+
+
+def without_step(tensors: dict, config: dict) -> None:
+    del tensors["optimizer.0.step"]
+
+
+def other_best(tensors: dict, config: dict) -> None:
+    tensors["best.x"] = torch.ones(1)
+
+
+def words_in_history(tensors: dict, config: dict) -> None:
+    config["history"] = [dict.fromkeys(Validation.__dataclass_fields__, "x")]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (without_step, r"optimizer\.0 has .* expected the network's tensors"),
+        (other_best, r"Missing key.* expected the network's tensors"),
+        (words_in_history, r"history has 'x', expected a number"),
+    ],
+)
+def test_a_state_that_no_training_wrote_is_refused_though_its_checksum_fits(change, said, tmp_path):
+    path, checkpoint = tmp_path / "m.training.safetensors", make_checkpoint()
+    state = start(TrainConfig(network=SMALL, device="cpu"), checkpoint.box, checkpoint.prior_poses, None)
+    for weights in state.network.parameters():
+        weights.grad = torch.zeros_like(weights)
+    state.optimizer.step()
+    save_state(path, state, {"seed": 0})
+    load_state(path, state, {"seed": 0})
+    metadata, tensors = read_safetensors(path)
+    config = json.loads(metadata["config"])
+    change(tensors, config)
+    write_safetensors(path, tensors, {**metadata, "config": json.dumps(config)})
+    with pytest.raises(CheckpointError, match=said):
+        load_state(path, state, {"seed": 0})
 
 
 def test_a_file_can_be_written_again_with_other_content(model):

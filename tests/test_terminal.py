@@ -74,6 +74,32 @@ def test_a_signal_undoes_what_the_command_began_and_ends_it_with_a_line_and_128_
     assert err == f"vapor-track evaluate: interrupted{by}\n"
 
 
+SIGNALLED = """
+import os, sys
+class Signalled:
+    def find_spec(self, name, *_):
+        if name == "vapor.signals":
+            os.kill(os.getpid(), int(sys.argv.pop()))
+sys.meta_path.insert(0, Signalled())
+from vapor.track import main
+raise SystemExit(main())
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_before_the_handlers_are_there_ends_the_command_at_once_without_a_traceback(name):
+    number = getattr(signal, name)
+    process = started([sys.executable, "-c", SIGNALLED, "evaluate", "nowhere", str(int(number))])
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out, err) == (-number, "", "")
+
+
+def test_nothing_is_imported_before_the_command_takes_the_signals():
+    imported = "import sys; before = {*sys.modules}; import vapor.track; print(*sorted({*sys.modules} - before))"
+    out, err = started([sys.executable, "-c", imported]).communicate(timeout=20)
+    assert (out.split(), err) == (["__future__", "vapor", "vapor.track"], "")
+
+
 def test_a_signal_while_the_command_is_imported_leaves_no_traceback():
     process = started([*COMMAND, "run", "absent.mcap", "--model", "staircase", "--output", "nowhere"])
     # From then on the handlers are there: the imports of the command itself begin.
@@ -224,6 +250,14 @@ def test_no_message_is_longer_than_300_characters(words, said, capsys, monkeypat
     assert said in err
     assert err.count("\n") == 1
     assert len(err) <= MAX_MESSAGE + 1
+
+
+def test_notices_and_reasons_that_quote_a_file_are_one_short_line_each(capsys):
+    console.show_notices([f"topic /{LONG}\nis not read", "a word"])
+    console.show_skipped({f"odometry from {LONG}": 3})
+    lines = capsys.readouterr().out.splitlines()
+    assert [line[:12] for line in lines] == ["  topic /999", "  a word", "  skipped 3:"]
+    assert max(map(len, lines)) == MAX_MESSAGE
 
 
 def test_wrong_arguments_are_told_in_a_line_without_the_help_of_what_is_there(capsys):

@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -281,26 +281,26 @@ def _observe(
     reader = SequenceReader(file)
     model = VaporObservationModel(checkpoint, num_samples=num_samples, device="cpu", camera=reader.camera)
     n = reader.num_images if seen is None else len(seen)
-    samples = np.lib.format.open_memmap(folder / _SAMPLES, "w+", np.float32, (n, num_samples, 12))
     times_ns, odometry, covariance, truth = np.empty(n, np.int64), [Poses.identity()], np.zeros((n, 6, 6)), []
     unfamiliarity = np.zeros(n)
     count = 0
-    for i, frame in enumerate(reader):
-        if i >= n or frame.world_from_camera is None or (i > 0 and frame.odometry is None):
-            raise VaporTrackError(
-                f"{file}: image {i} at {frame.time_ns} ns has no odometry or no true pose, or is one too many"
-            )
-        posterior = model.observe(changed(frame.image), rng=rng)
-        samples[i], unfamiliarity[i] = to_rows(posterior.samples), posterior.unfamiliarity
-        times_ns[i] = frame.time_ns
-        truth.append(frame.world_from_camera)
-        if i > 0 and frame.odometry is not None:
-            odometry.append(frame.odometry.previous_from_current)
-            covariance[i] = frame.odometry.covariance
-        count = i + 1
+    with (folder / _SAMPLES).open("wb") as samples:
+        _write_header(samples, (n, num_samples, 12))
+        for i, frame in enumerate(reader):
+            if i >= n or frame.world_from_camera is None or (i > 0 and frame.odometry is None):
+                raise VaporTrackError(
+                    f"{file}: image {i} at {frame.time_ns} ns has no odometry or no true pose, or is one too many"
+                )
+            posterior = model.observe(changed(frame.image), rng=rng)
+            samples.write(to_rows(posterior.samples).astype(np.float32).tobytes())
+            times_ns[i], unfamiliarity[i] = frame.time_ns, posterior.unfamiliarity
+            truth.append(frame.world_from_camera)
+            if i > 0 and frame.odometry is not None:
+                odometry.append(frame.odometry.previous_from_current)
+                covariance[i] = frame.odometry.covariance
+            count = i + 1
     if count != n:
         raise VaporTrackError(f"{file}: {count} images read, expected the {n} that were written")
-    samples.flush()
     np.savez(
         folder / _PATH,
         times_ns=times_ns,
@@ -310,6 +310,15 @@ def _observe(
         odometry_covariance=covariance,
         unfamiliarity=unfamiliarity,
     )
+
+
+def _write_header(file: BinaryIO, shape: tuple[int, ...]) -> None:
+    """Begin an .npy file of float32, whose numbers are then written one after the other.
+
+    A file mapped into memory would have holes: where the disk is full, filling one kills the process.
+    """
+    description = np.lib.format.dtype_to_descr(np.dtype(np.float32))
+    np.lib.format.write_array_header_1_0(file, {"descr": description, "fortran_order": False, "shape": shape})
 
 
 def _checked(settings: RecordingSettings | FileSettings, folder: Path) -> Mapping[str, np.ndarray]:

@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from sequences.atomic import atomic_output
+from sequences.errors import SequenceError
 from sequences.tum import format_time
+from sequences.values import read_json
 from vapor.evaluate import FILES, TAIL_M, THRESHOLDS, associate, evaluate_consistency, evaluate_methods
 from vapor.pictures import LABELS, write_pictures
 from vapor.record import RunRecord, RunRecorder
@@ -102,8 +104,8 @@ def write_status(path: Path, record: RunRecord) -> None:
 def is_report(path: Path, *keys: str) -> bool:
     """Whether a file is a JSON object with these keys among others."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        content = read_json(path)
+    except SequenceError:
         return False
     return isinstance(content, dict) and content.keys() >= set(keys)
 

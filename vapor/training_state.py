@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from vapor.validation import Validation
 
 FORMAT = "vapor-track training state"
 VERSION = 2
+_MOMENTS = {"step", "exp_avg", "exp_avg_sq"}  # Adam's, of a parameter
 _ANEW = "remove the file, or train with --no-resume, to start anew"
 
 
@@ -119,6 +121,8 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         state.average.load_state_dict(groups["average"])
         moments = _moments(groups["optimizer"], state.optimizer)
         state.optimizer.load_state_dict({**state.optimizer.state_dict(), "state": moments})
+        if groups["best"]:
+            deepcopy(state.average).load_state_dict(groups["best"])
     except (RuntimeError, ValueError, IndexError) as error:
         raise CheckpointError(f"{path}: {' '.join(str(error).split())}, expected the network's tensors") from error
     state.best = groups["best"]
@@ -132,6 +136,9 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     history = config.get("history")
     if not isinstance(history, list):
         raise CheckpointError(f"{path}: history is {quoted(history)}, expected a list of the figures of epochs")
+    for value in (value for entry in history if isinstance(entry, dict) for value in entry.values()):
+        if type(value) not in (int, float):
+            raise CheckpointError(f"{path}: history has {quoted(value)}, expected a number")
     state.history = [parse_config(path, "history", Validation, entry) for entry in history]
     unchecked = f"{path.name} was written before states had checksums: whether it is damaged cannot be told"
     return () if CHECKSUM in metadata else (unchecked,)
@@ -149,4 +156,7 @@ def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) ->
         index, _, key = name.partition(".")
         alike = value if key == "step" else torch.empty_like(parameters[int(index)]).copy_(value)
         moments.setdefault(int(index), {})[key] = alike.detach()
+    for index, each in moments.items():
+        if each.keys() != _MOMENTS:
+            raise ValueError(f"optimizer.{index} has {quoted(sorted(each))} instead of {quoted(sorted(_MOMENTS))}")
     return moments

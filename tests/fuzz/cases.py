@@ -1,6 +1,7 @@
 """One damaged file: which it is by reader, seed and number, what the reader makes of it, and how to keep it."""
 
 import base64
+import hashlib
 import json
 import resource
 import tempfile
@@ -30,6 +31,10 @@ MOST_CHARACTERS = 300
 MOST_MEMORY = 2 * 2**30
 _CORPUS = Path(__file__).with_name("corpus.jsonl")
 _MOST_KEPT = 4096  # bytes of a line
+
+
+class OtherSampleError(Exception):
+    """A file of the sample is not the one that a splice was made of."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +162,10 @@ class Sample:
 
 
 def replay() -> Iterator[tuple[str, Verdict]]:
-    """Readers and verdicts of the cases that once failed: files as splices of those of the sample."""
+    """Readers and verdicts of the cases that once failed: files as splices of those of the sample.
+
+    A case that was kept of another sample than that of today, which tests nothing any more, is a failure.
+    """
     entries = [json.loads(line) for line in _CORPUS.read_text(encoding="ascii").splitlines()]
     for name in dict.fromkeys(entry["reader"] for entry in entries):
         with tempfile.TemporaryDirectory() as folder:
@@ -165,8 +173,12 @@ def replay() -> Iterator[tuple[str, Verdict]]:
             for entry in entries:
                 if entry["reader"] == name:
                     files = entry["files"].items()
-                    changes = {file: _spliced(sample.files[file], splice) for file, splice in files}
-                    yield name, sample.judge(changes, entry["damage"])
+                    try:
+                        changes = {file: _spliced(sample.files[file], splice) for file, splice in files}
+                    except (KeyError, OtherSampleError):
+                        yield name, Verdict("failure", "kept of another sample", damage=entry["damage"])
+                    else:
+                        yield name, sample.judge(changes, entry["damage"])
 
 
 def keep(sample: Sample, changes: Changes, verdict: Verdict) -> bool:
@@ -181,18 +193,25 @@ def keep(sample: Sample, changes: Changes, verdict: Verdict) -> bool:
 
 
 def _splice(whole: bytes, data: bytes | None) -> Any:
-    """Where a file begins and ends to differ, and what stands there instead; None for a file that is gone."""
+    """Where a file begins and ends to differ, what stands there instead, and a digest of the sample's file; None for a
+    file that is gone."""
     if data is None:
         return None
     begin, end = _same(whole, data)
-    return [begin, end, base64.b85encode(zlib.compress(data[begin : len(data) - end], 9)).decode()]
+    return [begin, end, base64.b85encode(zlib.compress(data[begin : len(data) - end], 9)).decode(), _digest(whole)]
 
 
 def _spliced(whole: bytes, splice: Any) -> bytes | None:
     if splice is None:
         return None
-    begin, end, middle = splice
+    begin, end, middle, digest = splice
+    if digest != _digest(whole):
+        raise OtherSampleError
     return whole[:begin] + zlib.decompress(base64.b85decode(middle)) + whole[len(whole) - end :]
+
+
+def _digest(whole: bytes) -> str:
+    return hashlib.blake2b(whole, digest_size=6).hexdigest()
 
 
 def _same(one: bytes, other: bytes) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import re
 import struct
 import zipfile
@@ -11,6 +12,11 @@ from pathlib import PurePath
 from typing import Any
 
 import numpy as np
+import torch
+from safetensors.torch import load, save
+from torch import Tensor
+
+from vapor.tensor_files import CHECKSUM, content_sha256
 
 Rng = np.random.Generator
 Damage = Callable[[bytes, Rng], tuple[bytes, str]]
@@ -180,8 +186,33 @@ def zipped(members: dict[str, bytes]) -> bytes:
 
 
 def damaged_model(data: bytes, rng: Rng) -> tuple[bytes, str]:
-    """A safetensors file: its header, the configuration in that, or a tensor's numbers."""
-    kind = int(rng.integers(6))
+    """A safetensors file: its header, the configuration in that, or its tensors; mostly with a checksum that fits."""
+    damaged, told = _damaged_model(data, rng)
+    if rng.random() < 0.7 and (fitting := with_checksum(damaged)) is not None:
+        return fitting, f"{told}, checksum made to fit"
+    return damaged, told
+
+
+def with_checksum(data: bytes) -> bytes | None:
+    """A safetensors file whose checksum is of what it says now; None where it is no such file any more."""
+    try:
+        (length,) = struct.unpack("<Q", data[:8])
+        header, tensors = json.loads(data[8 : 8 + length]), load(data)
+        header["__metadata__"][CHECKSUM] = content_sha256(tensors, header["__metadata__"])
+        return _model(json.dumps(header).encode(), data[8 + length :])
+    except Exception:  # of the library, or of any damage
+        return None
+
+
+def in_order(data: bytes) -> bytes:
+    """A safetensors file whose header is in the order of names: the library writes metadata in any."""
+    (length,) = struct.unpack("<Q", data[:8])
+    header = json.dumps(json.loads(data[8 : 8 + length]), sort_keys=True)
+    return _model(header.encode(), data[8 + length :])
+
+
+def _damaged_model(data: bytes, rng: Rng) -> tuple[bytes, str]:
+    kind = int(rng.integers(8))
     (length,) = struct.unpack("<Q", data[:8])
     header, tensors = data[8 : 8 + length], data[8 + length :]
     if kind == 0:
@@ -198,12 +229,45 @@ def damaged_model(data: bytes, rng: Rng) -> tuple[bytes, str]:
         text, told = damaged_json(content["__metadata__"][name].encode(), rng)
         content["__metadata__"][name] = text.decode("utf-8", "replace")
         return _model(json.dumps(content).encode(), tensors), f"{name} in the metadata: {told}"
-    content = {name: entry for name, entry in json.loads(header).items() if name != "__metadata__"}
+    content = json.loads(header)
+    metadata = content.pop("__metadata__")
     name = pick(rng, [*content])
+    if kind < 6:
+        return _with_other_tensor(load(data), metadata, name, rng)
     begin, end = content[name]["data_offsets"]
     values, told = damaged_bytes(tensors[begin:end], rng)
     values = values[: end - begin].ljust(end - begin, b"\0")
     return data[: 8 + length] + tensors[:begin] + values + tensors[end:], f"tensor {name}: {told}"
+
+
+def _with_other_tensor(tensors: dict[str, Tensor], metadata: dict[str, str], name: str, rng: Rng) -> tuple[bytes, str]:
+    """A file of tensors of which one is gone, or has another name, type, shape or content."""
+    before, kind = tensors.pop(name), int(rng.integers(6))
+    told = f"tensor {name} of {list(before.shape)}"
+    if kind == 1:
+        tensors[name + pick(rng, ("x", ".", "\0", "9" * 5000))] = before
+        told += " with another name"
+    elif kind == 2:
+        types = (torch.float64, torch.float16, torch.bfloat16, torch.int8, torch.int64, torch.bool, torch.complex64)
+        tensors[name] = before.to(pick(rng, types))
+        told += f" as {tensors[name].dtype}"
+    elif kind == 3:
+        flat = before.flatten()
+        tensors[name] = pick(
+            rng, (flat, before[None], flat[:0], flat[:1], torch.cat([flat, flat]), flat.reshape(before.shape[::-1]))
+        )
+        told += f" became {list(tensors[name].shape)}"
+    elif kind == 4:
+        tensors[name], value = before.clone(), pick(rng, (math.nan, math.inf, -math.inf, 6e4, -1.0, 0.0))
+        tensors[name].view(-1)[int(rng.integers(max(before.numel(), 1))) :][:1] = value
+        told += f" with the number {value}"
+    elif kind == 5:
+        other = pick(rng, [*tensors])
+        tensors[name] = tensors[other].clone()
+        told += f" became {other}"
+    else:
+        told += " gone"
+    return in_order(save({each: value.contiguous() for each, value in tensors.items()}, metadata)), told
 
 
 def _model(header: bytes, tensors: bytes) -> bytes:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from mcap.writer import CompressionType, IndexType
+from torch import Tensor
 
 from filtering.motion import Odometry
 from filtering.se3 import Poses
@@ -24,14 +25,16 @@ from sequences.pose_tables import read_pose_table
 from sequences.reader import SequenceReader
 from sequences.tum import read_tum, write_tum
 from tests import foxglove_files, pose_text, test_datasets, test_layouts, test_phone_layouts, tf_files
-from tests.fuzz.damage import zipped
+from tests.fuzz.damage import in_order, zipped
 from tests.fuzz.mcap_damage import stated_images
 from tests.sequence_files import BEGIN_NS, CAMERA, Walk, as_split_folder, picture, rewrite
 from vapor.baselines import make_regressor
 from vapor.checkpoint import Calibration, Checkpoint, load_checkpoint, save_checkpoint
 from vapor.familiarity import Familiarity, description_size
-from vapor.network import NetworkConfig, SceneBox
+from vapor.network import NetworkConfig, PoseRegressor, SceneBox
 from vapor.retrieval import RetrievalRegressor, memory_of
+from vapor.training_state import TrainingState, load_state, save_state
+from vapor.validation import Validation
 
 _IMAGES = 6
 _WALK_TOPIC, _ROBOT_TOPIC = "/camera/image/compressed", "/image/compressed"
@@ -304,25 +307,43 @@ _NETWORK = NetworkConfig(
 )
 
 
+def _numbers(like: Tensor, rng: np.random.Generator) -> Tensor:
+    """The same on every machine, as random numbers of torch and what is computed from them are not."""
+    return torch.from_numpy(rng.uniform(0.01, 0.1, tuple(like.shape)).astype(np.float32))
+
+
+def _regressor(network: NetworkConfig, box: SceneBox, rng: np.random.Generator) -> PoseRegressor:
+    regressor = make_regressor(network, box)
+    with torch.no_grad():
+        for weights in regressor.parameters():
+            weights.copy_(_numbers(weights, rng))
+    return regressor
+
+
 def _model(folder: Path, *, retrieval: bool) -> Path:
-    torch.manual_seed(0)
     poses = Poses.stack([pose for _, pose in Walk(_IMAGES).truth])
     box = SceneBox.around(poses)
     network = replace(_NETWORK, head="retrieval", hidden_width=8, components=2) if retrieval else _NETWORK
-    regressor = make_regressor(network, box)
-    memory = None
-    size, rng = description_size(regressor), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
+    regressor, memory = _regressor(network, box, rng), None
+    size = description_size(regressor)
     numbers = [rng.uniform(0.5, 1.0, shape).astype(np.float32) for shape in ((size,), (size,), (size, 4), (4,), (5, 4))]
     if retrieval:
         assert isinstance(regressor, RetrievalRegressor)
-        features = torch.randn(len(poses), len(regressor.centre))
+        features = _numbers(torch.empty(len(poses), len(regressor.centre)), rng)
         translation, rotation = (torch.from_numpy(each).float() for each in (poses.translation, poses.rotation))
         regressor.eval().remember(features, translation, rotation)
         memory = memory_of(regressor)
+        memory = replace(memory, keys=_numbers(memory.keys, rng), views=_numbers(memory.views, rng))
     told = {"familiarity": Familiarity(*numbers, 0.5, 1.0), "camera": CAMERA, "memory": memory}
     checkpoint = Checkpoint(network, box, Calibration(), poses, regressor.state_dict(), **told)
     save_checkpoint(folder / "model.safetensors", checkpoint, half=True)
-    return folder / "model.safetensors"
+    return _in_order(folder / "model.safetensors")
+
+
+def _in_order(file: Path) -> Path:
+    file.write_bytes(in_order(file.read_bytes()))
+    return file
 
 
 def _load_model(path: Path) -> Reading:
@@ -337,6 +358,44 @@ def _load_model(path: Path) -> Reading:
         _require(bool(np.isfinite(array).all()), "tensor", name)
         content.add(name, array)
     return Reading(content.digest, len(parts))
+
+
+_TRAINING = {"seed": 0}
+_BOX = SceneBox.around(Poses.stack([pose for _, pose in Walk(_IMAGES).truth]))
+
+
+def _training(rng: np.random.Generator) -> TrainingState:
+    """A training that has yet to begin."""
+    network, average = _regressor(_NETWORK, _BOX, rng), make_regressor(_NETWORK, _BOX)
+    return TrainingState(network, average, torch.optim.AdamW(network.parameters()))
+
+
+def _training_state(folder: Path) -> Path:
+    rng = np.random.default_rng(0)
+    state = _training(rng)
+    state.average.load_state_dict(state.network.state_dict())
+    for weights in state.network.parameters():
+        moments = {"exp_avg": _numbers(weights, rng), "exp_avg_sq": _numbers(weights, rng)}
+        state.optimizer.state[weights] = {"step": torch.tensor(3.0), **moments}
+    state.epochs, state.epoch, state.seconds = 3, 1, 2.5
+    state.history, state.best = [Validation(1, -0.5, 0.25, 0.5, -3.0)], dict(state.average.state_dict())
+    save_state(folder / "model.training.safetensors", state, _TRAINING)
+    return _in_order(folder / "model.training.safetensors")
+
+
+def _load_training(path: Path) -> Reading:
+    state = _training(np.random.default_rng(1))
+    notices = load_state(path, state, _TRAINING)
+    # What a training that goes on does with it.
+    max(state.history, key=lambda figures: figures.log_density, default=None)
+    state.average.load_state_dict(state.best or state.average.state_dict())
+    content = _Content()
+    content.add(state.epochs, state.epoch, state.seconds, state.history)
+    moments = [values for each in state.optimizer.state.values() for values in each.values()]
+    tensors = [*state.network.state_dict().values(), *state.average.state_dict().values(), *moments]
+    for values in tensors:
+        content.add(values.numpy())
+    return Reading(content.digest, len(tensors), Counter(f"notice: {notice}" for notice in notices))
 
 
 # --- all -------------------------------------------------------------------------------------------
@@ -394,6 +453,7 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "estimates-timed": Reader(partial(_estimates, named=False), partial(_read_estimates, named=False)),
         "model": Reader(partial(_model, retrieval=False), _load_model),
         "model-retrieval": Reader(partial(_model, retrieval=True), _load_model),
+        "training-state": Reader(_training_state, _load_training),
     }
 )
 """By name; what follows a dash is the kind of file."""

@@ -17,7 +17,7 @@ from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, shortened
 from vapor.terminal import raise_of_output, say
 
 Options = TypeVar("Options")
@@ -178,13 +178,18 @@ def _width_of_whole_words(table: Table, console: Console) -> int:
 def show_notices(notices: Sequence[str]) -> None:
     """Say what a person should know of the data, a line each."""
     for notice in notices:
-        show(f"  {notice}")
+        _show_line(f"  {notice}")
 
 
 def show_skipped(skipped: Mapping[str, int]) -> None:
     """Say what was left out, if anything was."""
     for reason, count in skipped.items():
-        show(f"  skipped {count}: {reason}")
+        _show_line(f"  skipped {count}: {reason}")
+
+
+def _show_line(text: str) -> None:
+    """One line of at most `MAX_MESSAGE` characters, as names of topics and frames in a file may be of any length."""
+    show(shortened(" ".join(text.splitlines())))
 
 
 def show_images(images: Mapping[str, Any]) -> None:
