@@ -181,6 +181,8 @@ def list_images(path: Path) -> PosedImages:
 def _what_is_there(path: Path) -> str:
     if path.is_file():
         return "is a file, expected the folder of a data set or the list of a split"
+    if any(path.glob("*.mcap")):
+        return "has .mcap files and no metadata.yaml, expected them one by one (`ros2 bag reindex` writes one)"
     if splits := [name for name in _SPLITS if (path / name).exists()]:
         return f"no sequence or data set, perhaps its {' or '.join(splits)} is meant"
     looked_for = f"looked for an .mcap file, metadata.yaml, {', '.join(layout.LOOKED_FOR for layout in _LAYOUTS)}"

@@ -67,9 +67,10 @@ class SequenceReader:
                 none of them is of the time of an image. "optional" does without.
 
         Raises:
-            SequenceError: the file is damaged, a topic is missing or ambiguous, no transform leads from the odometry's
-                or the true poses' child frame to the camera, what an option names for true poses gives none, or the
-                intrinsics or the distortion are none of a camera.
+            SequenceError: the file is damaged, the metadata.yaml of a folder states another number of images than its
+                files, a topic is missing or ambiguous, no transform leads from the odometry's or the true poses' child
+                frame to the camera, what an option names for true poses gives none, or the intrinsics or the distortion
+                are none of a camera.
         """
         self.path = Path(path)
         self.across_jumps = 0
@@ -86,10 +87,8 @@ class SequenceReader:
         extrinsics = self._roles.extrinsics
         self.base_from_camera: Poses | None = extrinsics.body_from_camera if extrinsics is not None else None
         self.odometry_description = self._bag.metadata.get(METADATA_NAME, {}).get("odometry")
-        self._found_notices = [
-            f"{file.name} states no number of messages: images that it lost cannot be told"
-            for file in self._bag.uncounted
-        ] + (self._roles.truth.notices if self._roles.truth is not None else [])
+        self._found_notices = self._bag.account_for(self._roles.image.name)
+        self._found_notices += self._roles.truth.notices if self._roles.truth is not None else []
         self.notices = list(self._found_notices)
 
     @property
