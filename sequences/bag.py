@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -169,10 +169,16 @@ class Bag:
             )
         return listing.notices
 
-    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+    def messages(
+        self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
+    ) -> Iterator[RawMessage]:
         """Messages of some topics: by log time within an indexed file, as written otherwise; file after file.
 
         Those of Foxglove's transforms come once as /tf_static and once as /tf, where both are asked for.
+
+        Args:
+            topics: Names of topics.
+            until: Whether messages from a log time on are not wanted; they are counted all the same.
 
         Raises:
             SequenceError: a file is damaged, or at its end has other numbers of messages than it states, or a topic has
@@ -181,7 +187,7 @@ class Bag:
         asked = {t.name: [name for name in self._stands_for(t) if name in topics] for t in self.topics.values()}
         names = [name for name, stands_for in asked.items() if stands_for]
         for file in self._files:
-            for record in file.messages(names):
+            for record in file.messages(names, until=until):
                 channel = file.channels[record.channel_id]
                 schema = file.schemas.get(channel.schema_id)
                 definition = schema.data if schema is not None else b""

@@ -129,6 +129,9 @@ def _posed_frames(
         for number, frame in enumerate(islice(posed, frames.start, frames.stop, frames.step), start=1):
             follows = number > 1 and frames.step in (None, 1)
             yield frame if follows else replace(frame, odometry=None)
+        reader.stop()
+        for _ in posed:  # none comes any more
+            pass
         skipped.update(reader.skipped)
         if reader.across_jumps:
             skipped["true pose jumps"] = reader.across_jumps
