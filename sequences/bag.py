@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ from sequences import encodings, foxglove
 from sequences.errors import SequenceError
 from sequences.mcap_file import McapFile
 from sequences.messages import frame_name
-from sequences.values import read_text, require_inside
+from sequences.rosbag2 import read_listing
 
 Stamps = Literal["header", "log"]
 TF_STATIC, TF = "/tf_static", "/tf"
@@ -100,7 +100,6 @@ class Bag:
         path: What was opened.
         topics: Topics by name; without those that are misnamed, which nobody could ask for.
         metadata: Metadata records by name, later ones over earlier ones; empty for files without an index.
-        uncounted: Files that do not say how many messages they have, so that lost ones cannot be told.
     """
 
     def __init__(self, path: Path, *, stamps: Stamps = "header"):
@@ -111,14 +110,14 @@ class Bag:
             stamps: Whether messages keep the stamps of their headers, or get the times at which they were logged.
 
         Raises:
-            SequenceError: a file is missing, truncated, garbage or of another format.
+            SequenceError: a file is missing, truncated, garbage or of another format, or metadata.yaml is damaged.
         """
         self.path = Path(path)
         self._restamped = stamps == "log"
         self.topics: dict[str, Topic] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self._files = [McapFile(file) for file in bag_files(self.path)]
-        self.uncounted = [file.path for file in self._files if not file.states_counts]
+        self._listing = None if self.path.is_file() else read_listing(self.path)
+        self._files = [McapFile(file) for file in (self._listing.files if self._listing else [self.path])]
         for file in self._files:
             self.metadata |= file.metadata
             for channel in file.channels.values():
@@ -133,10 +132,53 @@ class Bag:
         """Whether messages of a topic can be asked for."""
         return any(topic in self._stands_for(known) for known in self.topics.values())
 
-    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+    def account_for(self, topic: str) -> list[str]:
+        """Compare how many messages of a topic there are with how many metadata.yaml states.
+
+        Where it does not name the topic, those of all topics are compared. Files are compared with what they state
+        themselves as they are read.
+
+        Returns:
+            What a person should know: where lost messages cannot be told, as nothing states how many there were, and
+            which files are not read.
+
+        Raises:
+            SequenceError: there are more or fewer.
+        """
+        uncounted = [
+            f"{file.path.name} states no number of messages: images that it lost cannot be told"
+            for file in self._files
+            if not file.states_counts
+        ]
+        listing = self._listing
+        if listing is None:
+            return uncounted
+        if topic in listing.of_topics:
+            what, stated, found = quoted(topic), listing.of_topics[topic], self.topics[topic].num_messages
+        else:
+            what, stated = "all topics", listing.num_messages
+            found = sum(file.counts.total() for file in self._files)
+        if stated is None:
+            lost = "metadata.yaml states no number of messages: images of files that it lost cannot be told"
+            return [lost, *uncounted, *listing.notices]
+        if stated != found:
+            beside = f"; beside them lies {listing.unlisted_said}" if listing.unlisted else ""
+            raise SequenceError(
+                f"{listing.path}: {what}: the files that it lists have {found} messages, expected the {stated} that it"
+                f" states{beside} (`ros2 bag reindex` writes it anew)"
+            )
+        return listing.notices
+
+    def messages(
+        self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
+    ) -> Iterator[RawMessage]:
         """Messages of some topics: by log time within an indexed file, as written otherwise; file after file.
 
         Those of Foxglove's transforms come once as /tf_static and once as /tf, where both are asked for.
+
+        Args:
+            topics: Names of topics.
+            until: Whether messages from a log time on are not wanted; they are counted all the same.
 
         Raises:
             SequenceError: a file is damaged, or at its end has other numbers of messages than it states, or a topic has
@@ -145,7 +187,7 @@ class Bag:
         asked = {t.name: [name for name in self._stands_for(t) if name in topics] for t in self.topics.values()}
         names = [name for name, stands_for in asked.items() if stands_for]
         for file in self._files:
-            for record in file.messages(names):
+            for record in file.messages(names, until=until):
                 channel = file.channels[record.channel_id]
                 schema = file.schemas.get(channel.schema_id)
                 definition = schema.data if schema is not None else b""
@@ -199,41 +241,8 @@ def link_of(stamped: SimpleNamespace) -> tuple[str, str]:
 
 
 def bag_files(path: Path) -> list[Path]:
-    """The MCAP files of a file or rosbag2 folder, in their order. Raises SequenceError where there are none."""
-    if path.is_file():
-        return [path]
-    if not path.is_dir():
-        raise SequenceError(f"{path}: no such file or folder, expected an .mcap file or a rosbag2 folder")
-    listing = path / "metadata.yaml"
-    if not listing.is_file():
-        raise SequenceError(f"{path}: folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder")
-    names = _relative_file_paths(read_text(listing))
-    if not names:
-        raise SequenceError(f"{listing}: names no files, expected `relative_file_paths:` with one or more .mcap files")
-    for name in names:
-        if not name.endswith(".mcap"):
-            raise SequenceError(f"{listing}: names {quoted(name)}, expected .mcap files (see `ros2 bag convert`)")
-    files = [path / name for name in dict.fromkeys(names)]
-    require_inside(path, files)
-    for file, name in zip(files, dict.fromkeys(names), strict=True):
-        if not file.is_file():
-            raise SequenceError(f"{listing}: names {quoted(name)}, which is not in the folder")
-    return files
-
-
-def _relative_file_paths(text: str) -> list[str]:
-    """The one list that is needed of a rosbag2's metadata.yaml, in the form in which rosbag2 writes it."""
-    lines = iter(text.splitlines())
-    for line in lines:
-        if line.strip() == "relative_file_paths:":
-            break
-    names = []
-    for line in lines:
-        item = line.strip()
-        if not item.startswith("- "):
-            break
-        names.append(item[2:].strip().strip("'\""))
-    return names
+    """The MCAP files of a file or rosbag2 folder, in their order. Raises SequenceError as `Bag` does."""
+    return [path] if path.is_file() else read_listing(path).files
 
 
 def _type_name(schema: Schema | None) -> str:

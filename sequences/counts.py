@@ -15,7 +15,7 @@ _FEW, _VERY_FEW = 0.5, 0.1  # shares of the images asked for
 
 @dataclass
 class ImageCounts:
-    """Images of one reading; once it is complete, `stated` = `used` + all of `skipped`.
+    """Images of one reading; once it is complete, `stated` = `used` + all of `skipped`: a reader sees to that.
 
     Attributes:
         stated: How many there are, as the file states it, or as counted where it does not.
@@ -30,14 +30,19 @@ class ImageCounts:
     skipped: Counter[str] = field(default_factory=Counter)
 
     @property
+    def are_complete(self) -> bool:
+        """Whether all images are accounted for: who takes frames may have stopped before."""
+        return self.stated == self.used + self.skipped.total()
+
+    @property
     def are_very_few(self) -> bool:
         """Whether fewer than one in ten of the images asked for were used."""
-        return self._are_complete and self.used < _VERY_FEW * self._asked
+        return self.are_complete and self.used < _VERY_FEW * self._asked
 
     @property
     def warning(self) -> str | None:
         """A sentence where fewer than half of the images asked for were used, with the main reason; None elsewhere."""
-        if not self._are_complete or self.used >= _FEW * self._asked:
+        if not self.are_complete or self.used >= _FEW * self._asked:
             return None
         ((reason, number),) = self._lost.most_common(1)
         return f"Only {self.used} of {self._asked} images were used: {number} were skipped, {reason}."
@@ -60,11 +65,6 @@ class ImageCounts:
             "used": self.used,
             "skipped": dict(sorted(self.skipped.items())),
         }
-
-    @property
-    def _are_complete(self) -> bool:
-        """Whether all was read: who takes frames may have stopped before."""
-        return self.stated == self.used + self.skipped.total()
 
     @property
     def _asked(self) -> int:

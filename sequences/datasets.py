@@ -133,6 +133,9 @@ def _posed_frames(
         for number, frame in enumerate(islice(posed, frames.start, frames.stop, frames.step), start=1):
             follows = number > 1 and frames.step in (None, 1)
             yield frame if follows else replace(frame, odometry=None)
+        reader.stop()
+        for _ in posed:  # none comes any more
+            pass
         skipped.update(reader.skipped)
         if reader.across_jumps:
             skipped["true pose jumps"] = reader.across_jumps
@@ -202,6 +205,8 @@ def files_read(path: Path) -> Iterator[Path]:
 def _what_is_there(path: Path) -> str:
     if path.is_file():
         return "is a file, expected the folder of a data set or the list of a split"
+    if any(path.glob("*.mcap")):
+        return "has .mcap files and no metadata.yaml, expected them one by one (`ros2 bag reindex` writes one)"
     if splits := [name for name in _SPLITS if (path / name).exists()]:
         return f"no sequence or data set, perhaps its {' or '.join(splits)} is meant"
     looked_for = f"looked for an .mcap file, metadata.yaml, {', '.join(layout.LOOKED_FOR for layout in _LAYOUTS)}"

@@ -11,7 +11,7 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Set
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -100,21 +100,37 @@ class McapFile:
                 stated = stated or by_indexes
             self.states_counts = bool(stated)
 
-    def messages(self, topics: Collection[str]) -> Iterator[RawRecord]:
+    def messages(
+        self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
+    ) -> Iterator[RawRecord]:
         """Messages of some topics: by log time where there is an index, as written otherwise.
 
+        Args:
+            topics: Names of topics.
+            until: Whether messages from a log time on are not wanted. They are counted all the same: by the indexes
+                beside the chunks that were not opened, or else by reading on.
+
         Raises:
-            SequenceError: the file is damaged; at the end, where fewer or more messages came than it states.
+            SequenceError: the file is damaged; at the end, where there are fewer or more messages than it states.
         """
         asked = {id for id, channel in self.channels.items() if channel.topic in topics}
         found: Counter[int] = Counter()
         with self._reading() as stream:
-            for record in self._by_log_time(stream, asked) if self._indexed else _as_written(stream):
-                if record.channel_id in asked:
-                    found[record.channel_id] += 1
+            unopened: list[ChunkIndex] = []
+            if self._indexed:
+                unopened = self._chunks_of(asked)
+                records = self._by_log_time(stream, asked, unopened, found)
+            else:
+                records = self._as_written(stream, asked, found)
+            is_over = False
+            for record in records:
+                is_over = is_over or until(record.log_time_ns)
+                if not is_over:
                     yield record
-                elif record.channel_id not in self.channels:
-                    raise McapError(f"a message of channel {record.channel_id}, which is not listed")
+                elif self._indexed:
+                    break
+            for chunk in unopened:
+                found += self._counted_beside(stream, chunk, asked)
         for id in sorted(asked):
             if found[id] != self.counts[id]:
                 raise SequenceError(
@@ -179,9 +195,23 @@ class McapFile:
                 self._list(opcode, content)
         return found, stated
 
-    def _by_log_time(self, stream: IO[bytes], asked: Collection[int]) -> Iterator[RawRecord]:
-        """Messages of the chunks that have some of the channels asked for; a chunk is opened when its time has come."""
+    def _chunks_of(self, asked: Set[int]) -> list[ChunkIndex]:
+        """The chunks that have some of the channels asked for, the earliest last."""
         chunks = [c for c in self._chunks if not c.message_index_offsets.keys().isdisjoint(asked)]
+        return sorted(chunks, key=lambda c: (c.message_start_time, c.chunk_start_offset), reverse=True)
+
+    def _counted_beside(self, stream: IO[bytes], chunk: ChunkIndex, asked: Set[int]) -> Counter[int]:
+        """How many messages of the channels asked for a chunk has, by the indexes that lie beside it."""
+        counts: Counter[int] = Counter()
+        for id in asked & chunk.message_index_offsets.keys():
+            index = _parsed(MessageIndex, _record_at(stream, chunk.message_index_offsets[id], Opcode.MESSAGE_INDEX))
+            counts[index.channel_id] += len(index.records)
+        return counts
+
+    def _by_log_time(
+        self, stream: IO[bytes], asked: Set[int], unopened: list[ChunkIndex], found: Counter[int]
+    ) -> Iterator[RawRecord]:
+        """Messages of chunks, which are taken from the end of a list, opened and counted when their time has come."""
         held: list[tuple[int, int, int, RawRecord]] = []
         num_bytes = 0
 
@@ -192,25 +222,32 @@ class McapFile:
                 num_bytes -= len(record.data) + _MESSAGE_COSTS
                 yield record
 
-        for index in sorted(chunks, key=lambda c: (c.message_start_time, c.chunk_start_offset)):
-            yield from ready(index.message_start_time)
+        while unopened:
+            yield from ready(unopened[-1].message_start_time)
+            index = unopened.pop()
             chunk = _record_at(stream, index.chunk_start_offset, Opcode.CHUNK)
             for number, (opcode, content) in enumerate(_opened(chunk)):
-                if opcode != Opcode.MESSAGE:
-                    continue
-                record = _message(content)
-                if record.channel_id in asked or record.channel_id not in self.channels:
+                if opcode == Opcode.MESSAGE and (record := self._asked_for(content, asked, found)) is not None:
                     heapq.heappush(held, (record.log_time_ns, index.chunk_start_offset, number, record))
                     num_bytes += len(record.data) + _MESSAGE_COSTS
-                if num_bytes > _MAX_HELD_BYTES:
-                    raise McapError(f"chunks overlap in time by more than {_MAX_HELD_BYTES} bytes of messages")
+                    if num_bytes > _MAX_HELD_BYTES:
+                        raise McapError(f"chunks overlap in time by more than {_MAX_HELD_BYTES} bytes of messages")
         yield from ready(1 << 64)  # no log time is later
 
+    def _as_written(self, stream: IO[bytes], asked: Set[int], found: Counter[int]) -> Iterator[RawRecord]:
+        for opcode, content in _with_chunks_opened(stream):
+            if opcode == Opcode.MESSAGE and (record := self._asked_for(content, asked, found)) is not None:
+                yield record
 
-def _as_written(stream: IO[bytes]) -> Iterator[RawRecord]:
-    for opcode, content in _with_chunks_opened(stream):
-        if opcode == Opcode.MESSAGE:
-            yield _message(content)
+    def _asked_for(self, content: bytes | memoryview, asked: Set[int], found: Counter[int]) -> RawRecord | None:
+        """A message, counted; None where its channel is not asked for."""
+        channel_id, _, log_time_ns, _ = _MESSAGE.unpack_from(content)
+        if channel_id not in self.channels:
+            raise McapError(f"a message of channel {channel_id}, which is not listed")
+        if channel_id not in asked:
+            return None
+        found[channel_id] += 1
+        return RawRecord(channel_id, log_time_ns, bytes(content[_MESSAGE.size :]))
 
 
 def _with_chunks_opened(stream: IO[bytes]) -> Iterator[tuple[int, bytes | memoryview]]:
@@ -297,11 +334,6 @@ def _uncompressed(chunk: Chunk) -> bytes:
 def _parsed(kind: type[Record], content: bytes | memoryview) -> Record:
     """A record from its content: lengths within it cannot reach beyond."""
     return kind.read(ReadDataStream(BytesIO(content)))  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def _message(content: bytes | memoryview) -> RawRecord:
-    channel_id, _, log_time_ns, _ = _MESSAGE.unpack_from(content)
-    return RawRecord(channel_id, log_time_ns, bytes(content[_MESSAGE.size :]))
 
 
 def _check_ends(file: Path) -> None:

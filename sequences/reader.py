@@ -67,9 +67,10 @@ class SequenceReader:
                 none of them is of the time of an image. "optional" does without.
 
         Raises:
-            SequenceError: the file is damaged, a topic is missing or ambiguous, no transform leads from the odometry's
-                or the true poses' child frame to the camera, what an option names for true poses gives none, or the
-                intrinsics or the distortion are none of a camera.
+            SequenceError: the file is damaged, the metadata.yaml of a folder states another number of images than its
+                files, a topic is missing or ambiguous, no transform leads from the odometry's or the true poses' child
+                frame to the camera, what an option names for true poses gives none, or the intrinsics or the distortion
+                are none of a camera.
         """
         self.path = Path(path)
         self.across_jumps = 0
@@ -86,10 +87,9 @@ class SequenceReader:
         extrinsics = self._roles.extrinsics
         self.base_from_camera: Poses | None = extrinsics.body_from_camera if extrinsics is not None else None
         self.odometry_description = self._bag.metadata.get(METADATA_NAME, {}).get("odometry")
-        self._found_notices = [
-            f"{file.name} states no number of messages: images that it lost cannot be told"
-            for file in self._bag.uncounted
-        ] + (self._roles.truth.notices if self._roles.truth is not None else [])
+        self._pairing: _Pairing | None = None  # of the latest iteration
+        self._found_notices = self._bag.account_for(self._roles.image.name)
+        self._found_notices += self._roles.truth.notices if self._roles.truth is not None else []
         self.notices = list(self._found_notices)
 
     @property
@@ -119,17 +119,17 @@ class SequenceReader:
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order of time.
 
+        What lies behind the stretch asked for is not decoded, but counted.
+
         Raises:
-            SequenceError: the file is damaged or has not all of the messages that it states, no image is left, all
-                stamps are equal, a camera that should be fixed moves, or true poses are required and none is of the
-                time of an image.
+            SequenceError: the file is damaged or has not all of the messages that it states, an image is neither used
+                nor skipped, no image is left, all stamps are equal, a camera that should be fixed moves, or true poses
+                are required and none is of the time of an image.
         """
         pairing = _Pairing(self.path, self._roles, self._options, self._image_camera, self.num_images)
-        self.counts, self._skipped_messages = pairing.counts, pairing.skipped
+        self.counts, self._skipped_messages, self._pairing = pairing.counts, pairing.skipped, pairing
         self.across_jumps, self.notices = 0, list(self._found_notices)
-        for raw in self._bag.messages(self._roles.streamed):
-            if pairing.is_over(raw):
-                break
+        for raw in self._bag.messages(self._roles.streamed, until=pairing.is_over):
             pairing.take(raw, decode(self._bag, raw, tolerate=self._roles.may_be_damaged(raw.topic)))
             for frame in pairing.ready_frames():
                 self.across_jumps = pairing.across_jumps
@@ -137,6 +137,7 @@ class SequenceReader:
         for frame in pairing.ready_frames(at_end=True):
             self.across_jumps = pairing.across_jumps
             yield frame
+        pairing.account_for_the_rest()
         pairing.require_stamps()
         apart = pairing.odometry_apart()
         if self.counts.used == 0 and apart is not None:
@@ -153,6 +154,11 @@ class SequenceReader:
                 raise SequenceError(f"{self.path}: {apart}")
             self.notices.append(apart)
         self.notices += [*self._image_camera.notices, *pairing.jumps()]
+
+    def stop(self) -> None:
+        """Ask for no more frames of the latest iteration: it ends where it is resumed, once the rest was counted."""
+        if self._pairing is not None:
+            self._pairing.is_stopped = True
 
 
 @dataclass
@@ -183,6 +189,7 @@ class _Pairing:
         self.skipped: Counter[str] = Counter()  # messages that are no images
         self.first_problem = ""
         self.across_jumps = 0
+        self.is_stopped = False  # no more frames are asked for
         self._roles = roles
         self._options = options
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
@@ -203,15 +210,25 @@ class _Pairing:
         self._span_ns: tuple[int, int] | None = None  # stamps of the first and the last frame
         self._num_true = 0
 
-    def is_over(self, raw: RawMessage) -> bool:
-        """Whether a message lies so far behind the stretch asked for that nothing of it can come any more."""
+    def is_over(self, log_time_ns: int) -> bool:
+        """Whether what is logged from a time on lies too far behind the stretch asked for to be of it."""
+        if self.is_stopped:
+            return True
         if self._options.duration_s is None or self._begin is None:
             return False
-        since_s = (raw.log_time_ns - self._begin[1]) * 1e-9
-        is_over = since_s > self._options.start_s + self._options.duration_s + _MAX_LATENESS_S
-        if is_over:
-            self.counts.skipped[OUTSIDE] += self.counts.stated - self.counts.read
-        return is_over
+        since_s = (log_time_ns - self._begin[1]) * 1e-9
+        return since_s > self._options.start_s + self._options.duration_s + _MAX_LATENESS_S
+
+    def account_for_the_rest(self) -> None:
+        """Count the images that were not read as outside the stretch; raise SequenceError where one is missing."""
+        counts = self.counts
+        if unread := counts.stated - counts.read:
+            counts.skipped[OUTSIDE] += unread
+        if not counts.are_complete:
+            raise SequenceError(
+                f"{self._path}: {self._roles.image.name}: {counts.used} images used and"
+                f" {counts.skipped.total()} skipped, expected the {counts.stated} that are stated"
+            )
 
     def take(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
         """Take one message in, of whichever topic; None for bytes that are no message."""
@@ -267,6 +284,8 @@ class _Pairing:
     def _is_asked_for(self, time_ns: int) -> bool:
         """Whether an image is of the stretch asked for; of video the first packet need not have the first image."""
         assert self._begin is not None
+        if self.is_stopped:
+            return False
         start_s, duration_s = self._options.start_s, self._options.duration_s
         since_s = (time_ns - self._begin[0]) * 1e-9 - start_s
         return (since_s >= 0 or start_s == 0) and (duration_s is None or since_s <= duration_s)

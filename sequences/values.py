@@ -1,4 +1,4 @@
-"""What files say, read within limits: text, JSON, arrays, numbers, times, and the names of other files.
+"""What files say, read within limits: text, JSON, YAML, arrays, numbers, times, and the names of other files.
 
 Every reader takes them from here, so that a file that is damaged, or made to do harm, gets an error that names it: none
 is too large or too deep for the memory, no number is one that arithmetic cannot go on with, and no name leads to where
@@ -18,6 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
+
+try:
+    from yaml import CSafeLoader as SafeLoader  # ten times as fast
+except ImportError:
+    from yaml import SafeLoader
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
@@ -30,6 +36,7 @@ _MAX_TIME_S = Decimal(MAX_TIME_NS).scaleb(-9)
 _MAX_TEXT = 256 << 20  # bytes
 _MAX_LINE = 16 << 20
 _MAX_JSON = 64 << 20  # a list of lists takes twenty times that in memory
+_MAX_YAML = 2 << 20  # a list takes some hundred times that in memory
 _MAX_ARRAYS = 4 << 30
 _MAX_DEPTH = 64
 _MAX_DIGITS = 40
@@ -126,6 +133,37 @@ def _integer(text: str) -> int:
     if len(text) > _MAX_DIGITS:
         raise ValueError(f"an integer of {len(text)} digits")
     return int(text)
+
+
+class _YamlLoader(SafeLoader):  # pyright: ignore[reportGeneralTypeIssues]
+    """YAML of plain values, and of OpenCV's matrices."""
+
+
+_YamlLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", yaml.SafeLoader.construct_yaml_map)
+
+
+def read_yaml(path: Path, most: int = _MAX_YAML) -> dict[Any, Any]:
+    """Names and values of a YAML file; of OpenCV's, too.
+
+    Raises:
+        SequenceError: it is none, has more than so many bytes or more than 64 levels, or values that refer to others,
+            by which few lines become millions.
+    """
+    lines = [line for line in read_text(path, most).splitlines() if not line.startswith("%")]  # OpenCV's %YAML:1.0
+    text, depth = "\n".join(lines), 0
+    try:
+        for event in yaml.parse(text, _YamlLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > _MAX_DEPTH:
+                raise yaml.YAMLError(f"nested deeper than {_MAX_DEPTH} levels")
+            if isinstance(event, yaml.AliasEvent):
+                raise yaml.YAMLError("it refers to values by names")
+        content = yaml.load(text, _YamlLoader)
+    except Exception as error:  # what is no YAML, no date, no truth value or too long a number
+        raise SequenceError(f"{path}: {' '.join(str(error).split())}; expected YAML") from error
+    if not isinstance(content, dict):
+        raise SequenceError(f"{path}: holds {type(content).__name__}, expected names and values")
+    return content
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:

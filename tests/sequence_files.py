@@ -1,5 +1,6 @@
 """A short walk with known poses, and the forms in which it can lie on disk."""
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -107,18 +108,44 @@ def as_file(source: Path, folder: Path) -> Path:
     return rewrite(source, folder / "as_file.mcap", chunk_size=4000, compression=CompressionType.ZSTD)
 
 
-def as_split_folder(source: Path, folder: Path) -> Path:
-    """A rosbag2 folder of two files, cut where no image is."""
+def as_split_folder(source: Path, folder: Path, *, cut_s: float = 0.555) -> Path:
+    """A rosbag2 folder of two files, cut where no image is, with the metadata.yaml that `ros2 bag record` writes."""
     bag = folder / "bag"
     bag.mkdir()
-    cut_ns = BEGIN_NS + 555_000_000
+    cut_ns = BEGIN_NS + int(cut_s * 1e9)
     rewrite(source, bag / "bag_0.mcap", keep=lambda topic, time_ns: time_ns < cut_ns)
     rewrite(source, bag / "bag_1.mcap", keep=lambda topic, time_ns: time_ns >= cut_ns)
-    (bag / "metadata.yaml").write_text(
-        "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  duration:\n    nanoseconds: 1\n"
-        "  relative_file_paths:\n    - bag_0.mcap\n    - 'bag_1.mcap'\n  files:\n    - path: bag_0.mcap\n"
-    )
+    write_listing(bag)
     return bag
+
+
+def write_listing(bag: Path) -> Path:
+    """The metadata.yaml of a rosbag2 folder, by what its files state."""
+    files, topics = sorted(bag.glob("*.mcap")), Counter[tuple[str, str]]()
+    totals = []
+    for file in files:
+        with open(file, "rb") as stream:
+            summary = make_reader(stream).get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        totals.append(summary.statistics.message_count)
+        for id, count in summary.statistics.channel_message_counts.items():
+            channel = summary.channels[id]
+            topics[channel.topic, summary.schemas[channel.schema_id].name] += count
+    lines = ["rosbag2_bagfile_information:", "  version: 5", "  storage_identifier: mcap"]
+    lines += ["  duration:", "    nanoseconds: 1100000000", f"  message_count: {sum(totals)}"]
+    lines += ["  topics_with_message_count:"]
+    for (name, kind), count in topics.items():
+        lines += ["    - topic_metadata:", f"        name: {name}", f"        type: {kind}"]
+        lines += ["        serialization_format: cdr", '        offered_qos_profiles: "- history: 3\\n  depth: 0"']
+        lines += [f"      message_count: {count}"]
+    lines += ['  compression_format: ""', '  compression_mode: ""', "  relative_file_paths:"]
+    lines += [f"    - {file.name}" for file in files]
+    lines += ["  files:"]
+    for file, total in zip(files, totals, strict=True):
+        lines += [f"    - path: {file.name}", f"      message_count: {total}"]
+    (bag / "metadata.yaml").write_text("".join(f"{line}\n" for line in lines))
+    return bag / "metadata.yaml"
 
 
 def as_file_without_index(source: Path, folder: Path) -> Path:

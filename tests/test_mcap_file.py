@@ -1,22 +1,28 @@
 """MCAP files that lie about themselves: what they lost is told, and no size is believed before it was checked."""
 
+import re
 import struct
 import tracemalloc
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import lz4.frame
 import pytest
+import yaml
 import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, IndexType
 
 from sequences.bag import Bag
+from sequences.counts import OUTSIDE
+from sequences.datasets import list_images, posed_frames
 from sequences.errors import SequenceError
+from sequences.images import Stills
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
-from tests.sequence_files import Walk, as_file_without_index, rewrite
+from tests.sequence_files import BEGIN_NS, Walk, as_file_without_index, as_split_folder, rewrite, write_listing
 
 IMAGES = "/camera/image/compressed"
 CHUNK_HEAD = 9 + 8 + 8  # up to the uncompressed size: opcode, length and two times
@@ -62,8 +68,12 @@ def damaged(source: Path, target: Path, change: Callable[[bytearray], None], **o
 
 def without_ten_images(data: bytearray) -> None:
     """Ten of the records of images become ones of a kind that nobody knows."""
+    lose_ten(data, chunks(data))
+
+
+def lose_ten(data: bytearray, stretches: Iterable[tuple[int, int, int]]) -> None:
     images, left = id_of(data, IMAGES), 10
-    for _, begin, end in chunks(data):
+    for _, begin, end in stretches:
         for opcode, place, _ in records(data, begin, end):
             if opcode == Opcode.MESSAGE and struct.unpack_from("<H", data, place)[0] == images and left:
                 data[place - 9], left = 0x90, left - 1
@@ -233,3 +243,214 @@ def test_links_within_the_folder_and_to_it_are_followed(walk_file: Path, tmp_pat
     (bag / "metadata.yaml").write_text("relative_file_paths:\n- b.mcap\n")
     (tmp_path / "elsewhere").symlink_to(bag)
     assert len(list(Bag(tmp_path / "elsewhere").messages([IMAGES]))) == 12
+
+
+# --- what the metadata.yaml of a folder states --------------------------------------------------------
+
+
+def images_of(bag: Path) -> tuple[int, list[str]]:
+    """How many images are read of a folder, and the notices."""
+    reader = SequenceReader(bag, SequenceOptions(ground_truth_topic=""), odometry="unread")
+    return len(list(reader)), reader.notices
+
+
+def test_a_folder_that_has_what_its_listing_states_is_read_without_a_word(walk_file: Path, tmp_path: Path) -> None:
+    bag = as_split_folder(walk_file, tmp_path)
+    assert images_of(bag) == (12, [])
+    # As other tools write it: names sorted, messages of single files counted twice, as converting did.
+    listing = bag / "metadata.yaml"
+    content = yaml.safe_load(listing.read_text())
+    for file in content["rosbag2_bagfile_information"]["files"]:
+        file["message_count"] *= 2
+    listing.write_text(yaml.safe_dump(content))
+    assert images_of(bag) == (12, [])
+
+
+def without(text: str, *lines: str) -> str:
+    """A listing without some lines, which are all there."""
+    left = text.splitlines()
+    for line in lines:
+        left.remove(line)
+    return "".join(f"{line}\n" for line in left)
+
+
+LISTED, IN_FILES = "    - bag_1.mcap", "    - path: bag_1.mcap"
+
+
+def test_a_file_that_is_gone_from_the_listing_is_missed(walk_file: Path, tmp_path: Path) -> None:
+    bag = as_split_folder(walk_file, tmp_path)
+    listing = bag / "metadata.yaml"
+    whole = listing.read_text()
+    listing.write_text(without(whole, LISTED))
+    with pytest.raises(SequenceError, match=r"`files` has 'bag_1\.mcap' and `relative_file_paths` has not"):
+        images_of(bag)
+    gone = without(whole.split("  files:")[0], LISTED)
+    listing.write_text(gone)
+    said = rf"metadata\.yaml: '{IMAGES}': the files that it lists have 6 messages, expected the 12 that it states"
+    with pytest.raises(SequenceError, match=rf"{said}; beside them lies 'bag_1\.mcap'"):
+        images_of(bag)
+    listing.write_text(gone.replace(IMAGES, "/another"))  # the numbers of all topics remain
+    with pytest.raises(SequenceError, match=r"all topics: the files that it lists have \d+ messages, expected the \d+"):
+        images_of(bag)
+    (bag / "bag_1.mcap").unlink()
+    listing.write_text(gone)
+    with pytest.raises(SequenceError, match=rf"{said} \(`ros2 bag reindex`"):
+        images_of(bag)
+    listing.write_text(whole)
+    with pytest.raises(SequenceError, match=r"names 'bag_1\.mcap', which is not in the folder"):
+        images_of(bag)
+
+
+def test_more_images_than_the_listing_states_are_an_error_too(walk_file: Path, tmp_path: Path) -> None:
+    bag = as_split_folder(walk_file, tmp_path)
+    (bag / "bag_1.mcap").write_bytes(walk_file.read_bytes())
+    with pytest.raises(SequenceError, match="have 18 messages, expected the 12 that it states"):
+        images_of(bag)
+
+
+def test_a_listing_that_states_no_numbers_is_read_with_a_notice(walk_file: Path, tmp_path: Path) -> None:
+    bag = as_split_folder(walk_file, tmp_path)
+    listing = bag / "metadata.yaml"
+    whole = listing.read_text()
+    told = "metadata.yaml states no number of messages: images of files that it lost cannot be told"
+    zeros = re.sub(r"message_count: \d+", "message_count: 0", whole)  # as of a recorder that was killed
+    for text in (zeros, "relative_file_paths: [bag_0.mcap, bag_1.mcap]\n"):
+        listing.write_text(text)
+        assert images_of(bag) == (12, [told])
+    listing.write_text("relative_file_paths:\n- bag_0.mcap\n")
+    assert images_of(bag) == (6, [told, "metadata.yaml does not list 'bag_1.mcap': not read"])
+
+
+def test_a_file_beside_is_named_where_nothing_is_missing(walk_file: Path, tmp_path: Path) -> None:
+    bag = as_split_folder(walk_file, tmp_path)
+    for name in ("copy.mcap", "d.mcap", "e.mcap", "f.mcap"):
+        (bag / name).write_bytes(walk_file.read_bytes())
+    said = "metadata.yaml does not list 'copy.mcap', 'd.mcap', 'e.mcap' and 1 more: not read"
+    assert images_of(bag) == (12, [said])
+
+
+def test_numbers_of_the_listing_speak_for_files_that_state_none(walk_file: Path, tmp_path: Path) -> None:
+    bag = as_split_folder(walk_file, tmp_path)
+    as_file_without_index(bag / "bag_1.mcap", tmp_path).replace(bag / "bag_1.mcap")
+    assert images_of(bag) == (12, [])
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("message_count: 12", "message_count: many", "message_count: 'many', expected a whole number"),
+        ("message_count: 12", "message_count: -1", "message_count: '-1', expected a whole number"),
+        (
+            "  relative_file_paths:\n",
+            "  relative_file_paths: 7\n  others:\n",
+            "`relative_file_paths` is 7, expected a list",
+        ),
+        ("  version: 5", "  version: [5", "expected YAML"),
+    ],
+)
+def test_a_damaged_listing_is_named(before: str, after: str, said: str, walk_file: Path, tmp_path: Path) -> None:
+    listing = as_split_folder(walk_file, tmp_path) / "metadata.yaml"
+    listing.write_text(listing.read_text().replace(before, after))
+    with pytest.raises(SequenceError, match=rf"metadata\.yaml: .*{re.escape(said)}"):
+        Bag(listing.parent)
+
+
+def test_the_folder_of_a_recorder_that_was_killed_says_how_it_is_read(walk_file: Path, tmp_path: Path) -> None:
+    bag = as_split_folder(walk_file, tmp_path)
+    (bag / "metadata.yaml").unlink()
+    for read in (Bag, list_images):
+        with pytest.raises(SequenceError, match=r"no metadata\.yaml, .*one by one \(`ros2 bag reindex` writes one\)"):
+            read(bag)
+    assert sum(images_of(file)[0] for file in bag.glob("*.mcap")) == 12
+
+
+# --- where reading ends early -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def long_walk_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Walk(180).write(tmp_path_factory.mktemp("long") / "walk.mcap")
+
+
+def long_walk(source: Path, folder: Path, **options: object) -> Path:
+    """A third of a minute, in chunks of a few images, without checksums."""
+    settings = {"chunk_size": 3000, "enable_crcs": False, "enable_data_crcs": False, **options}
+    return rewrite(source, folder / "long.mcap", **settings)
+
+
+FORMS_OF_FILES = [{}, {"index_types": IndexType.NONE, "repeat_channels": True}, {"use_chunking": False}]
+
+
+@pytest.mark.parametrize("options", FORMS_OF_FILES)
+def test_images_lost_within_the_stretch_are_missed_where_reading_ends_behind_it(
+    options: dict[str, object], long_walk_file: Path, tmp_path: Path
+) -> None:
+    """The lost ones are not taken for images behind the stretch."""
+    path = long_walk(long_walk_file, tmp_path, **options)
+    for stretch in (SequenceOptions(duration_s=1.0), SequenceOptions(start_s=2.0, duration_s=1.0)):
+        reader = SequenceReader(path, replace(stretch, ground_truth_topic=""), odometry="unread")
+        assert len(list(reader)) == 11
+        assert reader.counts.skipped == {OUTSIDE: 180 - 11}
+        assert reader.counts.read < 180
+    lost, data = tmp_path / "lost.mcap", bytearray(path.read_bytes())
+    if options.get("use_chunking", True):
+        without_ten_images(data)
+    else:
+        lose_ten(data, [(0, 8, len(data) - 8)])
+    lost.write_bytes(data)
+    said = rf"lost\.mcap: {IMAGES}: 170 messages found where the file states 180"
+    with pytest.raises(SequenceError, match=said):
+        list(SequenceReader(lost, SequenceOptions(duration_s=1.0, ground_truth_topic=""), odometry="unread"))
+    frames = posed_frames(lost, frames=slice(2, 25))
+    with pytest.raises(SequenceError, match=said):
+        list(frames)
+
+
+def test_what_lies_behind_the_stretch_is_counted_without_being_opened(long_walk_file: Path, tmp_path: Path) -> None:
+    path = long_walk(long_walk_file, tmp_path)
+    data = bytearray(path.read_bytes())
+    for _, begin, end in chunks(data)[-5:]:
+        data[begin:end] = bytes(end - begin)  # no records at all
+    path.write_bytes(data)
+    reader = SequenceReader(path, SequenceOptions(duration_s=1.0, ground_truth_topic=""), odometry="unread")
+    assert len(list(reader)) == 11
+    assert reader.counts.are_complete
+    with pytest.raises(SequenceError):
+        list(SequenceReader(path, SequenceOptions(ground_truth_topic=""), odometry="unread"))
+
+
+def test_each_file_of_a_folder_is_read_up_to_the_end_of_the_stretch(long_walk_file: Path, tmp_path: Path) -> None:
+    """Files that run side by side: that the first is over says nothing of the second."""
+    source = long_walk_file
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    rewrite(source, bag / "a.mcap", keep=lambda topic, _: topic != IMAGES)
+    rewrite(source, bag / "b.mcap", keep=lambda topic, time_ns: topic == IMAGES and time_ns < BEGIN_NS + 15 * 10**9)
+    rewrite(source, bag / "c.mcap", keep=lambda topic, time_ns: topic == IMAGES and time_ns >= BEGIN_NS + 15 * 10**9)
+    write_listing(bag)
+    reader = SequenceReader(bag, SequenceOptions(duration_s=1.0, ground_truth_topic=""), odometry="unread")
+    assert len(list(reader)) == 11
+    assert reader.counts.skipped == {OUTSIDE: 180 - 11}
+    assert reader.counts.are_complete
+
+
+def test_who_stops_gets_no_more_frames_and_whole_counts(walk_of_25: Path) -> None:
+    reader = SequenceReader(walk_of_25)
+    frames = iter(reader)
+    taken = [next(frames) for _ in range(7)]
+    reader.stop()
+    assert list(frames) == []
+    assert len(taken) == reader.counts.used == 7
+    assert reader.counts.skipped == {OUTSIDE: 18}
+    assert reader.counts.warning is None
+    assert len(list(reader)) == 25  # another iteration
+
+
+def test_an_image_that_is_neither_used_nor_skipped_is_an_error(
+    walk_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take, times = Stills.take, iter(range(100))
+    monkeypatch.setattr(Stills, "take", lambda *given: [] if next(times) == 5 else take(*given))
+    said = rf"walk\.mcap: {IMAGES}: 11 images used and 0 skipped, expected the 12 that are stated"
+    with pytest.raises(SequenceError, match=said):
+        list(SequenceReader(walk_file))

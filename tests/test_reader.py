@@ -218,7 +218,7 @@ def with_second(tmp_path: Path, topic: str, name: str) -> Path:
     bag.mkdir()
     first.rename(bag / "a.mcap")
     renamed.rename(bag / "b.mcap")
-    (bag / "metadata.yaml").write_text("x:\n  relative_file_paths:\n  - a.mcap\n  - b.mcap\n")
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  relative_file_paths:\n  - a.mcap\n  - b.mcap\n")
     return bag
 
 

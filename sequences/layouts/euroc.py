@@ -12,10 +12,8 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
@@ -29,7 +27,7 @@ from sequences.layouts.posed_images import PosedImages
 from sequences.pairing import MAX_TRUE_POSE_GAP_S, interpolate
 from sequences.pose_tables import read_pose_table
 from sequences.undistortion import DistortionModel, Lens
-from sequences.values import MAX_TIME_NS, parse_numbers, parse_whole, read_rows, read_text, require_inside
+from sequences.values import MAX_TIME_NS, parse_numbers, parse_whole, read_rows, read_yaml, require_inside
 
 LOOKED_FOR = "mav0/cam0/data.csv"
 _MODELS: dict[str, DistortionModel] = {
@@ -39,7 +37,7 @@ _MODELS: dict[str, DistortionModel] = {
     "equidistant": "equidistant",
 }
 _PINHOLE = ("none", *(name for name, model in _MODELS.items() if model == "plumb_bob"))  # where coefficients are 0
-_MAX_YAML = 1 << 16  # bytes: it is slow to read
+_MAX_YAML = 1 << 16  # bytes
 
 
 def list_images(path: Path) -> PosedImages | None:
@@ -95,31 +93,8 @@ def _read_list(listing: Path, skipped: Counter[str]) -> tuple[np.ndarray, list[P
     return np.array(times_ns, np.int64), files
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML with OpenCV's tag of matrices, and without references, by which few lines become millions of values."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("it refers to values by names")
-        return super().compose_node(parent, index)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", yaml.SafeLoader.construct_yaml_map)
-
-
-def _read_yaml(file: Path) -> dict[str, Any]:
-    lines = [line for line in read_text(file, _MAX_YAML).splitlines() if not line.startswith("%")]  # OpenCV's %YAML:1.0
-    try:
-        content = yaml.load("\n".join(lines), _Loader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # also what is no date and too long a number
-        raise SequenceError(f"{file}: {' '.join(str(error).split())}; expected YAML") from error
-    if not isinstance(content, dict):
-        raise SequenceError(f"{file}: holds {type(content).__name__}, expected the names and values of a sensor")
-    return content
-
-
 def _body_from_sensor(file: Path) -> Poses:
-    content = _read_yaml(file).get("T_BS")
+    content = read_yaml(file, _MAX_YAML).get("T_BS")
     values = content.get("data") if isinstance(content, dict) else content
     if not isinstance(values, list):
         raise SequenceError(f"{file}: T_BS is {quoted(content)}, expected its data: 16 numbers")
@@ -131,7 +106,7 @@ def _body_from_sensor(file: Path) -> Poses:
 
 
 def _read_camera(file: Path, files: Sequence[ImageFile]) -> Camera | Lens:
-    content = _read_yaml(file)
+    content = read_yaml(file, _MAX_YAML)
     if content.get("camera_model", "pinhole") != "pinhole":
         raise SequenceError(f"{file}: camera_model {quoted(content['camera_model'])}, expected pinhole")
     found: dict[str, list[float]] = {}

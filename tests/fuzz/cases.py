@@ -139,6 +139,8 @@ class Sample:
         """How images were lost without a word; nothing where none was, or where no reader can know of it."""
         stated = self._reader.stated(self._path)
         counted = found.items + found.images_told
+        if any(each.endswith("not read") for each in found.told):  # a file of a folder, by its name
+            return ""
         if stated is not None:
             return f"{stated} stated, {found.items} read, {dict(found.told)}" if counted < stated else ""
         silent = self._reader.image_topic is None and found.told == self._whole.told

@@ -226,8 +226,9 @@ def _video(folder: Path, *, of_ros: bool) -> Path:
 
 
 def _split(folder: Path) -> Path:
+    """Three images in each of two files."""
     source = Walk(_IMAGES).write(folder / "source")
-    bag = as_split_folder(source, folder)
+    bag = as_split_folder(source, folder, cut_s=0.255)
     source.unlink()
     return bag
 

@@ -228,13 +228,17 @@ class _Source:
         start, stop = self._which.start or 0, self._which.stop
         number = -1  # of images with a true pose, by which a range counts; of all images where none has one
         taken = 0
-        for frame in reader:
+        frames = iter(reader)
+        for frame in frames:
             number += "true poses" in self.lacks or frame.world_from_camera is not None
             if stop is not None and number >= stop:
                 break
             if max(number, 0) >= start:
                 yield replace(frame, odometry=frame.odometry if taken else None)
                 taken += 1
+        reader.stop()
+        for _ in frames:  # none comes any more
+            pass
         if not taken:
             raise SequenceError(f"{self._path}: no image in {start}:{stop}, expected at least one; it has {number + 1}")
         self.counts = reader.counts.taken(taken)
