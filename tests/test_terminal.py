@@ -43,10 +43,11 @@ raise SystemExit(main())
 
 
 def started(words, **options):
-    """A process that takes SIGINT as one at a terminal does, also where the tests run in the background of a shell."""
+    """A process that takes signals as one at a terminal does, also where the tests run in the background or by nohup."""
 
     def foreground():
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
 
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     environment.update(options.pop("env", {}))

@@ -258,7 +258,8 @@ def _with_other_tensor(tensors: dict[str, Tensor], metadata: dict[str, str], nam
         )
         told += f" became {list(tensors[name].shape)}"
     elif kind == 4:
-        tensors[name], value = before.clone(), pick(rng, (math.nan, math.inf, -math.inf, 6e4, -1.0, 0.0))
+        values = (math.nan, math.inf, -math.inf, 6e4, -1.0, 0.0) if before.is_floating_point() else (-1, 2**40)
+        tensors[name], value = before.clone(), pick(rng, values)
         tensors[name].view(-1)[int(rng.integers(max(before.numel(), 1))) :][:1] = value
         told += f" with the number {value}"
     elif kind == 5:
