@@ -43,7 +43,7 @@ raise SystemExit(main())
 
 
 def started(words, **options):
-    """A process that takes signals as one at a terminal does, also where the tests run in the background or by nohup."""
+    """A process that takes signals as one at a terminal does, also where tests run in the background or by nohup."""
 
     def foreground():
         for number in (signal.SIGINT, signal.SIGHUP):
