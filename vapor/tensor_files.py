@@ -21,11 +21,6 @@ _OURS = "vapor-track "  # what `format` begins with in our own files, whose meta
 _METADATA = {"format", "version", "config", CHECKSUM}
 SHIPPED = Path(__file__).resolve().parent / "models"
 """The models that ship."""
-_SHIPPED_SHA256 = {
-    "ceiling.safetensors": "6a1ea0c6ac0a330eda03dc82e2460e5590445509e9fd09d35795cc2e79ab8084",
-    "staircase.safetensors": "444d72f61b5e34c51e987bd6bfe74460d1368948e016c9ba3904e1e7297042ba",
-}
-"""Checksums of the models that ship and do not state their own."""
 
 
 class CheckpointError(VaporTrackError):
@@ -53,8 +48,7 @@ def write_safetensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mappi
 def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     """Metadata and tensors of a safetensors file, on the CPU, that are those that its checksum was made of.
 
-    A file without a checksum is taken as it is: `CHECKSUM` is in the metadata where there is one. Those of the models
-    that ship are known.
+    A file without a checksum is taken as it is: `CHECKSUM` is in the metadata where there is one.
 
     Raises:
         CheckpointError: no such file, no safetensors file, or a damaged one.
@@ -68,8 +62,6 @@ def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     except (OSError, SafetensorError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise CheckpointError(f"{path}: cannot be read ({reason}), expected a safetensors file") from error
-    if path.resolve().parent == SHIPPED and path.name in _SHIPPED_SHA256:
-        metadata.setdefault(CHECKSUM, _SHIPPED_SHA256[path.name])
     # One flipped bit can take the checksum its name: then there is another one that no file of ours has.
     renamed = metadata.get("format", "").startswith(_OURS) and not metadata.keys() <= _METADATA
     if renamed or metadata.get(CHECKSUM) not in (None, content_sha256(tensors, metadata)):
