@@ -111,8 +111,7 @@ class Checkpoint:
 
     def network_sha256(self) -> str:
         """What the posterior samples depend on: a digest of network, box and weights, but not of the calibration."""
-        network = {name: value for name, value in asdict(self.network).items() if _UNSAID.get(name) is not value}
-        digest = hashlib.sha256(json.dumps([network, asdict(self.box)], sort_keys=True).encode())
+        digest = hashlib.sha256(json.dumps([asdict(self.network), asdict(self.box)], sort_keys=True).encode())
         for name in sorted(self.state_dict):
             digest.update(name.encode())
             digest.update(self.state_dict[name].numpy().tobytes())
