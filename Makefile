@@ -36,7 +36,7 @@ $(INSTALLED): pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable . --group dev
 	touch $@
 
-# How the models that ship were trained: about an hour on two cores (`make -j2 models`); see docs/models.md.
+# How the models that ship were trained (`make -j2 models`); docs/models.md says how long that takes, and what it gives.
 models: $(SCENES:%=vapor/models/%.safetensors)
 models: export OMP_NUM_THREADS := 1
 

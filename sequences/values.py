@@ -159,7 +159,7 @@ def read_yaml(path: Path, most: int = _MAX_YAML) -> dict[Any, Any]:
             if isinstance(event, yaml.AliasEvent):
                 raise yaml.YAMLError("it refers to values by names")
         content = yaml.load(text, _YamlLoader)
-    except Exception as error:  # what is no YAML, no date, no truth value or too long a number
+    except Exception as error:  # the library lets value and recursion errors of dates, numbers and truth values through
         raise SequenceError(f"{path}: {' '.join(str(error).split())}; expected YAML") from error
     if not isinstance(content, dict):
         raise SequenceError(f"{path}: holds {type(content).__name__}, expected names and values")
