@@ -53,7 +53,7 @@ class ErrorModel:
     """Likewise the angle, radians."""
     mistaken_lengths: float = 1.0
     """Over so many of these lengths one image's mistake about the place is the next one's: what takes one floor for
-    another does so along all of a corridor."""
+    another does so along all of a corridor; less than 1 where mistakes fade sooner than errors."""
     constant_share: float = 0.1
     """Share of the typical variance below which no number of images brings the uncertainty of a pose."""
     unfamiliar_power: float = 0.0
@@ -77,7 +77,7 @@ class ErrorModel:
             lasting_share=(0.0, 0.999),
             length_m=(1e-9, 1e9),
             length_rad=(1e-6, 1e3),
-            mistaken_lengths=(1.0, 1e3),
+            mistaken_lengths=(0.01, 1e3),
             constant_share=(0.0, 1e3),
             unfamiliar_power=(0.0, 3.0),
             unfamiliar_score=(0.01, 1.0),

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from filtering.error_model import ErrorModel
 from filtering.posterior import PosePosterior
@@ -89,7 +90,7 @@ def test_what_changed_is_told_with_its_gain():
     assert image.before["tail"] == ErrorModel().tail
     assert image.gain is not None
     assert image.gain > 0.5
-    assert (set(lasting.after), lasting.gain) == ({"lasting_share", "length_m", "mistaken_lengths"}, None)
+    assert (set(lasting.after), lasting.gain) == ({"lasting_share", "length_m", "length_rad", "mistaken_lengths"}, None)
     few = simulated(100)
     again = fit(*few, before=fit(*few).errors).changes[0]
     assert again.gain == pytest.approx(0.0, abs=1e-6)
@@ -251,11 +252,38 @@ def test_images_that_never_mistake_the_place_are_worth_one_a_length():
 
 
 @pytest.mark.parametrize(("share", "taken"), [(1.0, 0.7), (0.3, 0.5)])
-def test_a_share_that_lasts_wholly_or_hardly_is_taken_as_seven_or_five_tenths_and_its_length_is_found(share, taken):
+def test_of_a_share_that_lasts_wholly_or_hardly_the_sum_of_the_correlations_is_kept(share, taken):
     rng = np.random.default_rng(7)
-    found = fit_walk(lasting(250, 1.0, share, rng=rng), rng=rng).errors
+    found = fit_walk(lasting(1000, 1.0, share, rng=rng), rng=rng).errors
     assert found.lasting_share == taken
-    assert 0.4 < found.length_m < 2.5
+    assert found.length_m * taken == pytest.approx(share * 1.0, rel=0.5)
+
+
+def test_what_lasts_long_beside_what_fades_soon_is_seen():
+    rng = np.random.default_rng(0)
+    soon, long = (lasting(1000, length_m, 1.0, rng=rng) for length_m in (0.2, 2.0))
+    errors = fit_walk(np.sqrt(0.6) * soon + np.sqrt(0.4) * long, rng=rng).errors
+    assert errors.lasting_share * errors.length_m == pytest.approx(0.6 * 0.2 + 0.4 * 2.0, rel=0.4)
+
+
+def test_errors_that_fade_as_the_camera_turns_are_told_from_those_that_fade_on_the_way():
+    rng = np.random.default_rng(3)
+    count = 800
+    turning = np.repeat(rng.random(count // 20) < 0.5, 20)
+    step_m, step_rad = np.where(turning, 0.01, 0.1), np.where(turning, 0.1, 0.0)
+    rotation = Rotation.from_rotvec(np.outer(np.cumsum(step_rad), [0.0, 0.0, 1.0])).as_matrix()
+    truth = Poses(rotation, np.column_stack([np.cumsum(step_m), np.zeros((count, 2))]))
+    lengths_rad = []
+    for length_m, length_rad in ((20.0, 0.3), (0.5, 20.0)):
+        fade = np.exp(-np.hypot(step_m / length_m, step_rad / length_rad))
+        normal = rng.standard_normal((count, 6))
+        for i in range(1, count):
+            normal[i] = fade[i] * normal[i - 1] + np.sqrt(1 - fade[i] ** 2) * normal[i]
+        samples = posteriors(truth, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
+        errors = fit(samples, truth, Way.along(truth, np.zeros(count, np.int64))).errors
+        lengths_rad.append(errors.length_rad)
+    assert lengths_rad[0] < 0.7
+    assert lengths_rad[1] > 1.0
 
 
 def test_a_stretch_of_larger_errors_does_not_lengthen_how_long_they_last():

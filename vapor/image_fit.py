@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import torch
@@ -34,12 +35,14 @@ _PULL, _PULLED_TO = 1e-4, np.log(0.02)  # of the floor's logarithms, where the d
 _LEAST_OUTLIERS = 0.05  # neighbouring images err alike: none in 500 does not say that there are none
 _POWERS = np.linspace(0.0, 1.5, 13)  # by which errors grow with the score
 _LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
-_LASTING = (0.5, 0.7)
-_LAGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
-_LEAST_PAIRS = 50
+_LENGTHS_RAD = (0.2, 0.4, 0.8, 1.6)
+_SHARES = (0.5, 0.7)  # that last, of the variance
+_LEAST_PAIRS, _LEAST_IN_BIN = 50, 10
+_WAYS = np.append(0.0, np.geomspace(0.05, 1e4, 72))  # in lengths: bins of pairs of images
+_WINDOW, _LEAST_CORRELATION = 4.0, 0.1
 _NO_MISTAKE = 0.02  # of the images that find the true place less likely than not: with fewer none mistake it
-_MISTAKEN = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0])  # lengths over which mistakes fade
-_FARTHEST_LENGTHS, _MOST_MISTAKEN = 100.0, 40.0
+_MISTAKEN = np.geomspace(0.125, 32.0, 17)  # lengths over which mistakes fade
+_FARTHEST_LENGTHS, _LEAST_MISTAKEN, _MOST_MISTAKEN = 100.0, 4.0, 40.0
 _ANOTHER_HOUR = 3.0  # times as far beyond one length mistakes reach where the light is another than on held-out passes
 _ALIKE = 10.0  # images that say that all axes err alike
 _UNSEEN = 2.0  # over the number of images: share of the variance that may be an error that lasts through all
@@ -141,8 +144,8 @@ def fit_errors(
         log[ε flat + (1 − ε) Σₖ shareₖ t(true pose; placeₖ, spread Cₖ + diag(floor²), ν)].
 
     The wider place is taken where the likelihood hardly tells. By how much more unfamiliar images err comes from images
-    that were trained on: the power of the score of highest likelihood. How long errors last comes by least squares from
-    the products of the directions of normalised errors of two images, against the way between them, and for how long
+    that were trained on: the power of the score of highest likelihood. How long errors last comes from the
+    products of the directions of normalised errors of two images, against the way between them, and for how long
     mistakes about the place do from what two images say for the true one. As neighbouring images err alike, the data
     are worth fewer images than there are: the fewer, the more alike the axes and the larger the variances.
 
@@ -182,16 +185,16 @@ def fit_errors(
     else:
         errors = replace(errors, unfamiliar_power=0.0)
     residual, told = places.residuals(errors)
-    lasting, length_m = _lasting(residual, told, way, extent)
-    effective = _effective_images(way, length_m)
+    lasting = _lasting(residual, told, way, extent)
+    effective = _effective_images(way, lasting)
     errors = _cautious(errors, effective)
     errors = replace(
         errors,
         outlier_share=max(errors.outlier_share, _LEAST_OUTLIERS),
-        lasting_share=lasting,
-        length_m=length_m,
-        length_rad=LENGTH_RAD,
-        mistaken_lengths=_mistaken_lengths(evidence, way, length_m, 1.0 if same_conditions else _ANOTHER_HOUR),
+        lasting_share=lasting.share,
+        length_m=lasting.length_m,
+        length_rad=lasting.length_rad,
+        mistaken_lengths=_mistaken_lengths(evidence, way, lasting, same_conditions=same_conditions),
         typical_std=places.typical_std(errors),
     )
     formerly = _Places.near(samples, truth, before.radius_m, before.radius_rad)
@@ -201,7 +204,7 @@ def fit_errors(
     names = ("radius_m", "spread", "floor", "tail", "outlier_share", "unfamiliar_power")
     changes = (
         _change("errors of an image", names, before, errors, gain),
-        _change("how long they last", ("lasting_share", "length_m", "mistaken_lengths"), before, errors),
+        _change("how long they last", ("lasting_share", "length_m", "length_rad", "mistaken_lengths"), before, errors),
     )
     return ErrorFit(errors, changes, places.coverage(errors), effective)
 
@@ -455,63 +458,108 @@ def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
     return float(np.clip(np.median(score), LEAST_SCORE, FOREIGN))
 
 
-def _lasting(
-    residual: Float64[np.ndarray, "n 6"], told: Bool[np.ndarray, " n"], way: Way, extent: float
-) -> tuple[float, float]:
-    """Share of the variance that lasts, and the length over which it fades, metres."""
+@dataclass(frozen=True)
+class _Lasting:
+    """How long errors last: a share of their variance, and the lengths over which that fades."""
+
+    share: float
+    length_m: float
+    length_rad: float
+
+    def lengths(
+        self, metres: Float64[np.ndarray, " k"], radians: Float64[np.ndarray, " k"]
+    ) -> Float64[np.ndarray, " k"]:
+        """Ways in lengths."""
+        return np.hypot(metres / self.length_m, radians / self.length_rad)
+
+
+def _lasting(residual: Float64[np.ndarray, "n 6"], told: Bool[np.ndarray, " n"], way: Way, extent: float) -> _Lasting:
+    """How long errors last, by the correlation of their directions along the way.
+
+    Least squares tell which share lasts, and how many metres change a view as much as how many radians. They see the
+    larger of two errors, one that fades soon and one that does not; but what many images are worth is told by the sum
+    of all correlations, to which the lengths are matched.
+    """
     # Of their directions: images err more in one part of the scene than in another, which is not an error that lasts.
     direction = residual / np.maximum(np.linalg.norm(residual, axis=1, keepdims=True), 1e-300)
-    apart_m, apart_rad, product = [], [], []
-    for lag in _LAGS:
-        first = np.flatnonzero((way.number[lag:] == way.number[:-lag]) & told[lag:] & told[:-lag])
-        apart_m.append(way.metres[first + lag] - way.metres[first])
-        apart_rad.append(way.radians[first + lag] - way.radians[first])
-        product.append((direction[first + lag] * direction[first]).sum(axis=1))
-    metres, radians, products = (np.concatenate(part) for part in (apart_m, apart_rad, product))
-    if len(products) < _LEAST_PAIRS:
-        return _LASTING[1], _LENGTHS[len(_LENGTHS) // 2] * extent
-    best = (np.inf, _LASTING[1], extent)
-    for length_m in _LENGTHS * extent:
-        kernel = np.exp(-np.hypot(metres / length_m, radians / LENGTH_RAD))
-        share = float(np.clip((kernel * products).sum() / max(np.square(kernel).sum(), 1e-300), 0.0, 1.0))
-        best = min(best, (float(np.square(products - share * kernel).mean()), share, float(length_m)))
-    return float(np.clip(best[1], *_LASTING)), best[2]
+    first, second = _pairs(way, told)
+    if len(first) < _LEAST_PAIRS:
+        return _Lasting(_SHARES[1], _LENGTHS[len(_LENGTHS) // 2] * extent, LENGTH_RAD)
+    metres, radians = way.metres[second] - way.metres[first], way.radians[second] - way.radians[first]
+    products = (direction[second] * direction[first]).sum(axis=1)
+    counts = 1.0 / (second - first)  # neighbours as much as those that are ten times as far from each other
+    best, found = np.inf, _Lasting(_SHARES[1], extent, LENGTH_RAD)
+    for length_m, length_rad in product(_LENGTHS * extent, _LENGTHS_RAD):
+        tried = _Lasting(1.0, float(length_m), length_rad)
+        kernel = np.exp(-tried.lengths(metres, radians))
+        share = float(np.clip((counts * kernel * products).sum() / (counts * np.square(kernel)).sum(), 0.0, 1.0))
+        cost = float((counts * np.square(products - share * kernel)).sum())
+        if cost < best:
+            best, found = cost, replace(tried, share=share)
+    found = replace(found, share=float(np.clip(found.share, *_SHARES)))
+    longer = _correlation_length(found.lengths(metres, radians), products) / found.share
+    length_m = float(np.clip(longer * found.length_m, *_LENGTHS[[0, -1]] * extent))
+    return replace(found, length_m=length_m, length_rad=float(np.clip(longer * found.length_rad, *_LENGTHS_RAD[::3])))
+
+
+def _correlation_length(ways: Float64[np.ndarray, " k"], products: Float64[np.ndarray, " k"]) -> float:
+    """Integral over the way of the correlation that products of pairs so many lengths apart tell.
+
+    It ends at a few times the length over which what lasts is seen to fade (Sokal's window): what is farther is noise.
+    """
+    bins = np.searchsorted(_WAYS, ways, side="right") - 1
+    count = np.bincount(bins, minlength=len(_WAYS))
+    mean = np.bincount(bins, products, minlength=len(_WAYS)) / np.maximum(count, 1)
+    nearest = max(float(mean[np.argmax(count >= _LEAST_IN_BIN)]), _LEAST_CORRELATION)
+    integral, correlation = 0.0, nearest
+    for k, width in enumerate(np.diff(_WAYS)):
+        correlation = float(mean[k]) if count[k] >= _LEAST_IN_BIN else correlation
+        integral += correlation * width
+        if nearest * _WAYS[k + 1] >= _WINDOW * integral:
+            break
+    return integral
+
+
+def _pairs(way: Way, told: Bool[np.ndarray, " n"]) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    """All pairs of images of one pass that are told of, the earlier first."""
+    first, second = np.triu_indices(len(told), 1)
+    kept = (way.number[first] == way.number[second]) & told[first] & told[second]
+    return first[kept], second[kept]
 
 
 def _mistaken_lengths(
-    evidence: Float64[np.ndarray, " n"], way: Way, length_m: float, in_use: float = _ANOTHER_HOUR
+    evidence: Float64[np.ndarray, " n"], way: Way, lasting: _Lasting, *, same_conditions: bool = False
 ) -> float:
-    """Over how many lengths of errors images say alike whether the camera is where it is; 1 where none mistakes it.
+    """Over how many lengths of errors images are one vote on where the camera is; 1 where none mistakes it.
 
-    Along a pass the evidence of two images, so many lengths apart, correlates by a share that fades; the sum of the
-    correlations of an image with all others a length apart is what its evidence is worth less for their sake. What is
-    beyond one length is multiplied by `in_use`, as mistakes last longer at other hours than held-out passes are of; and
-    at least one length is taken to be.
+    Along a pass the evidence of two images, so many lengths apart, correlates by a share that fades. A vote is worth
+    less by the sum of an image's correlations with all others; what does not last counts as new in every length. Under
+    other conditions than on held-out passes mistakes last longer: what is beyond one length is multiplied.
     """
     if len(evidence) < _LEAST_PAIRS or (evidence < np.log(0.5)).mean() < _NO_MISTAKE:
         return 1.0
     value = (evidence - evidence.mean()) / evidence.std()
-    first, second = np.triu_indices(len(value), 1)
-    one = way.number[first] == way.number[second]
-    first, second = first[one], second[one]
-    metres, radians = way.metres[second] - way.metres[first], way.radians[second] - way.radians[first]
-    apart = np.hypot(metres / length_m, radians / LENGTH_RAD)
+    first, second = _pairs(way, np.ones(len(value), bool))
+    apart = lasting.lengths(way.metres[second] - way.metres[first], way.radians[second] - way.radians[first])
     near = apart < _FARTHEST_LENGTHS
     apart, products = apart[near], (value[first] * value[second])[near]
     if len(products) < _LEAST_PAIRS:
         return 1.0
-    best = (np.inf, 1.0)
+    best, vote = np.inf, 1.0
     for lengths in _MISTAKEN:
         kernel = np.exp(-apart / lengths)
         share = float(np.clip((kernel * products).sum() / np.square(kernel).sum(), 0.0, 1.0))
-        together = 1.0 + 2.0 * share / np.expm1(1.0 / lengths)
-        best = min(best, (float(np.square(products - share * kernel).mean()), float(together)))
-    return min(1.0 + in_use * max(best[1] - 1.0, 1.0), _MOST_MISTAKEN)
+        cost = float(np.square(products - share * kernel).mean())
+        if cost < best:
+            best, vote = cost, 1.0 - share + 2.0 * share * float(lengths)
+    if same_conditions:
+        return min(vote, _MOST_MISTAKEN)
+    return float(np.clip(1.0 + _ANOTHER_HOUR * (vote - 1.0), _LEAST_MISTAKEN, _MOST_MISTAKEN))
 
 
-def _effective_images(way: Way, length_m: float) -> float:
+def _effective_images(way: Way, lasting: _Lasting) -> float:
     """One for every pass, and one for every two lengths of its way, but no more than there are images."""
-    steps = np.hypot(np.diff(way.metres) / length_m, np.diff(way.radians) / LENGTH_RAD)
+    steps = lasting.lengths(np.diff(way.metres), np.diff(way.radians))
     return 1.0 + float(np.where(np.diff(way.number) == 0, np.minimum(steps / 2.0, 1.0), 1.0).sum())
 
 
