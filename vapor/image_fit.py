@@ -498,8 +498,9 @@ def _lasting(residual: Float64[np.ndarray, "n 6"], told: Bool[np.ndarray, " n"],
             best, found = cost, replace(tried, share=share)
     found = replace(found, share=float(np.clip(found.share, *_SHARES)))
     longer = _correlation_length(found.lengths(metres, radians), products) / found.share
-    length_m = float(np.clip(longer * found.length_m, *_LENGTHS[[0, -1]] * extent))
-    return replace(found, length_m=length_m, length_rad=float(np.clip(longer * found.length_rad, *_LENGTHS_RAD[::3])))
+    length_m = np.clip(longer * found.length_m, _LENGTHS[0] * extent, _LENGTHS[-1] * extent)
+    length_rad = np.clip(longer * found.length_rad, _LENGTHS_RAD[0], _LENGTHS_RAD[-1])
+    return replace(found, length_m=float(length_m), length_rad=float(length_rad))
 
 
 def _correlation_length(ways: Float64[np.ndarray, " k"], products: Float64[np.ndarray, " k"]) -> float:
