@@ -1,6 +1,7 @@
 """Faults of camera and odometry: what each changes, how it is judged, and the command."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor import faults
+from sequences.reader import SequenceReader
+from vapor import fault_benchmark, fault_walks, faults
 from vapor.evaluate import dead_reckoning
+from vapor.fault_walks import RecordedWalk, SyntheticWalk
 from vapor.faults import (
     FAULTS,
     NONE,
@@ -280,8 +283,8 @@ def short(monkeypatch) -> None:
 @pytest.mark.usefixtures("short")
 def test_a_walk_runs_without_and_with_every_fault_once(folder, tiny_model, monkeypatch, capsys):
     followed = []
-    follow = faults.follow_trial
-    monkeypatch.setattr(faults, "follow_trial", lambda *arguments: followed.append(arguments[2]) or follow(*arguments))
+    follow = SyntheticWalk.beliefs
+    monkeypatch.setattr(SyntheticWalk, "beliefs", lambda walk, replay: followed.append(replay) or follow(walk, replay))
     assert run(folder, tiny_model, *ALWAYS_SURE) == 0
     assert len(followed) == 5
     out, summary = capsys.readouterr().out, (folder / "summary.json").read_bytes()
@@ -302,7 +305,7 @@ def test_a_walk_runs_without_and_with_every_fault_once(folder, tiny_model, monke
 
 @pytest.mark.usefixtures("short")
 def test_walks_that_never_converge_are_an_error_in_the_end(folder, tiny_model, monkeypatch, capsys):
-    monkeypatch.setattr(faults, "_BARREN", 0)
+    monkeypatch.setattr(fault_benchmark, "_BARREN", 0)
     assert run(folder, tiny_model, "--localizer.converged-std-m", "0") == 1
     assert "ceiling: 0 of 1 walks from seed 700 on are converged for 1 s with 3 s to go, expected 1" in (
         capsys.readouterr().err
@@ -322,3 +325,76 @@ def test_settings_that_cannot_be_are_refused(more, said, tmp_path, tiny_model, c
     with pytest.raises(SystemExit):
         run(tmp_path, tiny_model, "--frames", "200", *more)
     assert said in capsys.readouterr().err.replace("\n", " ")
+
+
+RECORDED_FAULTS = ("black", "frozen", "upside-down", "three-times", "noise", "elsewhere")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory) -> Path:
+    """A walk of 5 s, as a file."""
+    path = tmp_path_factory.mktemp("recordings") / "walk.mcap"
+    words = ["synthesize", "ceiling", str(path), "--frames", "50", "--seed", "3", "--width", "32", "--height", "24"]
+    assert main(words) == 0
+    return path
+
+
+def run_recorded(folder, tiny_model, *recordings: Path, more: tuple[str, ...] = ()) -> int:
+    words = ["benchmark", "faults", "--recordings", *map(str, recordings), "--models", str(tiny_model)]
+    words += ["--output", str(folder), *OPTIONS[2:-5], "--faults", *RECORDED_FAULTS]
+    return main([*words, *ALWAYS_SURE, *more])
+
+
+@pytest.mark.usefixtures("short")
+def test_faults_befall_recordings_as_they_do_synthetic_walks(recording, tiny_model, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(fault_walks, "_OTHER_IMAGES", 3)
+    followed = []
+    follow = RecordedWalk.beliefs
+    monkeypatch.setattr(RecordedWalk, "beliefs", lambda walk, replay: followed.append(replay) or follow(walk, replay))
+    before = recording.read_bytes()
+    assert run_recorded(tmp_path, tiny_model, recording) == 0
+    out, content = capsys.readouterr().out, json.loads((tmp_path / "summary.json").read_bytes())
+    assert {each["fault"] for each in content["runs"]} == {NONE, *RECORDED_FAULTS} - {"three-times"}
+    assert {each["name"] for each in content["runs"]} == {"walk"}
+    assert "recorded: 1 walks" in out
+    assert "left out: three-times, as a recording has no images between its own" in out.replace("\n", " ")
+    plain = followed[0]
+    during = range(10, 20)  # a second, from the second of convergence on
+    shown = {fault: seen_samples(replay) for fault, replay in zip((NONE, *RECORDED_FAULTS[:3]), followed, strict=False)}
+    for image in range(50):
+        same = {fault for fault, samples in shown.items() if np.array_equal(samples[image], shown[NONE][image])}
+        assert same == (set(shown) if image not in during else {NONE})
+    reader = SequenceReader(recording)
+    np.testing.assert_array_equal(plain.times_ns, [frame.time_ns for frame in reader])
+    assert run_recorded(tmp_path, tiny_model, recording) == 0
+    assert len(followed) == 6
+    assert recording.read_bytes() == before
+
+
+def seen_samples(replay: Replay) -> list[np.ndarray]:
+    return [replay.posterior_poses(image).translation for image in range(len(replay.times_ns))]
+
+
+@pytest.mark.usefixtures("short")
+def test_recordings_that_no_fault_can_befall_are_named(recording, tiny_model, tmp_path, capsys):
+    assert run_recorded(tmp_path, tiny_model, recording, more=("--localizer.converged-std-m", "0")) == 1
+    said = "none of 1 recordings is converged for 1 s with 3 s to go, expected one at least"
+    assert said in capsys.readouterr().err.replace("\n", " ")
+
+
+@pytest.mark.usefixtures("short")
+def test_recordings_come_with_one_model_and_names_that_differ(recording, tiny_model, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        run_recorded(tmp_path, tiny_model, recording, more=("--models", "staircase", "ceiling"))
+    assert "expected recordings to come without scenes and with one model" in capsys.readouterr().err.replace("\n", " ")
+    assert run_recorded(tmp_path, tiny_model, recording, recording) == 1
+    assert "two recordings are called walk, expected names that tell them apart" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("short")
+def test_a_recording_without_true_poses_is_refused_before_anything_is_run(recording, tiny_model, tmp_path, capsys):
+    assert run_recorded(tmp_path, tiny_model, recording, more=("--ground-truth-topic", "")) == 1
+    assert "true pose" in capsys.readouterr().err
+    assert run_recorded(tmp_path, tiny_model, tmp_path / "missing.mcap") == 1
+    assert "missing.mcap" in capsys.readouterr().err
+    assert not list((tmp_path / "recordings").glob("*"))

@@ -36,6 +36,7 @@ _LEAST_OUTLIERS = 0.05  # neighbouring images err alike: none in 500 does not sa
 _POWERS = np.linspace(0.0, 1.5, 13)  # by which errors grow with the score
 _LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
 _LENGTHS_RAD = (0.2, 0.4, 0.8, 1.6)
+_CLEARLY = 1.01  # times the squares that another angle than the ordinary one must save
 _SHARES = (0.5, 0.7)  # that last, of the variance
 _LEAST_PAIRS, _LEAST_IN_BIN = 50, 10
 _WAYS = np.append(0.0, np.geomspace(0.05, 1e4, 72))  # in lengths: bins of pairs of images
@@ -494,6 +495,8 @@ def _lasting(residual: Float64[np.ndarray, "n 6"], told: Bool[np.ndarray, " n"],
         kernel = np.exp(-tried.lengths(metres, radians))
         share = float(np.clip((counts * kernel * products).sum() / (counts * np.square(kernel)).sum(), 0.0, 1.0))
         cost = float((counts * np.square(products - share * kernel)).sum())
+        # Where the camera hardly turns, any angle fits as well.
+        cost *= 1.0 if length_rad == LENGTH_RAD else _CLEARLY
         if cost < best:
             best, found = cost, replace(tried, share=share)
     found = replace(found, share=float(np.clip(found.share, *_SHARES)))

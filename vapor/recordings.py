@@ -18,6 +18,8 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.atomic import workspace
 from sequences.errors import SequenceError
+from sequences.frame import Frame
+from sequences.options import SequenceOptions
 from sequences.place import find_place
 from sequences.reader import SequenceReader
 from sequences.render import sees_cue
@@ -29,6 +31,7 @@ from vapor.familiarity_benchmark import FOREIGN, Image
 from vapor.observation import VaporObservationModel
 from vapor.threads import limited_threads
 
+_NO_MOTION = Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
 _SETTINGS, _PATH, _SAMPLES = "settings.json", "path.npz", "samples.npy"
 
 
@@ -84,6 +87,8 @@ class FileSettings:
         seen_sha256: Of what the network says of an image, its samples and how familiar it is.
         seed: Of the network's latent noise.
         num_samples: Posterior samples per image.
+        images: So many, from the first one on; None for all.
+        change: What is done to every image before the network sees it, one of `FOREIGN`; None for nothing.
     """
 
     sequence: str
@@ -91,6 +96,8 @@ class FileSettings:
     seen_sha256: str
     seed: int
     num_samples: int
+    images: int | None = None
+    change: str | None = None
 
     @property
     def name(self) -> str:
@@ -99,8 +106,9 @@ class FileSettings:
 
     @property
     def told(self) -> dict[str, Any]:
-        """All of it by name."""
-        return asdict(self)
+        """All of it by name; what is as it is in most recordings is not said."""
+        unusual = ("images", "change")
+        return {name: value for name, value in asdict(self).items() if name not in unusual or value is not None}
 
 
 @dataclass(frozen=True)
@@ -158,15 +166,19 @@ def make_recording(settings: RecordingSettings, checkpoint: Checkpoint, director
     _keep(settings, directory, lambda folder: _record(settings, checkpoint, folder))
 
 
-def record_file(settings: FileSettings, file: Path, checkpoint: Checkpoint, directory: Path) -> None:
-    """Read an MCAP file in which every image has a true pose and odometry, and go on as `make_recording`.
+def record_file(
+    settings: FileSettings, file: Path, checkpoint: Checkpoint, directory: Path, reading: SequenceOptions | None = None
+) -> None:
+    """Read a sequence in which every image has a true pose and odometry, and go on as `make_recording`.
+
+    Images before the first that has a true pose, and after the last, are left out.
 
     Raises:
         VaporTrackError: the file cannot be read or lacks some of it, or the directory cannot be written to.
     """
     rng = np.random.default_rng([settings.seed, settings.num_samples])
-    num_samples = settings.num_samples
-    _keep(settings, directory, lambda folder: _observe(file, checkpoint, num_samples, folder, rng=rng))
+    asked = _Asked(settings.num_samples, rng, settings.images, _change(settings))
+    _keep(settings, directory, lambda folder: _observe(file, checkpoint, asked, folder, reading=reading))
 
 
 def load_recording(settings: RecordingSettings | FileSettings, directory: Path) -> Recording:
@@ -231,7 +243,7 @@ def _sequence(settings: RecordingSettings) -> SyntheticSequence:
     )
 
 
-def _keep(settings: RecordingSettings | FileSettings, directory: Path, record: Callable[[Path], None]) -> None:
+def _keep(settings: RecordingSettings | FileSettings, directory: Path, record: Callable[[Path], object]) -> None:
     """Let a recording be made in a hidden folder, and give that its name; nothing to do where it is there."""
     folder = directory / settings.name
     if folder.is_dir():
@@ -258,62 +270,90 @@ def _record(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -
     file = folder / "sequence.mcap"
     write_synthetic(sequence, file)
     rng = np.random.default_rng([settings.seed, settings.num_samples])
-    changing = np.random.default_rng([settings.seed, settings.num_samples, 1])
-
-    def changed(image: Image) -> Image:
-        return image if settings.change is None else np.ascontiguousarray(FOREIGN[settings.change](image, changing))
-
-    _observe(file, checkpoint, settings.num_samples, folder, rng=rng, seen=seen, changed=changed)
+    asked = _Asked(settings.num_samples, rng, len(seen), _change(settings))
+    found = _observe(file, checkpoint, asked, folder, seen=seen)
+    if found != len(seen):
+        raise VaporTrackError(f"{file}: {found} images read, expected the {len(seen)} that were written")
     file.unlink()
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What the network is asked: for so many samples of at most so many images, each changed."""
+
+    num_samples: int
+    rng: np.random.Generator
+    images: int | None
+    changed: Callable[[Image], Image]
+
+
+def _change(settings: RecordingSettings | FileSettings) -> Callable[[Image], Image]:
+    """What is done to images."""
+    name, rng = settings.change, np.random.default_rng([settings.seed, settings.num_samples, 1])
+    return lambda image: image if name is None else np.ascontiguousarray(FOREIGN[name](image, rng))
 
 
 def _observe(
     file: Path,
     checkpoint: Checkpoint,
-    num_samples: int,
+    asked: _Asked,
     folder: Path,
     *,
-    rng: np.random.Generator,
     seen: Bool[np.ndarray, " n"] | None = None,
-    changed: Callable[[Image], Image] = lambda image: image,
-) -> None:
-    """Ask the network about every image of a file, and write the answers and all that is known beside them."""
-    reader = SequenceReader(file)
-    model = VaporObservationModel(checkpoint, num_samples=num_samples, device="cpu", camera=reader.camera)
-    n = reader.num_images if seen is None else len(seen)
-    times_ns, odometry, covariance, truth = np.empty(n, np.int64), [Poses.identity()], np.zeros((n, 6, 6)), []
-    unfamiliarity = np.zeros(n)
-    count = 0
+    reading: SequenceOptions | None = None,
+) -> int:
+    """Ask the network about the images of a file, and write the answers and all that is known beside them.
+
+    Returns:
+        How many images.
+    """
+    reader = SequenceReader(file, reading, true_poses="required")
+    model = VaporObservationModel(checkpoint, num_samples=asked.num_samples, device="cpu", camera=reader.camera)
+    times_ns, odometry, covariance, truth, unfamiliarity = [], [], [], [], []
+    ended: Frame | None = None
+    shape = (asked.num_samples, 12)
     with (folder / _SAMPLES).open("wb") as samples:
-        _write_header(samples, (n, num_samples, 12))
-        for i, frame in enumerate(reader):
-            if i >= n or frame.world_from_camera is None or (i > 0 and frame.odometry is None):
+        _write_header(samples, (reader.num_images, *shape))
+        for frame in reader:
+            if frame.world_from_camera is None:
+                ended = ended or (frame if truth else None)
+                continue
+            if ended is not None or (truth and frame.odometry is None):
+                lacking, what = (ended, "true pose") if ended is not None else (frame, "odometry")
                 raise VaporTrackError(
-                    f"{file}: image {i} at {frame.time_ns} ns has no odometry or no true pose, or is one too many"
+                    f"{file}: the image at {lacking.time_ns} ns has no {what}, expected one of every image between the"
+                    " first and the last that have a true pose"
                 )
-            posterior = model.observe(changed(frame.image), rng=rng)
+            posterior = model.observe(asked.changed(frame.image), rng=asked.rng)
             samples.write(to_rows(posterior.samples).astype(np.float32).tobytes())
-            times_ns[i], unfamiliarity[i] = frame.time_ns, posterior.unfamiliarity
+            motion = frame.odometry if truth and frame.odometry is not None else _NO_MOTION
+            times_ns.append(frame.time_ns)
             truth.append(frame.world_from_camera)
-            if i > 0 and frame.odometry is not None:
-                odometry.append(frame.odometry.previous_from_current)
-                covariance[i] = frame.odometry.covariance
-            count = i + 1
-    if count != n:
-        raise VaporTrackError(f"{file}: {count} images read, expected the {n} that were written")
+            odometry.append(motion.previous_from_current)
+            covariance.append(motion.covariance)
+            unfamiliarity.append(posterior.unfamiliarity)
+            if len(truth) == asked.images:
+                break
+        if not truth:
+            raise VaporTrackError(f"{file}: no image has a true pose, expected all to have one")
+        samples.seek(0)
+        _write_header(samples, (len(truth), *shape))
     np.savez(
         folder / _PATH,
-        times_ns=times_ns,
+        times_ns=np.array(times_ns, np.int64),
         truth=to_rows(Poses.stack(truth)),
-        sees_cue=np.zeros(n, bool) if seen is None else seen,
+        sees_cue=np.zeros(len(truth), bool) if seen is None else seen,
         odometry=to_rows(Poses.stack(odometry)),
-        odometry_covariance=covariance,
-        unfamiliarity=unfamiliarity,
+        odometry_covariance=np.stack(covariance),
+        unfamiliarity=np.array(unfamiliarity),
     )
+    return len(truth)
 
 
 def _write_header(file: BinaryIO, shape: tuple[int, ...]) -> None:
     """Begin an .npy file of float32, whose numbers are then written one after the other.
+
+    It is as long for any number of images, so it can be written again.
 
     A file mapped into memory would have holes: where the disk is full, filling one kills the process.
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, reduce
 from pathlib import Path
@@ -183,11 +183,27 @@ def load_replay(trial: Trial, setup: Setup, directory: Path) -> Replay:
 
 def follow_trial(trial: Trial, setup: Setup, replay: Replay) -> Followed:
     """Let filter and baselines follow a trial's replay, all lengths multiplied by the trial's scale."""
-    replay = replay.scaled(trial.scale)
-    calibration = scaled_calibration(setup.checkpoint().calibration, trial.scale)
+    piece = trial.pieces[0]
+    return follow_replay(replay, setup, seed=(piece.seed, piece.start), scale=trial.scale, seam=trial.seam)
+
+
+def follow_replay(
+    replay: Replay, setup: Setup, *, seed: Sequence[int], scale: float = 1.0, seam: int | None = None
+) -> Followed:
+    """Let filter and baselines follow a replay.
+
+    Args:
+        replay: What they are given.
+        setup: Model and filter.
+        seed: Of the filters' draws.
+        scale: All lengths are multiplied by this.
+        seam: First image after the camera was carried off; None where it was not.
+    """
+    replay = replay.scaled(scale)
+    calibration = scaled_calibration(setup.checkpoint().calibration, scale)
     variant = VARIANTS[setup.variant]
     errors, fit = variant.errors(calibration.errors), calibration.odometry
-    config = scaled_localizer(variant.localizer(setup.localizer), trial.scale)
+    config = scaled_localizer(variant.localizer(setup.localizer), scale)
     if fit is not None:
         config = replace(config, slow_errors=fit.slow_errors)
 
@@ -195,8 +211,7 @@ def follow_trial(trial: Trial, setup: Setup, replay: Replay) -> Followed:
         return posterior_of(replay.posterior_poses(image), errors, float(replay.unfamiliarity[image]))
 
     passage = Passage(replay.times_ns, replay.odometry, replay.truth, posterior).restated(fit)
-    rng = np.random.default_rng([trial.pieces[0].seed, trial.pieces[0].start])
-    return follow(passage, errors, config, rng=rng, variant=variant, seam=trial.seam)
+    return follow(passage, errors, config, rng=np.random.default_rng(seed), variant=variant, seam=seam)
 
 
 def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
@@ -215,12 +230,16 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
 
 def trial_settings(trial: Trial, setup: Setup) -> dict[str, Any]:
     """Everything that a trial's result depends on, as JSON."""
+    recordings = [setup.recording(trial.scene, trial.kind, piece).name for piece in trial.pieces]
+    return json.loads(json.dumps(asdict(trial) | setup_settings(setup) | {"recordings": recordings}))
+
+
+def setup_settings(setup: Setup) -> dict[str, Any]:
+    """Everything beside the images that a result depends on."""
     calibration = asdict(setup.checkpoint().calibration)
-    content = asdict(trial) | asdict(setup) | {"calibration": calibration, "code": _code()}
-    content["package"] = importlib.metadata.version("vapor-track")
-    content["model"] = setup.model.name
-    content["recordings"] = [setup.recording(trial.scene, trial.kind, piece).name for piece in trial.pieces]
-    return json.loads(json.dumps(content))
+    package = importlib.metadata.version("vapor-track")
+    more = {"calibration": calibration, "code": _code(), "package": package, "model": setup.model.name}
+    return asdict(setup) | more
 
 
 @cache

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
+from sequences.options import SequenceOptions
 from sequences.place import is_place
 from sequences.results import claim_folder
 from vapor import real_benchmark
@@ -22,7 +23,8 @@ from vapor.commands import real_tables
 from vapor.commands.benchmark_tables import failures, fault_failures, fault_tables, tables
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, progress_of, show, usage_error
 from vapor.familiarity_benchmark import IN_A_ROW, judge
-from vapor.faults import FaultBenchmark, FaultsConfig, summarise_faults
+from vapor.fault_benchmark import FaultBenchmark, FaultsConfig
+from vapor.faults import summarise_faults
 from vapor.observation import Device, VaporObservationModel
 from vapor.presets import PRESETS
 from vapor.real_benchmark import RealConfig
@@ -31,6 +33,7 @@ from vapor.report import write_report
 from vapor.summary import summarise
 from vapor.threads import limited_threads
 from vapor.timing import time_step, untrained
+from vapor.training_set import files_read
 
 _MAX_SEED = 2**63
 
@@ -75,7 +78,7 @@ _Override = make_dataclass(
 """An error model of which anything may be left to the model file."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SceneOptions:
     """What the benchmarks that replay synthetic sequences are told."""
 
@@ -120,18 +123,47 @@ class SceneOptions:
         return {name: value for name, value in asdict(self.errors).items() if value is not None}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LocalizationOptions(SceneOptions):
     """Localize many synthetic sequences, and count successes."""
 
     config: Annotated[BenchmarkConfig, tyro.conf.arg(name="")] = field(default_factory=BenchmarkConfig)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FaultsOptions(SceneOptions):
-    """Localize synthetic sequences in which the camera or the odometry fails."""
+    """Localize walks in which the camera or the odometry fails: synthetic sequences, or recordings."""
 
+    scenes: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="{staircase,ceiling,corridor,building-N} ..."),
+    ] = ()
+    """What the camera moves through; of buildings, N is the number that draws one. None where recordings are given."""
+    recordings: tuple[Path, ...] = ()
+    """MCAP files or rosbag2 folders with odometry and true poses, each a walk; all by the one model of --models."""
     config: Annotated[FaultsConfig, tyro.conf.arg(name="")] = field(default_factory=FaultsConfig)
+    reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
+
+    def __post_init__(self) -> None:
+        if not self.recordings:
+            super().__post_init__()
+        elif self.scenes or len(self.models) != 1:
+            raise VaporTrackError(
+                f"recordings, {len(self.scenes)} scenes and {len(self.models)} models, expected recordings to come"
+                " without scenes and with one model"
+            )
+
+    @property
+    def model_of(self) -> dict[str, str]:
+        """The model by scene."""
+        return {} if self.recordings else super().model_of
+
+    @property
+    def files_read(self) -> list[Path]:
+        """Files of the models, and what is read of recordings."""
+        if not self.recordings:
+            return super().files_read
+        return [find_model(self.models[0]), *files_read(self.recordings, self.reading)]
 
 
 @dataclass(frozen=True)
@@ -269,18 +301,21 @@ def _localization(arguments: Sequence[str]) -> None:
 
 def _faults(arguments: Sequence[str]) -> None:
     o = parse("benchmark faults", FaultsOptions, arguments)
-    benchmark = FaultBenchmark(o.model_of, o.output, o.config, o.replaced)
+    model = o.models[0] if o.recordings else None
+    benchmark = FaultBenchmark(
+        o.model_of, o.output, o.config, o.replaced, recordings=o.recordings, model=model, reading=o.reading
+    )
     claim_folder(o.output, "benchmark faults", reads=o.files_read, overwrite=o.overwrite)
     with bar("choosing walks") as advance:
-        walks, unused = benchmark.choose(advance)
+        chosen, unused = benchmark.choose(advance)
     with bar("recording") as advance:
-        for done, total in benchmark.record(walks):
+        for done, total in benchmark.record(chosen):
             advance(done, total)
-    results = [walk.without for walk in walks]
+    results, runs = [each.without for each in chosen], benchmark.runs(chosen)
     with bar("localizing") as advance:
-        for result in benchmark.localize(walks):
+        for result in benchmark.localize(chosen):
             results.append(result)
-            advance(len(results) - len(walks), len(walks) * len(o.config.faults))
+            advance(len(results) - len(chosen), len(runs))
     results.sort(key=lambda result: (result["fault"], result["name"]))
     summary = summarise_faults(results)
     _write(o, summary, results, unused=unused)
@@ -290,10 +325,13 @@ def _faults(arguments: Sequence[str]) -> None:
         show(line)
     if unused:
         show(f"not used, as the filter was not converged in time for a fault: {', '.join(unused)}")
+    left_out = [fault for fault in o.config.faults if fault not in {run.fault for run in runs}]
+    if left_out:
+        show(f"left out: {', '.join(left_out)}, as a recording has no images between its own")
 
 
 def _write(
     o: LocalizationOptions | FaultsOptions, summary: Mapping[str, Any], results: Sequence[Any], **more: Any
 ) -> None:
-    settings = asdict(o.config) | {"models": o.model_of, "errors": o.replaced}
+    settings = asdict(o.config) | {"models": o.model_of or o.models, "errors": o.replaced}
     write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "runs": results, **more})
