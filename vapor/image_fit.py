@@ -537,25 +537,27 @@ def _mistaken_lengths(
     """Over how many lengths of errors images are one vote on where the camera is; 1 where none mistakes it.
 
     Along a pass the evidence of two images, so many lengths apart, correlates by a share that fades. A vote is worth
-    less by the sum of an image's correlations with all others; what does not last counts as new in every length. Under
-    other conditions than on held-out passes mistakes last longer: what is beyond one length is multiplied.
+    less by the sum of an image's correlations with all others; what does not last is new with every image, though not
+    more than once a length where images are farther apart. Under other conditions than on held-out passes mistakes last
+    longer: what is beyond one length is multiplied.
     """
     if len(evidence) < _LEAST_PAIRS or (evidence < np.log(0.5)).mean() < _NO_MISTAKE:
         return 1.0
     value = (evidence - evidence.mean()) / evidence.std()
     first, second = _pairs(way, np.ones(len(value), bool))
+    steps = lasting.lengths(np.diff(way.metres), np.diff(way.radians))[np.diff(way.number) == 0]
     apart = lasting.lengths(way.metres[second] - way.metres[first], way.radians[second] - way.radians[first])
     near = apart < _FARTHEST_LENGTHS
     apart, products = apart[near], (value[first] * value[second])[near]
     if len(products) < _LEAST_PAIRS:
         return 1.0
-    best, vote = np.inf, 1.0
+    best, vote, new = np.inf, 1.0, min(float(np.median(steps)), 1.0)
     for lengths in _MISTAKEN:
         kernel = np.exp(-apart / lengths)
         share = float(np.clip((kernel * products).sum() / np.square(kernel).sum(), 0.0, 1.0))
         cost = float(np.square(products - share * kernel).mean())
         if cost < best:
-            best, vote = cost, 1.0 - share + 2.0 * share * float(lengths)
+            best, vote = cost, (1.0 - share) * new + 2.0 * share * float(lengths)
     if same_conditions:
         return min(vote, _MOST_MISTAKEN)
     return float(np.clip(1.0 + _ANOTHER_HOUR * (vote - 1.0), _LEAST_MISTAKEN, _MOST_MISTAKEN))
