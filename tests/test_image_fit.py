@@ -214,7 +214,9 @@ def test_how_long_errors_last_is_found(length_m, share):
     assert found.errors.outlier_share == 0.05
 
 
-def mistaking(lasts: float, *, count: int = 500, seed: int = 0, same_conditions: bool = False) -> ErrorModel:
+def mistaking(
+    lasts: float, *, errors_last: float = 0.5, count: int = 500, seed: int = 0, same_conditions: bool = False
+) -> ErrorModel:
     """The fit of a walk of which two fifths of the images take one wall for another, over stretches so long."""
     rng = np.random.default_rng(seed)
     truth = walk(count, STEP, rng=rng)
@@ -223,7 +225,7 @@ def mistaking(lasts: float, *, count: int = 500, seed: int = 0, same_conditions:
     for i in range(1, count):
         mood[i] = fade * mood[i - 1] + np.sqrt(1 - fade**2) * mood[i]
     seen = Poses(truth.rotation, truth.translation + np.outer(mood < -0.25, [0.0, 0.0, 45.0]))
-    normal = lasting(count, 0.5, 0.6, rng=rng)
+    normal = lasting(count, errors_last, 0.6, rng=rng)
     samples = posteriors(seen, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
     scene = Poses.concatenate([truth, Poses(truth.rotation, truth.translation + np.array([0.0, 0.0, 45.0]))])
     way = Way.along(truth, np.zeros(count, np.int64))
@@ -244,6 +246,12 @@ def test_where_conditions_are_those_of_use_mistakes_last_as_long_as_on_held_out_
     elsewhere, here = mistaking(1.0), mistaking(1.0, same_conditions=True)
     assert here.mistaken_lengths - 1.0 == pytest.approx((elsewhere.mistaken_lengths - 1.0) / 3)
     assert replace(here, mistaken_lengths=elsewhere.mistaken_lengths) == elsewhere
+
+
+def test_mistakes_that_fade_sooner_than_errors_are_votes_closer_than_a_length():
+    errors = mistaking(0.2, errors_last=2.0, same_conditions=True)
+    assert errors.mistaken_lengths < 0.6
+    assert errors.mistaken_lengths * errors.length_m == pytest.approx(2 * 0.2, rel=0.6)
 
 
 def test_images_that_never_mistake_the_place_are_worth_one_a_length():
