@@ -317,6 +317,8 @@ OUTPUTS = {
     "inspect": ["inspect", "walk.mcap", "--output"],
     "benchmark": ["benchmark", "localization", "ceiling", "--models", "m.safetensors", "--output"],
     "faults": ["benchmark", "faults", "ceiling", "--models", "m.safetensors", "--output"],
+    "recorded faults": ["benchmark", "faults", "--recordings", "walk.mcap", "--models", "m.safetensors", "--output"],
+    "real": ["benchmark", "real", "--data", "real", "--only", "stairs_hloc", "--output"],
     "alpha": ["experiment", "alpha", "round-table", "--output"],
     "decay": ["experiment", "decay", "--output"],
     "schedule": ["experiment", "schedule", "--output"],
@@ -328,7 +330,7 @@ OUTPUTS = {
     "calibrate": ["calibrate", "m.safetensors", "walk.mcap", "--output"],
     "evaluate": ["evaluate", "earlier", "--output"],
 }
-FOLDERS = ("run", "a fleet", "fuse", "demo", "inspect", "benchmark", "faults", "alpha", "decay", "schedule", "table")
+FILES = ("synthesize", "convert", "posterior", "train", "calibrate", "evaluate")
 
 
 @pytest.fixture
@@ -342,13 +344,23 @@ def belongings(walk_of_25, tiny_model, earlier, monkeypatch) -> Path:
         (folder / "mine" / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / "mine" / name).write_text("mine")
     (folder / "link").symlink_to("nowhere")
+    for file in ("stairs_test.txt", "estimates/stairs_hloc.txt"):
+        (folder / "real" / "7scenes_stairs" / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "real" / "7scenes_stairs" / file).write_text("mine")
     return folder
+
+
+def test_the_state_of_a_training_replaces_no_file_of_another_kind(belongings, capsys):
+    (belongings / "new.training.safetensors").write_text("mine")
+    before = contents(belongings)
+    refuse([*OUTPUTS["train"], "new.safetensors"], capsys, "new.training.safetensors", "--overwrite")
+    assert contents(belongings) == before
 
 
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_no_command_replaces_what_no_command_wrote(name, belongings, capsys):
     before = contents(belongings)
-    for output in ["mine"] if name in FOLDERS else ["mine/notes.txt", "mine/photo.png", "mine/report.json"]:
+    for output in ["mine/notes.txt", "mine/photo.png", "mine/report.json"] if name in FILES else ["mine"]:
         refuse([*OUTPUTS[name], output], capsys, "mine", "--overwrite")
     refuse([*OUTPUTS[name], "link"], capsys, "link: is a link to nowhere, which does not exist")
     for empty in ("", " "):
@@ -419,6 +431,7 @@ READ = {
     "inspect's poses": (["inspect", "walk.mcap", "--poses", "map.png", "--output"], ["."]),
     "benchmark": (OUTPUTS["benchmark"], ["."]),
     "faults": (OUTPUTS["faults"], ["."]),
+    "recorded faults": (OUTPUTS["recorded faults"], ["."]),
     "real": (["benchmark", "real", "--data", "real", "--output"], [".", "real/7scenes_stairs"]),
     "alpha": ([*OUTPUTS["alpha"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
     "decay": ([*OUTPUTS["decay"][:-1], "--train.pretrained-weights", "m.safetensors", "--output"], ["."]),
@@ -438,7 +451,6 @@ def test_what_a_command_reads_is_never_written_to(name, belongings, capsys):
     for file in (
         *("walk/estimate.mcap", "mine/ground_truth.tum", "data/intrinsics.json", "data/seq-01/map.png", "map.png"),
         *("notes.txt", "times.txt", "truth.tum", "trajectory.tum"),
-        *("real/7scenes_stairs/stairs_test.txt", "real/7scenes_stairs/estimates/stairs_hloc.txt"),
     ):
         (belongings / file).parent.mkdir(parents=True, exist_ok=True)
         (belongings / file).write_text("mine")

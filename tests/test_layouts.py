@@ -190,6 +190,11 @@ def test_intrinsics_are_unknown_until_somebody_states_them_and_then_a_conversion
     assert next(posed_frames(train)).camera is None
     with pytest.raises(SequenceError, match=r"does not state intrinsics, expected intrinsics\.json"):
         convert(train, tmp_path / "out.mcap")
+    for wrong in ({"fx": np.nan}, {"fy": -300.0}):
+        (tmp_path / "data" / "intrinsics.json").write_text(json.dumps(INTRINSICS | wrong))
+        with pytest.raises(SequenceError, match=r"intrinsics\.json: "):
+            convert(train, tmp_path / "out.mcap")
+        assert [file.name for file in tmp_path.iterdir()] == ["data"]
     (tmp_path / "data" / "intrinsics.json").write_text(json.dumps(INTRINSICS))
     camera = next(posed_frames(train)).camera
     assert camera is not None

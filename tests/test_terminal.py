@@ -202,11 +202,17 @@ def test_an_error_keeps_its_status_where_it_cannot_be_told():
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-def test_help_and_errors_are_printed_on_terminals_of_any_encoding(encoding):
+def test_help_tables_and_errors_are_printed_on_terminals_of_any_encoding(encoding, tmp_path):
     process = started([*COMMAND, "--help"], env={"PYTHONIOENCODING": encoding})
     out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
     assert "?" in out
+    (tmp_path / "trajectory.tum").write_text("".join(f"{i}.0 {i} 0 0 0 0 0 1\n" for i in range(5)))
+    words = ["evaluate", ".", "--ground-truth", "trajectory.tum"]
+    process = started([*COMMAND, *words], env={"PYTHONIOENCODING": encoding}, cwd=tmp_path)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "particle filter" in out
     process = started([*COMMAND, "αβγ"], env={"PYTHONIOENCODING": encoding})
     _, err = process.communicate(timeout=20)
     assert process.returncode == 2
