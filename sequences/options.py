@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -89,6 +90,11 @@ class SequenceOptions:
         if self.odometry_topic is not None and self.odometry_frame is not None:
             raise SequenceError("--odometry-topic and --odometry-frame are both given, expected one of them")
         self._check_true_poses()
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """All of them by name, as JSON."""
+        return json.loads(json.dumps(asdict(self), default=str))
 
     @property
     def files_read(self) -> tuple[Path, ...]:

@@ -11,7 +11,9 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.frame import Trajectory
 from sequences.reader import SequenceReader
+from sequences.tum import write_tum
 from vapor import fault_benchmark, fault_walks, faults
 from vapor.evaluate import dead_reckoning
 from vapor.fault_walks import RecordedWalk, SyntheticWalk
@@ -341,7 +343,7 @@ def recording(tmp_path_factory) -> Path:
 
 def run_recorded(folder, tiny_model, *recordings: Path, more: tuple[str, ...] = ()) -> int:
     words = ["benchmark", "faults", "--recordings", *map(str, recordings), "--models", str(tiny_model)]
-    words += ["--output", str(folder), *OPTIONS[2:-5], "--faults", *RECORDED_FAULTS]
+    words += ["--output", str(folder), *OPTIONS[4:-5], "--faults", *RECORDED_FAULTS]
     return main([*words, *ALWAYS_SURE, *more])
 
 
@@ -357,7 +359,9 @@ def test_faults_befall_recordings_as_they_do_synthetic_walks(recording, tiny_mod
     assert {each["fault"] for each in content["runs"]} == {NONE, *RECORDED_FAULTS} - {"three-times"}
     assert {each["name"] for each in content["runs"]} == {"walk"}
     assert "recorded: 1 walks" in out
-    assert "left out: three-times, as a recording has no images between its own" in out.replace("\n", " ")
+    assert "left out: three-times, which recordings cannot have" in out
+    assert content["recordings"] == {"walk": str(recording)}
+    assert content["partial"] == {}
     plain = followed[0]
     during = range(10, 20)  # a second, from the second of convergence on
     shown = {fault: seen_samples(replay) for fault, replay in zip((NONE, *RECORDED_FAULTS[:3]), followed, strict=False)}
@@ -382,19 +386,55 @@ def test_recordings_that_no_fault_can_befall_are_named(recording, tiny_model, tm
     assert said in capsys.readouterr().err.replace("\n", " ")
 
 
-@pytest.mark.usefixtures("short")
-def test_recordings_come_with_one_model_and_names_that_differ(recording, tiny_model, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (
+            ["--models", "staircase", "ceiling"],
+            "--recordings beside 0 scenes and 2 --models, expected no scene and one",
+        ),
+        (["--walks", "3"], "--walks beside --recordings, expected it with scenes only"),
+        (["--frames", "400"], "--frames beside --recordings"),
+        (["--odometry-scale", "0.02"], "--odometry-scale beside --recordings"),
+        (["--faults", "three-times"], "no fault but three-times, expected others"),
+    ],
+)
+def test_what_recordings_cannot_have_is_refused(more, said, recording, tiny_model, tmp_path, capsys):
     with pytest.raises(SystemExit):
-        run_recorded(tmp_path, tiny_model, recording, more=("--models", "staircase", "ceiling"))
-    assert "expected recordings to come without scenes and with one model" in capsys.readouterr().err.replace("\n", " ")
-    assert run_recorded(tmp_path, tiny_model, recording, recording) == 1
-    assert "two recordings are called walk, expected names that tell them apart" in capsys.readouterr().err
+        run_recorded(tmp_path, tiny_model, recording, more=tuple(more))
+    assert said in " ".join(capsys.readouterr().err.split())
+    with pytest.raises(SystemExit):
+        run(tmp_path, tiny_model, "--frames", "200", "--start-s", "7")
+    assert "options of what to read without --recordings" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("short")
-def test_a_recording_without_true_poses_is_refused_before_anything_is_run(recording, tiny_model, tmp_path, capsys):
+def test_a_recording_without_true_poses_is_refused_and_one_of_which_a_part_has_them_is_told(
+    recording, tiny_model, tmp_path, capsys
+):
     assert run_recorded(tmp_path, tiny_model, recording, more=("--ground-truth-topic", "")) == 1
     assert "true pose" in capsys.readouterr().err
     assert run_recorded(tmp_path, tiny_model, tmp_path / "missing.mcap") == 1
     assert "missing.mcap" in capsys.readouterr().err
     assert not list((tmp_path / "recordings").glob("*"))
+    reader = SequenceReader(recording)
+    frames = [frame for frame in reader if frame.world_from_camera is not None][:46]
+    poses = Poses.stack([frame.world_from_camera for frame in frames if frame.world_from_camera is not None])
+    write_tum(tmp_path / "part.tum", Trajectory(np.array([frame.time_ns for frame in frames]), poses))
+    more = ("--poses", str(tmp_path / "part.tum"), "--faults", "frozen")
+    twin = tmp_path / "other" / "walk.mcap"
+    twin.parent.mkdir()
+    twin.write_bytes(recording.read_bytes())
+    assert run_recorded(tmp_path / "out", tiny_model, recording, twin, more=more) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "other-walk: 46 of 50 images have a true pose and odometry, and were used" in out
+
+
+def test_images_are_counted_by_stamps_where_some_are_missing():
+    times_ns = np.delete(TIMES_NS, range(12, 20))  # 0.8 s
+    assert FAULTS["black"].during(2, np.append(times_ns, times_ns[-1] + 10**10)) == range(2, 22)
+    assert faults.image_after(1.0, 5, times_ns) == 12
+    assert faults.image_after(-0.5, 12, times_ns) == 12
+    assert faults.impossible(TIMES_NS) == []
+    assert faults.impossible(5 * TIMES_NS) == ["late"]
+    assert find_moment(["converged"], TIMES_NS[:1]) is None

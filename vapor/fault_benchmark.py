@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -17,7 +18,7 @@ from sequences.options import SequenceOptions
 from vapor import fault_walks, faults
 from vapor.benchmark import RecordingsConfig, make_recordings, make_setups, paths
 from vapor.fault_walks import RECORDED, FaultWalk, RecordedWalk, SyntheticWalk
-from vapor.faults import FAULTS, NONE, Film, find_moment, judge, shown
+from vapor.faults import FAULTS, NONE, Film, find_moment, impossible, judge, shown
 from vapor.methods import code_digest, kept
 from vapor.parallel import in_parallel
 from vapor.recordings import FileSettings, RecordingSettings, load_recording
@@ -95,12 +96,12 @@ class FaultBenchmark:
         directory: For recordings and results; one that is interrupted goes on where it was.
         config: Settings.
         errors: What replaces numbers of the models' own error models, by name.
-        recordings: MCAP files and rosbag2 folders with odometry and true poses, each a walk.
+        recordings: MCAP files and rosbag2 folders with odometry and true poses, each a walk, by a name of its own.
         model: What these are localized by.
         reading: What to read of them.
 
     Raises:
-        VaporTrackError: a model or an error model that cannot be used, or two recordings of one name.
+        VaporTrackError: a model or an error model that cannot be used.
     """
 
     def __init__(
@@ -110,7 +111,7 @@ class FaultBenchmark:
         config: FaultsConfig,
         errors: Mapping[str, Any],
         *,
-        recordings: Sequence[Path] = (),
+        recordings: Mapping[str, Path] = MappingProxyType({}),
         model: str | None = None,
         reading: SequenceOptions | None = None,
     ) -> None:
@@ -119,13 +120,10 @@ class FaultBenchmark:
         self._setups = make_setups(scenes, config, errors)
         self._recorded: list[RecordedWalk] = []
         if model is not None:
-            setup = make_setups({RECORDED: model}, config, errors)[RECORDED]
-            options = reading or SequenceOptions()
-            self._recorded = [RecordedWalk(file, setup, options, config.first_seed) for file in recordings]
-        names = [walk.name for walk in self._recorded]
-        for name in names:
-            if names.count(name) > 1:
-                raise VaporTrackError(f"two recordings are called {name}, expected names that tell them apart")
+            setup, options = make_setups({RECORDED: model}, config, errors)[RECORDED], reading or SequenceOptions()
+            self._recorded = [
+                RecordedWalk(name, file, setup, options, config.first_seed) for name, file in recordings.items()
+            ]
 
     def choose(self, progress: Callable[[int, int], None]) -> tuple[list[Chosen], list[str]]:
         """The recordings, and of each scene the first walks of a seed of their own, that have a moment for a fault.
@@ -138,8 +136,7 @@ class FaultBenchmark:
             VaporTrackError: seed after seed has no such walk, or none of the recordings has; one cannot be read.
         """
         total = self.config.walks * len(self._setups) + len(self._recorded)
-        chosen, unused = self._choose_recorded()
-        progress(len(chosen), total)
+        chosen, unused = self._choose_recorded(lambda n: progress(n, total))
         for scene, setup in self._setups.items():
             before = len(chosen)
             found, refused = self._choose_synthetic(scene, setup, lambda n, before=before: progress(before + n, total))
@@ -147,10 +144,11 @@ class FaultBenchmark:
             unused += [f"{scene} {seed}" for seed in refused]
         return chosen, unused
 
-    def _choose_recorded(self) -> tuple[list[Chosen], list[str]]:
-        own = [(walk, walk.own, self.directory / "recordings") for walk in self._recorded]
-        for _ in in_parallel(_record, [job for job in own if not (job[2] / job[1].name).is_dir()], self.config.workers):
-            pass
+    def _choose_recorded(self, progress: Callable[[int], None]) -> tuple[list[Chosen], list[str]]:
+        directory = self.directory / "recordings"
+        missing = [(walk, walk.own, directory) for walk in self._recorded if not (directory / walk.own.name).is_dir()]
+        for done, _ in enumerate(in_parallel(_record, missing, self.config.workers), 1):
+            progress(done)
         jobs = [((walk,), self.directory) for walk in self._recorded]
         chosen = [each for each in in_parallel(find_walk, jobs, self.config.workers) if each is not None]
         chosen.sort(key=lambda each: each.walk.name)
@@ -161,6 +159,13 @@ class FaultBenchmark:
                 f" {faults.FAULT_S + faults.REMAINING_S:g} s to go, expected one at least"
             )
         return chosen, unused
+
+    def left_out(self) -> Iterator[tuple[str, int, int]]:
+        """Recordings of which not all images could be used: name, how many were, and how many there are."""
+        for walk in self._recorded:
+            used, count = len(walk.replay(self.directory / "recordings").times_ns), walk.count()
+            if used != count:
+                yield walk.name, used, count
 
     def _choose_synthetic(
         self, scene: str, setup: Setup, progress: Callable[[int], None]
@@ -215,7 +220,7 @@ class FaultBenchmark:
             films = each.walk.films()
             for fault in self.config.faults:
                 cause = FAULTS[fault].cause
-                if callable(cause) or cause in films:
+                if fault not in each.without["impossible"] and (callable(cause) or cause in films):
                     film = None if callable(cause) else films[cause]
                     runs.append(FaultRun(each.walk, each.begin, fault, film))
         return runs
@@ -231,14 +236,20 @@ def find_walk(walks: Sequence[FaultWalk], directory: Path) -> Chosen | None:
 
 
 def run_without(walk: FaultWalk, directory: Path) -> dict[str, Any]:
-    """Run a walk without a fault: as `run_fault`, with `begin` and `methods` None where no fault may begin."""
+    """Run a walk without a fault.
+
+    Returns:
+        As `run_fault`, with `begin` and `methods` None where no fault may begin, and `impossible`, faults that would be
+        none at its rate.
+    """
 
     def compute() -> dict[str, Any]:
         replay = walk.replay(directory / "recordings")
         beliefs = walk.beliefs(replay)
         begin = find_moment(beliefs["filter"].status, replay.times_ns)
         whole = range(len(replay.times_ns))
-        return _result(walk, NONE, begin, None if begin is None else _judge_all(beliefs, replay, begin, whole))
+        judged = None if begin is None else _judge_all(beliefs, replay, begin, whole)
+        return _result(walk, NONE, begin, judged) | {"impossible": impossible(replay.times_ns)}
 
     return _kept(walk, NONE, directory, compute)
 
@@ -318,4 +329,4 @@ def _filmed(
 @cache
 def _code() -> str:
     """Digest of the code of faults: those that were changed are run again."""
-    return code_digest((faults, fault_walks))
+    return code_digest((faults, fault_walks, sys.modules[__name__]))

@@ -5,14 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
 from filtering.errors import VaporTrackError
 from sequences import datasets
 from sequences.options import SequenceOptions
+from sequences.reader import SequenceReader
 from vapor.faults import Film
 from vapor.recordings import FileSettings, RecordingSettings, load_recording, make_recording, record_file
 from vapor.trials import Replay, Setup, follow_replay, follow_trial, load_replay, setup_settings, trial_settings
@@ -128,21 +130,18 @@ class RecordedWalk:
     """A recording with odometry and true poses.
 
     Attributes:
+        name: That tells it from the others.
         file: MCAP file or rosbag2 folder.
         setup: With which model and filter.
         reading: What to read of it.
         seed: Of draws.
     """
 
+    name: str
     file: Path
     setup: Setup
     reading: SequenceOptions
     seed: int
-
-    @property
-    def name(self) -> str:
-        """Of the file."""
-        return self.file.resolve().stem
 
     @property
     def group(self) -> str:
@@ -156,7 +155,8 @@ class RecordedWalk:
         Raises:
             VaporTrackError: it cannot be read.
         """
-        made = hashlib.sha256(json.dumps(asdict(self.reading), default=str).encode())
+        asked = replace(self.reading, poses=None, poses_times=None).told | {"package": version("vapor-track")}
+        made = hashlib.sha256(json.dumps(asked).encode())
         for path in (*datasets.files_read(self.file), *self.reading.files_read):
             for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
                 if part.is_file():
@@ -180,11 +180,15 @@ class RecordedWalk:
         """What the methods believe after each image of a replay."""
         return follow_replay(replay, self.setup, seed=(self.seed,)).beliefs
 
+    def count(self) -> int:
+        """How many images the file states."""
+        return SequenceReader(self.file, self.reading).num_images
+
     def films(self) -> Mapping[Film, RecordingSettings | FileSettings]:
-        """Its images turned over, black and noise of their size, and a rendered scene; nothing has more images."""
+        """Its images turned over, black and noise of their size, and the corridor; nothing has more images."""
         setup = self.setup
         elsewhere = RecordingSettings(
-            "staircase",
+            "corridor",  # of which no model ships
             self.seed,
             "early",
             _OTHER_IMAGES,

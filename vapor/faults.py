@@ -40,7 +40,7 @@ LONG_S = 1.0
 NONE = "none"
 """The name of the run without a fault."""
 
-_AHEAD_S = 1.0  # that a clock jumps
+_AHEAD_S, _BEHIND_S = 1.0, 0.2  # that a clock jumps, and that one is late
 
 Film = Literal["black", "noise", "upside-down", "elsewhere", "three-times"]
 """Images that are shown instead of those of the walk, as the network sees them; the last: all of them, and two more
@@ -129,7 +129,7 @@ def set_back(replay: Replay, during: range) -> Replay:
 
 def late(replay: Replay, during: range) -> Replay:
     """The stamps of the odometry are 0.2 s behind those of the images: each image gets the motion of one before."""
-    behind = images_in(0.2, replay.times_ns)
+    behind = images_in(_BEHIND_S, replay.times_ns)
     odometry = list(replay.odometry)
     for image in during:
         # Of the first ones no earlier motion is known; that of the first image is none.
@@ -181,7 +181,7 @@ class Fault:
     def during(self, begin: int, times_ns: Int64[np.ndarray, " n"]) -> range:
         """The images of a walk that are affected, where the fault begins at one of them."""
         if self.lasts == "a while":
-            return range(begin, begin + images_in(FAULT_S, times_ns))
+            return range(begin, image_after(FAULT_S, begin, times_ns))
         return range(0 if self.lasts == "throughout" else begin, len(times_ns))
 
 
@@ -219,9 +219,14 @@ def find_moment(status: Sequence[Status], times_ns: Int64[np.ndarray, " n"]) -> 
     Returns:
         Its number, or None.
     """
-    before, later = images_in(CONVERGED_S, times_ns), images_in(FAULT_S + REMAINING_S, times_ns)
-    for image in range(before, len(status) - later + 1):
-        if all(each == "converged" for each in status[image - before : image]):
+    sure = np.array([each == "converged" for each in status])
+    if len(sure) < 2:
+        return None
+    step_ns = float(np.median(np.diff(times_ns)))
+    for image in range(image_after(CONVERGED_S, 0, times_ns), len(sure)):
+        since = image_after(-CONVERGED_S, image, times_ns)
+        left_ns = times_ns[-1] - times_ns[image] + step_ns
+        if left_ns >= (FAULT_S + REMAINING_S) * 1e9 - step_ns / 2 and sure[since:image].all():
             return image
     return None
 
@@ -246,8 +251,8 @@ def judge(belief: Belief, times_ns: Int64[np.ndarray, " n"], truth: Poses, begin
     right = is_right(belief.best, truth)
     said = {name: np.array([status == name for status in belief.status]) for name in ("converged", "lost")}
     wrong = said["converged"] & ~right
-    settled = begin + images_in(FAULT_S + SETTLED_S, times_ns)
-    noticed = said["lost"][max(begin, during.start) + images_in(NOTICED_S, times_ns) : during.stop]
+    settled = image_after(FAULT_S + SETTLED_S, begin, times_ns)
+    noticed = said["lost"][image_after(NOTICED_S, max(begin, during.start), times_ns) : during.stop]
     first, longest = longest_stretch(wrong)
     elapsed_s = (times_ns - times_ns[0]) / 1e9
     return {
@@ -277,6 +282,17 @@ def longest_stretch(said: Bool[np.ndarray, " n"]) -> tuple[int, int]:
 def images_in(duration_s: float, times_ns: Int64[np.ndarray, " n"]) -> int:
     """How many images there are in so many seconds of more or less evenly spaced stamps (n,), n ≥ 2."""
     return round(duration_s * 1e9 / float(np.median(np.diff(times_ns))))
+
+
+def image_after(duration_s: float, image: int, times_ns: Int64[np.ndarray, " n"]) -> int:
+    """The first of n ≥ 2 images so many seconds after one of them or later, by stamps that may jitter; n for none."""
+    jitter_ns = float(np.median(np.diff(times_ns))) / 2.0
+    return int(np.searchsorted(times_ns, times_ns[image] + duration_s * 1e9 - jitter_ns))
+
+
+def impossible(times_ns: Int64[np.ndarray, " n"]) -> list[str]:
+    """Faults that would be none at the rate of these stamps: a delay of less than one image."""
+    return [] if len(times_ns) > 1 and images_in(_BEHIND_S, times_ns) else ["late"]
 
 
 def summarise_faults(results: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

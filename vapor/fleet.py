@@ -78,7 +78,7 @@ def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
     for path in paths:
         for sequence in _found_in(path, leave_out=output.absolute()) or [path]:
             found.setdefault(sequence.resolve(), sequence)
-    return dict(zip(_unique_names(list(found)), found.values(), strict=True))
+    return dict(zip(unique_names(list(found)), found.values(), strict=True))
 
 
 def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
@@ -102,7 +102,7 @@ def _is_result(file: Path) -> bool:
     return file.name == "estimate.mcap" and (file.parent / "report.json").is_file()
 
 
-def _unique_names(sequences: Sequence[Path]) -> list[str]:
+def unique_names(sequences: Sequence[Path]) -> list[str]:
     """Names as short as they can be told apart by; numbered where whole paths do not, as of `a.mcap` beside `a/`."""
     parts = [(*path.parent.parts[1:], path.stem if path.suffix == ".mcap" else path.name) for path in sequences]
     lengths = [1] * len(parts)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 import torch
@@ -38,12 +37,12 @@ _LENGTHS = np.geomspace(0.003, 0.15, 10)  # over which errors last, in extents
 _LENGTHS_RAD = (0.2, 0.4, 0.8, 1.6)
 _CLEARLY = 1.01  # times the squares that another angle than the ordinary one must save
 _SHARES = (0.5, 0.7)  # that last, of the variance
-_LEAST_PAIRS, _LEAST_IN_BIN = 50, 10
+_LEAST_PAIRS, _MOST_PAIRS, _LEAST_IN_BIN, _LEAST_EFFECTIVE = 50, 10**6, 10, 30
 _WAYS = np.append(0.0, np.geomspace(0.05, 1e4, 72))  # in lengths: bins of pairs of images
 _WINDOW, _LEAST_CORRELATION = 4.0, 0.1
 _NO_MISTAKE = 0.02  # of the images that find the true place less likely than not: with fewer none mistake it
 _MISTAKEN = np.geomspace(0.125, 32.0, 17)  # lengths over which mistakes fade
-_FARTHEST_LENGTHS, _LEAST_MISTAKEN, _MOST_MISTAKEN = 100.0, 4.0, 40.0
+_FARTHEST_LENGTHS, _LEAST_VOTE, _LEAST_MISTAKEN, _MOST_MISTAKEN = 100.0, 0.25, 4.0, 40.0
 _ANOTHER_HOUR = 3.0  # times as far beyond one length mistakes reach where the light is another than on held-out passes
 _ALIKE = 10.0  # images that say that all axes err alike
 _UNSEEN = 2.0  # over the number of images: share of the variance that may be an error that lasts through all
@@ -186,7 +185,7 @@ def fit_errors(
     else:
         errors = replace(errors, unfamiliar_power=0.0)
     residual, told = places.residuals(errors)
-    lasting = _lasting(residual, told, way, extent)
+    lasting = lasting_errors(residual, told, way, extent)
     effective = _effective_images(way, lasting)
     errors = _cautious(errors, effective)
     errors = replace(
@@ -460,8 +459,14 @@ def ordinary_score(score: Float64[np.ndarray, " n"]) -> float:
 
 
 @dataclass(frozen=True)
-class _Lasting:
-    """How long errors last: a share of their variance, and the lengths over which that fades."""
+class Lasting:
+    """How long errors last.
+
+    Attributes:
+        share: Of their variance, that lasts while the view stays the same.
+        length_m: Over which that fades to 1/e, metres.
+        length_rad: Likewise, radians.
+    """
 
     share: float
     length_m: float
@@ -474,71 +479,98 @@ class _Lasting:
         return np.hypot(metres / self.length_m, radians / self.length_rad)
 
 
-def _lasting(residual: Float64[np.ndarray, "n 6"], told: Bool[np.ndarray, " n"], way: Way, extent: float) -> _Lasting:
+def lasting_errors(
+    residual: Float64[np.ndarray, "n 6"], told: Bool[np.ndarray, " n"], way: Way, extent: float
+) -> Lasting:
     """How long errors last, by the correlation of their directions along the way.
+
+    Args:
+        residual: Errors in standard deviations, (n, 6).
+        told: Which of the images tell them.
+        way: Between the images.
+        extent: Of the scene, metres: lengths are sought in proportion to it.
 
     Least squares tell which share lasts, and how many metres change a view as much as how many radians. They see the
     larger of two errors, one that fades soon and one that does not; but what many images are worth is told by the sum
-    of all correlations, to which the lengths are matched.
+    of all correlations, to which the lengths are matched where there are enough images for that.
     """
     # Of their directions: images err more in one part of the scene than in another, which is not an error that lasts.
     direction = residual / np.maximum(np.linalg.norm(residual, axis=1, keepdims=True), 1e-300)
     first, second = _pairs(way, told)
     if len(first) < _LEAST_PAIRS:
-        return _Lasting(_SHARES[1], _LENGTHS[len(_LENGTHS) // 2] * extent, LENGTH_RAD)
+        return Lasting(_SHARES[1], _LENGTHS[len(_LENGTHS) // 2] * extent, LENGTH_RAD)
     metres, radians = way.metres[second] - way.metres[first], way.radians[second] - way.radians[first]
     products = (direction[second] * direction[first]).sum(axis=1)
-    counts = 1.0 / (second - first)  # neighbours as much as those that are ten times as far from each other
-    best, found = np.inf, _Lasting(_SHARES[1], extent, LENGTH_RAD)
-    for length_m, length_rad in product(_LENGTHS * extent, _LENGTHS_RAD):
-        tried = _Lasting(1.0, float(length_m), length_rad)
-        kernel = np.exp(-tried.lengths(metres, radians))
-        share = float(np.clip((counts * kernel * products).sum() / (counts * np.square(kernel)).sum(), 0.0, 1.0))
-        cost = float((counts * np.square(products - share * kernel)).sum())
-        # Where the camera hardly turns, any angle fits as well.
-        cost *= 1.0 if length_rad == LENGTH_RAD else _CLEARLY
-        if cost < best:
-            best, found = cost, replace(tried, share=share)
-    found = replace(found, share=float(np.clip(found.share, *_SHARES)))
+    weights = 1.0 / (second - first)  # neighbours as much as all that are ten times as far from each other
+
+    def least_squares(length_rad: float) -> tuple[float, Lasting]:
+        best, found = np.inf, Lasting(_SHARES[1], extent, length_rad)
+        for length_m in _LENGTHS * extent:
+            tried = Lasting(1.0, float(length_m), length_rad)
+            kernel = np.exp(-tried.lengths(metres, radians))
+            weight = max(float((weights * np.square(kernel)).sum()), 1e-300)
+            share = float(np.clip((weights * kernel * products).sum() / weight, 0.0, 1.0))
+            cost = float((weights * np.square(products - share * kernel)).sum())
+            if cost < best:
+                best, found = cost, replace(tried, share=float(np.clip(share, *_SHARES)))
+        return best, found
+
+    ordinary, found = least_squares(LENGTH_RAD)
+    if _effective_images(way, found) < _LEAST_EFFECTIVE:
+        return found
+    others = [least_squares(length_rad) for length_rad in _LENGTHS_RAD if length_rad != LENGTH_RAD]
+    best, other = min(others, key=lambda each: each[0])
+    if _CLEARLY * best < ordinary:
+        found = other
+    # Where the camera hardly turns, any angle fits as well.
+    costs = [ordinary, *(cost for cost, _ in others)]
+    turns = max(costs) > _CLEARLY * min(costs)
     longer = _correlation_length(found.lengths(metres, radians), products) / found.share
-    length_m = np.clip(longer * found.length_m, _LENGTHS[0] * extent, _LENGTHS[-1] * extent)
-    length_rad = np.clip(longer * found.length_rad, _LENGTHS_RAD[0], _LENGTHS_RAD[-1])
-    return replace(found, length_m=float(length_m), length_rad=float(length_rad))
+    longer = float(np.clip(longer, _LENGTHS[0] * extent / found.length_m, _LENGTHS[-1] * extent / found.length_m))
+    length_rad = min(longer * found.length_rad, _LENGTHS_RAD[-1]) if turns else found.length_rad
+    return replace(found, length_m=longer * found.length_m, length_rad=length_rad)
 
 
 def _correlation_length(ways: Float64[np.ndarray, " k"], products: Float64[np.ndarray, " k"]) -> float:
     """Integral over the way of the correlation that products of pairs so many lengths apart tell.
 
-    It ends at a few times the length over which what lasts is seen to fade (Sokal's window): what is farther is noise.
+    It ends at a few times the length over which what lasts is seen to fade (Sokal's window), as what is farther is
+    noise, or with the pairs.
     """
     bins = np.searchsorted(_WAYS, ways, side="right") - 1
     count = np.bincount(bins, minlength=len(_WAYS))
     mean = np.bincount(bins, products, minlength=len(_WAYS)) / np.maximum(count, 1)
-    nearest = max(float(mean[np.argmax(count >= _LEAST_IN_BIN)]), _LEAST_CORRELATION)
+    told = np.flatnonzero(count[:-1] >= _LEAST_IN_BIN)
+    if len(told) == 0:
+        return 1.0
+    nearest = max(float(mean[told[0]]), _LEAST_CORRELATION)
     integral, correlation = 0.0, nearest
-    for k, width in enumerate(np.diff(_WAYS)):
+    for k in range(told[-1] + 1):
         correlation = float(mean[k]) if count[k] >= _LEAST_IN_BIN else correlation
-        integral += correlation * width
+        integral += correlation * float(_WAYS[k + 1] - _WAYS[k])
         if nearest * _WAYS[k + 1] >= _WINDOW * integral:
             break
     return integral
 
 
 def _pairs(way: Way, told: Bool[np.ndarray, " n"]) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
-    """All pairs of images of one pass that are told of, the earlier first."""
-    first, second = np.triu_indices(len(told), 1)
-    kept = (way.number[first] == way.number[second]) & told[first] & told[second]
-    return first[kept], second[kept]
+    """Pairs of images of one pass that are told of, the earlier first; of many images not the farthest apart."""
+    firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    for lag in range(1, min(len(told), _MOST_PAIRS // max(len(told), 1) + 1)):
+        first = np.flatnonzero((way.number[lag:] == way.number[:-lag]) & told[lag:] & told[:-lag])
+        firsts.append(first)
+        seconds.append(first + lag)
+    return np.concatenate(firsts), np.concatenate(seconds)
 
 
 def _mistaken_lengths(
-    evidence: Float64[np.ndarray, " n"], way: Way, lasting: _Lasting, *, same_conditions: bool = False
+    evidence: Float64[np.ndarray, " n"], way: Way, lasting: Lasting, *, same_conditions: bool = False
 ) -> float:
     """Over how many lengths of errors images are one vote on where the camera is; 1 where none mistakes it.
 
     Along a pass the evidence of two images, so many lengths apart, correlates by a share that fades. A vote is worth
-    less by the sum of an image's correlations with all others; what does not last is new with every image, though not
-    more than once a length where images are farther apart. Under other conditions than on held-out passes mistakes last
+    less by the sum of an image's correlations with all others; what does not last is new with every image, and counts
+    once a length where images are farther apart. Under other conditions than on held-out passes mistakes last
     longer: what is beyond one length is multiplied.
     """
     if len(evidence) < _LEAST_PAIRS or (evidence < np.log(0.5)).mean() < _NO_MISTAKE:
@@ -554,16 +586,17 @@ def _mistaken_lengths(
     best, vote, new = np.inf, 1.0, min(float(np.median(steps)), 1.0)
     for lengths in _MISTAKEN:
         kernel = np.exp(-apart / lengths)
-        share = float(np.clip((kernel * products).sum() / np.square(kernel).sum(), 0.0, 1.0))
+        weight = max(float(np.square(kernel).sum()), 1e-300)
+        share = float(np.clip((kernel * products).sum() / weight, 0.0, 1.0))
         cost = float(np.square(products - share * kernel).mean())
         if cost < best:
             best, vote = cost, (1.0 - share) * new + 2.0 * share * float(lengths)
     if same_conditions:
-        return min(vote, _MOST_MISTAKEN)
+        return float(np.clip(vote, _LEAST_VOTE, _MOST_MISTAKEN))
     return float(np.clip(1.0 + _ANOTHER_HOUR * (vote - 1.0), _LEAST_MISTAKEN, _MOST_MISTAKEN))
 
 
-def _effective_images(way: Way, lasting: _Lasting) -> float:
+def _effective_images(way: Way, lasting: Lasting) -> float:
     """One for every pass, and one for every two lengths of its way, but no more than there are images."""
     steps = lasting.lengths(np.diff(way.metres), np.diff(way.radians))
     return 1.0 + float(np.where(np.diff(way.number) == 0, np.minimum(steps / 2.0, 1.0), 1.0).sum())

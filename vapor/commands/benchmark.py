@@ -13,6 +13,7 @@ from rich.table import Table
 
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
+from sequences import datasets
 from sequences.options import SequenceOptions
 from sequences.place import is_place
 from sequences.results import claim_folder
@@ -25,6 +26,7 @@ from vapor.commands.console import OutputPath, Overwrite, bar, parse, progress_o
 from vapor.familiarity_benchmark import IN_A_ROW, judge
 from vapor.fault_benchmark import FaultBenchmark, FaultsConfig
 from vapor.faults import summarise_faults
+from vapor.fleet import unique_names
 from vapor.observation import Device, VaporObservationModel
 from vapor.presets import PRESETS
 from vapor.real_benchmark import RealConfig
@@ -33,7 +35,6 @@ from vapor.report import write_report
 from vapor.summary import summarise
 from vapor.threads import limited_threads
 from vapor.timing import time_step, untrained
-from vapor.training_set import files_read
 
 _MAX_SEED = 2**63
 
@@ -80,7 +81,7 @@ _Override = make_dataclass(
 
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions:
-    """What the benchmarks that replay synthetic sequences are told."""
+    """What the benchmarks that replay walks are told."""
 
     scenes: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
@@ -140,18 +141,29 @@ class FaultsOptions(SceneOptions):
     ] = ()
     """What the camera moves through; of buildings, N is the number that draws one. None where recordings are given."""
     recordings: tuple[Path, ...] = ()
-    """MCAP files or rosbag2 folders with odometry and true poses, each a walk; all by the one model of --models."""
+    """MCAP files or rosbag2 folders with odometry and true poses, each a walk, in place of scenes; all by the one model
+    of --models."""
     config: Annotated[FaultsConfig, tyro.conf.arg(name="")] = field(default_factory=FaultsConfig)
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
     def __post_init__(self) -> None:
         if not self.recordings:
             super().__post_init__()
-        elif self.scenes or len(self.models) != 1:
+            if self.reading != SequenceOptions():
+                raise VaporTrackError("options of what to read without --recordings, expected both or none")
+            return
+        if self.scenes or len(self.models) != 1:
             raise VaporTrackError(
-                f"recordings, {len(self.scenes)} scenes and {len(self.models)} models, expected recordings to come"
-                " without scenes and with one model"
+                f"--recordings beside {len(self.scenes)} scenes and {len(self.models)} --models, expected no scene and"
+                " one model"
             )
+        ordinary = FaultsConfig()
+        for name in ("walks", "frames", "odometry_scale"):
+            if getattr(self.config, name) != getattr(ordinary, name):
+                option = name.replace("_", "-")
+                raise VaporTrackError(f"--{option} beside --recordings, expected it with scenes only")
+        if self.config.faults == ("three-times",):
+            raise VaporTrackError("no fault but three-times, expected others: recordings have no images between theirs")
 
     @property
     def model_of(self) -> dict[str, str]:
@@ -163,7 +175,13 @@ class FaultsOptions(SceneOptions):
         """Files of the models, and what is read of recordings."""
         if not self.recordings:
             return super().files_read
-        return [find_model(self.models[0]), *files_read(self.recordings, self.reading)]
+        read = [file for recording in self.recordings for file in datasets.files_read(recording)]
+        return [find_model(self.models[0]), *read, *self.reading.files_read]
+
+    @property
+    def named(self) -> dict[str, Path]:
+        """The recordings by names that tell them apart."""
+        return dict(zip(unique_names(self.recordings), self.recordings, strict=True))
 
 
 @dataclass(frozen=True)
@@ -303,7 +321,7 @@ def _faults(arguments: Sequence[str]) -> None:
     o = parse("benchmark faults", FaultsOptions, arguments)
     model = o.models[0] if o.recordings else None
     benchmark = FaultBenchmark(
-        o.model_of, o.output, o.config, o.replaced, recordings=o.recordings, model=model, reading=o.reading
+        o.model_of, o.output, o.config, o.replaced, recordings=o.named, model=model, reading=o.reading
     )
     claim_folder(o.output, "benchmark faults", reads=o.files_read, overwrite=o.overwrite)
     with bar("choosing walks") as advance:
@@ -318,16 +336,21 @@ def _faults(arguments: Sequence[str]) -> None:
             advance(len(results) - len(chosen), len(runs))
     results.sort(key=lambda result: (result["fault"], result["name"]))
     summary = summarise_faults(results)
-    _write(o, summary, results, unused=unused)
+    left_out = [fault for fault in o.config.faults if fault not in {run.fault for run in runs}]
+    partial = {name: {"used": used, "images": count} for name, used, count in benchmark.left_out()}
+    recordings = {name: str(path) for name, path in o.named.items()}
+    read = {"recordings": recordings, "reading": o.reading.told, "partial": partial} if recordings else {}
+    _write(o, summary, results, unused=unused, left_out=left_out, **read)
     for table in fault_tables(summary):
         show(table)
     for line in fault_failures(summary):
         show(line)
     if unused:
         show(f"not used, as the filter was not converged in time for a fault: {', '.join(unused)}")
-    left_out = [fault for fault in o.config.faults if fault not in {run.fault for run in runs}]
+    for name, part in partial.items():
+        show(f"{name}: {part['used']} of {part['images']} images have a true pose and odometry, and were used")
     if left_out:
-        show(f"left out: {', '.join(left_out)}, as a recording has no images between its own")
+        show(f"left out: {', '.join(left_out)}, which recordings cannot have: of images between theirs, or of none")
 
 
 def _write(
