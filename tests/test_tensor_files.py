@@ -171,6 +171,11 @@ def other_best(tensors: dict, config: dict) -> None:
     tensors["best.x"] = torch.ones(1)
 
 
+def imaginary(tensors: dict, config: dict) -> None:
+    name = next(name for name in tensors if name.startswith("network."))
+    tensors[name] = tensors[name].to(torch.complex64)
+
+
 def words_in_history(tensors: dict, config: dict) -> None:
     config["history"] = [dict.fromkeys(Validation.__dataclass_fields__, "x")]
 
@@ -180,6 +185,7 @@ def words_in_history(tensors: dict, config: dict) -> None:
     [
         (without_step, r"optimizer\.0 has .* expected the network's tensors"),
         (other_best, r"Missing key.* expected the network's tensors"),
+        (imaginary, r"tensor network\..* is of torch\.complex64, expected real numbers"),
         (words_in_history, r"history has 'x', expected a number"),
     ],
 )

@@ -114,6 +114,8 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         )
     groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "best": {}, "optimizer": {}}
     for name, value in tensors.items():
+        if value.is_complex():
+            raise CheckpointError(f"{path}: tensor {name} is of {value.dtype}, expected real numbers")
         group, _, rest = name.partition(".")
         groups.setdefault(group, {})[rest] = value
     try:

@@ -108,7 +108,9 @@ def _stamps(metadata: dict[str, Any], count: int, where: str) -> tuple[list[int]
     if seconds:
         values = _finite(seconds, f"{where}: frameTimestamps")
         if values.shape != (count,):
-            raise SequenceError(f"{where}: {len(values)} frameTimestamps, expected {count} as there are poses")
+            raise SequenceError(
+                f"{where}: frameTimestamps of shape {values.shape}, expected {count} numbers, as there are poses"
+            )
         return [parse_time_ns(repr(value), f"{where}: frameTimestamps") for value in values.tolist()], None
     fps = parse_number(metadata.get("fps"), f"{where}: fps", 0.1, 1000)
     return [round(frame * 1e9 / fps) for frame in range(count)], round(fps)
