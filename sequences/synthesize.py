@@ -15,7 +15,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.place import SPLITS, Place, find_place
+from sequences.place import SPLITS, find_place
 from sequences.render import render, sees_cue
 from sequences.route import Cues, choose_path
 from sequences.scenes.paths import STEP_S
@@ -167,7 +167,7 @@ def synthesize(
     entropy = [seed, SPLITS[split], *place.entropy]
     path_seed, odometry_seed, image_seed = np.random.SeedSequence(entropy).spawn(3)
     built = place.scene(split, seed)
-    camera, base_from_camera = _camera(place, width, height), place.base_from_camera
+    camera, base_from_camera = camera_of(scene, width, height), place.base_from_camera
     rng = np.random.default_rng(path_seed)
 
     def draw(num_images: int) -> Poses:
@@ -317,6 +317,11 @@ def _halted(base: Poses, image_time_ns: int, duration_s: float, *, walks_on: boo
     return _at(times_ns, base, times_ns[0] + np.round(walked_ns).astype(np.int64))
 
 
-def _camera(place: Place, width: int, height: int) -> Camera:
-    focal = width / 2 / np.tan(np.radians(place.field_of_view_deg / 2))
+def camera_of(name: str, width: int, height: int) -> Camera:
+    """The camera that moves through a place, for images of this size in pixels.
+
+    Raises:
+        SequenceError: no such place, or a size that no camera has.
+    """
+    focal = width / 2 / np.tan(np.radians(find_place(name).field_of_view_deg / 2))
     return Camera(width, height, float(focal), float(focal), (width - 1) / 2, (height - 1) / 2)

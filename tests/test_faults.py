@@ -1,6 +1,7 @@
 """Faults of camera and odometry: what each changes, how it is judged, and the command."""
 
 import json
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -370,6 +371,9 @@ def test_faults_befall_recordings_as_they_do_synthetic_walks(recording, tiny_mod
         assert same == (set(shown) if image not in during else {NONE})
     reader = SequenceReader(recording)
     np.testing.assert_array_equal(plain.times_ns, [frame.time_ns for frame in reader])
+    (elsewhere,) = (tmp_path / "recordings").glob("corridor-*/settings.json")  # what this camera would see there
+    assert reader.camera is not None
+    assert json.loads(elsewhere.read_text())["camera"] == list(astuple(reader.camera))
     assert run_recorded(tmp_path, tiny_model, recording) == 0
     assert len(followed) == 6
     assert recording.read_bytes() == before

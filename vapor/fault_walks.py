@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -15,6 +15,7 @@ from filtering.errors import VaporTrackError
 from sequences import datasets
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
+from sequences.synthesize import camera_of
 from vapor.faults import Film
 from vapor.recordings import FileSettings, RecordingSettings, load_recording, make_recording, record_file
 from vapor.trials import Replay, Setup, follow_replay, follow_trial, load_replay, setup_settings, trial_settings
@@ -116,7 +117,12 @@ class SyntheticWalk:
             ),
             "black": replace(shared, frames=1, change="black"),
             "noise": replace(shared, frames=_NOISE_IMAGES, change="uniform noise"),
-            "elsewhere": replace(shared, scene="ceiling" if scene != "ceiling" else "staircase", frames=piece.length),
+            "elsewhere": replace(
+                shared,
+                scene="ceiling" if scene != "ceiling" else "staircase",
+                frames=piece.length,
+                camera=astuple(camera_of(scene, own.width, own.height)),
+            ),
         }
 
     def record(self, film: RecordingSettings | FileSettings, directory: Path) -> None:
@@ -186,7 +192,7 @@ class RecordedWalk:
 
     def films(self) -> Mapping[Film, RecordingSettings | FileSettings]:
         """Its images turned over, black and noise of their size, and the corridor; nothing has more images."""
-        setup = self.setup
+        setup, camera = self.setup, SequenceReader(self.file, self.reading).camera
         elsewhere = RecordingSettings(
             "corridor",  # of which no model ships
             self.seed,
@@ -196,6 +202,7 @@ class RecordedWalk:
             setup.height,
             setup.network_sha256,
             setup.num_samples,
+            camera=None if camera is None else astuple(camera),
         )
         return {
             "upside-down": replace(self.own, change="upside down"),

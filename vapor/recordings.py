@@ -18,7 +18,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.atomic import workspace
 from sequences.errors import SequenceError
-from sequences.frame import Frame
+from sequences.frame import Camera, Frame
 from sequences.options import SequenceOptions
 from sequences.place import find_place
 from sequences.reader import SequenceReader
@@ -42,7 +42,8 @@ class RecordingSettings:
     `stand`: the image at which the camera stops, and for how many seconds it stands; None for a camera that does not.
     `part`: the first of the images that are recorded, and how many; None for all. `change`: what is done to every image
     before the network sees it, one of `FOREIGN`; None for nothing. `odometry_scale`: the error of the odometry's
-    distances, as a share of them; None for a random one.
+    distances, as a share of them; None for a random one. `camera`: with which it is rendered, the numbers of `Camera`;
+    None for that of its scene.
     """
 
     scene: str
@@ -58,6 +59,7 @@ class RecordingSettings:
     part: tuple[int, int] | None = None
     change: str | None = None
     odometry_scale: float | None = None
+    camera: tuple[int, int, float, float, float, float] | None = None
     synthesis: int = SYNTHESIS
     package: str = field(default_factory=lambda: importlib.metadata.version("vapor-track"))
 
@@ -70,7 +72,7 @@ class RecordingSettings:
     def told(self) -> dict[str, Any]:
         """All of it by name; what is as it is in most recordings is not said."""
         content = asdict(self)
-        unusual = ("stand", "part", "change", "odometry_scale")
+        unusual = ("stand", "part", "change", "odometry_scale", "camera")
         for name, ordinary in (("rate_hz", 10.0), *((name, None) for name in unusual)):
             if content[name] == ordinary:
                 del content[name]
@@ -232,6 +234,8 @@ def _sequence(settings: RecordingSettings) -> SyntheticSequence:
         rate_hz=settings.rate_hz,
         stand=None if settings.stand is None else Stand(*settings.stand),
     )
+    if settings.camera is not None:
+        sequence = replace(sequence, camera=Camera(*settings.camera))
     if settings.part is None:
         return sequence
     first, count = settings.part
