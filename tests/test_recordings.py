@@ -84,7 +84,7 @@ def test_an_interrupted_recording_leaves_nothing(checkpoint, tmp_path, monkeypat
 OTHER = {
     "scene": "staircase", "seed": 4, "cues": "none", "frames": 13, "width": 50, "height": 40,
     "network_sha256": "1" * 64, "num_samples": 31, "rate_hz": 30.0, "stand": (3, 1.0), "part": (2, 4),
-    "change": "black", "odometry_scale": 0.02, "synthesis": 99, "package": "9.9",
+    "change": "black", "odometry_scale": 0.02, "camera": (16, 12, 9.0, 9.0, 7.5, 5.5), "synthesis": 99, "package": "9.9",
 }  # fmt: skip
 
 
@@ -103,7 +103,7 @@ def test_a_recording_is_used_for_its_own_settings_only(name, directory, tmp_path
         load_recording(other, tmp_path)
 
 
-@pytest.mark.parametrize("name", ["rate_hz", "stand", "part", "change", "odometry_scale"])
+@pytest.mark.parametrize("name", ["rate_hz", "stand", "part", "change", "odometry_scale", "camera"])
 def test_an_ordinary_recording_is_none_of_another_kind(name, directory, tmp_path):
     target = tmp_path / SETTINGS.name
     shutil.copytree(directory / SETTINGS.name, target)
@@ -114,7 +114,7 @@ def test_an_ordinary_recording_is_none_of_another_kind(name, directory, tmp_path
 
 
 def test_what_is_as_in_most_recordings_changes_no_name():
-    assert not {"rate_hz", "stand", "part", "change", "odometry_scale"} & SETTINGS.told.keys()
+    assert not {"rate_hz", "stand", "part", "change", "odometry_scale", "camera"} & SETTINGS.told.keys()
     assert replace(SETTINGS, rate_hz=10.0, stand=None, odometry_scale=None).name == SETTINGS.name
     assert replace(SETTINGS, rate_hz=30.0).name != SETTINGS.name != replace(SETTINGS, stand=(3, 1.0)).name
 
