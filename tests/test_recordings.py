@@ -84,7 +84,8 @@ def test_an_interrupted_recording_leaves_nothing(checkpoint, tmp_path, monkeypat
 OTHER = {
     "scene": "staircase", "seed": 4, "cues": "none", "frames": 13, "width": 50, "height": 40,
     "network_sha256": "1" * 64, "num_samples": 31, "rate_hz": 30.0, "stand": (3, 1.0), "part": (2, 4),
-    "change": "black", "odometry_scale": 0.02, "camera": (16, 12, 9.0, 9.0, 7.5, 5.5), "synthesis": 99, "package": "9.9",
+    "change": "black", "odometry_scale": 0.02, "camera": (16, 12, 9.0, 9.0, 7.5, 5.5), "synthesis": 99,
+    "package": "9.9",
 }  # fmt: skip
 
 
