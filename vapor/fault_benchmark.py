@@ -154,9 +154,11 @@ class FaultBenchmark:
         chosen.sort(key=lambda each: each.walk.name)
         unused = sorted({walk.name for walk in self._recorded} - {each.walk.name for each in chosen})
         if self._recorded and not chosen:
+            times_ns = [walk.replay(directory).times_ns for walk in self._recorded]
+            longest_s = max(float(each[-1] - each[0]) / 1e9 for each in times_ns)
             raise VaporTrackError(
-                f"none of {len(unused)} recordings is converged for {faults.CONVERGED_S:g} s with"
-                f" {faults.FAULT_S + faults.REMAINING_S:g} s to go, expected one at least"
+                f"none of {len(unused)} recordings, the longest of {longest_s:.1f} s, is converged for"
+                f" {faults.CONVERGED_S:g} s with {faults.FAULT_S + faults.REMAINING_S:g} s to go, expected one at least"
             )
         return chosen, unused
 
