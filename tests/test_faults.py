@@ -360,7 +360,7 @@ def test_faults_befall_recordings_as_they_do_synthetic_walks(recording, tiny_mod
     assert {each["fault"] for each in content["runs"]} == {NONE, *RECORDED_FAULTS} - {"three-times"}
     assert {each["name"] for each in content["runs"]} == {"walk"}
     assert "recorded: 1 walks" in out
-    assert "left out: three-times, which recordings cannot have" in out
+    assert "left out, as recordings with this rate cannot have them: three-times" in " ".join(out.split())
     assert content["recordings"] == {"walk": str(recording)}
     assert content["partial"] == {}
     plain = followed[0]

@@ -350,7 +350,7 @@ def _faults(arguments: Sequence[str]) -> None:
     for name, part in partial.items():
         show(f"{name}: {part['used']} of {part['images']} images have a true pose and odometry, and were used")
     if left_out:
-        show(f"left out: {', '.join(left_out)}, which recordings cannot have: of images between theirs, or of none")
+        show(f"left out, as recordings with this rate cannot have them: {', '.join(left_out)}")
 
 
 def _write(
