@@ -145,16 +145,14 @@ class FaultBenchmark:
         return chosen, unused
 
     def _choose_recorded(self, progress: Callable[[int], None]) -> tuple[list[Chosen], list[str]]:
-        directory = self.directory / "recordings"
-        missing = [(walk, walk.own, directory) for walk in self._recorded if not (directory / walk.own.name).is_dir()]
-        for done, _ in enumerate(in_parallel(_record, missing, self.config.workers), 1):
+        for done, _ in self._record({walk.own: walk for walk in self._recorded}):
             progress(done)
         jobs = [((walk,), self.directory) for walk in self._recorded]
         chosen = [each for each in in_parallel(find_walk, jobs, self.config.workers) if each is not None]
         chosen.sort(key=lambda each: each.walk.name)
         unused = sorted({walk.name for walk in self._recorded} - {each.walk.name for each in chosen})
         if self._recorded and not chosen:
-            times_ns = [walk.replay(directory).times_ns for walk in self._recorded]
+            times_ns = [walk.replay(self.directory / "recordings").times_ns for walk in self._recorded]
             longest_s = max(float(each[-1] - each[0]) / 1e9 for each in times_ns)
             raise VaporTrackError(
                 f"none of {len(unused)} recordings, the longest of {longest_s:.1f} s, is converged for"
@@ -204,8 +202,10 @@ class FaultBenchmark:
 
     def record(self, chosen: Sequence[Chosen]) -> Iterator[tuple[int, int]]:
         """Show the networks the images of the faults; yields the number done and the number of all after each."""
+        yield from self._record({run.film: run.walk for run in self.runs(chosen) if run.film is not None})
+
+    def _record(self, wanted: Mapping[RecordingSettings | FileSettings, FaultWalk]) -> Iterator[tuple[int, int]]:
         directory = self.directory / "recordings"
-        wanted = {run.film: run.walk for run in self.runs(chosen) if run.film is not None}
         missing = [(walk, film, directory) for film, walk in wanted.items() if not (directory / film.name).is_dir()]
         for done, _ in enumerate(in_parallel(_record, missing, self.config.workers), len(wanted) - len(missing) + 1):
             yield done, len(wanted)
