@@ -6,7 +6,7 @@ from filtering.estimate import Estimate, Mode
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
-from vapor.record import RunRecord, RunRecorder
+from vapor.reporting.record import RunRecord, RunRecorder
 
 FLOOR_M = 3.0
 CAMERA = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.test_train import STILL
-from vapor.augment import jitter_and_normalise, random_crops
+from vapor.training.augment import jitter_and_normalise, random_crops
 
 
 def _jittered(images, config, seed=0):

@@ -11,15 +11,15 @@ from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from tests.test_train import STILL, TINY, make_frames, pose
-from vapor.baselines import make_regressor
-from vapor.checkpoint import load_checkpoint
-from vapor.loss import LossConfig, training_loss
-from vapor.mixture import log_rotation_normaliser
-from vapor.network import NetworkConfig, SceneBox
+from vapor.checkpoints.checkpoint import load_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.presets import METHODS
-from vapor.train import train_on
-from vapor.training_epoch import _paired
+from vapor.regressors.base import NetworkConfig, SceneBox
+from vapor.regressors.baselines import make_regressor
+from vapor.regressors.loss import LossConfig, training_loss
+from vapor.regressors.mixture import log_rotation_normaliser
+from vapor.training.epoch import _paired
+from vapor.training.presets import METHODS
+from vapor.training.train import train_on
 
 BOX = SceneBox((-2.0, -1.0, 0.0), (2.0, 3.0, 1.0))
 SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=32, feature_dim=32, latent_dim=4, components=5)

@@ -14,19 +14,19 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry_fit import OdometryFit
 from tests.checks import no_checks
-from vapor import recordings, trials, windows
-from vapor.checkpoint import Calibration, load_checkpoint
+from vapor.benchmark import recordings, trials, windows
+from vapor.benchmark.summary import failed, summarise
+from vapor.benchmark.windows import Piece, Trial
+from vapor.checkpoints.checkpoint import Calibration, load_checkpoint
 from vapor.commands import console
 from vapor.commands.benchmark_tables import tables
 from vapor.commands.console import show
-from vapor.evaluate import FILES
-from vapor.floors import FLOOR_HEIGHT_M
-from vapor.lengths import scaled_calibration, scaled_localizer, scaled_odometry
-from vapor.methods import Comparison
-from vapor.summary import failed, summarise
+from vapor.evaluation.belief import Belief
+from vapor.evaluation.floors import FLOOR_HEIGHT_M
+from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry
+from vapor.evaluation.trajectory import FILES
 from vapor.track import main
-from vapor.verdicts import Belief
-from vapor.windows import Piece, Trial
+from vapor.tracking.methods import Comparison
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -12,19 +12,20 @@ from filtering.se3 import Poses
 from tests.sequence_files import Walk, rewrite
 from tests.test_datasets import make_7scenes
 from tests.test_passes import frames_of
-from vapor import calibrate as calibrate_module
-from vapor import training_check
-from vapor.calibrate import calibrate
-from vapor.checkpoint import Calibration, load_checkpoint
-from vapor.familiarity import Familiarity, learn_familiarity
-from vapor.loss import LossConfig
-from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
-from vapor.scene_scale import default_errors
+from vapor.calibration import calibrate as calibrate_module
+from vapor.calibration.calibrate import calibrate
+from vapor.calibration.familiarity import learn_familiarity
+from vapor.checkpoints.checkpoint import Calibration, load_checkpoint
+from vapor.checkpoints.scene_scale import default_errors
+from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.regressors.familiarity import Familiarity
+from vapor.regressors.loss import LossConfig
 from vapor.tensor_files import read_safetensors
 from vapor.track import main
-from vapor.train import train_on
-from vapor.train_config import TrainConfig
-from vapor.training_set import load_training_set
+from vapor.training import check as training_check
+from vapor.training.config import TrainConfig
+from vapor.training.train import train_on
+from vapor.training_data.training_set import load_training_set
 
 NETWORK = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
 

@@ -16,11 +16,11 @@ from tests.test_train import TINY
 from tests.test_undistortion import taken_by
 from tests.tiny_model import Metadata, Tensors, altered
 from vapor.cameras import AsTakenBy, resampled, share_seen
-from vapor.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
-from vapor.familiarity import Describer, Familiarity
+from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.train import train_on
-from vapor.training_set import load_training_set
+from vapor.regressors.familiarity import Describer, Familiarity
+from vapor.training.train import train_on
+from vapor.training_data.training_set import load_training_set
 
 A = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 OTHERS = {

@@ -8,8 +8,8 @@ import torch
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from sequences.odometry_fit import OdometryFit
-from vapor import checkpoint as checkpoint_module
-from vapor.checkpoint import (
+from vapor.checkpoints import checkpoint as checkpoint_module
+from vapor.checkpoints.checkpoint import (
     Calibration,
     Checkpoint,
     CheckpointError,
@@ -18,8 +18,8 @@ from vapor.checkpoint import (
     save_checkpoint,
     thin_poses,
 )
-from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
-from vapor.scene_scale import default_errors
+from vapor.checkpoints.scene_scale import default_errors
+from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
 from vapor.tensor_files import read_safetensors, write_safetensors
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.1))

@@ -23,13 +23,13 @@ from tests.sequence_files import BEGIN_NS, Walk, rewrite
 from tests.test_datasets import make_7scenes, make_tum, truth_at
 from tests.test_layouts import make_colmap
 from tests.tiny_model import SMALL, altered
-from vapor import checkpoint as checkpoint_module
-from vapor import train as train_module
-from vapor.presets import PRESETS
+from vapor.checkpoints import checkpoint as checkpoint_module
 from vapor.track import COMMANDS, main
+from vapor.training import train as train_module
+from vapor.training.presets import PRESETS
 
 IMAGES, ODOMETRY, TRUTH = "/camera/image/compressed", "/odom", "/ground_truth/pose"
-SHIPPED = Path(checkpoint_module.__file__).parent / "models"
+SHIPPED = Path(checkpoint_module.__file__).parents[1] / "models"
 NOWHERE = Poses(np.eye(3), np.array([np.nan, 0.0, 0.0]))
 
 
@@ -486,7 +486,7 @@ def test_an_interrupted_run_leaves_nothing_and_ends_with_130(walk_of_25, tiny_mo
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vapor.run.smooth", interrupt)
+    monkeypatch.setattr("vapor.pipeline.run.smooth", interrupt)
     assert main(words_of_run(walk_of_25, tiny_model, earlier)) == 130
     assert capsys.readouterr().err == "vapor-track run: interrupted\n"
     assert contents(earlier) == before

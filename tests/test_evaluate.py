@@ -9,7 +9,7 @@ from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.tum import write_tum
 from tests.simulated_run import true_walk
-from vapor.evaluate import (
+from vapor.evaluation.trajectory import (
     associate,
     convergence_s,
     dead_reckoning,

@@ -10,19 +10,19 @@ import pytest
 from filtering.errors import VaporTrackError
 from tests.sequence_files import Walk
 from tests.test_datasets import make_7scenes
-from vapor.checkpoint import Calibration
+from vapor.checkpoints.checkpoint import Calibration
 from vapor.commands import experiment as experiment_command
+from vapor.evaluation.posterior import posterior_metrics
 from vapor.experiments import trainings as trainings_module
 from vapor.experiments.alpha import AlphaConfig
 from vapor.experiments.decay import DecayConfig
 from vapor.experiments.sweep import Sweep, by_value
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
 from vapor.experiments.trainings import Scene, Training, rendered_height
-from vapor.network import NetworkConfig
-from vapor.posterior_metrics import posterior_metrics
-from vapor.presets import PRESETS
+from vapor.regressors.base import NetworkConfig
 from vapor.track import main
-from vapor.train_config import TrainConfig
+from vapor.training.config import TrainConfig
+from vapor.training.presets import PRESETS
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

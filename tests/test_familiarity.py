@@ -11,17 +11,18 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.sequence_files import Walk
 from tests.tiny_model import NETWORK, altered
-from vapor.calibrate import calibrate_model
-from vapor.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
-from vapor.efficientnet import EfficientNetLite0
-from vapor.familiarity import Describer, describe, description_size, fit_familiarity, learn_familiarity
-from vapor.familiarity_benchmark import CHANGED, FOREIGN, judge
-from vapor.network import SceneBox, VariationalPoseRegressor
+from vapor.benchmark.foreign_images import CHANGED, FOREIGN, judge
+from vapor.calibration.calibrate import calibrate_model
+from vapor.calibration.familiarity import describe, fit_familiarity, learn_familiarity
+from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.resnet import ResNet18
+from vapor.regressors.base import SceneBox, VariationalPoseRegressor
+from vapor.regressors.efficientnet import EfficientNetLite0
+from vapor.regressors.familiarity import Describer, description_size
+from vapor.regressors.resnet import ResNet18
 from vapor.tensor_files import read_safetensors
 from vapor.track import main
-from vapor.training_set import load_training_set
+from vapor.training_data.training_set import load_training_set
 
 torch.manual_seed(0)
 REGRESSOR = VariationalPoseRegressor(NETWORK, SceneBox((-1.0,) * 3, (1.0,) * 3)).eval()

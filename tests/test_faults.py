@@ -15,10 +15,10 @@ from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.reader import SequenceReader
 from sequences.tum import write_tum
-from vapor import fault_benchmark, fault_walks, faults
-from vapor.evaluate import dead_reckoning
-from vapor.fault_walks import RecordedWalk, SyntheticWalk
-from vapor.faults import (
+from vapor.benchmark import fault_runs as fault_benchmark
+from vapor.benchmark import fault_walks, faults
+from vapor.benchmark.fault_walks import RecordedWalk, SyntheticWalk
+from vapor.benchmark.faults import (
     FAULTS,
     NONE,
     a_third,
@@ -36,10 +36,11 @@ from vapor.faults import (
     too_long,
     tripled,
 )
-from vapor.methods import posterior_of
+from vapor.benchmark.trials import Replay
+from vapor.evaluation.belief import Belief
+from vapor.evaluation.trajectory import dead_reckoning
 from vapor.track import main
-from vapor.trials import Replay
-from vapor.verdicts import Belief
+from vapor.tracking.methods import posterior_of
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

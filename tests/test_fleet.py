@@ -9,10 +9,10 @@ import pytest
 from tests.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.test_datasets import make_7scenes
 from tests.tiny_model import SMALL
-from vapor import fleet as fleet_module
-from vapor import run as run_module
 from vapor.commands.run import _show_outcomes
-from vapor.fleet import Outcome, find_sequences, is_fleet
+from vapor.pipeline import fleet as fleet_module
+from vapor.pipeline import run as run_module
+from vapor.pipeline.fleet import Outcome, find_sequences, is_fleet
 from vapor.track import main
 
 

@@ -6,8 +6,8 @@ import pytest
 from filtering.estimate import Mode
 from filtering.se3 import Poses
 from tests.simulated_run import true_walk
-from vapor.floors import floors_off, on_true_floor, once_on_floor
-from vapor.verdicts import Belief, judge_belief, judge_floor
+from vapor.evaluation.belief import Belief, judge_belief, judge_floor
+from vapor.evaluation.floors import floors_off, on_true_floor, once_on_floor
 
 HEIGHT = 3.0
 

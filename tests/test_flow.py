@@ -12,17 +12,17 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from tests.test_train import STILL, TINY, make_frames
-from vapor.baselines import make_regressor
-from vapor.checkpoint import Calibration, Checkpoint, load_checkpoint, save_checkpoint
-from vapor.flow import FlowRegressor, _Spline
-from vapor.loss import LossConfig, training_loss
-from vapor.network import DensityRegressor, NetworkConfig, SceneBox
+from vapor.checkpoints.checkpoint import Calibration, Checkpoint, load_checkpoint, save_checkpoint
+from vapor.evaluation.posterior import posterior_metrics
+from vapor.evaluation.validation import LOG_FLOOR, exact_log_density
 from vapor.observation import VaporObservationModel
-from vapor.posterior_metrics import posterior_metrics
-from vapor.presets import METHODS
-from vapor.train import train_on
-from vapor.training_set import load_training_set
-from vapor.validation import LOG_FLOOR, exact_log_density
+from vapor.regressors.base import DensityRegressor, NetworkConfig, SceneBox
+from vapor.regressors.baselines import make_regressor
+from vapor.regressors.flow import FlowRegressor, _Spline
+from vapor.regressors.loss import LossConfig, training_loss
+from vapor.training.presets import METHODS
+from vapor.training.train import train_on
+from vapor.training_data.training_set import load_training_set
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -19,8 +19,8 @@ from sequences.odometry import OdometryNoise
 from sequences.tum import read_tum, write_tum
 from tests.pose_text import FRAMES, moved, noisy, walk, write_named
 from tests.simulation import ERRORS
-from vapor.evaluate import FILES
-from vapor.fuse import EstimateConfig, EstimateModel, errors_of
+from vapor.evaluation.trajectory import FILES
+from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of
 from vapor.track import main
 
 BACK = EstimateOptions(direction="world-to-camera")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
-from vapor.ground import told_unshown
-from vapor.holding_out import Split, hold_out, within_map
-from vapor.training_set import TrainingSet
+from vapor.training.holding_out import Split, hold_out, within_map
+from vapor.training_data.ground import told_unshown
+from vapor.training_data.training_set import TrainingSet
 
 STEP_M = 0.1
 

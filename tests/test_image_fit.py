@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from filtering.error_model import ErrorModel
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.image_fit import Lasting, Seen, Way, fit_errors, fit_widths, lasting_errors
-from vapor.scene_scale import default_errors, flat_log_density, scene_extent
+from vapor.calibration.images import Lasting, Seen, Way, fit_errors, fit_widths, lasting_errors
+from vapor.checkpoints.scene_scale import default_errors, flat_log_density, scene_extent
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

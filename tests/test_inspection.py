@@ -24,8 +24,7 @@ from tests.sequence_files import BEGIN_NS as BEGIN_NS_OF_WALK
 from tests.sequence_files import rewrite
 from tests.test_datasets import make_tum
 from tests.test_holding_out import corridor, recorded, stairwell
-from vapor.floors import find_floors
-from vapor.holding_out import shown_by
+from vapor.evaluation.floors import find_floors
 from vapor.inspection import odometry as odometry_module
 from vapor.inspection.coverage import Coverage, Plan
 from vapor.inspection.inspect import Inspection, inspect
@@ -33,7 +32,8 @@ from vapor.inspection.odometry import OdometryCheck, check_odometry
 from vapor.inspection.verdict import GOOD_ENOUGH
 from vapor.inspection.walks import posed_images, read_walks
 from vapor.track import main
-from vapor.training_set import TrainingSet
+from vapor.training.holding_out import shown_by
+from vapor.training_data.training_set import TrainingSet
 
 SECOND = 10**9
 BEGIN_NS = 1_700_000_000 * SECOND

@@ -27,7 +27,7 @@ from vapor.track import main
 
 KILLS = int(os.environ.get("KILLS", "1"))
 LOADED = [
-    *("tests.test_kills", "vapor.track", "vapor.signals", "vapor.pictures", "torch._dynamo"),
+    *("tests.test_kills", "vapor.track", "vapor.commands.signals", "vapor.reporting.pictures", "torch._dynamo"),
     *("rerun", "pandas", "pyarrow.compute", "matplotlib.backends.backend_agg", "tyro._backends._argparse_formatter"),
     *(f"vapor.commands.{name}" for name in ("run", "train", "calibrate", "benchmark", "experiment")),
 ]

@@ -7,8 +7,8 @@ from torch import distributions
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from vapor.loss import LossConfig, kl_divergence, pose_distance, variational_loss
-from vapor.network import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.regressors.loss import LossConfig, kl_divergence, pose_distance, variational_loss
 
 BOX = SceneBox((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
 CONFIG = LossConfig(

@@ -12,8 +12,7 @@ from safetensors.torch import save_file
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from vapor.efficientnet import EfficientNetLite0, pretrained_lite0_state
-from vapor.network import (
+from vapor.regressors.base import (
     NetworkConfig,
     PoseMap,
     SceneBox,
@@ -23,7 +22,8 @@ from vapor.network import (
     rotation_from_6d,
     sample_latent,
 )
-from vapor.resnet import ResNet18
+from vapor.regressors.efficientnet import EfficientNetLite0, pretrained_lite0_state
+from vapor.regressors.resnet import ResNet18
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.0))
 SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=32, latent_dim=4)

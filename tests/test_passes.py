@@ -4,8 +4,8 @@ import numpy as np
 
 from sequences.frame import Frame
 from tests.simulation import climb
-from vapor.passes import odometry_stretches, pass_numbers, some_runs
-from vapor.training_set import load_training_set
+from vapor.training_data.passes import odometry_stretches, pass_numbers, some_runs
+from vapor.training_data.training_set import load_training_set
 
 
 def frames_of(count: int, *, odometry: bool = True, seed: int = 0, step_ns: int = 10**8) -> list[Frame]:

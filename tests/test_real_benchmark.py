@@ -10,12 +10,13 @@ from filtering.localizer import LocalizerConfig
 from sequences.odometry import OdometryNoise
 from tests.pose_text import noisy, walk, write_named
 from tests.test_datasets import make_7scenes
-from vapor import real_benchmark, real_rows
-from vapor.loss import LossConfig
-from vapor.network import NetworkConfig
-from vapor.real_rows import ROWS, Place, Trained, simulated_motions
+from vapor.benchmark import real as real_benchmark
+from vapor.benchmark import real_rows
+from vapor.benchmark.real_rows import ROWS, Place, Trained, simulated_motions
+from vapor.regressors.base import NetworkConfig
+from vapor.regressors.loss import LossConfig
 from vapor.track import main
-from vapor.train_config import TrainConfig
+from vapor.training.config import TrainConfig
 
 TINY = Trained(
     "tiny",

@@ -11,12 +11,12 @@ import pytest
 from filtering.errors import VaporTrackError
 from sequences.reader import SequenceReader
 from sequences.synthesize import synthesize, write_synthetic
-from vapor import recordings
-from vapor.checkpoint import Checkpoint, load_checkpoint
+from vapor.benchmark import recordings
+from vapor.benchmark.recordings import RecordingSettings, camera_path, load_recording, make_recording
+from vapor.benchmark.trials import assemble
+from vapor.benchmark.windows import Piece, Trial
+from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.recordings import RecordingSettings, camera_path, load_recording, make_recording
-from vapor.trials import assemble
-from vapor.windows import Piece, Trial
 
 SETTINGS = RecordingSettings("ceiling", 5, "early", 12, 48, 36, "0" * 64, 30)
 

@@ -10,9 +10,9 @@ from rich.console import Console
 from filtering.errors import VaporTrackError
 from sequences.frame import Trajectory
 from tests.simulated_run import simulated_record, simulated_steps
-from vapor.evaluate import dead_reckoning
-from vapor.record import RunRecorder, telling_moments
-from vapor.report import build_report, format_table, is_report, write_pictures, write_report
+from vapor.evaluation.trajectory import dead_reckoning
+from vapor.reporting.record import RunRecorder, telling_moments
+from vapor.reporting.report import build_report, format_table, is_report, write_pictures, write_report
 
 
 @pytest.fixture(scope="module")

@@ -11,23 +11,23 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.checks import no_checks
 from tests.test_train import STILL, TINY, make_frames, pose
-from vapor import training_memory
-from vapor.augment import AugmentConfig
-from vapor.baselines import make_regressor
-from vapor.checkpoint import CheckpointError, load_checkpoint
-from vapor.holding_out import hold_out
-from vapor.loss import retrieval_loss
-from vapor.network import NetworkConfig, SceneBox
+from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint
+from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel
-from vapor.presets import METHODS, PRESETS
-from vapor.retrieval import RetrievalRegressor, memory_of
+from vapor.regressors.base import NetworkConfig, SceneBox
+from vapor.regressors.baselines import make_regressor
+from vapor.regressors.loss import retrieval_loss
+from vapor.regressors.retrieval import RetrievalRegressor, memory_of
 from vapor.tensor_files import read_safetensors, write_safetensors
-from vapor.train import train_on
-from vapor.training_epoch import fitting_epochs
-from vapor.training_memory import VARIANTS, described, look
-from vapor.training_set import load_training_set
-from vapor.training_start import start
-from vapor.validation import predict
+from vapor.training import memory as training_memory
+from vapor.training.augment import AugmentConfig
+from vapor.training.epoch import fitting_epochs
+from vapor.training.holding_out import hold_out
+from vapor.training.memory import VARIANTS, described, look
+from vapor.training.presets import METHODS, PRESETS
+from vapor.training.start import start
+from vapor.training.train import train_on
+from vapor.training_data.training_set import load_training_set
 
 BOX = SceneBox((-2.0, -1.0, 0.0), (2.0, 3.0, 1.0))
 SMALL = NetworkConfig(

@@ -31,14 +31,14 @@ from tests.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.simulation import ERRORS, lifted, seen_at
 from tests.tf_files import robot, stamps
 from tests.tiny_model import NETWORK, SMALL
-from vapor.checkpoint import load_checkpoint, save_checkpoint
+from vapor.calibration.familiarity import learn_familiarity
+from vapor.checkpoints.checkpoint import load_checkpoint, save_checkpoint
 from vapor.commands.run import show_run
-from vapor.familiarity import learn_familiarity
 from vapor.observation import VaporObservationModel
-from vapor.record import RunRecord
-from vapor.run import FilteringConfig, localize, write_results
+from vapor.pipeline.run import FilteringConfig, localize, write_results
+from vapor.reporting.record import RunRecord
 from vapor.track import main
-from vapor.training_set import load_training_set
+from vapor.training_data.training_set import load_training_set
 
 README = Path(__file__).parents[1] / "README.md"
 TRAJECTORIES = {

@@ -9,15 +9,15 @@ import cv2
 import pytest
 
 from filtering.errors import VaporTrackError
+from vapor.evaluation.validation import Validation
 from vapor.experiments import schedule as schedule_module
 from vapor.experiments.schedule import DEFAULT, PAPER, Point, ScheduleConfig, _Clock, summary
-from vapor.loss import LossConfig
-from vapor.network import NetworkConfig
-from vapor.presets import PRESETS
+from vapor.regressors.base import NetworkConfig
+from vapor.regressors.loss import LossConfig
 from vapor.track import main
-from vapor.train import Progress
-from vapor.train_config import TrainConfig
-from vapor.validation import Validation
+from vapor.training.config import TrainConfig
+from vapor.training.presets import PRESETS
+from vapor.training.train import Progress
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -8,9 +8,10 @@ import torch
 from safetensors.torch import save_file
 
 from tests.test_checkpoint import SMALL, make_checkpoint
-from vapor.checkpoint import load_checkpoint, save_checkpoint
-from vapor.network import load_pretrained
+from vapor.checkpoints.checkpoint import load_checkpoint, save_checkpoint
+from vapor.evaluation.validation import Validation
 from vapor.observation import VaporObservationModel
+from vapor.regressors.base import load_pretrained
 from vapor.tensor_files import (
     CHECKSUM,
     SHIPPED,
@@ -19,10 +20,9 @@ from vapor.tensor_files import (
     read_safetensors,
     write_safetensors,
 )
-from vapor.train_config import TrainConfig
-from vapor.training_start import start
-from vapor.training_state import load_state, save_state
-from vapor.validation import Validation
+from vapor.training.config import TrainConfig
+from vapor.training.start import start
+from vapor.training.state import load_state, save_state
 
 DAMAGED = r"m\.safetensors: (damaged: .* do not match its checksum, expected the file as it was|cannot be read .*exp)"
 

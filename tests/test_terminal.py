@@ -18,8 +18,8 @@ from sequences.frame import Trajectory
 from sequences.tum import write_tum
 from tests.simulated_run import simulated_steps
 from vapor.commands import console
-from vapor.signals import Signals
-from vapor.terminal import say
+from vapor.commands.signals import Signals
+from vapor.commands.terminal import say
 from vapor.track import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -79,7 +79,7 @@ SIGNALLED = """
 import os, sys
 class Signalled:
     def find_spec(self, name, *_):
-        if name == "vapor.signals":
+        if name == "vapor.commands.signals":
             os.kill(os.getpid(), int(sys.argv.pop()))
 sys.meta_path.insert(0, Signalled())
 from vapor.track import main

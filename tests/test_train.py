@@ -11,20 +11,20 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.checks import no_checks
-from vapor.augment import AugmentConfig
-from vapor.baselines import make_regressor
-from vapor.checkpoint import Calibration, CheckpointError, load_checkpoint
-from vapor.loss import LossConfig
-from vapor.network import NetworkConfig, SceneBox
+from vapor.checkpoints.checkpoint import Calibration, CheckpointError, load_checkpoint
+from vapor.evaluation.validation import validate
 from vapor.observation import VaporObservationModel
-from vapor.presets import PRESETS
-from vapor.train import train, train_on, train_on_images
-from vapor.train_config import TrainConfig, learning_rate, samples_per_image
-from vapor.training_epoch import _update_average, _uses_bfloat16
-from vapor.training_set import TrainingError, load_training_set
-from vapor.training_start import parameter_groups
-from vapor.training_state import TrainingState, state_path
-from vapor.validation import validate
+from vapor.regressors.base import NetworkConfig, SceneBox
+from vapor.regressors.baselines import make_regressor
+from vapor.regressors.loss import LossConfig
+from vapor.training.augment import AugmentConfig
+from vapor.training.config import TrainConfig, learning_rate, samples_per_image
+from vapor.training.epoch import _update_average, _uses_bfloat16
+from vapor.training.presets import PRESETS
+from vapor.training.start import parameter_groups
+from vapor.training.state import TrainingState, state_path
+from vapor.training.train import train, train_on, train_on_images
+from vapor.training_data.training_set import TrainingError, load_training_set
 
 STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0)
 TINY = TrainConfig(
@@ -254,7 +254,7 @@ def test_told_seconds_are_those_of_training_without_judging(tmp_path, monkeypatc
         time.sleep(0.1)
         return validate(*args, **kwargs)
 
-    monkeypatch.setattr("vapor.train.validate", slowly)
+    monkeypatch.setattr("vapor.training.train.validate", slowly)
     told, begin = [], time.perf_counter()
     result = train_on_most(make_frames(24), tmp_path / "m.safetensors", TINY, progress=told.append)
     seconds = [progress.seconds for progress in told if progress.stage == "training"]
@@ -331,7 +331,7 @@ def test_interrupted_before_and_after_it_was_judged_a_training_ends_with_the_sam
 @pytest.mark.usefixtures("unchecked")
 def test_epochs_that_are_not_given_fit_into_the_hours(tmp_path, monkeypatch):
     now = iter(np.arange(0.0, 1e6, 0.1))  # as if every step took so long, and nothing else any time
-    monkeypatch.setattr("vapor.training_epoch.perf_counter", lambda: float(next(now)))
+    monkeypatch.setattr("vapor.training.epoch.perf_counter", lambda: float(next(now)))
     config = replace(EVERYTHING, epochs=None, hours=10.0 / 3600)
     found = train_on(walks(), tmp_path / "m.safetensors", config)
     seconds = 0.1 / 8 * found.images_seen

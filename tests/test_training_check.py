@@ -8,11 +8,11 @@ import pytest
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from tests.test_passes import frames_of
-from vapor import training_check
-from vapor.calibrate import CalibrationResult
-from vapor.checkpoint import Calibration
-from vapor.training_check import check
-from vapor.training_set import load_training_set
+from vapor.calibration.calibrate import CalibrationResult
+from vapor.checkpoints.checkpoint import Calibration
+from vapor.training import check as training_check
+from vapor.training.check import check
+from vapor.training_data.training_set import load_training_set
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -10,13 +10,13 @@ from sequences.frame import Frame
 from tests.sequence_files import Walk, as_split_folder
 from tests.test_datasets import make_7scenes
 from tests.test_train import TINY, make_frames, pose
-from vapor.baselines import make_regressor
-from vapor.network import SceneBox
+from vapor.evaluation.validation import predict
+from vapor.regressors.base import SceneBox
+from vapor.regressors.baselines import make_regressor
 from vapor.track import main
-from vapor.train import train, train_on
-from vapor.training_epoch import _paired
-from vapor.training_set import TrainingError, load_training_set, open_sequences, require_apart
-from vapor.validation import predict
+from vapor.training.epoch import _paired
+from vapor.training.train import train, train_on
+from vapor.training_data.training_set import TrainingError, load_training_set, open_sequences, require_apart
 
 
 def test_training_images_are_scaled_to_cover_the_frame_and_keep_their_order():

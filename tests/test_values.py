@@ -29,7 +29,7 @@ from sequences.values import (
     read_arrays,
     read_lines,
 )
-from vapor.checkpoint import CheckpointError, parse_metadata
+from vapor.checkpoints.checkpoint import CheckpointError, parse_metadata
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 REST = "0 0 0 0 0 0 1"

@@ -11,7 +11,7 @@ from filtering.posterior import PosePosterior
 from filtering.rivals import DoubtingLocalizer
 from filtering.se3 import Poses
 from tests.simulation import ERRORS
-from vapor.variants import VARIANTS
+from vapor.tracking.ablations import VARIANTS
 
 
 def poses_around(x_m: float, count: int, seed: int) -> Poses:

@@ -6,7 +6,7 @@ import pytest
 from filtering.estimate import Mode
 from filtering.se3 import Poses
 from tests.simulated_run import true_walk
-from vapor.verdicts import (
+from vapor.evaluation.belief import (
     Belief,
     count_false_recoveries,
     is_right,

@@ -11,7 +11,7 @@ import pytest
 from filtering.errors import VaporTrackError
 from sequences.frame import Frame
 from tests.simulated_run import simulated_steps
-from vapor.view import NullViewer, RerunViewer
+from vapor.reporting.rerun_viewer import NullViewer, RerunViewer
 
 
 @pytest.fixture(scope="module")

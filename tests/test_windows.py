@@ -8,8 +8,8 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from vapor.recordings import CameraPath
-from vapor.windows import (
+from vapor.benchmark.recordings import CameraPath
+from vapor.benchmark.windows import (
     KINDS,
     Kind,
     Piece,

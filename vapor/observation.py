@@ -16,9 +16,9 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.cameras import AsTakenBy
-from vapor.checkpoint import Checkpoint, find_model, load_checkpoint
-from vapor.familiarity import Describer
+from vapor.checkpoints.checkpoint import Checkpoint, find_model, load_checkpoint
 from vapor.images import prepare, require_rgb
+from vapor.regressors.familiarity import Describer
 
 Device = Literal["auto", "cpu", "cuda"]
 

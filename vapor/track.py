@@ -8,7 +8,7 @@ import sys
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from vapor.signals import Signals
+    from vapor.commands.signals import Signals
 
 COMMANDS = {
     "run": "localize the camera of a recorded sequence",
@@ -39,8 +39,8 @@ def main(arguments: list[str] | None = None) -> int:
     """
     if arguments is None and _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # ends the process as SIGTERM does, until `take` below
-    from vapor.signals import Signals
-    from vapor.terminal import encode_anything, flush_output, say
+    from vapor.commands.signals import Signals
+    from vapor.commands.terminal import encode_anything, flush_output, say
 
     words = list(sys.argv[1:] if arguments is None else arguments)
     prefix = " ".join(["vapor-track", *(word for word in words[:1] if word in COMMANDS)])
@@ -72,7 +72,7 @@ def _run(words: list[str], signals: Signals) -> int:
     import importlib
 
     from filtering.errors import shortened
-    from vapor.terminal import say, write
+    from vapor.commands.terminal import say, write
 
     if not words or words[0] in ("-h", "--help"):
         write(_overview())

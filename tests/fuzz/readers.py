@@ -28,13 +28,13 @@ from tests import foxglove_files, pose_text, test_datasets, test_layouts, test_p
 from tests.fuzz.damage import in_order, zipped
 from tests.fuzz.mcap_damage import stated_images
 from tests.sequence_files import BEGIN_NS, CAMERA, Walk, as_split_folder, picture, rewrite
-from vapor.baselines import make_regressor
-from vapor.checkpoint import Calibration, Checkpoint, load_checkpoint, save_checkpoint
-from vapor.familiarity import Familiarity, description_size
-from vapor.network import NetworkConfig, PoseRegressor, SceneBox
-from vapor.retrieval import RetrievalRegressor, memory_of
-from vapor.training_state import TrainingState, load_state, save_state
-from vapor.validation import Validation
+from vapor.checkpoints.checkpoint import Calibration, Checkpoint, load_checkpoint, save_checkpoint
+from vapor.evaluation.validation import Validation
+from vapor.regressors.base import NetworkConfig, PoseRegressor, SceneBox
+from vapor.regressors.baselines import make_regressor
+from vapor.regressors.familiarity import Familiarity, description_size
+from vapor.regressors.retrieval import RetrievalRegressor, memory_of
+from vapor.training.state import TrainingState, load_state, save_state
 
 _IMAGES = 6
 _WALK_TOPIC, _ROBOT_TOPIC = "/camera/image/compressed", "/image/compressed"

@@ -17,24 +17,24 @@ from sequences import datasets
 from sequences.options import SequenceOptions
 from sequences.place import is_place
 from sequences.results import claim_folder
-from vapor import real_benchmark
-from vapor.benchmark import Benchmark, BenchmarkConfig
-from vapor.checkpoint import find_model
+from vapor.benchmark import real as real_benchmark
+from vapor.benchmark.fault_runs import FaultBenchmark, FaultsConfig
+from vapor.benchmark.faults import summarise_faults
+from vapor.benchmark.foreign_images import IN_A_ROW, judge
+from vapor.benchmark.localization import Benchmark, BenchmarkConfig
+from vapor.benchmark.real import RealConfig
+from vapor.benchmark.real_rows import Place
+from vapor.benchmark.summary import summarise
+from vapor.benchmark.timing import time_step, untrained
+from vapor.checkpoints.checkpoint import find_model
 from vapor.commands import real_tables
 from vapor.commands.benchmark_tables import failures, fault_failures, fault_tables, tables
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, progress_of, show, usage_error
-from vapor.familiarity_benchmark import IN_A_ROW, judge
-from vapor.fault_benchmark import FaultBenchmark, FaultsConfig
-from vapor.faults import summarise_faults
-from vapor.fleet import unique_names
 from vapor.observation import Device, VaporObservationModel
-from vapor.presets import PRESETS
-from vapor.real_benchmark import RealConfig
-from vapor.real_rows import Place
-from vapor.report import write_report
-from vapor.summary import summarise
+from vapor.pipeline.fleet import unique_names
+from vapor.reporting.report import write_report
 from vapor.threads import limited_threads
-from vapor.timing import time_step, untrained
+from vapor.training.presets import PRESETS
 
 _MAX_SEED = 2**63
 

@@ -8,11 +8,11 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from vapor.evaluate import FILES, REGIONS, THRESHOLDS
-from vapor.faults import FAULT_S, FAULTS, LONG_S, NONE, NOTICED_S, SETTLED_S
-from vapor.intervals import Interval, dissent
-from vapor.summary import OFTEN, WITHIN_IMAGES
-from vapor.windows import KINDS
+from vapor.benchmark.faults import FAULT_S, FAULTS, LONG_S, NONE, NOTICED_S, SETTLED_S
+from vapor.benchmark.summary import OFTEN, WITHIN_IMAGES
+from vapor.benchmark.windows import KINDS
+from vapor.evaluation.intervals import Interval, dissent
+from vapor.evaluation.trajectory import FILES, REGIONS, THRESHOLDS
 
 Aggregate = Mapping[str, Any]
 Summary = Mapping[str, Mapping[str, Mapping[str, Aggregate]]]

@@ -13,12 +13,12 @@ from rich.table import Table
 from filtering.error_model import Six
 from sequences.options import SequenceOptions
 from sequences.results import refuse_other
-from vapor.calibrate import CalibrationResult, calibrate_model
-from vapor.checkpoint import find_model, is_model
+from vapor.calibration.calibrate import CalibrationResult, calibrate_model
+from vapor.calibration.images import REGIONS
+from vapor.checkpoints.checkpoint import find_model, is_model
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_notices, show_skipped, usage_error
-from vapor.image_fit import REGIONS
 from vapor.observation import Device
-from vapor.training_set import files_read
+from vapor.training_data.training_set import files_read
 
 
 @dataclass(frozen=True)

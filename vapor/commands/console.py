@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from filtering.errors import VaporTrackError, shortened
-from vapor.terminal import raise_of_output, say
+from vapor.commands.terminal import raise_of_output, say
 
 Options = TypeVar("Options")
 

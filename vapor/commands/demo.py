@@ -13,8 +13,8 @@ from sequences.errors import SequenceError
 from sequences.results import results_folder
 from sequences.synthesize import synthesize, write_synthetic
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_files, usage_error
-from vapor.report import format_table
-from vapor.run import RESULTS, RunConfig, load_model, run_into
+from vapor.pipeline.run import RESULTS, RunConfig, load_model, run_into
+from vapor.reporting.report import format_table
 
 _SEQUENCE = "sequence.mcap"
 _METHODS = ("single_image", "dead_reckoning", "filter")

@@ -11,8 +11,8 @@ import tyro
 
 from sequences.results import MANIFEST, UNCHECKED, refuse_other
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
-from vapor.evaluate import evaluate_directory, files_read
-from vapor.report import format_table, is_report, write_report
+from vapor.evaluation.trajectory import evaluate_directory, files_read
+from vapor.reporting.report import format_table, is_report, write_report
 
 
 @dataclass(frozen=True)

@@ -19,15 +19,15 @@ from sequences.atomic import atomic_output
 from sequences.results import claim_folder
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, usage_error
 from vapor.commands.named_settings import Preset, parse_named
-from vapor.evaluate import RIGHT, THRESHOLDS
+from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.experiments.alpha import AlphaConfig
 from vapor.experiments.decay import DecayConfig
 from vapor.experiments.schedule import PAPER, SCHEDULES, Point, ScheduleConfig, ScheduleExperiment, summary
 from vapor.experiments.sweep import MODES, Sweep, SweepConfig, by_value, in_order
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
-from vapor.presets import PRESETS
-from vapor.report import write_report
-from vapor.training_set import files_read
+from vapor.reporting.report import write_report
+from vapor.training.presets import PRESETS
+from vapor.training_data.training_set import files_read
 
 _Tables = Annotated[
     tyro.conf.Positional[tuple[Literal["round-table", "dinner-table"], ...]], tyro.conf.arg(metavar="SCENE ...")

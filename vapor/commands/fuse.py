@@ -12,8 +12,8 @@ import tyro
 from sequences.estimates import EstimateOptions
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, usage_error
 from vapor.commands.run import show_run
-from vapor.fuse import EstimateConfig, fuse
-from vapor.run import FilteringConfig
+from vapor.pipeline.fuse import EstimateConfig, fuse
+from vapor.pipeline.run import FilteringConfig
 
 
 @dataclass(frozen=True)

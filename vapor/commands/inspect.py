@@ -19,7 +19,7 @@ from filtering.errors import VaporTrackError
 from sequences.counts import ImageCounts
 from sequences.options import SequenceOptions
 from sequences.results import results_folder
-from vapor.checkpoint import find_model
+from vapor.checkpoints.checkpoint import find_model
 from vapor.commands.console import (
     OutputPath,
     Overwrite,
@@ -39,8 +39,8 @@ from vapor.inspection.picture import draw_map
 from vapor.inspection.predictions import Predictions
 from vapor.inspection.walks import Walk
 from vapor.observation import Device, VaporObservationModel
-from vapor.report import write_report
-from vapor.training_set import files_read
+from vapor.reporting.report import write_report
+from vapor.training_data.training_set import files_read
 
 _TOLD = 8
 _MAP, _REPORT = "map.png", "report.json"

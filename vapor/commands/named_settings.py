@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import tyro
 
 from vapor.commands.console import parse, usage_error
-from vapor.presets import METHODS, PRESETS
+from vapor.training.presets import METHODS, PRESETS
 
 Preset = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")]
 Method = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]

@@ -15,13 +15,13 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.datasets import files_read, posed_frames
 from sequences.results import refuse_other
-from vapor.checkpoint import find_model, load_checkpoint
+from vapor.checkpoints.checkpoint import find_model, load_checkpoint
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
-from vapor.evaluate import THRESHOLDS
+from vapor.evaluation.posterior import posterior_metrics
+from vapor.evaluation.trajectory import THRESHOLDS
 from vapor.observation import Device, VaporObservationModel
-from vapor.pictures import is_picture
-from vapor.posterior_metrics import posterior_metrics
-from vapor.posterior_pictures import draw_posterior
+from vapor.reporting.pictures import is_picture
+from vapor.reporting.posterior_pictures import draw_posterior
 
 
 @dataclass(frozen=True)

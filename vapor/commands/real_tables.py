@@ -8,8 +8,8 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from vapor.evaluate import REGIONS
-from vapor.real_benchmark import METHODS, Figure
+from vapor.benchmark.real import METHODS, Figure
+from vapor.evaluation.trajectory import REGIONS
 
 Summary = Mapping[str, Mapping[str, Any]]
 

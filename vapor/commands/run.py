@@ -24,9 +24,9 @@ from vapor.commands.console import (
     show_skipped,
     usage_error,
 )
-from vapor.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
-from vapor.report import format_table
-from vapor.run import RunConfig, RunResult, run
+from vapor.pipeline.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
+from vapor.pipeline.run import RunConfig, RunResult, run
+from vapor.reporting.report import format_table
 
 
 @dataclass(frozen=True)

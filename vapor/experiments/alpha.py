@@ -7,8 +7,8 @@ from typing import ClassVar
 
 from filtering.errors import VaporTrackError
 from vapor.experiments.sweep import SweepConfig
-from vapor.presets import PRESETS
-from vapor.train_config import TrainConfig
+from vapor.training.config import TrainConfig
+from vapor.training.presets import PRESETS
 
 PAPER_ALPHAS = (0.01, *(round(0.05 * k, 2) for k in range(1, 21)))
 """α of the paper's figure."""

@@ -11,9 +11,9 @@ from typing import ClassVar
 
 from filtering.errors import require_within
 from vapor.experiments.sweep import SweepConfig
-from vapor.loss import LossConfig
-from vapor.network import NetworkConfig
-from vapor.train_config import TrainConfig
+from vapor.regressors.base import NetworkConfig
+from vapor.regressors.loss import LossConfig
+from vapor.training.config import TrainConfig
 
 
 def _by_heart() -> TrainConfig:

@@ -17,12 +17,12 @@ from typing import Any
 from filtering.errors import VaporTrackError, require_within
 from sequences.atomic import atomic_output, workspace
 from sequences.values import read_json
+from vapor.cache import digest
 from vapor.experiments.trainings import Scene, identities, render_scenes, rendered_height, trained_from
 from vapor.observation import resolve_device
-from vapor.presets import PRESETS
-from vapor.recordings import digest
-from vapor.train import Progress, train
-from vapor.train_config import TrainConfig
+from vapor.training.config import TrainConfig
+from vapor.training.presets import PRESETS
+from vapor.training.train import Progress, train
 
 DEFAULT, PAPER = SCHEDULES = "default", "paper"
 _START = "network", "pretrained_weights", "pretrained", "initial_model", "initial_log_variance"

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
 from vapor.experiments.trainings import Scene, Training, kept_samples, render_scenes, rendered_height, run_trainings
-from vapor.train_config import TrainConfig
+from vapor.training.config import TrainConfig
 
 MODES: Mapping[str, int] = MappingProxyType({"round-table": 4, "dinner-table": 2})
 """Scenes of the sweeps, and how many poses look alike in each, by construction."""

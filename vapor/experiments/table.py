@@ -13,11 +13,11 @@ import numpy as np
 from filtering.errors import VaporTrackError, require_within
 from sequences.place import SCENES, is_place
 from sequences.reader import SequenceReader
-from vapor.evaluate import RIGHT, THRESHOLDS
+from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.experiments.trainings import Scene, Training, render_scenes, rendered_height, run_trainings
-from vapor.presets import METHODS
-from vapor.train_config import TrainConfig
-from vapor.training_set import TrainingError, require_apart
+from vapor.training.config import TrainConfig
+from vapor.training.presets import METHODS
+from vapor.training_data.training_set import TrainingError, require_apart
 
 
 @dataclass(frozen=True)

@@ -19,17 +19,18 @@ from filtering.se3 import Poses
 from sequences.atomic import atomic_output, workspace
 from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
 from sequences.values import read_arrays, read_json
-from vapor.checkpoint import load_checkpoint, spaced
+from vapor.benchmark.recordings import from_rows, to_rows
+from vapor.cache import digest
+from vapor.checkpoints.checkpoint import load_checkpoint, spaced
+from vapor.evaluation.posterior import posterior_metrics
+from vapor.evaluation.validation import exact_log_density, predict
 from vapor.observation import resolve_device
 from vapor.parallel import in_parallel
-from vapor.posterior_metrics import posterior_metrics
-from vapor.recordings import digest, from_rows, to_rows
-from vapor.run import RunConfig, run
+from vapor.pipeline.run import RunConfig, run
 from vapor.threads import limited_threads
-from vapor.train import train_on_images
-from vapor.train_config import TrainConfig
-from vapor.training_set import TrainingError, TrainingSet, load_training_set, open_sequences, parse_entry
-from vapor.validation import exact_log_density, predict
+from vapor.training.config import TrainConfig
+from vapor.training.train import train_on_images
+from vapor.training_data.training_set import TrainingError, TrainingSet, load_training_set, open_sequences, parse_entry
 
 _RESULTS = 2  # counts up when the same training gives other results than before
 _LEAST_HEIGHT, _SPARE = 96, 1.4  # of rendered images: pixels, and times what covers a frame

@@ -11,9 +11,9 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.time_offset import find_time_offset
-from vapor.ground import runs
 from vapor.inspection.odometry import chained
 from vapor.inspection.walks import Walk
+from vapor.training_data.ground import runs
 
 _USUAL_OFFSET_S = 3.0  # at most, within one recording
 _CERTAIN_S = 0.02  # standard deviation, at most

@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from filtering.se3 import Poses
-from vapor.floors import find_floors
-from vapor.ground import DIRECTION_RAD, runs
-from vapor.holding_out import AWAY, WHOLE_OF, Split, hold_out, long_runs, shown_by, way_of
-from vapor.train_config import TrainConfig
-from vapor.training_set import TrainingSet
+from vapor.evaluation.floors import find_floors
+from vapor.training.config import TrainConfig
+from vapor.training.holding_out import AWAY, WHOLE_OF, Split, hold_out, long_runs, shown_by, way_of
+from vapor.training_data.ground import DIRECTION_RAD, runs
+from vapor.training_data.training_set import TrainingSet
 
 SECTORS = 8
 STEEP = np.sin(np.deg2rad(60.0))

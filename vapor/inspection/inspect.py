@@ -18,7 +18,7 @@ from vapor.inspection.odometry import OdometryCheck, check_odometry
 from vapor.inspection.predictions import Predictions, Said
 from vapor.inspection.verdict import verdict
 from vapor.inspection.walks import Walk, posed_images, read_walks
-from vapor.training_set import too_far
+from vapor.training_data.training_set import too_far
 
 
 @dataclass(frozen=True)

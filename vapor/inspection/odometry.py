@@ -16,8 +16,8 @@ from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry_fit import OdometryFit, OdometryStretch, fit_odometry
 from sequences.time_offset import find_time_offset
-from vapor.passes import odometry_stretches
-from vapor.training_set import TrainingSet
+from vapor.training_data.passes import odometry_stretches
+from vapor.training_data.training_set import TrainingSet
 
 _WINDOW_S = 1.0  # over which motions are compared: noise of single images counts little
 _LEAST_WINDOWS = 20

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.evaluate import is_right
+from vapor.evaluation.trajectory import is_right
 from vapor.inspection.coverage import Coverage
 
 _COUNTED = 0.1  # of the samples, for a place to count

@@ -22,7 +22,7 @@ from sequences.reader import SequenceReader
 from sequences.roles import TruePoseUse
 from vapor.inspection.looks import Look, Looks, look_at
 from vapor.inspection.turns import outline, turn_between
-from vapor.training_set import TrainingError, TrainingSet, name_entries
+from vapor.training_data.training_set import TrainingError, TrainingSet, name_entries
 
 _GAP_STEPS, _GAP_S = 3.0, 0.25  # longer than so many usual steps, and than so long
 _LEAST_RUN = 3  # images that are one and the same

@@ -1,0 +1,331 @@
+"""Runs of many walks without a fault and with every one, in parallel, each done once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from filtering.errors import VaporTrackError, require_within
+from sequences.options import SequenceOptions
+from vapor.benchmark import faults
+from vapor.benchmark.fault_walks import RECORDED, FaultWalk, RecordedWalk, SyntheticWalk
+from vapor.benchmark.faults import FAULTS, NONE, Film, find_moment, impossible, judge, shown
+from vapor.benchmark.localization import RecordingsConfig, make_recordings, make_setups, paths
+from vapor.benchmark.recordings import FileSettings, RecordingSettings, load_recording
+from vapor.benchmark.trials import Replay, Setup
+from vapor.benchmark.windows import trials_by_seed
+from vapor.cache import cached, code_digest
+from vapor.evaluation.belief import Belief
+from vapor.parallel import in_parallel
+
+_BARREN = 20  # walks in a row without a moment for a fault, after which there is none to be hoped for
+
+
+@dataclass(frozen=True)
+class FaultsConfig(RecordingsConfig):
+    """Settings of a benchmark of faults."""
+
+    walks: int = 10
+    """Walks of each scene, each without a fault and with every one."""
+    faults: tuple[str, ...] = tuple(FAULTS)
+    """Of camera, for five seconds: black, frozen, upside-down, no-images; of odometry: standing-still, tripled, reset,
+    scale, and all the walk scale-throughout; of clocks: all the walk late, for five seconds ahead; of rates, all the
+    walk: a-third, three-times; images of no place in the map, to the end: elsewhere, noise, turned-over."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_within(self, walks=(1, 10**6))
+        least = round(10 * (faults.CONVERGED_S + faults.FAULT_S + faults.REMAINING_S))
+        if self.frames < least:
+            raise VaporTrackError(
+                f"frames is {self.frames}, expected at least {least}: {faults.CONVERGED_S:g} s before a fault,"
+                f" {faults.FAULT_S:g} s with it, and {faults.REMAINING_S:g} s after it"
+            )
+        for fault in self.faults:
+            if fault not in FAULTS:
+                raise VaporTrackError(f"unknown fault {fault!r}, expected one of {', '.join(FAULTS)}")
+        if not self.faults or len(set(self.faults)) < len(self.faults):
+            raise VaporTrackError(f"faults are {', '.join(self.faults) or 'none'}, expected each at most once, and one")
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A walk, and when faults begin.
+
+    Attributes:
+        walk: Which.
+        begin: The image at which faults begin.
+        without: The result of the run without any, see `run_fault`.
+    """
+
+    walk: FaultWalk
+    begin: int
+    without: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class FaultRun:
+    """A walk with a fault.
+
+    Attributes:
+        walk: Which.
+        begin: Image at which the fault begins.
+        fault: Its name.
+        film: The recording of what the camera shows during the fault; None where that is nothing or the walk itself.
+    """
+
+    walk: FaultWalk
+    begin: int
+    fault: str
+    film: RecordingSettings | FileSettings | None
+
+
+class FaultBenchmark:
+    """The walks of a benchmark of faults, and where their results lie.
+
+    Args:
+        scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.
+        directory: For recordings and results; one that is interrupted goes on where it was.
+        config: Settings.
+        errors: What replaces numbers of the models' own error models, by name.
+        recordings: MCAP files and rosbag2 folders with odometry and true poses, each a walk, by a name of its own.
+        model: What these are localized by.
+        reading: What to read of them.
+
+    Raises:
+        VaporTrackError: a model or an error model that cannot be used.
+    """
+
+    def __init__(
+        self,
+        scenes: Mapping[str, str],
+        directory: Path,
+        config: FaultsConfig,
+        errors: Mapping[str, Any],
+        *,
+        recordings: Mapping[str, Path] = MappingProxyType({}),
+        model: str | None = None,
+        reading: SequenceOptions | None = None,
+    ) -> None:
+        self.directory = directory
+        self.config = config
+        self._setups = make_setups(scenes, config, errors)
+        self._recorded: list[RecordedWalk] = []
+        if model is not None:
+            setup, options = make_setups({RECORDED: model}, config, errors)[RECORDED], reading or SequenceOptions()
+            self._recorded = [
+                RecordedWalk(name, file, setup, options, config.first_seed) for name, file in recordings.items()
+            ]
+
+    def choose(self, progress: Callable[[int, int], None]) -> tuple[list[Chosen], list[str]]:
+        """The recordings, and of each scene the first walks of a seed of their own, that have a moment for a fault.
+
+        Returns:
+            The walks; and the names of those that have none, of synthetic ones scene and seed, though their "cue"
+            trials are tried one by one.
+
+        Raises:
+            VaporTrackError: seed after seed has no such walk, or none of the recordings has; one cannot be read.
+        """
+        total = self.config.walks * len(self._setups) + len(self._recorded)
+        chosen, unused = self._choose_recorded(lambda n: progress(n, total))
+        for scene, setup in self._setups.items():
+            before = len(chosen)
+            found, refused = self._choose_synthetic(scene, setup, lambda n, before=before: progress(before + n, total))
+            chosen += found
+            unused += [f"{scene} {seed}" for seed in refused]
+        return chosen, unused
+
+    def _choose_recorded(self, progress: Callable[[int], None]) -> tuple[list[Chosen], list[str]]:
+        for done, _ in self._record({walk.own: walk for walk in self._recorded}):
+            progress(done)
+        jobs = [((walk,), self.directory) for walk in self._recorded]
+        chosen = [each for each in in_parallel(find_walk, jobs, self.config.workers) if each is not None]
+        chosen.sort(key=lambda each: each.walk.name)
+        unused = sorted({walk.name for walk in self._recorded} - {each.walk.name for each in chosen})
+        if self._recorded and not chosen:
+            times_ns = [walk.replay(self.directory / "recordings").times_ns for walk in self._recorded]
+            longest_s = max(float(each[-1] - each[0]) / 1e9 for each in times_ns)
+            raise VaporTrackError(
+                f"none of {len(unused)} recordings, the longest of {longest_s:.1f} s, is converged for"
+                f" {faults.CONVERGED_S:g} s with {faults.FAULT_S + faults.REMAINING_S:g} s to go, expected one at least"
+            )
+        return chosen, unused
+
+    def left_out(self) -> Iterator[tuple[str, int, int]]:
+        """Recordings of which not all images could be used: name, how many were, and how many there are."""
+        for walk in self._recorded:
+            used, count = len(walk.replay(self.directory / "recordings").times_ns), walk.count()
+            if used != count:
+                yield walk.name, used, count
+
+    def _choose_synthetic(
+        self, scene: str, setup: Setup, progress: Callable[[int], None]
+    ) -> tuple[list[Chosen], list[int]]:
+        c = self.config
+        path = paths(setup, scene, "cue", self.directory / "recordings")
+        seeds = trials_by_seed(scene, "cue", first_seed=c.first_seed, frames=c.frames, path=path)
+        found: list[Chosen] = []
+        refused: list[int] = []
+        while len(found) < c.walks:
+            batch = {
+                trials[0].pieces[0].seed: [SyntheticWalk(trial, setup, c.first_seed) for trial in trials]
+                for trials in islice(seeds, c.walks - len(found))
+            }
+            wanted = {setup.recording(scene, "cue", walks[0].trial.pieces[0]): setup for walks in batch.values()}
+            for _ in make_recordings(wanted, self.directory / "recordings", c.workers):
+                pass
+            jobs = [(walks, self.directory) for walks in batch.values()]
+            usable = {
+                each.walk.seed: each
+                for each in in_parallel(find_walk, jobs, c.workers)
+                if each is not None and isinstance(each.walk, SyntheticWalk)
+            }
+            found += [usable[seed] for seed in sorted(usable)]
+            refused += sorted(batch.keys() - usable.keys())
+            progress(len(found))
+            if not batch or len(refused) > _BARREN + len(found):
+                raise VaporTrackError(
+                    f"{scene}: {len(found)} of {len(found) + len(refused)} walks from seed {c.first_seed} on are"
+                    f" converged for {faults.CONVERGED_S:g} s with {faults.FAULT_S + faults.REMAINING_S:g} s to go,"
+                    f" expected {c.walks}"
+                )
+        return found, refused
+
+    def record(self, chosen: Sequence[Chosen]) -> Iterator[tuple[int, int]]:
+        """Show the networks the images of the faults; yields the number done and the number of all after each."""
+        yield from self._record({run.film: run.walk for run in self.runs(chosen) if run.film is not None})
+
+    def _record(self, wanted: Mapping[RecordingSettings | FileSettings, FaultWalk]) -> Iterator[tuple[int, int]]:
+        directory = self.directory / "recordings"
+        missing = [(walk, film, directory) for film, walk in wanted.items() if not (directory / film.name).is_dir()]
+        for done, _ in enumerate(in_parallel(_record, missing, self.config.workers), len(wanted) - len(missing) + 1):
+            yield done, len(wanted)
+
+    def localize(self, chosen: Sequence[Chosen]) -> Iterator[dict[str, Any]]:
+        """The result of every walk with every fault, in no order; those that are there are not computed again."""
+        jobs = [(run.walk, run.begin, run.fault, run.film, self.directory) for run in self.runs(chosen)]
+        yield from in_parallel(run_fault, jobs, self.config.workers)
+
+    def runs(self, chosen: Sequence[Chosen]) -> list[FaultRun]:
+        """Every walk with every fault that can befall it: nobody can render images between those of a recording."""
+        runs = []
+        for each in chosen:
+            films = each.walk.films()
+            for fault in self.config.faults:
+                cause = FAULTS[fault].cause
+                if fault not in each.without["impossible"] and (callable(cause) or cause in films):
+                    film = None if callable(cause) else films[cause]
+                    runs.append(FaultRun(each.walk, each.begin, fault, film))
+        return runs
+
+
+def find_walk(walks: Sequence[FaultWalk], directory: Path) -> Chosen | None:
+    """The first of the walks in which a fault may begin: see `find_moment`."""
+    for walk in walks:
+        without = run_without(walk, directory)
+        if without["begin"] is not None:
+            return Chosen(walk, without["begin"], without)
+    return None
+
+
+def run_without(walk: FaultWalk, directory: Path) -> dict[str, Any]:
+    """Run a walk without a fault.
+
+    Returns:
+        As `run_fault`, with `begin` and `methods` None where no fault may begin, and `impossible`, faults that would be
+        none at its rate.
+    """
+
+    def compute() -> dict[str, Any]:
+        replay = walk.replay(directory / "recordings")
+        beliefs = walk.beliefs(replay)
+        begin = find_moment(beliefs["filter"].status, replay.times_ns)
+        whole = range(len(replay.times_ns))
+        judged = None if begin is None else _judge_all(beliefs, replay, begin, whole)
+        return _result(walk, NONE, begin, judged) | {"impossible": impossible(replay.times_ns)}
+
+    return _kept(walk, NONE, directory, compute)
+
+
+def run_fault(
+    walk: FaultWalk, begin: int, fault: str, film: RecordingSettings | FileSettings | None, directory: Path
+) -> dict[str, Any]:
+    """Run a walk with a fault, or take the result that a run with the same settings and the same code left.
+
+    Args:
+        walk: Which.
+        begin: Image at which the fault begins.
+        fault: Its name.
+        film: The recording of what the camera shows during the fault; None where that is nothing or the walk itself.
+        directory: With `recordings`; results are kept in `faults`.
+
+    Returns:
+        JSON: `name`, `scene`, `fault`, `begin`, and `methods`: see `judge`.
+
+    Raises:
+        VaporTrackError: a recording is missing or was made with other settings.
+    """
+
+    def compute() -> dict[str, Any]:
+        replay = walk.replay(directory / "recordings")
+        cause, during = FAULTS[fault].cause, FAULTS[fault].during(begin, replay.times_ns)
+        faulty = cause(replay, during) if callable(cause) else _filmed(replay, during, cause, film, directory)
+        # It may have more images; the fault begins at the same time.
+        first = int(np.searchsorted(faulty.times_ns, replay.times_ns[begin]))
+        during = FAULTS[fault].during(first, faulty.times_ns)
+        return _result(walk, fault, begin, _judge_all(walk.beliefs(faulty), faulty, first, during))
+
+    more = {"begin": begin, "film": None if film is None else film.name}
+    return _kept(walk, fault, directory, compute, more)
+
+
+def _record(walk: FaultWalk, film: RecordingSettings | FileSettings, directory: Path) -> None:
+    walk.record(film, directory)
+
+
+def _judge_all(beliefs: Mapping[str, Belief], replay: Replay, begin: int, during: range) -> dict[str, Any]:
+    return {name: judge(belief, replay.times_ns, replay.truth, begin, during) for name, belief in beliefs.items()}
+
+
+def _result(walk: FaultWalk, fault: str, begin: int | None, methods: Mapping[str, Any] | None) -> dict[str, Any]:
+    return {"name": walk.name, "scene": walk.group, "fault": fault, "begin": begin, "methods": methods}
+
+
+def _kept(
+    walk: FaultWalk,
+    fault: str,
+    directory: Path,
+    compute: Callable[[], dict[str, Any]],
+    more: Mapping[str, Any] = MappingProxyType({}),
+) -> dict[str, Any]:
+    settings = walk.settings() | {"fault": fault, "faults_code": _code(), **more}
+    return cached(directory / "faults" / f"{walk.name}-{fault}", settings, compute)
+
+
+def _filmed(
+    replay: Replay, during: range, cause: Film, film: RecordingSettings | FileSettings | None, directory: Path
+) -> Replay:
+    """The replay with a film shown; a short one begins again, and one of the walk itself takes its place."""
+    assert film is not None
+    recording = load_recording(film, directory / "recordings")
+    count = len(recording.times_ns)
+    if cause == "three-times":
+        odometry, truth = tuple(map(recording.motion, range(count))), recording.path.world_from_camera
+        posterior_poses, unfamiliarity = recording.posterior_poses, recording.unfamiliarity
+        return Replay(recording.times_ns, odometry, truth, posterior_poses, unfamiliarity, replay.cue_images)
+    numbers = np.arange(len(replay.times_ns)) % count
+    return shown(
+        replay, during, lambda image: recording.posterior_poses(image % count), recording.unfamiliarity[numbers]
+    )
+
+
+def _code() -> str:
+    """Digest of the code of faults: those that were changed are run again."""
+    return code_digest("vapor.benchmark.faults", "vapor.benchmark.fault_walks", __name__)

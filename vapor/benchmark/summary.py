@@ -1,0 +1,182 @@
+"""What many trials add up to, per scene, kind of run and variant of the filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from vapor.benchmark.windows import KINDS
+from vapor.evaluation.intervals import Walks
+from vapor.evaluation.trajectory import FILES, REGIONS, THRESHOLDS
+
+WITHIN_IMAGES = 50
+"""A kidnapped filter should be right again after no more images than this."""
+
+OFTEN = 0.05
+"""Share of a run's images from which on being sure of a wrong place is more than a moment's."""
+
+Results = Sequence[Mapping[str, Any]]
+
+
+def summarise(results: Results) -> dict[str, dict[str, dict[str, Any]]]:
+    """Aggregates of all results, by scene, kind and variant."""
+    groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
+    for result in sorted(results, key=lambda each: each["name"]):
+        groups.setdefault((result["scene"], result["kind"], result["variant"]), []).append(result)
+    summary: dict[str, dict[str, dict[str, Any]]] = {}
+    for (scene, kind, variant), group in groups.items():
+        summary.setdefault(scene, {}).setdefault(kind, {})[variant] = _aggregate(group)
+    return summary
+
+
+def failed(result: Mapping[str, Any]) -> bool:
+    """Whether a run is one to look at.
+
+    With something unique on its way: it did not find itself. Without, or standing: it was sure of a wrong place in at
+    least 5 % of its images. Carried off: it did not recover within 50 images.
+    """
+    like, belief = KINDS[result["kind"]].like, result["belief"]["filter"]
+    if like == "cue":
+        return not result["methods"]["filter"]["success"]
+    return _wrong_share(belief) >= OFTEN if like == "no-cue" else not _recovered(belief)
+
+
+def _aggregate(results: Results) -> dict[str, Any]:
+    walks = Walks([result["walk"] for result in results])
+    images = [result["images"] for result in results]
+    return {
+        "runs": len(results),
+        "walks": walks.count,
+        "images": sum(images),
+        "methods": {name: _method([result["methods"][name] for result in results], walks) for name in FILES},
+        "belief": {
+            name: _belief([result["belief"][name] for result in results], images, walks)
+            for name in ("kalman", "gaussian_sum", "filter")
+        },
+        "image_truth_among_modes": _mean([result["image_truth_among_modes"] for result in results]),
+        "particles": float(np.median([result["particles"] for result in results])),
+        "step_ms": float(np.median([result["step_ms"] for result in results])),
+        "failed": [result["name"] for result in results if failed(result)],
+    }
+
+
+def _method(metrics: Results, walks: Walks) -> dict[str, Any]:
+    """Recalls are over all images of all runs, which are equally long; errors and times are medians over runs."""
+    errors_m = [each["median_translation_m"] for each in metrics]
+    recall = {name: [each["recall"][name] for each in metrics] for name in THRESHOLDS}
+    intervals: dict[str, Any] = {
+        "median_translation_m": walks.median(errors_m),
+        "recall": {name: walks.mean(shares) for name, shares in recall.items()},
+    }
+    total: dict[str, Any] = {
+        "median_translation_m": float(np.median(errors_m)),
+        "median_rotation_deg": float(np.median([each["median_rotation_deg"] for each in metrics])),
+        "recall": {name: _mean(shares) for name, shares in recall.items()},
+        "intervals": intervals,
+    }
+    if "success" in metrics[0]:
+        intervals["successes"] = walks.number([each["success"] for each in metrics])
+        after = [each["after_convergence"] for each in metrics if each["success"]]
+        images = [each["images"] for each in after]
+        total["successes"] = len(after)
+        total["converged_at_s"] = _median([each["converged_at_s"] for each in metrics if each["success"]])
+        total["recall_after_convergence"] = {
+            name: _mean([each["recall"][name] for each in after], images) for name in THRESHOLDS
+        }
+    if "floor" in metrics[0]:
+        total["floor"] = _floor([each["floor"] for each in metrics], walks)
+    return total
+
+
+def _floor(floors: Results, walks: Walks) -> dict[str, Any]:
+    """Right but for the floor, of all images; and right of those from when on the floor is."""
+    but_for_it = [floor["but_for_it"] for floor in floors]
+    right, images = [floor["settled_right"] for floor in floors], [floor["settled_images"] for floor in floors]
+    return {
+        "but_for_it": _mean(but_for_it),
+        "settled_images": sum(images),
+        "settled_right": _mean(right, images),
+        "intervals": {"but_for_it": walks.mean(but_for_it), "settled_right": walks.mean(right, images)},
+    }
+
+
+def _belief(beliefs: Results, images: Sequence[int], walks: Walks) -> dict[str, Any]:
+    false_recoveries = [belief["false_recoveries"] for belief in beliefs]
+    wrong = [_wrong_share(belief) for belief in beliefs]
+    right = [belief["status"]["converged"] - share for belief, share in zip(beliefs, wrong, strict=True)]
+    total: dict[str, Any] = {
+        "status": {
+            name: _mean([belief["status"][name] for belief in beliefs], images) for name in beliefs[0]["status"]
+        },
+        "rightly_converged": _mean(right, images),
+        "said_converged": _consistency([belief["said_converged"] for belief in beliefs], walks),
+        "after_convergence": _consistency([belief["after_convergence"] for belief in beliefs], walks),
+        "truth_among_modes": _mean([belief["truth_among_modes"] for belief in beliefs], images),
+        "false_recoveries": sum(false_recoveries),
+        "runs_with_false_recovery": sum(number > 0 for number in false_recoveries),
+        "runs_wrongly_converged": sum(share > 0 for share in wrong),
+        "runs_wrongly_converged_often": sum(share >= OFTEN for share in wrong),
+        "longest_wrong_s": max(belief["longest_wrong_s"] for belief in beliefs),
+        "intervals": {
+            "rightly_converged": walks.mean(right, images),
+            "runs_wrongly_converged": walks.number([share > 0 for share in wrong]),
+        },
+    }
+    if "on_floor" in beliefs[0]:
+        total["on_floor"] = _consistency([belief["on_floor"] for belief in beliefs], walks)
+    kidnaps = [belief["kidnap"] for belief in beliefs if belief["kidnap"] is not None]
+    if kidnaps:
+        needed = [kidnap["images"] for kidnap in kidnaps if kidnap["images"] is not None]
+        in_time = [_recovered(belief) for belief in beliefs]
+        total["kidnap"] = {
+            "right_before": sum(kidnap["right_before"] for kidnap in kidnaps),
+            "recovered_in_time": sum(in_time),
+            "recovered": len(needed),
+            "median_images": _median(needed),
+            "intervals": {"recovered_in_time": walks.number(in_time)},
+        }
+    return total
+
+
+def _consistency(parts: Results, walks: Walks) -> dict[str, Any]:
+    """Shares are over all images; the NEES is the median of the runs' medians."""
+    images = [part["images"] for part in parts]
+    wrong, nees = [part["wrong"] for part in parts], [part["median_nees"] for part in parts]
+    coverage = {region: [part["coverage"] and part["coverage"][region] for part in parts] for region in REGIONS}
+    return {
+        "images": sum(images),
+        "wrong": _mean(wrong, images),
+        "coverage": {region: _mean(shares, images) for region, shares in coverage.items()},
+        "median_nees": _median(nees),
+        "intervals": {
+            "wrong": walks.mean(wrong, images),
+            "coverage": {region: walks.mean(shares, images) for region, shares in coverage.items()},
+            "median_nees": walks.median(nees),
+        },
+    }
+
+
+def _wrong_share(belief: Mapping[str, Any]) -> float:
+    """Share of all images of a run that say `converged` and are wrong."""
+    return belief["status"]["converged"] * (belief["said_converged"]["wrong"] or 0.0)
+
+
+def _recovered(belief: Mapping[str, Any]) -> bool:
+    images = belief["kidnap"]["images"]
+    return images is not None and images <= WITHIN_IMAGES
+
+
+def _mean(values: Sequence[int | float | None], weights: Sequence[int | float] | None = None) -> float | None:
+    """Of the values that there are; None of none."""
+    weights = [1] * len(values) if weights is None else weights
+    known = [(value, weight) for value, weight in zip(values, weights, strict=True) if value is not None]
+    total = sum(weight for _, weight in known)
+    return sum(value * weight for value, weight in known) / total if total else None
+
+
+def _median(values: Sequence[int | float | None]) -> float | None:
+    """Of the values that there are; None of none."""
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None

@@ -1,0 +1,58 @@
+"""Results kept in files named by the settings they depend on, the code among them: done once, found again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from sequences.atomic import atomic_output
+from sequences.errors import SequenceError
+from sequences.values import read_json
+from vapor.threads import limited_threads
+
+
+def digest(settings: Mapping[str, Any]) -> str:
+    """Ten characters that other settings hardly share."""
+    text = json.dumps(settings, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:10]
+
+
+def cached(path: Path, settings: Mapping[str, Any], compute: Callable[[], Any]) -> Any:
+    """A result, or the one that is there of the same settings.
+
+    Args:
+        path: Of the file, without the digest of the settings and `.json`.
+        settings: Everything that the result depends on, as JSON.
+        compute: Gives the result, as JSON; with one thread.
+    """
+    file = path.with_name(f"{path.name}-{digest(settings)}.json")
+    try:
+        return read_json(file)["result"]
+    except (SequenceError, KeyError, TypeError):  # none, or a damaged one
+        pass
+    with limited_threads(1):
+        result = compute()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_output(file) as partial:
+        partial.write_text(json.dumps({"settings": settings, "result": result}, indent=1), encoding="utf-8")
+    return result
+
+
+@cache
+def code_digest(*names: str) -> str:
+    """Digest of the filter's code and that of modules and packages by name: what was changed is run again."""
+    files = [file for name in ("filtering", *names) for file in _files(name)]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+
+
+def _files(name: str) -> list[Path]:
+    spec = find_spec(name)
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError(name)
+    origin = Path(spec.origin)
+    return sorted(origin.parent.glob("*.py")) if spec.submodule_search_locations else [origin]

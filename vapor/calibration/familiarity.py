@@ -1,0 +1,87 @@
+"""What the training images of a network look like to it, learned from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int64
+
+from vapor.images import centre_crop
+from vapor.regressors.base import PoseRegressor
+from vapor.regressors.familiarity import CHROMA, LEAST_IMAGES, QUANTILE, Describer, Familiarity, description_size
+from vapor.training_data.training_set import TrainingSet
+
+EXEMPLARS = 1000
+"""Training images that an image is compared with, at most."""
+_AXES = 48
+_BATCH = 64
+_FLATTEN = 0.3  # an axis of k times less variance than the first is stretched by k to the power of half of this
+_FEW_SEQUENCES, _BLOCKS = 8, 10
+_CHROMA_WEIGHT = 0.5
+
+
+def describe(network: PoseRegressor, images: TrainingSet) -> Float32[np.ndarray, "n d"]:
+    """Descriptions of each image's centre crop; the network is in evaluation mode until all are done."""
+    config, training, device = network.config, network.training, network.pixel_mean.device
+    network.eval()
+    found = np.empty((len(images), description_size(network)), np.float32)
+    with Describer(network) as describer, torch.inference_mode():
+        for start in range(0, len(images), _BATCH):
+            whole = images.images[images.rows[start : start + _BATCH]]
+            crops = np.stack([centre_crop(image, config.image_width, config.image_height) for image in whole])
+            pixels = torch.from_numpy(crops).to(device)
+            network.backbone(network.normalise(pixels))
+            found[start : start + _BATCH] = describer.last(pixels)
+    network.train(training)
+    return found
+
+
+def learn_familiarity(network: PoseRegressor, training: TrainingSet, held_out: TrainingSet) -> Familiarity | None:
+    """What training images look like, and how far held-out ones are from them; None with fewer than 50 of the former.
+
+    Args:
+        network: With its final weights.
+        training: Images in order of time, at most `EXEMPLARS` well spread ones.
+        held_out: Images of the same place that it was not trained on; below 50 the training images alone decide.
+    """
+    if len(training) < LEAST_IMAGES:
+        return None
+    familiarity = fit_familiarity(describe(network, training), _stretches(training.sequence))
+    return familiarity.judged_by(describe(network, held_out))
+
+
+def fit_familiarity(descriptions: Float32[np.ndarray, "n d"], stretch: Int64[np.ndarray, " n"]) -> Familiarity:
+    """From descriptions of training images alone, each from a numbered stretch of the data, of which there are some."""
+    centre, spread = descriptions.mean(axis=0), descriptions.std(axis=0)
+    spread = np.maximum(spread, 1e-3 * spread.mean() + 1e-6)
+    backbone, chroma = descriptions.shape[1] - CHROMA, CHROMA
+    weight = np.repeat([1.0 / np.sqrt(backbone), _CHROMA_WEIGHT / np.sqrt(chroma)], [backbone, chroma])
+    scale = (spread / weight).astype(np.float32)
+    standard = ((descriptions - centre) / scale).astype(np.float64)
+    variance, axes = np.linalg.eigh(standard.T @ standard / len(standard))
+    count = min(_AXES, len(variance), len(descriptions) - 1)
+    variance, axes = np.maximum(variance[::-1][:count], 1e-6 * variance[-1] + 1e-12), axes[:, ::-1][:, :count]
+    axes = _as_stored(axes)
+    stretched = ((variance / variance[0]) ** (-_FLATTEN / 2)).astype(np.float32)
+    exemplars = _as_stored(((descriptions - centre) / scale) @ axes * stretched)
+    fitted = Familiarity(centre, scale, axes, stretched, exemplars, 1.0, 1.0)
+    own = np.empty(len(descriptions))
+    for number in np.unique(stretch):
+        of_others = replace(fitted, exemplars=exemplars[stretch != number])
+        own[stretch == number] = of_others.unfamiliarity(descriptions[stretch == number])
+    distance = max(float(np.quantile(own, QUANTILE)), 1e-6)
+    return replace(fitted, own_distance=distance, threshold=distance)
+
+
+def _stretches(sequence: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """The sequences themselves; of few, tenths of all images."""
+    if len(np.unique(sequence)) >= _FEW_SEQUENCES:
+        return sequence
+    return np.arange(len(sequence)) * _BLOCKS // len(sequence)
+
+
+def _as_stored(values: np.ndarray) -> Float32[np.ndarray, "a b"]:
+    """Rounded to float16, as which they are stored."""
+    return values.astype(np.float16).astype(np.float32)

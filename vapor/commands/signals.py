@@ -1,0 +1,70 @@
+"""SIGINT, SIGTERM and SIGHUP end the command alike: what it began is undone, one line, exit status 128 + number."""
+
+from __future__ import annotations
+
+import _thread
+import os
+import signal
+import sys
+import threading
+import time
+from types import FrameType
+from typing import Any
+
+from vapor.commands.terminal import say
+
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_ONE_S = 1.0
+_SOON_S = 0.02
+
+
+class Signals:
+    """The signals that ask a command to end.
+
+    While the command works they raise KeyboardInterrupt. Before, while it is imported, and after it has nothing to
+    undo: then they end the process at once, as a KeyboardInterrupt within an import leaves a traceback.
+
+    Attributes:
+        prefix: What the line begins with that tells of a signal.
+        received: The first signal that came; None before.
+        working: Whether there is something to undo.
+        silent: Whether the command has said its last line.
+    """
+
+    def __init__(self, prefix: str) -> None:
+        self.prefix = prefix
+        self.received: int | None = None
+        self.working = self.silent = False
+        self._next_s = 0.0
+
+    def take(self) -> None:
+        """Handle the signals of this process from now on, but for those that are ignored, as SIGHUP is by nohup."""
+        for number in _ENDING:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._handle)
+        sys.unraisablehook = self._unraisable
+
+    def tell(self) -> int:
+        """Say in a line that a signal ended the command; gives its exit status."""
+        number = self.received or signal.SIGINT
+        if not self.silent:
+            self.silent = True
+            say(f"{self.prefix}: interrupted{'' if number == signal.SIGINT else f' by {signal.Signals(number).name}'}")
+        return 128 + number
+
+    def _handle(self, number: int, _: FrameType | None) -> None:
+        # A terminal that closes, and most that end services, send several: the first is being answered.
+        if self.working and time.monotonic() < self._next_s:
+            return
+        self.received, self._next_s = self.received or number, time.monotonic() + _ONE_S
+        if self.working:
+            raise KeyboardInterrupt
+        os._exit(self.tell())
+
+    def _unraisable(self, lost: Any) -> None:
+        """Where an exception cannot go on, as in a destructor: a signal comes again, others are printed as always."""
+        if self.received is None or not isinstance(lost.exc_value, KeyboardInterrupt):
+            sys.__unraisablehook__(lost)
+        else:
+            self._next_s = 0.0
+            threading.Timer(_SOON_S, _thread.interrupt_main, (self.received,)).start()  # within this it would be lost

@@ -1,0 +1,1 @@
+"""What trajectories, beliefs and posteriors are worth against true poses."""

@@ -1,0 +1,136 @@
+"""How good the posteriors of held-out images are: what selects the weights that are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64
+from torch import Tensor
+
+from filtering.se3 import Poses
+from vapor.checkpoints.checkpoint import Calibration
+from vapor.images import centre_crop
+from vapor.regressors.base import DensityRegressor, PoseRegressor
+from vapor.training_data.training_set import TrainingSet
+
+RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
+_BATCH = 64
+_MAX_NOISE = 2**25  # numbers at a time: dropout takes 2048 for every sample
+LOG_FLOOR = float(np.log(1e-4))
+"""Log density per m³ rad³ that is added to that at a true pose: it keeps single images from deciding."""
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Figures of one epoch on held-out images, means over the images.
+
+    Attributes:
+        epoch: Epochs trained, from 1.
+        train_loss: Mean training loss of that epoch.
+        sample_recall: Share of the posterior samples within 0.3 m and 20° of the true pose.
+        mode_recall: Share of the images whose sample of highest density is.
+        log_density: Mean of log(p̂(true pose) + 10⁻⁴ per m³ rad³): unlike the recalls it falls when a possible place is
+            forgotten, which a filter cannot mend.
+    """
+
+    epoch: int
+    train_loss: float
+    sample_recall: float
+    mode_recall: float
+    log_density: float
+
+
+def validate(
+    network: PoseRegressor,
+    held_out: TrainingSet,
+    calibration: Calibration,
+    *,
+    num_samples: int,
+    seed: int,
+    epoch: int,
+    train_loss: float,
+    feature: Float[Tensor, "n f"] | None = None,
+) -> Validation:
+    """Judge the posteriors of held-out images, with the same latent noise every time.
+
+    Args:
+        network: In any mode; evaluated in evaluation mode, and left as it was.
+        held_out: Images scaled as for training; their centre crops are used.
+        calibration: Kernel widths.
+        num_samples: Posterior samples per image.
+        seed: Of the latent noise.
+        epoch: Passed through.
+        train_loss: Passed through.
+        feature: As of `predict`.
+    """
+    figures = []
+    for i, samples in enumerate(predict(network, held_out, num_samples, seed, feature)):
+        truth = held_out.poses[[i]]
+        density = calibration.density(samples)
+        log_density = density.log_density(Poses.concatenate([samples, truth]))
+        translation_m, rotation_rad = samples.distance(truth)
+        near = (translation_m < RECALL_TRANSLATION_M) & (rotation_rad < RECALL_ROTATION_RAD)
+        figures.append((near.mean(), near[log_density[:-1].argmax()], np.logaddexp(log_density[-1], LOG_FLOOR)))
+    sample_recall, mode_recall, log_density = np.array(figures, np.float64).mean(axis=0)
+    return Validation(epoch, train_loss, float(sample_recall), float(mode_recall), float(log_density))
+
+
+def predict(
+    network: PoseRegressor,
+    images: TrainingSet,
+    num_samples: int,
+    seed: int,
+    feature: Float[Tensor, "n f"] | None = None,
+) -> Iterator[Poses]:
+    """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic.
+
+    Args:
+        network: In any mode.
+        images: Scaled as for training.
+        num_samples: Posterior samples per image.
+        seed: Of the latent noise.
+        feature: What `describe` of a network that is a density says of them, where that is known; the images are then
+            not looked at.
+    """
+    device = network.pixel_mean.device
+    generator = torch.Generator(device).manual_seed(seed)
+    batch = max(1, min(_BATCH, _MAX_NOISE // (num_samples * max(1, network.noise_dim))))
+    given = feature.split(batch) if feature is not None else (crops for _, crops in batches(network, images, batch))
+    for part in given:
+        with torch.inference_mode():
+            noise = torch.randn(len(part), num_samples, network.noise_dim, generator=generator, device=device)
+            if feature is not None and isinstance(network, DensityRegressor):
+                drawn = network.sample(part, noise)
+            else:
+                drawn = network(part, noise)
+            translation, rotation = (p.cpu().double().numpy() for p in drawn)
+        for i in range(len(part)):
+            yield Poses(rotation[i], translation[i])
+
+
+def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np.ndarray, " n"] | None:
+    """Log density per m³ rad³ of each image's posterior at its true pose, (n,); None where only samples tell of it."""
+    if not isinstance(network, DensityRegressor):
+        return None
+    found = np.empty(len(images))
+    for rows, crops in batches(network, images):
+        truth = (getattr(images.poses[rows], part) for part in ("translation", "rotation"))
+        with torch.inference_mode():
+            poses = (torch.from_numpy(part)[:, None].to(crops) for part in truth)
+            found[rows] = network.log_density(network.describe(crops), *poses)[:, 0].cpu().double().numpy()
+    return found
+
+
+def batches(network: PoseRegressor, images: TrainingSet, size: int = _BATCH) -> Iterator[tuple[slice, Tensor]]:
+    """Which images, and their centre crops, normalised; the network is in evaluation mode until all are done."""
+    config, training = network.config, network.training
+    network.eval()
+    for start in range(0, len(images), size):
+        whole = images.images[images.rows[start : start + size]]
+        crops = np.stack([centre_crop(image, config.image_width, config.image_height) for image in whole])
+        pixels = torch.from_numpy(crops).to(network.pixel_mean.device)
+        yield slice(start, start + len(crops)), network.normalise(pixels)
+    network.train(training)

@@ -1,0 +1,1 @@
+"""A recorded sequence, others' estimates, or many sequences, from file to results."""

@@ -1,0 +1,1 @@
+"""Pose regressors: image -> samples of the posterior over camera poses; and the losses they are trained with."""

@@ -1,0 +1,193 @@
+"""A regressor that remembers: which training images a view is like, and how the camera stood against each.
+
+The posterior is a mixture with one component for each of the training images that look most alike: its weight says how
+alike, its mean is that image's pose moved by what the two images tell of the motion between them. So it has as many
+places as there are that look like the image, and what is to be learned is a matter of pairs of images, of which there
+are many more than images.
+
+Sources: Arandjelović et al., "NetVLAD", CVPR 2016 (places by what they look like); Wu et al., "Improving generalization
+via scalable neighborhood component analysis", ECCV 2018 (learned against a memory of all images); Balntas et al.,
+"RelocNet", ECCV 2018, and Laskar et al., "Camera relocalization by computing pairwise relative poses", ICCVW 2017 (the
+pose of the image found, moved by a learned relative pose).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from vapor.regressors.base import NetworkConfig, PoseRegressor, SceneBox
+from vapor.regressors.mixture import Components, MixtureDensity, rodrigues
+
+_GRID = 3, 4  # rows and columns in which the third stage is kept: where in the image things are
+_KEY_DIM = 128
+_SCALE = 15.0  # of the cosine between two keys, at first
+_UNIT = 0.02  # of the geometric mean of the scene box's edges: what counts as a small distance
+_TURN_RAD = 0.1  # a small turn
+_REACH = 2.0, 3.0  # offsets of one unit of the network's output, in small distances and turns
+_NARROWEST, _WIDEST = 0.05, 20.0  # component, in small distances and turns
+_WIDEST_RAD = 1.0
+_HIDDEN = -1e4  # in place of the likeness of what must not be recalled
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What is kept of n training images.
+
+    Attributes:
+        keys: What each looks like, as unit vectors.
+        views: What of each tells relative poses.
+        translation: Its true position, metres.
+        rotation: Its true rotation, world_from_camera.
+    """
+
+    keys: Float[Tensor, "n k"]
+    views: Float[Tensor, "n v"]
+    translation: Float[Tensor, "n 3"]
+    rotation: Float[Tensor, "n 3 3"]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All of it, by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def memory_of(network: PoseRegressor) -> Memory | None:
+    """What a network remembers, on the CPU; None where it is none that does."""
+    memory = network.memory if isinstance(network, RetrievalRegressor) else None
+    return None if memory is None else Memory(**{name: value.cpu() for name, value in memory.tensors().items()})
+
+
+class RetrievalRegressor(MixtureDensity):
+    """A mixture whose components are training images that look alike, moved by learned relative poses.
+
+    The backbone is taken as it is, ImageNet's mostly, and never changes: an image is the means of its last layer, and
+    those of the third stage in twelve cells. All that is learned are maps of these numbers.
+
+    Args:
+        config: Shape; `components` is how many training images are looked at, `hidden_width` the size of the map from
+            pairs of images to relative poses, `feature_dim` that of the map to keys.
+        box: Of the training positions; its size is the unit of lengths.
+
+    Attributes:
+        memory: The training images; None before there are any.
+    """
+
+    centre: Tensor
+    spread: Tensor
+
+    def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
+        super().__init__(config, box)
+        size = self.backbone.num_features + _GRID[0] * _GRID[1] * self.backbone.stage_channels[2]
+        width = config.hidden_width
+        self.backbone.requires_grad_(False).eval()
+        self.feature = nn.Linear(size, config.feature_dim)
+        self.key = nn.Linear(config.feature_dim, _KEY_DIM)
+        self.own_view, self.view = nn.Linear(size, width), nn.Linear(size, width, bias=False)
+        last = nn.Linear(width, 9)
+        self.relative = nn.Sequential(nn.ReLU(), nn.Linear(width, width), nn.ReLU(), last)
+        self.log_scale = nn.Parameter(torch.tensor(_SCALE).log())
+        with torch.no_grad():
+            last.weight.mul_(0.1)
+            last.bias.zero_()
+        self.register_buffer("centre", torch.zeros(size))
+        self.register_buffer("spread", torch.ones(size))
+        self.unit_m = _UNIT * float(box.extent.prod()) ** (1 / 3)
+        self.memory: Memory | None = None
+
+    @property
+    def encoder(self) -> tuple[nn.Module, ...]:
+        """What learns from images."""
+        return self.feature, self.key, self.own_view, self.view
+
+    def train(self, mode: bool = True) -> RetrievalRegressor:
+        """Training mode of all but the backbone, whose statistics stay as they are."""
+        super().train(mode)
+        self.backbone.eval()
+        return self
+
+    def describe(self, images: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
+        """The numbers that stand for normalised images, each in units of its spread over the training images."""
+        with torch.no_grad():
+            third, last = self.backbone.maps(images)
+            cells = functional.adaptive_avg_pool2d(third, _GRID).flatten(1)
+            numbers = torch.cat([last.mean(dim=(2, 3)), cells], dim=1).to(self.centre.dtype)
+            return (numbers - self.centre) / self.spread
+
+    @property
+    def standardised(self) -> bool:
+        """Whether `standardise` was called."""
+        return bool((self.spread != 1.0).any())
+
+    @torch.no_grad()
+    def standardise(self, features: Float[Tensor, "n f"]) -> None:
+        """Let `describe` say 0 where training images have their mean, in units of their standard deviation.
+
+        Args:
+            features: What it said of them before.
+        """
+        spread, centre = torch.std_mean(features, dim=0)
+        self.centre.copy_(centre)
+        self.spread.copy_(spread.clamp_min(1e-3))
+
+    @torch.no_grad()
+    def remember(
+        self, features: Float[Tensor, "n f"], translation: Float[Tensor, "n 3"], rotation: Float[Tensor, "n 3 3"]
+    ) -> None:
+        """Replace the memory by n images.
+
+        Args:
+            features: From `describe`, in any precision.
+            translation: Their true positions, metres.
+            rotation: Their true rotations, world_from_camera.
+        """
+        parts = [(self._keys(part), self.view(part)) for part in map(Tensor.float, features.split(4096))]
+        keys, views = (torch.cat(list(each)) for each in zip(*parts, strict=True))
+        self.memory = Memory(keys, views, translation, rotation)
+
+    def components(self, feature: Float[Tensor, "b f"], hidden: Bool[Tensor, "b n"] | None = None) -> Components:
+        """The mixtures of images with these features.
+
+        Args:
+            feature: From `describe`.
+            hidden: Remembered images that must not be recalled for each of them; None for none.
+        """
+        memory = self._remembered()
+        with torch.autocast(feature.device.type, enabled=False):
+            likeness = self.log_scale.exp() * self._keys(feature) @ memory.keys.T
+            if hidden is not None:
+                likeness = likeness.masked_fill(hidden, _HIDDEN)
+            likeness, which = likeness.topk(min(self.config.components, likeness.shape[1]), dim=1)
+            said = self.relative(self.own_view(feature)[:, None] + memory.views[which])
+            move, turn, widths, more = said.split((3, 3, 2, 1), dim=-1)
+            rotation = memory.rotation[which]
+            move = _REACH[0] * self.unit_m * move
+            translation = memory.translation[which] + (rotation @ move[..., None])[..., 0]
+            angle = torch.linalg.vector_norm(_REACH[1] * _TURN_RAD * turn, dim=-1).clamp_min(1e-9)
+            rotation = rotation @ rodrigues(_REACH[1] * _TURN_RAD * turn / angle[..., None], angle)
+            widths = torch.exp(widths).clamp(_NARROWEST, _WIDEST) * widths.new_tensor([self.unit_m, _TURN_RAD])
+            widths = torch.stack([widths[..., 0], widths[..., 1].clamp_max(_WIDEST_RAD)], dim=-1)
+            return Components(torch.log_softmax(likeness + more[..., 0], dim=1), translation, rotation, widths)
+
+    def memory_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Of one image, the shapes of what is remembered of it, by name."""
+        return {"keys": (_KEY_DIM,), "views": (self.config.hidden_width,), "translation": (3,), "rotation": (3, 3)}
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> RetrievalRegressor:
+        """Take the memory along to another device."""
+        super()._apply(fn, recurse)
+        if self.memory is not None:
+            self.memory = Memory(**{name: fn(value) for name, value in self.memory.tensors().items()})
+        return self
+
+    def _keys(self, feature: Float[Tensor, "b f"]) -> Float[Tensor, "b k"]:
+        return functional.normalize(self.key(torch.relu(self.feature(feature))), dim=-1)
+
+    def _remembered(self) -> Memory:
+        if self.memory is None:
+            raise RuntimeError("nothing is remembered yet, expected `remember` before poses are asked for")
+        return self.memory

@@ -1,0 +1,150 @@
+"""What a run says about itself: `report.json`, and the table that the command prints."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from sequences.atomic import atomic_output
+from sequences.errors import SequenceError
+from sequences.tum import format_time
+from sequences.values import read_json
+from vapor.evaluation.trajectory import FILES, TAIL_M, THRESHOLDS, associate, evaluate_consistency, evaluate_methods
+from vapor.reporting.pictures import LABELS, write_pictures
+from vapor.reporting.record import RunRecord, RunRecorder
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+FITS = 0.7
+"""Share of the images about a smoothed pose that must fit it; as of the filter's to be `converged`."""
+
+_POSITION, _ROTATION = slice(0, 3), slice(3, 6)
+
+__all__ = ["RunRecord", "RunRecorder", "build_report", "format_table", "write_pictures", "write_report"]
+
+
+def build_report(record: RunRecord) -> dict[str, Any]:
+    """The content of `report.json`; the same for the same run but for `step_ms` and `peak_rss_mb`.
+
+    Returns:
+        `frames`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (share of the images by verdict),
+        `smoothed_doubtful` (number of poses, see `doubtful`; null without a smoothed trajectory), `particles` (median),
+        `step_ms`, `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each method's metrics, and
+        `consistency` (see `evaluate_consistency`).
+    """
+    verdicts = Counter(record.status)
+    frames = len(record.times_ns)
+    p50, p95 = np.percentile(record.step_ms, [50, 95])
+    doubts = doubtful(record)
+    found = 0 if record.truth is None else int(associate(record.times_ns, record.truth)[0].sum())
+    report: dict[str, Any] = {
+        "frames": frames,
+        "frames_with_true_pose": found,
+        "skipped": dict(record.skipped),
+        "images": None if record.images is None else record.images.as_json(),
+        "duration_s": float(record.times_ns[-1] - record.times_ns[0]) / 1e9,
+        "status": {name: verdicts[name] / frames for name in ("converged", "ambiguous", "lost")},
+        "smoothed_doubtful": None if doubts is None else int(doubts.sum()),
+        "particles": int(np.median(record.num_particles)),
+        "step_ms": {"p50": float(p50), "p95": float(p95)},
+        "peak_rss_mb": record.peak_rss_mb,
+    }
+    if record.truth is not None:
+        report |= evaluate_methods(record.methods, record.truth)
+        converged = np.array([status == "converged" for status in record.status])
+        report["consistency"] = evaluate_consistency(
+            record.methods["filter"], record.covariance, converged, record.truth
+        )
+    return _rounded(report)
+
+
+def doubtful(record: RunRecord) -> Bool[np.ndarray, " n"] | None:
+    """Which smoothed poses the images about them do not fit, (n,); None without a smoothed trajectory."""
+    return None if record.smoothed_agreement is None else record.smoothed_agreement < FITS
+
+
+def told_doubtful(record: RunRecord) -> str | None:
+    """What to say of a run with doubtful smoothed poses; None where there are none."""
+    doubts = doubtful(record)
+    if doubts is None or not doubts.any():
+        return None
+    return f"{doubts.sum()} of {len(doubts)} smoothed poses are doubtful: images about them do not fit (status.csv)"
+
+
+def write_report(path: Path, report: Mapping[str, Any]) -> None:
+    """Write a report as JSON, keys sorted; the file appears under its name only when complete."""
+    text = json.dumps(_rounded(report), indent=2, sort_keys=True, allow_nan=False) + "\n"
+    with atomic_output(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def write_status(path: Path, record: RunRecord) -> None:
+    """Write what is to be thought of the poses of each image, as CSV.
+
+    `time`: as in the trajectories. `status`, `std_m`, `std_deg`: of the filter's pose, its verdict and the standard
+    deviations along the widest axis of position and rotation, by what it believed at that moment. `smoothed`: `fits` or
+    `doubtful`, whether the images about the smoothed pose fit it.
+    """
+    widest = [np.sqrt(np.linalg.eigvalsh(record.covariance[:, part, part]))[:, -1] for part in (_POSITION, _ROTATION)]
+    doubts = doubtful(record)
+    fits = [""] * len(record.times_ns) if doubts is None else np.where(doubts, "doubtful", "fits").tolist()
+    with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:
+        file.write("time,status,std_m,std_deg,smoothed\n")
+        for time_ns, status, std_m, std_rad, fit in zip(record.times_ns, record.status, *widest, fits, strict=True):
+            file.write(f"{format_time(int(time_ns))},{status},{std_m:.4f},{np.degrees(std_rad):.3f},{fit}\n")
+
+
+def is_report(path: Path, *keys: str) -> bool:
+    """Whether a file is a JSON object with these keys among others."""
+    try:
+        content = read_json(path)
+    except SequenceError:
+        return False
+    return isinstance(content, dict) and content.keys() >= set(keys)
+
+
+def format_table(report: Mapping[str, Any], *, title: str | None = None, tail: bool = False) -> Table:
+    """The methods of a report side by side: medians, recalls or the tail of the errors, and when each converged.
+
+    Without true poses the table has no rows.
+    """
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", caption_justify="left")
+    table.add_column("")
+    table.add_column("median error", justify="right")
+    for threshold in TAIL_M if tail else THRESHOLDS:
+        name = threshold.replace("m/", " m\n").replace("deg", "°")
+        table.add_column(f"worse than\n{TAIL_M[threshold]:g} m" if tail else name, justify="right")
+    table.add_column("converged", justify="right")
+    digits = 3 if tail else 2
+    for name in FILES:
+        if name not in report:
+            continue
+        metrics = report[name]
+        converged_at_s = metrics.get("converged_at_s")
+        converged = "" if "success" not in metrics else "no" if converged_at_s is None else f"{converged_at_s:.1f} s"
+        table.add_row(
+            LABELS[name],
+            f"{metrics['median_translation_m']:.{digits}f} m  {metrics['median_rotation_deg']:5.1f}°",
+            *(f"{100 * share:.{digits - 2}f} %" for share in metrics["worse_than" if tail else "recall"].values()),
+            converged,
+            style="bold" if name == "filter" else None,
+        )
+    return table
+
+
+def _rounded(value: Any) -> Any:
+    """Every float to six decimals: finer than any sensor, coarser than the last bits of a sum."""
+    if isinstance(value, Mapping):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return round(value, 6)
+    return value

@@ -1,0 +1,1 @@
+"""A network from recordings: what is held out, epoch after epoch, calibrated and checked at its end."""

@@ -1,0 +1,191 @@
+"""TrainConfig: how a network is trained, and the learning rate that follows from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from vapor.checkpoints.checkpoint import Calibration
+from vapor.observation import Device
+from vapor.regressors.base import NetworkConfig
+from vapor.regressors.loss import LossConfig
+from vapor.training.augment import AugmentConfig
+from vapor.training_data.training_set import TrainingError
+
+_LARGER = 1.75  # edges of images, where a training may take longer
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How a network is trained; the defaults are the fast schedule, the paper's are presets."""
+
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    """Shape of the network, and of its images."""
+    aspect: Literal["camera", "network"] = "camera"
+    """Aspect of the network's images: that of the camera of most images (of the first image, where none is known),
+    with as many pixels as `network` says but no more than the camera has; or the network's own, so that what sticks out
+    is cut off."""
+    loss: LossConfig = field(default_factory=LossConfig)
+    """Weights of the loss."""
+    augment: AugmentConfig = field(default_factory=AugmentConfig)
+    """How much training images vary."""
+    bandwidth_translation_m: float = 0.1
+    """Kernel width of posterior samples along each axis, metres: of the density by which epochs are judged."""
+    bandwidth_rotation_rad: float = 0.1
+    """Likewise about each axis, radians."""
+    calibrate: bool = True
+    """At the end find on the held-out images how wrong posteriors are (and odometry, where it was recorded), and learn
+    what the place looks like."""
+    pretrained_weights: Path | None = None
+    """Weights of the backbone to start from: ImageNet's, as safetensors or a torch state dict with torchvision's names,
+    or those of a model trained here. Without it a ResNet starts from random weights."""
+    pretrained: bool = True
+    """efficientnet-lite0: start from the ImageNet weights of its package where no file is given."""
+    initial_model: Path | None = None
+    """A model trained here, of the same network shape, all of whose weights are the start: to go on with more data, or
+    with another loss. Its scene box is widened where the new data need it, and a missing shortcut is added."""
+    initial_log_variance: float = -4.0
+    """variational: log σ² of the latent before training, about; `initial_model` brings its own. With a low one the pose
+    map can use early what the encoder learns, which noise would hide; 0, as in the paper, is where an image that says
+    nothing ends."""
+    epochs: int | None = None
+    """Times every training image is seen; None for as many as `hours` allow, from 4 to `most_epochs`."""
+    most_epochs: int = 200
+    """None: that many at most."""
+    hours: float = 0.2
+    """How long a training takes whose epochs are not given; how long a step takes is measured first."""
+    larger_from_hours: float | None = None
+    """aspect camera: given so many hours, and where `epochs` follow from them, images are 1.75 times as large along
+    each edge as `network` says; None for never."""
+    finish: float = 0.2
+    """Share of the epochs after which the model, judged by then, goes on learning with what was held out of the data as
+    well: 0 for none, and it never sees that."""
+    batch_size: int = 32
+    """Images per step, at least 2; all of them where there are fewer."""
+    learning_rate: float = 3e-3
+    """Largest learning rate of Adam."""
+    weight_decay: float = 1e-2
+    """Decoupled weight decay of matrices (AdamW); 0 is Adam."""
+    encoder_weight_decay: float | None = None
+    """The same of the encoder, all from the image to μ and log σ² (with other heads, to the feature); None for as much
+    as the rest. Enough of it keeps the network from learning each image by heart, and so posteriors broad."""
+    schedule: Literal["one-cycle", "steps"] = "one-cycle"
+    """One cosine up and down, or a decay by a factor every so many epochs, as in the paper."""
+    warmup: float = 0.1
+    """one-cycle: share of the training in which the rate rises."""
+    decay_factor: float = 0.8
+    """steps: the factor."""
+    decay_epochs: int = 50
+    """steps: epochs between two decays, n in the paper."""
+    decay_times: int = 10
+    """steps: how often, at most."""
+    evolve: float = 0.0
+    """Share of the training in which the samples per image grow from the number of winners, who then all learn, to M
+    (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, what the image does tell is
+    learned first. 0 draws all M from the start, as the paper does."""
+    average: float = 0.998
+    """Decay per step of the moving average of weights that is kept; 0 keeps the last weights themselves."""
+    validation_share: float = 0.1
+    """About this share of the images is held out where no validation data is given, in passes over ground that others
+    cover; 0 for none."""
+    validation_images: int = 500
+    """Held-out images that are judged, evenly spaced, at most."""
+    select_by: Literal["sample_recall", "mode_recall", "log_density"] = "sample_recall"
+    """Figure on held-out images whose best epoch is kept; without held-out images it is the last. The density at the
+    true pose falls when a possible place is forgotten, but it prefers vague posteriors to sharp ones that miss: of a
+    ceiling of 24 like places it once kept the second epoch of 24."""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it, but for efficientnet-lite0
+    on a CPU, which gains nothing by it."""
+    half: bool = True
+    """Store weight matrices as float16."""
+    seed: int = 0
+    """Of initial weights, order, augmentation and latent noise."""
+    device: Device = "auto"
+    """Where to train."""
+    resume: bool = True
+    """Go on with an interrupted training of the same output, configuration and data."""
+
+    def __post_init__(self) -> None:
+        for name in (
+            "epochs",
+            "most_epochs",
+            "hours",
+            "larger_from_hours",
+            "batch_size",
+            "learning_rate",
+            "decay_epochs",
+            "validation_images",
+        ):
+            if (value := getattr(self, name)) is not None and not value > 0:
+                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
+        if self.batch_size < 2:
+            raise TrainingError(f"training: batch_size is {self.batch_size}, expected at least 2 for batch statistics")
+        if self.initial_model is not None and self.pretrained_weights is not None:
+            raise TrainingError(
+                f"training: initial_model {self.initial_model} and pretrained_weights {self.pretrained_weights} are"
+                " both given, expected one of them: a model brings its backbone along"
+            )
+        if self.loss.relative > 0.0 and self.network.head not in ("point", "dropout"):
+            raise TrainingError(
+                f"training: loss.relative is {self.loss.relative} with head {self.network.head}, expected head point or"
+                " dropout"
+            )
+        if not -10.0 <= self.initial_log_variance <= 5.0:
+            raise TrainingError(f"training: initial_log_variance is {self.initial_log_variance}, expected -10 to 5")
+        for name in ("weight_decay", "encoder_weight_decay"):
+            if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
+                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a number of at least 0")
+        Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # which refuses what is no width
+        if self.seed < 0:
+            raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
+        for name in ("evolve", "average", "validation_share", "warmup"):
+            if not 0 <= getattr(self, name) < 1:
+                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
+
+    def network_for(self, width: int, height: int) -> NetworkConfig:
+        """The network's shape for a camera's images of a size, pixels: with `aspect` network as it is."""
+        if self.aspect == "network":
+            return self.network
+        larger = self.epochs is None and self.larger_from_hours is not None and self.hours >= self.larger_from_hours
+        return (self.network.larger(_LARGER) if larger else self.network).for_camera(width, height)
+
+    @property
+    def known_epochs(self) -> int:
+        """Times every training image is seen, once that is known."""
+        if self.epochs is None:
+            raise TrainingError(
+                "training: epochs is None, expected a number by the time that a schedule follows from it"
+            )
+        return self.epochs
+
+    @property
+    def files_read(self) -> tuple[Path, ...]:
+        """Files of weights that a training starts from."""
+        return tuple(file for file in (self.initial_model, self.pretrained_weights) if file is not None)
+
+    def settings(self) -> dict[str, Any]:
+        """What makes a training this one: all but where it runs."""
+        return {name: value for name, value in asdict(self).items() if name not in ("device", "resume")}
+
+
+def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float:
+    """The learning rate of one step, counted from 0 over the whole training."""
+    if config.schedule == "steps":
+        decays = min(step // steps_per_epoch // config.decay_epochs, config.decay_times)
+        return config.learning_rate * config.decay_factor**decays
+    share = (step + 0.5) / (steps_per_epoch * config.known_epochs)
+    if share < config.warmup:
+        return config.learning_rate * (1 - math.cos(math.pi * share / config.warmup)) / 2
+    return config.learning_rate * (1 + math.cos(math.pi * (share - config.warmup) / (1 - config.warmup))) / 2
+
+
+def samples_per_image(config: TrainConfig, step: int, steps_per_epoch: int) -> int:
+    """Posterior samples per image of one step, counted from 0 over the whole training: geometric growth, then M."""
+    winners, samples = config.loss.num_winners, config.loss.num_samples
+    share = step / (steps_per_epoch * config.known_epochs)
+    if share >= config.evolve:
+        return samples
+    return int(winners * (samples / winners) ** (share / config.evolve))

@@ -1,0 +1,225 @@
+"""What to hold out of training: passes over ground that others cover, apart from all that is trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from vapor.calibration.images import LEAST_IMAGES
+from vapor.checkpoints.checkpoint import spaced
+from vapor.checkpoints.scene_scale import typical_side_m
+from vapor.training_data.ground import (
+    DIRECTION_RAD,
+    FARTHEST,
+    near_m_of,
+    near_scale_m,
+    nearest_m,
+    runs,
+    shown_around,
+    told_runs,
+)
+from vapor.training_data.training_set import TrainingSet
+
+WHOLE_OF = 4  # recordings from which on one is held out as a whole
+_LEAST_SHOWN = 0.25  # of a pass that is held out
+AWAY = 1.5  # times what counts as near: elsewhere
+_COMPARED = 4000  # images by which passes are compared
+_TOLD_NAMES = 5
+
+
+@dataclass(frozen=True)
+class Split:
+    """What is trained on and what is held out; some images may be neither.
+
+    Attributes:
+        training: Images to train on.
+        source: Recordings of which images are held out, n images: those between them tell how the camera moved.
+        judged: Held out, (n,): trained images show what is around each, and none of them is next to it in time.
+        notes: What was done, in sentences.
+        everything: Images to learn from once the model was judged.
+        near_m: How far away a place counts as shown, metres.
+    """
+
+    training: TrainingSet
+    source: TrainingSet
+    judged: Bool[np.ndarray, " n"]
+    notes: tuple[str, ...]
+    everything: TrainingSet
+    near_m: float
+
+    @cached_property
+    def held_out(self) -> TrainingSet:
+        """The images to judge and calibrate by."""
+        return self.source.select(np.flatnonzero(self.judged))
+
+
+def hold_out(images: TrainingSet, share: float) -> Split:
+    """Hold out about a share of the images.
+
+    Of four recordings and more whole ones, those that the others cover best; of fewer the stretches that are covered
+    best by the rest. What no other pass shows is trained on, and images next to it are left out. Where nothing is
+    covered, nothing is held out.
+
+    Args:
+        images: All that there are, n of them.
+        share: Of them, in [0, 1); 0 for none.
+    """
+    nothing = np.zeros(len(images), bool)
+    side = typical_side_m(images.poses)
+    if share == 0.0:
+        return Split(images, images, nothing, (), images, near_scale_m(images.poses))
+    way = way_of(images)
+    rows = spaced(len(images), _COMPARED)
+    chosen, near_m = _chosen(images.select(rows), way[rows], share, side)
+    like = np.searchsorted(rows, np.arange(len(images)), side="right") - 1  # the last compared image, or the next one
+    like += images.sequence[rows[like]] != images.sequence
+    candidate = chosen[like]
+    others = ~candidate & ~_touching(way, images.sequence, candidate)
+    shown = candidate.copy()
+    shown[candidate] = nearest_m(images.poses[candidate], images.poses[others], FARTHEST * side) <= near_m
+    alone = long_runs(candidate & ~shown, way, images.sequence)
+    training = ~candidate | alone
+    held_out = shown & ~_touching(way, images.sequence, training)
+    if held_out.sum() < LEAST_IMAGES:
+        note = (
+            f"nothing is held out: no {LEAST_IMAGES} images in a row lead over ground that others show, too; the last"
+            " epoch is kept, and how images err is assumed, not found: record another pass, or give held-out data"
+        )
+        return Split(images, images, nothing, (note,), images, near_m)
+    notes = [f"held out: {_told(images, held_out)}; other passes show what is there"]
+    if alone.any():
+        notes.append(
+            f"trained on, as no other recording shows it within {near_m:.2g} m and 45°: {_told(images, alone)}"
+        )
+    left = int((~training & ~held_out).sum())
+    if left:
+        notes.append(f"{left} images are left out, as they are next to images that are trained on or not shown by any")
+    return Split(images.select(np.flatnonzero(training)), images, held_out, tuple(notes), images, near_m)
+
+
+def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
+    """Judge by those held-out images whose surroundings training images show."""
+    shown, near_m = shown_around(held_out.poses, training.poses)
+    outside = f"not judged by, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
+    return Split(training, held_out, shown, () if shown.all() else (outside,), training, near_m)
+
+
+def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
+    """Whether each of n images is shown by each of r recordings: by another pass of it where the image is its own.
+
+    Another pass is one before which the camera was elsewhere, or looked away by more than 90°.
+
+    Args:
+        images: Of r recordings.
+        near_m: How far away a place counts as shown, metres, as `hold_out` found it.
+    """
+    scale_m = FARTHEST * typical_side_m(images.poses)
+    way = way_of(images)
+    found = np.zeros((len(images), len(images.names)), bool)
+    for number in range(len(images.names)):
+        of_it = images.sequence == number
+        found[~of_it, number] = nearest_m(images.poses[~of_it], images.poses[of_it], scale_m) <= near_m
+        own = np.flatnonzero(of_it)
+        at, ahead = images.poses.translation[own], images.poses.rotation[own, :, 2]
+        pieces = np.floor(4.0 * (way[own] - way[own[:1]]))
+        for piece in np.split(np.arange(len(own)), np.flatnonzero(np.diff(pieces)) + 1) if len(own) else ():
+            middle = piece[len(piece) // 2]
+            away = np.linalg.norm(at - at[middle], axis=1) > AWAY * near_m
+            away |= ahead @ ahead[middle] < 0.0
+            leaves = np.flatnonzero(away)
+            split = np.searchsorted(leaves, middle)
+            begin = leaves[split - 1] + 1 if split else 0
+            end = leaves[split] if split < len(leaves) else len(own)
+            others = np.concatenate([own[:begin], own[end:]])
+            apart_m = nearest_m(images.poses[own[piece]], images.poses[others], scale_m)
+            found[own[piece], number] = apart_m <= near_m
+    return found
+
+
+def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
+    """How far the camera has come, (n,): 1 where it is elsewhere, and for each 45° turned."""
+    steps = np.zeros(len(images))
+    if len(images) > 1:
+        moved_m, turned = images.poses[:-1].distance(images.poses[1:])
+        steps[1:] = moved_m / (FARTHEST * typical_side_m(images.poses)) + turned / DIRECTION_RAD
+    return np.cumsum(steps)
+
+
+def _chosen(
+    images: TrainingSet, way: Float64[np.ndarray, " n"], share: float, side: float
+) -> tuple[Bool[np.ndarray, " n"], float]:
+    """Images of the passes to hold out, and how far away counts as near."""
+    passes = list(_passes(images.sequence, share))
+    taken = np.zeros(len(images), bool)
+
+    def nearest(which: slice) -> Float64[np.ndarray, " k"]:
+        """Of the images of a pass and of those taken before: how far those are that would be trained on."""
+        mask = taken.copy()
+        mask[which] = True
+        others = ~mask & ~_touching(way, images.sequence, mask)
+        return nearest_m(images.poses[mask], images.poses[others], FARTHEST * side)
+
+    near_m = near_m_of(np.concatenate([nearest(which) for which in passes]), FARTHEST * side)
+    while taken.sum() < share * len(images):
+        free = [which for which in passes if not taken[which].any()]
+        shown = [float((nearest(which) <= near_m).mean()) for which in free]
+        if not shown or max(shown) < _LEAST_SHOWN:
+            break
+        taken[free[int(np.argmax(shown))]] = True
+    return taken, near_m
+
+
+def _passes(sequence: Int64[np.ndarray, " n"], share: float) -> Iterator[slice]:
+    """What may be held out as one: whole recordings of many, else stretches."""
+    begins = np.flatnonzero(np.diff(sequence, prepend=sequence[0] - 1))
+    for begin, end in pairwise([*begins.tolist(), len(sequence)]):
+        length = end - begin
+        if len(begins) < WHOLE_OF:
+            length = min(max(int(share * len(sequence)), 2), length)
+        for first in range(begin, end - length + 1, max(length // 4, 1)):
+            yield slice(first, first + length)
+
+
+def _touching(
+    way: Float64[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"], mask: Bool[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Images from which the camera comes to one of the mask, or from one of it, before it is elsewhere."""
+    touching = np.zeros(len(mask), bool)
+    for number in np.unique(sequence[mask]):
+        own = np.flatnonzero(sequence == number)
+        at = way[own[mask[own]]]
+        after = np.searchsorted(at, way[own])
+        gaps = np.abs(at[np.clip([after - 1, after], 0, len(at) - 1)] - way[own])
+        touching[own] = gaps.min(axis=0) < 1.0
+    return touching & ~mask
+
+
+def long_runs(
+    mask: Bool[np.ndarray, " n"], way: Float64[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """The runs of a mask in which the camera comes somewhere else."""
+    kept = np.zeros(len(mask), bool)
+    for run in runs(mask, sequence):
+        kept[run] = way[run.stop - 1] - way[run.start] >= 1.0
+    return kept
+
+
+def _told(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
+    """Which images of which recordings these are."""
+    parts = []
+    for number in np.unique(images.sequence[mask]):
+        own = np.flatnonzero(images.sequence == number)
+        name = images.names[number]
+        if mask[own].all():
+            parts.append(f"{name} ({len(own)} images)")
+            continue
+        own_runs = [run for run in runs(mask, images.sequence) if images.sequence[run.start] == number]
+        parts.append(f"{name}, images {told_runs(own_runs, int(own[0]))}")
+    return "; ".join(parts[:_TOLD_NAMES]) + (
+        f"; and {len(parts) - _TOLD_NAMES} more" if len(parts) > _TOLD_NAMES else ""
+    )

@@ -1,0 +1,146 @@
+"""What a retrieval regressor learns from: images as its backbone sees them, and which of them it must not recall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float64, Int64
+from torch import Tensor
+
+from vapor.evaluation.validation import batches
+from vapor.regressors.base import PoseRegressor
+from vapor.regressors.retrieval import RetrievalRegressor
+from vapor.training.augment import jitter_and_normalise, random_crops
+from vapor.training.config import TrainConfig
+from vapor.training.holding_out import way_of
+from vapor.training_data.ground import near_scale_m
+from vapor.training_data.training_set import TrainingSet
+
+_ALONE = 0.2  # of the way to elsewhere: so far its own pass is hidden where nothing else shows a place
+_CHUNK = 512
+VARIANTS = 6
+"""Ways in which every training image is varied, at most."""
+_VARIANTS_BYTES = 10**9
+_BATCH = 64
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Training images as a network's backbone, which does not learn, sees them.
+
+    Attributes:
+        images: The images, n of them.
+        features: What `describe` says of each, half precision.
+        translation: True positions, metres, on the network's device.
+        rotation: True rotations, world_from_camera.
+        sequence: Which recording each is of.
+        way: How far the camera has come, in units of what counts as elsewhere.
+        reach: So much further on the way, and back, images of the same recording are hidden from each.
+        variants: What `describe` says of them varied by augmentation, in one way and another, as far as asked for.
+    """
+
+    images: TrainingSet
+    features: Float[Tensor, "n f"]
+    translation: Float[Tensor, "n 3"]
+    rotation: Float[Tensor, "n 3 3"]
+    sequence: Int64[Tensor, " n"]
+    way: Float[Tensor, " n"]
+    reach: Float[Tensor, " n"]
+    variants: dict[int, Float[Tensor, "n f"]] = field(default_factory=dict)
+
+    @property
+    def num_variants(self) -> int:
+        """In so many ways the images are varied."""
+        return int(np.clip(_VARIANTS_BYTES // (self.features.nbytes + 1), 1, VARIANTS))
+
+    def varied(
+        self, network: RetrievalRegressor, number: int, config: TrainConfig, *, bfloat16: bool
+    ) -> Float[Tensor, "n f"]:
+        """What `describe` says of the images when they are varied, half precision; the same for the same number.
+
+        Args:
+            network: The one that saw them.
+            number: Of the epoch; beyond `num_variants` they come again.
+            config: How they are varied.
+            bfloat16: Whether the backbone may be of that precision.
+        """
+        variant = number % self.num_variants
+        if variant not in self.variants:
+            size, device = (config.network.image_width, config.network.image_height), self.features.device
+            rng, features = np.random.default_rng([config.seed, variant]), torch.empty_like(self.features)
+            for begin in range(0, len(features), _BATCH):
+                part = slice(begin, begin + _BATCH)
+                crops = random_crops(self.images.images, self.images.rows[part], *size, config.augment, rng=rng)
+                pixels = torch.from_numpy(crops).to(device)
+                images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
+                with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
+                    features[part] = network.describe(images)
+            self.variants[variant] = features
+        return self.variants[variant]
+
+    def hidden(self, indices: Int64[np.ndarray, " b"]) -> Bool[Tensor, "b n"]:
+        """Of the images, those that each of some must not recall: of its own pass, as no image to come is of it."""
+        rows = torch.from_numpy(indices).to(self.way.device)
+        near = (self.way[rows][:, None] - self.way).abs() < self.reach[rows][:, None]
+        return near & (self.sequence[rows][:, None] == self.sequence)
+
+
+def look(network: RetrievalRegressor, images: TrainingSet, known: Seen | None = None) -> Seen:
+    """Training images as the network's backbone sees them, once for all of a training.
+
+    Args:
+        network: Whose numbers are standardised by these images where that was not done yet.
+        images: In order of time.
+        known: Some of them, or others, that were seen before.
+    """
+    device = network.pixel_mean.device
+    features = torch.empty(len(images), len(network.centre), dtype=torch.float16, device=device)
+    new = np.ones(len(images), bool)
+    if known is not None and known.images.images is images.images:
+        at = np.searchsorted(known.images.rows, images.rows).clip(max=len(known.images) - 1)
+        new = known.images.rows[at] != images.rows
+        features[~new] = known.features[at[~new]]
+    found = described(network, images.select(np.flatnonzero(new)))
+    if not network.standardised:
+        network.standardise(found)
+        found = (found - network.centre) / network.spread
+    features[new] = found.half()
+    way = way_of(images)
+    return Seen(
+        images,
+        features,
+        torch.from_numpy(images.poses.translation).float().to(device),
+        torch.from_numpy(images.poses.rotation).float().to(device),
+        torch.from_numpy(images.sequence).to(device),
+        torch.from_numpy(way).float().to(device),
+        torch.from_numpy(np.where(_shown_again(images, way), 1.0, _ALONE)).float().to(device),
+    )
+
+
+@torch.no_grad()
+def described(network: RetrievalRegressor, images: TrainingSet) -> Float[Tensor, "n f"]:
+    """What a network's backbone, which does not learn, says of the centre crops of images."""
+    none = torch.empty(0, len(network.centre), device=network.pixel_mean.device)
+    return torch.cat([none, *(network.describe(crops) for _, crops in batches(network, images))])
+
+
+def remember(network: PoseRegressor, seen: Seen | None) -> None:
+    """Let a network remember images as its weights see them now; nothing where it is none that remembers."""
+    if isinstance(network, RetrievalRegressor) and seen is not None:
+        network.remember(seen.features, seen.translation, seen.rotation)
+
+
+def _shown_again(images: TrainingSet, way: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Whether another pass, or another recording, shows what each image shows."""
+    at = (images.poses.translation / near_scale_m(images.poses)).astype(np.float32)
+    ahead = images.poses.rotation[:, :, 2].astype(np.float32)
+    square, shown = (at**2).sum(axis=1), np.zeros(len(images), bool)
+    for begin in range(0, len(images), _CHUNK):
+        own = slice(begin, begin + _CHUNK)
+        near = square[own, None] + square - 2.0 * at[own] @ at.T < 1.0
+        near &= ahead[own] @ ahead.T > np.cos(np.pi / 4)
+        apart = np.abs(way[own, None] - way) >= 1.0
+        shown[own] = (near & (apart | (images.sequence[own, None] != images.sequence))).any(axis=1)
+    return shown

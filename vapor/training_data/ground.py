@@ -1,0 +1,98 @@
+"""Ground that images show: how near is near, which poses lie on it, and how to tell of those that do not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.spatial import KDTree
+
+from filtering.se3 import Poses
+from vapor.checkpoints.scene_scale import typical_side_m
+
+DIRECTION_RAD = float(np.deg2rad(45.0))
+FARTHEST = 0.15
+"""What counts as near, in typical sides of the scene, at most."""
+_CHORD = 2.0 * np.sin(DIRECTION_RAD / 2.0)
+_NEAREST = 1 / 3  # of that, at least
+_GIVEN = 2.0  # times as far counts where someone says that data are of the place
+_USUAL = 4.0  # times what lies between an image and the nearest of another pass in a quarter of those that have one
+_LOOKED_AT = 8  # of the nearest
+_TOLD_RUNS = 3
+_TOLD_SHARE = 0.05  # of a run's images that no training image shows, from which on it is said
+
+
+def told_unshown(poses: Poses, training: Poses) -> str | None:
+    """What to say of a run that led over ground that training images do not show; None where it did not.
+
+    Args:
+        poses: Where the images of the run were taken, as found, (n,).
+        training: Of the training images, (m,).
+    """
+    shown, near_m = shown_around(poses, training)
+    if (share := float((~shown).mean())) < _TOLD_SHARE:
+        return None
+    return (
+        f"{share:.0%} of the images were taken, by the smoothed trajectory, where no training image is within"
+        f" {near_m:.2g} m and 45°: images {told_runs(list(runs(~shown, np.zeros(len(shown), np.int64))), 0)}; expect"
+        " larger errors there, and train with a recording of that ground"
+    )
+
+
+def shown_around(poses: Poses, training: Poses) -> tuple[Bool[np.ndarray, " n"], float]:
+    """Whether training images show the surroundings of poses, and how far away counts as near, metres.
+
+    Args:
+        poses: Of images that are said to be of the place, (n,).
+        training: Of the training images, (m,).
+    """
+    farthest_m = _GIVEN * FARTHEST * typical_side_m(training)
+    distances_m = nearest_m(poses, training, farthest_m)
+    near_m = near_m_of(distances_m, farthest_m)
+    return distances_m <= near_m, near_m
+
+
+def near_scale_m(poses: Poses) -> float:
+    """How far away counts as near at least, metres, of the scene that poses (n,) outline."""
+    return _NEAREST * FARTHEST * typical_side_m(poses)
+
+
+def near_m_of(distances_m: Float64[np.ndarray, " n"], farthest_m: float) -> float:
+    """How far away counts as near, by how far the nearest images of other passes are; no further than given."""
+    found = distances_m[distances_m <= farthest_m]
+    usual = float(np.quantile(found, 0.25)) if len(found) else np.inf
+    return float(np.clip(_USUAL * usual, _NEAREST * farthest_m, farthest_m))
+
+
+def nearest_m(poses: Poses, others: Poses, scale_m: float) -> Float64[np.ndarray, " n"]:
+    """How far the nearest of the others (m,) that looks the same way as each pose (n,) is; infinite without any.
+
+    Args:
+        poses: Of cameras.
+        others: Likewise.
+        scale_m: So far away is as different as 45°.
+    """
+    if not len(poses) or not len(others):
+        return np.full(len(poses), np.inf)
+    places, own = (np.hstack([each.translation / scale_m, each.rotation[:, :, 2] / _CHORD]) for each in (others, poses))
+    apart = KDTree(places).query(own, k=min(_LOOKED_AT, len(others)))[1].reshape(len(own), -1)
+    difference = places[apart] - own[:, None]
+    distance = scale_m * np.linalg.norm(difference[..., :3], axis=-1)
+    return np.where(np.linalg.norm(difference[..., 3:], axis=-1) <= 1.0, distance, np.inf).min(axis=1)
+
+
+def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Iterator[slice]:
+    """Consecutive images of one recording that are in the mask."""
+    rows = np.flatnonzero(mask)
+    if len(rows):
+        breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(sequence[rows]) != 0)) + 1
+        for run in np.split(rows, breaks):
+            yield slice(int(run[0]), int(run[-1]) + 1)
+
+
+def told_runs(found: Sequence[slice], first: int) -> str:
+    """The first and last image of each run, counted from the first image of their recording."""
+    told = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_TOLD_RUNS]]
+    told += [f"{len(found) - _TOLD_RUNS} more"] if len(found) > _TOLD_RUNS else []
+    return " and ".join([*([", ".join(told[:-1])] if told[:-1] else []), told[-1]])
