@@ -15,10 +15,10 @@ from scipy.stats import f as fisher
 
 from filtering.adaptation import ErrorScale
 from filtering.association import UNUSUAL
+from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
 from filtering.hypotheses import POSE, Hypotheses, bias, born, motion_of_state, widened
-from filtering.localizer import GapConfig, LocalizerConfig
 from filtering.motion import Odometry, SlowErrors, require_duration, require_odometry
 from filtering.novelty import ViewMeter
 from filtering.posterior import PosePosterior

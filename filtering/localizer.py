@@ -3,164 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
-from filtering.adaptation import ErrorScale
 from filtering.association import associate
+from filtering.cameras import SeenCamera, View
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
-from filtering.errors import VaporTrackError, require_within
-from filtering.estimate import Estimate, Mode, ModeConfig, Status, describe_modes
+from filtering.errors import VaporTrackError
+from filtering.estimate import Estimate, Mode, Status, describe_modes
 from filtering.hypotheses import Hypotheses, born, concatenate, moved, reduced, widened, with_camera
-from filtering.motion import Odometry, SlowErrors, require_odometry
-from filtering.novelty import ViewMeter
+from filtering.motion import Odometry, require_odometry
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
-
-_FARTHEST = 1e6  # metres or radians: further than that a gap leads nowhere in particular
-
-
-@dataclass(frozen=True)
-class GapConfig:
-    """What is assumed where odometry is missing."""
-
-    action: Literal["widen", "forget"] = "widen"
-    """Widen the belief by a motion in an unknown direction, or start anew from the next image that says something:
-    until then the belief is widened and "lost"."""
-    speed_m_per_s: float = 1.4
-    """Standard deviation of the speed along each axis; walking pace."""
-    turn_rad_per_s: float = 0.5
-    """Standard deviation of the turn rate about each axis."""
-
-    def __post_init__(self) -> None:
-        require_within(self, speed_m_per_s=(0.0, 1e6), turn_rad_per_s=(0.0, 1e3))
-
-    def covariance(self, duration_s: float) -> np.ndarray:
-        """Of ξ = (v, ω) after a motion that is unknown, (6, 6)."""
-        likely = np.minimum([self.speed_m_per_s * duration_s, self.turn_rad_per_s * duration_s], _FARTHEST)
-        return np.diag(np.repeat(np.square(likely), 3))
-
-
-@dataclass(frozen=True)
-class LocalizerConfig:
-    """Settings of the filter; lengths follow from how the images err (`ErrorModel`)."""
-
-    max_hypotheses: int = 50
-    """Particles that carry the belief, each a hypothesis with a Gaussian of its own: at most so many."""
-    kidnap_per_view: float = 3e-4
-    """The chance that the camera was carried elsewhere unnoticed, for every new view that fits the belief: so much of
-    the belief an image draws anew."""
-    max_kidnap_per_view: float = 0.1
-    """The same for one that does not fit at all; between the two in equal ratios. 0 for both: never."""
-    adapt_errors: bool = True
-    """Take images to err more than their model says where odometry shows it."""
-    merge_divergence: float = 0.5
-    """Hypotheses that differ by no more than this, in nats, are one."""
-    least_weight: float = 1e-8
-    """Hypotheses with a smaller share of the belief are dropped."""
-    converged_weight: float = 0.9
-    """Status is "converged" from this share of the belief in the best mode on."""
-    converged_std: float = 3.0
-    """And with at most this standard deviation of its position along its widest axis, in those of an ordinary image's
-    error."""
-    converged_std_m: float | None = None
-    """The same in metres, instead."""
-    converged_map_share: float = 0.5
-    """And at most this share of the size of the map (`ErrorModel.map_size_m`): who knows no more than that they are in
-    the room knows nothing."""
-    converged_agreement: float = 0.7
-    """And while the latest images fit at least this share of what they could of the belief."""
-    lost_agreement: float = 0.3
-    """Status is "lost" while they fit less than this."""
-    agreement_s: float = 1.0
-    """Time over which that is averaged, seconds."""
-    agreement_images: int = 5
-    """And so many images at least: one that comes a second after the other does not decide alone."""
-    switch_ratio: float = 1.5
-    """Another mode becomes the best one when it outweighs the present best by this factor."""
-    slow_errors: SlowErrors = field(default_factory=lambda: SlowErrors(relative_drift=0.6))
-    """Errors of the odometry that last."""
-    gap: GapConfig = field(default_factory=GapConfig)
-    """What is assumed where odometry is missing."""
-    modes: ModeConfig = field(default_factory=ModeConfig)
-    """What counts as one place."""
-
-    def __post_init__(self) -> None:
-        require_within(
-            self,
-            max_hypotheses=(1, 10**6),
-            max_kidnap_per_view=(0.0, 1.0),
-            kidnap_per_view=(0.0, self.max_kidnap_per_view),
-            merge_divergence=(0.0, 1e6),
-            least_weight=(0.0, 0.1),
-            converged_weight=(0.0, 1.0),
-            converged_std=(0.0, 1e6),
-            converged_map_share=(0.0, 1e6),
-            converged_agreement=(0.0, 1.0),
-            lost_agreement=(0.0, 1.0),
-            agreement_s=(1e-6, 1e6),
-            agreement_images=(1, 10**6),
-            switch_ratio=(1.0, 1e9),
-        )
-        if self.converged_std_m is not None:
-            require_within(self, converged_std_m=(0.0, 1e9))
-
-    def widest_std_m(self, errors: ErrorModel) -> float:
-        """The largest standard deviation of the position, along its widest axis, of a converged belief, metres."""
-        if self.converged_std_m is not None:
-            return self.converged_std_m
-        return min(self.converged_std * max(errors.typical_std[:3]), self.converged_map_share * errors.map_size_m)
-
-
-@dataclass(frozen=True)
-class View:
-    """What one camera of several says about one moment.
-
-    Attributes:
-        posterior: Of its image.
-        reference_from_camera: Its extrinsics: from the camera to the frame that is localized, one pose.
-        camera: Its name: the errors of one camera's images last, those of two are independent.
-    """
-
-    posterior: PosePosterior
-    reference_from_camera: Poses
-    camera: str
-
-
-@dataclass(frozen=True)
-class _Camera:
-    """A camera that was seen before: its place in the state, how much it errs, and how far it came: in lengths over
-    which its errors last (`meter`), and over which it mistakes one place for another (`places`)."""
-
-    number: int
-    errors: ErrorModel
-    meter: ViewMeter
-    places: ViewMeter
-    reference_from_camera: Poses
-    scale: ErrorScale
-
-    def seen_through(self, reference_from_camera: Poses) -> _Camera:
-        """The same on its mount of now; where that was turned, no image of before is compared with those that come."""
-        mount = self.reference_from_camera
-        if np.array_equal(mount.as_matrix(), reference_from_camera.as_matrix()):
-            return self
-        return replace(self, reference_from_camera=reference_from_camera, scale=replace(self.scale, place=None))
-
-    def moved(self, odom: Odometry) -> tuple[_Camera, float]:
-        """After a motion of the reference frame; the way in lengths."""
-        meter, way = self.meter.moved(odom.previous_from_current)
-        places, _ = self.places.moved(odom.previous_from_current)
-        camera_from_reference = self.reference_from_camera.inverse()
-        carry = camera_from_reference.adjoint()
-        motion = Odometry(
-            camera_from_reference @ odom.previous_from_current @ self.reference_from_camera,
-            carry @ odom.covariance @ carry.T,
-            odom.duration_s,
-        )
-        return replace(self, meter=meter, places=places, scale=self.scale.moved(motion, way)), way
-
 
 _ONLY = "camera"
 
@@ -181,7 +37,7 @@ class ParticleLocalizer:
         self.config = config or LocalizerConfig()
         self._model_rng, self._filter_rng = rng.spawn(2)
         self._belief: Hypotheses | None = None
-        self._cameras: dict[str, _Camera] = {}
+        self._cameras: dict[str, SeenCamera] = {}
         self._best: Poses | None = None
         self._agreement = 1.0  # of the latest images with the belief
         self._unseen_s = 0.0  # since an image that says something
@@ -283,11 +139,7 @@ class ParticleLocalizer:
             if gap.action == "forget":
                 self._provisional, self._agreement = True, 0.0
             likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
-            after = {}
-            for name, camera in self._cameras.items():
-                meter, way = camera.meter.across_gap(*likely)
-                places, _ = camera.places.across_gap(*likely)
-                after[name] = replace(camera, meter=meter, places=places, scale=replace(camera.scale, place=None)), way
+            after = {name: camera.across_gap(*likely) for name, camera in self._cameras.items()}
             odom = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s)
             self._belief = widened(self._belief, gap.covariance(elapsed_s))
         self._cameras = {name: camera for name, (camera, _) in after.items()}
@@ -385,13 +237,9 @@ class ParticleLocalizer:
         return belief
 
     def _add_camera(self, view: View) -> None:
-        errors = view.posterior.errors
         # The first image of a camera is all new: it looks from a length away.
-        unknown, longer = 0.0 if self._belief is None else 1.0, errors.mistaken_lengths
-        meter = ViewMeter(errors.length_m, errors.length_rad, unknown=unknown)
-        places = ViewMeter(longer * errors.length_m, longer * errors.length_rad, unknown=unknown)
-        scale = ErrorScale(self.config.adapt_errors)
-        camera = _Camera(len(self._cameras), errors, meter, places, view.reference_from_camera, scale)
+        unknown = 0.0 if self._belief is None else 1.0
+        camera = SeenCamera.first_seen(view, len(self._cameras), unknown=unknown, adapts=self.config.adapt_errors)
         self._cameras = self._cameras | {view.camera: camera}
 
     def _estimate(self, belief: Hypotheses, novelty: float, unfamiliarity: float) -> Estimate:

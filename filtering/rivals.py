@@ -10,9 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from filtering.cameras import View
+from filtering.config import LocalizerConfig
 from filtering.estimate import Estimate
 from filtering.hypotheses import Hypotheses, reduced
-from filtering.localizer import LocalizerConfig, ParticleLocalizer, View
+from filtering.localizer import ParticleLocalizer
 from filtering.posterior import ObservationModel
 
 GAUSSIANS = 15

@@ -18,11 +18,11 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.linalg import solveh_banded
 
 from filtering.association import PLACE
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
 from filtering.hypotheses import POSE, SLOW, motion_of_state
-from filtering.localizer import LocalizerConfig
 from filtering.motion import Odometry, SlowErrors
 from filtering.se3 import Poses
 

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from filtering.cameras import View
+from filtering.config import LocalizerConfig
 from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
-from filtering.localizer import LocalizerConfig, ParticleLocalizer, View
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry, require_odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses

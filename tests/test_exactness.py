@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
+from filtering.cameras import View
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.hypotheses import POSE, SLOW, bias
-from filtering.localizer import LocalizerConfig, ParticleLocalizer, View
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry, SlowErrors
 from filtering.se3 import Poses
 from tests.simulation import seen_at

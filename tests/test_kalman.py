@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.kalman import KalmanConfig, KalmanLocalizer
-from filtering.localizer import GapConfig, LocalizerConfig, ParticleLocalizer
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.config import LocalizerConfig
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry, SlowErrors
 from filtering.se3 import Poses
 from tests.simulation import ERRORS, STD, image_errors, lifted, motion, seen_at, wandering

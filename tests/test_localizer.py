@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from filtering.cameras import View
+from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.hypotheses import POSE
-from filtering.localizer import GapConfig, LocalizerConfig, ParticleLocalizer, View
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry, SlowErrors
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
-from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses

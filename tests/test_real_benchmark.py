@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
-from filtering.localizer import LocalizerConfig
 from sequences.odometry import OdometryNoise
 from tests.pose_text import noisy, walk, write_named
 from tests.test_datasets import make_7scenes

@@ -17,8 +17,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
-from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses

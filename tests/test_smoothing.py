@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import posterior_modes
-from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.localizer import ParticleLocalizer
 from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, agreement, independence, smooth
 from tests.modelled_walk import ERRORS, SLOW, walk

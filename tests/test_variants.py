@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.config import LocalizerConfig
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.rivals import DoubtingLocalizer

@@ -9,8 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
-from filtering.localizer import LocalizerConfig
 from vapor.benchmark.recordings import CameraPath, RecordingSettings, camera_path, make_recording
 from vapor.benchmark.trials import Setup, run_trial
 from vapor.benchmark.windows import Kind, Trial, choose_trials

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
-from filtering.localizer import LocalizerConfig
 from vapor.benchmark.real_rows import ROWS, Place, Row
 from vapor.cache import cached, code_digest
 from vapor.evaluation.trajectory import REGIONS, RIGHT

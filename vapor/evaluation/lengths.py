@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.config import LocalizerConfig
 from filtering.estimate import Mode
-from filtering.localizer import LocalizerConfig
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry_fit import OdometryFit

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
-from filtering.localizer import LocalizerConfig
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.estimates import EstimateOptions, EstimateSequence

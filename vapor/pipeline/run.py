@@ -17,11 +17,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.estimate import Mode, posterior_modes
 from filtering.kalman import KalmanConfig, KalmanLocalizer
-from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import ObservationModel
 from filtering.rivals import GaussianSumLocalizer

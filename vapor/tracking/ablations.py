@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
-from filtering.localizer import LocalizerConfig, ParticleLocalizer
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import SlowErrors
 from filtering.rivals import DoubtingLocalizer
 

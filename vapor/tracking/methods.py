@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.estimate import Mode, posterior_modes
 from filtering.kalman import KalmanConfig, KalmanLocalizer
-from filtering.localizer import LocalizerConfig
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.rivals import GaussianSumLocalizer

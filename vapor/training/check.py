@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Int64
 
+from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
-from filtering.localizer import LocalizerConfig
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses

@@ -1,0 +1,107 @@
+"""Settings of the filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from filtering.error_model import ErrorModel
+from filtering.errors import require_within
+from filtering.estimate import ModeConfig
+from filtering.motion import SlowErrors
+
+_FARTHEST = 1e6  # metres or radians: further than that a gap leads nowhere in particular
+
+
+@dataclass(frozen=True)
+class GapConfig:
+    """What is assumed where odometry is missing."""
+
+    action: Literal["widen", "forget"] = "widen"
+    """Widen the belief by a motion in an unknown direction, or start anew from the next image that says something:
+    until then the belief is widened and "lost"."""
+    speed_m_per_s: float = 1.4
+    """Standard deviation of the speed along each axis; walking pace."""
+    turn_rad_per_s: float = 0.5
+    """Standard deviation of the turn rate about each axis."""
+
+    def __post_init__(self) -> None:
+        require_within(self, speed_m_per_s=(0.0, 1e6), turn_rad_per_s=(0.0, 1e3))
+
+    def covariance(self, duration_s: float) -> np.ndarray:
+        """Of ξ = (v, ω) after a motion that is unknown, (6, 6)."""
+        likely = np.minimum([self.speed_m_per_s * duration_s, self.turn_rad_per_s * duration_s], _FARTHEST)
+        return np.diag(np.repeat(np.square(likely), 3))
+
+
+@dataclass(frozen=True)
+class LocalizerConfig:
+    """Settings of the filter; lengths follow from how the images err (`ErrorModel`)."""
+
+    max_hypotheses: int = 50
+    """Particles that carry the belief, each a hypothesis with a Gaussian of its own: at most so many."""
+    kidnap_per_view: float = 3e-4
+    """The chance that the camera was carried elsewhere unnoticed, for every new view that fits the belief: so much of
+    the belief an image draws anew."""
+    max_kidnap_per_view: float = 0.1
+    """The same for one that does not fit at all; between the two in equal ratios. 0 for both: never."""
+    adapt_errors: bool = True
+    """Take images to err more than their model says where odometry shows it."""
+    merge_divergence: float = 0.5
+    """Hypotheses that differ by no more than this, in nats, are one."""
+    least_weight: float = 1e-8
+    """Hypotheses with a smaller share of the belief are dropped."""
+    converged_weight: float = 0.9
+    """Status is "converged" from this share of the belief in the best mode on."""
+    converged_std: float = 3.0
+    """And with at most this standard deviation of its position along its widest axis, in those of an ordinary image's
+    error."""
+    converged_std_m: float | None = None
+    """The same in metres, instead."""
+    converged_map_share: float = 0.5
+    """And at most this share of the size of the map (`ErrorModel.map_size_m`): who knows no more than that they are in
+    the room knows nothing."""
+    converged_agreement: float = 0.7
+    """And while the latest images fit at least this share of what they could of the belief."""
+    lost_agreement: float = 0.3
+    """Status is "lost" while they fit less than this."""
+    agreement_s: float = 1.0
+    """Time over which that is averaged, seconds."""
+    agreement_images: int = 5
+    """And so many images at least: one that comes a second after the other does not decide alone."""
+    switch_ratio: float = 1.5
+    """Another mode becomes the best one when it outweighs the present best by this factor."""
+    slow_errors: SlowErrors = field(default_factory=lambda: SlowErrors(relative_drift=0.6))
+    """Errors of the odometry that last."""
+    gap: GapConfig = field(default_factory=GapConfig)
+    """What is assumed where odometry is missing."""
+    modes: ModeConfig = field(default_factory=ModeConfig)
+    """What counts as one place."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            max_hypotheses=(1, 10**6),
+            max_kidnap_per_view=(0.0, 1.0),
+            kidnap_per_view=(0.0, self.max_kidnap_per_view),
+            merge_divergence=(0.0, 1e6),
+            least_weight=(0.0, 0.1),
+            converged_weight=(0.0, 1.0),
+            converged_std=(0.0, 1e6),
+            converged_map_share=(0.0, 1e6),
+            converged_agreement=(0.0, 1.0),
+            lost_agreement=(0.0, 1.0),
+            agreement_s=(1e-6, 1e6),
+            agreement_images=(1, 10**6),
+            switch_ratio=(1.0, 1e9),
+        )
+        if self.converged_std_m is not None:
+            require_within(self, converged_std_m=(0.0, 1e9))
+
+    def widest_std_m(self, errors: ErrorModel) -> float:
+        """The largest standard deviation of the position, along its widest axis, of a converged belief, metres."""
+        if self.converged_std_m is not None:
+            return self.converged_std_m
+        return min(self.converged_std * max(errors.typical_std[:3]), self.converged_map_share * errors.map_size_m)
