@@ -1,1 +1,58 @@
-"""The variational pose regressor, and the command that joins it to the filter."""
+"""Where is the camera, and how sure is that? Learned pose posteriors and odometry -> a particle filter on SE(3).
+
+What is listed in `__all__` is public: its meaning changes only with a line in CHANGELOG.md. Names are imported when
+they are used, so that `import vapor` takes no time and loads no torch.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from filtering.config import LocalizerConfig as LocalizerConfig
+    from filtering.error_model import ErrorModel as ErrorModel
+    from filtering.errors import VaporTrackError as VaporTrackError
+    from filtering.estimate import Estimate as Estimate
+    from filtering.estimate import Mode as Mode
+    from filtering.localizer import ParticleLocalizer as ParticleLocalizer
+    from filtering.motion import Odometry as Odometry
+    from filtering.posterior import ObservationModel as ObservationModel
+    from filtering.posterior import PosePosterior as PosePosterior
+    from filtering.se3 import Poses as Poses
+    from sequences.reader import SequenceReader as SequenceReader
+    from vapor.observation import VaporObservationModel as VaporObservationModel
+    from vapor.pipeline.fuse import fuse as fuse
+    from vapor.pipeline.run import run as run
+    from vapor.training.config import TrainConfig as TrainConfig
+    from vapor.training.train import train as train
+
+_MODULES = {
+    "ErrorModel": "filtering.error_model",
+    "Estimate": "filtering.estimate",
+    "LocalizerConfig": "filtering.config",
+    "Mode": "filtering.estimate",
+    "ObservationModel": "filtering.posterior",
+    "Odometry": "filtering.motion",
+    "ParticleLocalizer": "filtering.localizer",
+    "PosePosterior": "filtering.posterior",
+    "Poses": "filtering.se3",
+    "SequenceReader": "sequences.reader",
+    "TrainConfig": "vapor.training.config",
+    "VaporObservationModel": "vapor.observation",
+    "VaporTrackError": "filtering.errors",
+    "fuse": "vapor.pipeline.fuse",
+    "run": "vapor.pipeline.run",
+    "train": "vapor.training.train",
+}
+
+__all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module 'vapor' has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(_MODULES[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_MODULES})

@@ -1,0 +1,47 @@
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import vapor
+
+
+def test_all_public_names_are_what_their_modules_define():
+    assert sorted(vapor.__all__) == sorted(set(vapor.__all__)), "a name is listed twice"
+    for name in vapor.__all__:
+        value = getattr(vapor, name)
+        assert value.__name__ == name
+        assert getattr(importlib.import_module(value.__module__), name) is value
+        assert value.__doc__, f"{name} is public and says nothing of itself"
+        assert name in dir(vapor)
+
+
+def test_public_names_can_be_imported_with_a_star():
+    found: dict[str, object] = {}
+    exec("from vapor import *", found)
+    assert {*vapor.__all__} <= {*found}
+
+
+def test_type_checkers_are_told_of_the_same_names_as_python():
+    source = Path(vapor.__file__).read_text(encoding="utf-8")
+    told = [line.split(" as ")[1].strip() for line in source.splitlines() if line.startswith("    from ")]
+    assert sorted(told) == sorted(vapor.__all__)
+
+
+def test_a_name_that_is_not_public_is_no_attribute():
+    with pytest.raises(AttributeError, match="module 'vapor' has no attribute 'PartikelFilter'"):
+        vapor.PartikelFilter  # noqa: B018
+
+
+def test_importing_the_package_loads_neither_torch_nor_numpy():
+    code = "import sys, vapor; print(*sorted({'torch', 'numpy', 'cv2', 'gtsam'} & {*sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
+def test_a_name_without_a_network_loads_no_torch():
+    code = "import sys, vapor; vapor.ParticleLocalizer, vapor.SequenceReader; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
