@@ -169,7 +169,9 @@ class RetrievalRegressor(MixtureDensity):
             translation = memory.translation[which] + (rotation @ move[..., None])[..., 0]
             angle = torch.linalg.vector_norm(_REACH[1] * _TURN_RAD * turn, dim=-1).clamp_min(1e-9)
             rotation = rotation @ rodrigues(_REACH[1] * _TURN_RAD * turn / angle[..., None], angle)
-            widths = torch.exp(widths).clamp(_NARROWEST, _WIDEST) * widths.new_tensor([self.unit_m, _TURN_RAD])
+            widths = torch.exp(widths.clamp(-20.0, 20.0)).clamp(_NARROWEST, _WIDEST) * widths.new_tensor(
+                [self.unit_m, _TURN_RAD]
+            )
             widths = torch.stack([widths[..., 0], widths[..., 1].clamp_max(_WIDEST_RAD)], dim=-1)
             return Components(torch.log_softmax(likeness + more[..., 0], dim=1), translation, rotation, widths)
 
