@@ -19,7 +19,7 @@ from vapor.experiments.decay import DecayConfig
 from vapor.experiments.sweep import Sweep, by_value
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
 from vapor.experiments.trainings import Scene, Training, rendered_height
-from vapor.regressors.base import NetworkConfig
+from vapor.regressors.network_config import NetworkConfig
 from vapor.track import main
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
@@ -33,7 +33,7 @@ TINY_TRAIN = TrainConfig(
     epochs=1,
     batch_size=16,
     calibrate=False,
-    validation_share=0.0,
+    validation_fraction=0.0,
 )
 TINY = AlphaConfig(
     alphas=(0.1, 1.0), runs=2, sequences=1, frames=32, test_frames=6, num_samples=50, workers=1, train=TINY_TRAIN
@@ -102,7 +102,7 @@ def test_images_are_read_once_for_many_trainings_and_again_when_a_file_changes(t
 def test_alpha_is_all_that_is_varied_of_the_small_training_for_tables():
     config = AlphaConfig().varied(0.3)
     assert config.loss.alpha == 0.3
-    small = replace(PRESETS["tables"], calibrate=False, validation_share=0.0)
+    small = replace(PRESETS["tables"], calibrate=False, validation_fraction=0.0)
     assert replace(config, loss=small.loss) == small
 
 
@@ -305,7 +305,7 @@ def test_a_table_is_not_judged_by_images_that_it_trains_on(tmp_path):
     one = scene / "seq-01"
     with pytest.raises(VaporTrackError, match=r"seq-01@7:: shares images with .*TrainSplit.txt, which is"):
         TableExperiment([parse_scene(f"desk={scene}/TrainSplit.txt={one}@7:")], tmp_path, config)
-    twice, held_out = f"desk={one}@:5,{one}@4:5={one}@5:9", replace(config.train, validation_share=0.2)
+    twice, held_out = f"desk={one}@:5,{one}@4:5={one}@5:9", replace(config.train, validation_fraction=0.2)
     with pytest.raises(VaporTrackError, match=r"seq-01@4:5: shares images with .*seq-01@:5, which is"):
         TableExperiment([parse_scene(twice)], tmp_path, replace(config, train=held_out))
     TableExperiment([parse_scene(twice)], tmp_path, config)  # of which nothing is held out

@@ -12,8 +12,8 @@ from filtering.errors import VaporTrackError
 from vapor.evaluation.validation import Validation
 from vapor.experiments import schedule as schedule_module
 from vapor.experiments.schedule import DEFAULT, PAPER, Point, ScheduleConfig, _Clock, summary
-from vapor.regressors.base import NetworkConfig
 from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import NetworkConfig
 from vapor.track import main
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
@@ -65,7 +65,7 @@ def test_the_paper_trains_the_same_network_by_its_own_schedule():
     assert paper.loss.num_samples == 1000
     preset = PRESETS["paper-synthetic"]
     assert paper.validation_images == default.validation_images == TINY.validation_frames
-    names = ("learning_rate", "schedule", "decay_factor", "decay_epochs", "batch_size", "epochs", "average")
+    names = ("learning_rate", "schedule", "decay_factor", "decay_epochs", "batch_size", "epochs", "ema_decay")
     assert all(getattr(paper, name) == getattr(preset, name) for name in names)
     assert (paper.learning_rate, paper.schedule, paper.batch_size) == (1e-4, "steps", 4)
 

@@ -16,7 +16,7 @@ PAPER_ALPHAS = (0.01, *(round(0.05 * k, 2) for k in range(1, 21)))
 
 def _small_training() -> TrainConfig:
     """Of all images, uncalibrated."""
-    return replace(PRESETS["tables"], calibrate=False, validation_share=0.0)
+    return replace(PRESETS["tables"], calibrate=False, validation_fraction=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

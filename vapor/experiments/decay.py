@@ -11,8 +11,8 @@ from typing import ClassVar
 
 from filtering.errors import require_within
 from vapor.experiments.sweep import SweepConfig
-from vapor.regressors.base import NetworkConfig
 from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import NetworkConfig
 from vapor.training.config import TrainConfig
 
 
@@ -26,7 +26,7 @@ def _by_heart() -> TrainConfig:
         batch_size=16,
         learning_rate=1e-3,
         calibrate=False,
-        validation_share=0.0,
+        validation_fraction=0.0,
     )
 
 

@@ -98,7 +98,7 @@ class TableExperiment:
             raise VaporTrackError(f"scenes are {names or 'none'}, expected each at most once, and one")
         for scene in scenes:
             require_apart(scene.train, scene.test)
-            if config.train.validation_share > 0:
+            if config.train.validation_fraction > 0:
                 require_apart(scene.train)
         if config.localize:  # what the filter cannot read is told now, not after a training
             for entry in (entry for scene in scenes for entry in scene.test):
