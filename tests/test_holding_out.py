@@ -143,17 +143,17 @@ def test_a_camera_that_stands_is_no_other_pass():
     assert trained(split).all()
 
 
-def test_given_images_outside_the_map_are_not_judged_by_and_told():
+def test_given_images_outside_the_map_are_not_evaluated_on_and_told():
     training = stairwell(top=(), walks=3)
     held_out = stairwell(top=(0,), walks=1)
     split = within_map(training, held_out)
     np.testing.assert_array_equal(split.held_out_mask, np.arange(400) < 300)
     assert len(split.held_out) == 300
     (note,) = split.notes
-    assert note.startswith("not judged by, as no training image is within ")
+    assert note.startswith("not evaluated on, as no training image is within ")
     assert note.endswith("45°: walk0, images 300 to 399")
     same = within_map(training, training)
-    assert same.judged.all()
+    assert same.held_out_mask.all()
     assert same.notes == ()
 
 

@@ -80,7 +80,7 @@ def test_a_training_ends_where_it_is_good_enough_or_took_too_long(enough, most_s
             epoch = step // 2  # two steps of half a second each
             last = Validation(epoch, 0.0, 0.1 * epoch, 0.0, 0.0) if epoch else None
             clock.follow(Progress("training", step + 1, 10, epoch + 1, 5, seconds=0.5 * (step + 1), validation=last))
-        clock.judged(0.5)
+        clock.evaluated(0.5)
     expected = [(20 * n, 1.0 * n) for n in range(1, 6)]
     assert [(point.images, point.seconds) for point in clock.course] == expected[:epochs]
     assert [point.recall for point in clock.course] == pytest.approx([0.1 * n for n in range(1, epochs + 1)])

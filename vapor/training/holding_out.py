@@ -106,7 +106,7 @@ def hold_out(images: TrainingSet, fraction: float) -> Split:
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
     """Evaluate on those held-out images whose surroundings training images show."""
     shown, near_m = shown_around(held_out.poses, training.poses)
-    outside = f"not judged by, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
+    outside = f"not evaluated on, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
     return Split(training, held_out, shown, () if shown.all() else (outside,), training, near_m)
 
 

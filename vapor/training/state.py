@@ -33,7 +33,7 @@ class TrainingState:
 
     Attributes:
         network: The network being trained.
-        average: Its exponential moving average, which is validated and kept.
+        average: Its exponential moving average, which is evaluated and becomes the model.
         optimizer: AdamW, with its moments.
         epochs: How many there will be before the finished model is evaluated.
         epoch: Epochs done; more than that while it goes on with everything.
