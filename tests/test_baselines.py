@@ -13,11 +13,12 @@ from filtering.se3 import Poses
 from tests.test_train import STILL, TINY, make_frames, pose
 from vapor.checkpoints.checkpoint import load_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.regressors.base import NetworkConfig, SceneBox
-from vapor.regressors.baselines import make_regressor
-from vapor.regressors.loss import LossConfig, training_loss
-from vapor.regressors.mixture import log_rotation_normaliser
-from vapor.training.epoch import _paired
+from vapor.regressors.loss import LossConfig
+from vapor.regressors.mixture_density import log_rotation_normaliser
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.scene_box import SceneBox
+from vapor.training.pairs import paired
 from vapor.training.presets import METHODS
 from vapor.training.train import train_on
 
@@ -71,7 +72,7 @@ def test_dropout_leaves_out_its_share_of_the_units():
     network.pose_map.hidden.register_forward_hook(lambda _, inputs, __: kept.append(inputs[0]))
     draw(network, 200)
     alive = kept[0][:, :, kept[0].abs().amax(dim=(0, 1)) > 0]  # units that the ReLU lets through for some image
-    feature = network.describe(IMAGES)[:, kept[0].abs().amax(dim=(0, 1)) > 0]
+    feature = network.extract_features(IMAGES)[:, kept[0].abs().amax(dim=(0, 1)) > 0]
     share = ((alive > 0) | (feature[:, None] == 0)).float().mean() - (feature == 0).float().mean()
     assert share / (feature > 0).float().mean() == pytest.approx(0.1, abs=0.01)
     torch.testing.assert_close(alive.mean(dim=1).mean(), feature.mean(), rtol=0.1, atol=0)  # and the mean stays
@@ -86,7 +87,7 @@ def test_draws_of_a_mixture_follow_its_weights_and_kernels():
             layer.bias.copy_(torch.tensor(bias))
         network.translation.weight.zero_()
         network.translation.bias.copy_(torch.tensor([-9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0]))
-        feature = network.describe(IMAGES)
+        feature = network.extract_features(IMAGES)
         log_weights, _, _, widths = (part[0].double().numpy() for part in network.components(feature))
     assert widths[0, 0] < widths[1, 0] < 0.3
     translation, rotation = (part[0].double().numpy() for part in draw(network, 40_000))
@@ -116,8 +117,8 @@ def test_the_rotation_normaliser_is_that_of_the_kernel_density(width):
 def test_the_likelihood_of_a_single_component_is_its_kernel_density():
     network = network_with("mixture", components=1)
     truth = truth_of(3)
-    loss = training_loss(network, IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig())
-    components = network.components(network.describe(IMAGES))
+    loss = network.loss(IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig())
+    components = network.components(network.extract_features(IMAGES))
     _, translation, rotation, widths = (part.detach().double().numpy() for part in components)
     for_each = [
         KernelDensity(Poses(rotation[i], translation[i]), *widths[i, 0]).log_density(
@@ -131,19 +132,19 @@ def test_the_likelihood_of_a_single_component_is_its_kernel_density():
 def test_only_the_best_component_learns_but_for_the_relaxation():
     network = network_with("mixture")
     truth = truth_of(3)
-    best = training_loss(network, IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig(relaxation=0.0))
+    best = network.loss(IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig(relaxation=0.0))
     best.total.backward()
     moved = (network.translation.weight.grad.unflatten(0, (5, 3)).abs().amax(dim=(1, 2)) > 0).sum()
     assert 1 <= moved <= 3  # of five components, at most one an image
     network.zero_grad()
-    training_loss(network, IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig(relaxation=0.2)).total.backward()
+    network.loss(IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig(relaxation=0.2)).total.backward()
     assert (network.translation.weight.grad.unflatten(0, (5, 3)).abs().amax(dim=(1, 2)) > 0).all()
 
 
 def test_errors_of_position_and_rotation_are_weighted_by_scales_that_learn():
     network = network_with("point")
     truth = truth_of(3)
-    loss = training_loss(network, IMAGES, *truth, torch.zeros(3, 1, 0), LossConfig(position_unit="metre"))
+    loss = network.loss(IMAGES, *truth, torch.zeros(3, 1, 0), LossConfig(position_unit="metre"))
     translation, rotation = (part[:, 0] for part in draw(network, 1))
     metres = (translation - truth[0]).norm(dim=-1).mean()
     chord = (rotation - truth[1]).flatten(1).norm(dim=-1).mean()
@@ -158,7 +159,7 @@ def test_relative_poses_of_a_pair_do_not_depend_on_the_frame_of_the_map():
     truth = truth_of(6)
     noise = torch.zeros(6, 1, 0)
     plain, paired = (
-        training_loss(network, images, *truth, noise, LossConfig(position_unit="metre", relative=relative))
+        network.loss(images, *truth, noise, LossConfig(position_unit="metre", relative=relative))
         for relative in (0.0, 2.0)
     )
     with torch.no_grad():
@@ -184,7 +185,7 @@ def test_in_units_of_the_box_relative_positions_are_scaled_along_the_axes_of_the
     images, truth, noise = torch.cat([IMAGES, IMAGES.flip(0)]), truth_of(6), torch.zeros(6, 1, 0)
     scale = torch.tensor([1.0, 1.0, 4.0])
     paired, plain = (
-        training_loss(network, images, *truth, noise, LossConfig(relative=relative, position_unit="box"))
+        network.loss(images, *truth, noise, LossConfig(relative=relative, position_unit="box"))
         for relative in (1.0, 0.0)
     )
     with torch.no_grad():
@@ -205,7 +206,7 @@ def test_pairs_are_of_one_sequence_and_near_each_other():
     rng = np.random.default_rng(0)
     gaps = []
     for _ in range(200):
-        batch = _paired(rng.permutation(61)[:20], sequence, 4, rng=rng)
+        batch = paired(rng.permutation(61)[:20], sequence, 4, rng=rng)
         first, second = batch[:10], batch[10:]
         np.testing.assert_array_equal(sequence[first], sequence[second])
         gaps += [abs(a - b) for a, b in zip(first, second, strict=True) if a != 60]
@@ -223,9 +224,9 @@ def test_every_method_learns_where_images_are_and_drives_a_posterior(method, tmp
     density = method in ("mixture-10", "flow")  # which image it is makes little of their loss, and is learned last
     epochs = 12 if density else 8 if head == "dropout" else 6
     repeats, rate = (80, 2e-3) if density else (60, 6e-3) if head == "dropout" else (45, 6e-3)
-    config = replace(TINY, augment=STILL, epochs=epochs, batch_size=12, learning_rate=rate, average=0.9)
+    config = replace(TINY, augment=STILL, epochs=epochs, batch_size=12, learning_rate=rate, ema_decay=0.9)
     config = METHODS[method](config)
-    config = replace(config, validation_share=0.0, resume=False, loss=replace(config.loss, pair_gap=2))
+    config = replace(config, validation_fraction=0.0, resume=False, loss=replace(config.loss, pair_gap=2))
     network = replace(config.network, dropout=0.1, components=min(config.network.components, 4))
     path = tmp_path / "m.safetensors"
     result = train_on({"a": frames * repeats}, path, replace(config, network=network))
@@ -257,10 +258,10 @@ def test_losses_are_the_same_under_eight_bit_autocast_but_for_the_encoder(head):
     images, truth = torch.cat([IMAGES, IMAGES.flip(0)]), truth_of(6)
     count = 8 if head == "variational" else 1
     noise = torch.randn(6, count, network.noise_dim, generator=torch.Generator().manual_seed(0))
-    features = network.describe(images).detach()
-    network.describe = lambda _: features
+    features = network.extract_features(images).detach()
+    network.extract_features = lambda _: features
     config = LossConfig(num_samples=8, relative=1.0 if head in ("point", "dropout") else 0.0)
-    exact = training_loss(network, images, *truth, noise, config).total
+    exact = network.loss(images, *truth, noise, config).total
     with torch.autocast("cpu", torch.bfloat16):
-        under = training_loss(network, images, *truth, noise, config).total
+        under = network.loss(images, *truth, noise, config).total
     torch.testing.assert_close(under, exact, rtol=1e-5, atol=1e-5)

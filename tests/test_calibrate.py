@@ -17,9 +17,11 @@ from vapor.calibration.calibrate import calibrate
 from vapor.calibration.familiarity import learn_familiarity
 from vapor.checkpoints.checkpoint import Calibration, load_checkpoint
 from vapor.checkpoints.scene_scale import default_errors
-from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import read_safetensors
 from vapor.track import main
 from vapor.training import check as training_check

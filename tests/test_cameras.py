@@ -202,7 +202,7 @@ def test_recordings_of_one_camera_are_left_as_they_are_and_nothing_is_said() -> 
 
 
 def test_a_training_keeps_its_camera_in_the_model(tmp_path: Path) -> None:
-    config = replace(TINY, epochs=1, calibrate=False, validation_share=0.0, resume=False)
+    config = replace(TINY, epochs=1, calibrate=False, validation_fraction=0.0, resume=False)
     walk = [replace(frame, image=np.uint8(frame.image / (1 + i))) for i, frame in enumerate(frames_of(A, 8))]
     result = train_on({"a": walk, "b": frames_of(OTHERS["wider"], 2)}, tmp_path / "m.safetensors", config)
     assert load_checkpoint(tmp_path / "m.safetensors").camera == result.checkpoint.camera == A

@@ -19,7 +19,9 @@ from vapor.checkpoints.checkpoint import (
     thin_poses,
 )
 from vapor.checkpoints.scene_scale import default_errors
-from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import read_safetensors, write_safetensors
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.1))

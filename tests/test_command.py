@@ -25,7 +25,7 @@ from tests.test_layouts import make_colmap
 from tests.tiny_model import SMALL, altered
 from vapor.checkpoints import checkpoint as checkpoint_module
 from vapor.track import COMMANDS, main
-from vapor.training import train as train_module
+from vapor.training import trainer as trainer_module
 from vapor.training.presets import PRESETS
 
 IMAGES, ODOMETRY, TRUTH = "/camera/image/compressed", "/odom", "/ground_truth/pose"
@@ -759,7 +759,18 @@ def test_a_conversion_of_nothing_is_refused(tmp_path, capsys):
 TRAINING = [
     *("--network.image-width", "32", "--network.image-height", "32", "--network.shortest-edge", "36"),
     *("--network.feature-dim", "32", "--network.latent-dim", "4", "--loss.num-samples", "32"),
-    *("--epochs", "2", "--batch-size", "8", "--validation-share", "0.2", "--precision", "float32", "--device", "cpu"),
+    *(
+        "--epochs",
+        "2",
+        "--batch-size",
+        "8",
+        "--validation-fraction",
+        "0.2",
+        "--precision",
+        "float32",
+        "--device",
+        "cpu",
+    ),
 ]
 
 
@@ -769,13 +780,13 @@ def test_a_training_that_was_interrupted_goes_on_and_its_model_runs(walk_of_25, 
     words = ["train", str(walk_of_25), "--output", str(model), *TRAINING]
     epochs = []
 
-    def interrupted(state, *rest, original=train_module.train_epoch, **more):
+    def interrupted(state, *rest, original=trainer_module.train_epoch, **more):
         epochs.append(state.epoch)
         if epochs == [0, 1]:
             raise KeyboardInterrupt
         return original(state, *rest, **more)
 
-    monkeypatch.setattr(train_module, "train_epoch", interrupted)
+    monkeypatch.setattr(trainer_module, "train_epoch", interrupted)
     assert main(words) == 130
     assert capsys.readouterr().err.splitlines()[-1].startswith("vapor-track train: interrupted")
     assert not model.exists()

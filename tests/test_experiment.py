@@ -13,13 +13,14 @@ from tests.test_datasets import make_7scenes
 from vapor.checkpoints.checkpoint import Calibration
 from vapor.commands import experiment as experiment_command
 from vapor.evaluation.posterior import posterior_metrics
-from vapor.experiments import trainings as trainings_module
+from vapor.experiments import training_runs as runs_module
 from vapor.experiments.alpha import AlphaConfig
 from vapor.experiments.decay import DecayConfig
+from vapor.experiments.scenes import Scene, rendered_height
 from vapor.experiments.sweep import Sweep, by_value
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
-from vapor.experiments.trainings import Scene, Training, rendered_height
-from vapor.regressors.base import NetworkConfig
+from vapor.experiments.training_runs import TrainingRun
+from vapor.regressors.network_config import NetworkConfig
 from vapor.track import main
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
@@ -33,7 +34,7 @@ TINY_TRAIN = TrainConfig(
     epochs=1,
     batch_size=16,
     calibrate=False,
-    validation_share=0.0,
+    validation_fraction=0.0,
 )
 TINY = AlphaConfig(
     alphas=(0.1, 1.0), runs=2, sequences=1, frames=32, test_frames=6, num_samples=50, workers=1, train=TINY_TRAIN
@@ -75,7 +76,7 @@ def test_every_alpha_and_run_is_trained_once_and_kept(tmp_path, monkeypatch):
     assert all(r["images"] == 6 for r in results)
     assert len({r["negative_log_density"] for r in results}) == 4  # no two trainings are one
 
-    monkeypatch.setattr(trainings_module, "train_on_images", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(runs_module, "train_on_images", lambda *_, **__: pytest.fail("trained again"))
     again = Sweep(["round-table"], tmp_path, TINY)
     assert list(again.render()) == [(2, 2)]
     assert list(again.train()) == results
@@ -83,11 +84,9 @@ def test_every_alpha_and_run_is_trained_once_and_kept(tmp_path, monkeypatch):
 
 def test_images_are_read_once_for_many_trainings_and_again_when_a_file_changes(tmp_path, monkeypatch):
     read = []
-    load = trainings_module.load_training_set
-    monkeypatch.setattr(
-        trainings_module, "load_training_set", lambda s, *a, **k: read.append(list(s)) or load(s, *a, **k)
-    )
-    monkeypatch.setattr(trainings_module, "in_parallel", lambda function, jobs, _: (function(*job) for job in jobs))
+    load = runs_module.load_training_set
+    monkeypatch.setattr(runs_module, "load_training_set", lambda s, *a, **k: read.append(list(s)) or load(s, *a, **k))
+    monkeypatch.setattr(runs_module, "in_parallel", lambda function, jobs, _: (function(*job) for job in jobs))
     experiment = Sweep(["round-table"], tmp_path, replace(TINY, runs=1))
     list(experiment.render())
     list(experiment.train())
@@ -102,7 +101,7 @@ def test_images_are_read_once_for_many_trainings_and_again_when_a_file_changes(t
 def test_alpha_is_all_that_is_varied_of_the_small_training_for_tables():
     config = AlphaConfig().varied(0.3)
     assert config.loss.alpha == 0.3
-    small = replace(PRESETS["tables"], calibrate=False, validation_share=0.0)
+    small = replace(PRESETS["tables"], calibrate=False, validation_fraction=0.0)
     assert replace(config, loss=small.loss) == small
 
 
@@ -116,7 +115,7 @@ def test_synthetic_images_are_never_enlarged_for_a_network(network):
     assert round(height * 4 / 3) > network.frame_size[0]
 
 
-def test_kept_samples_are_those_of_the_figures(tmp_path):
+def test_cached_samples_are_those_of_the_figures(tmp_path):
     experiment = Sweep(["dinner-table"], tmp_path, AlphaConfig(**{**vars(TINY), "runs": 1, "alphas": (0.5,)}))
     list(experiment.render())
     (result,) = experiment.train()
@@ -199,7 +198,7 @@ def test_the_decay_experiment_judges_test_and_training_images_and_goes_on(tmp_pa
         assert picture.std() > 10
         path.unlink()
 
-    monkeypatch.setattr(trainings_module, "train_on_images", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(runs_module, "train_on_images", lambda *_, **__: pytest.fail("trained again"))
     assert main(words) == 0
     assert capfd.readouterr().out == printed
     assert json.loads((tmp_path / "decay.json").read_text()) == report
@@ -305,7 +304,7 @@ def test_a_table_is_not_judged_by_images_that_it_trains_on(tmp_path):
     one = scene / "seq-01"
     with pytest.raises(VaporTrackError, match=r"seq-01@7:: shares images with .*TrainSplit.txt, which is"):
         TableExperiment([parse_scene(f"desk={scene}/TrainSplit.txt={one}@7:")], tmp_path, config)
-    twice, held_out = f"desk={one}@:5,{one}@4:5={one}@5:9", replace(config.train, validation_share=0.2)
+    twice, held_out = f"desk={one}@:5,{one}@4:5={one}@5:9", replace(config.train, validation_fraction=0.2)
     with pytest.raises(VaporTrackError, match=r"seq-01@4:5: shares images with .*seq-01@:5, which is"):
         TableExperiment([parse_scene(twice)], tmp_path, replace(config, train=held_out))
     TableExperiment([parse_scene(twice)], tmp_path, config)  # of which nothing is held out
@@ -363,7 +362,7 @@ def test_results_of_other_data_of_the_same_name_are_not_taken_for_these(tmp_path
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "TrainSplit.txt").write_text(f"sequence{number}")
         files.append(
-            Training(Scene("desk", (f"{tmp_path}/{folder}/TrainSplit.txt",), ("t",)), "x", TINY_TRAIN, 0.1, 10)
+            TrainingRun(Scene("desk", (f"{tmp_path}/{folder}/TrainSplit.txt",), ("t",)), "x", TINY_TRAIN, 0.1, 10)
         )
     assert files[0].file(tmp_path, ".json") != files[1].file(tmp_path, ".json")
     assert files[0].model_file(tmp_path) != files[1].model_file(tmp_path)
@@ -376,7 +375,7 @@ def test_results_of_other_data_of_the_same_name_are_not_taken_for_these(tmp_path
 def test_a_file_changed_inside_a_data_set_makes_another_training(entry, tmp_path, monkeypatch):
     scene = make_7scenes(tmp_path / "chess")
     (scene / "TrainSplit.txt").write_text("sequence1")
-    training = Training(Scene("desk", (str(scene / entry),), (str(tmp_path / "t"),)), "x", TINY_TRAIN, 0.1, 10)
+    training = TrainingRun(Scene("desk", (str(scene / entry),), (str(tmp_path / "t"),)), "x", TINY_TRAIN, 0.1, 10)
     before = training.file(tmp_path, ".json"), training.model_file(tmp_path)
     monkeypatch.chdir(tmp_path)
     relative = replace(training, scene=Scene("desk", (str(Path("chess") / entry),), (str(tmp_path / "t"),)))
@@ -393,7 +392,7 @@ def test_another_way_to_test_needs_no_other_training(tmp_path, monkeypatch):
     first = TableExperiment([parse_scene("round-table")], tmp_path, replace(TINY_TABLE, localize=False))
     list(first.render())
     before = list(first.train())
-    monkeypatch.setattr(trainings_module, "train_on_images", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(runs_module, "train_on_images", lambda *_, **__: pytest.fail("trained again"))
     again = TableExperiment([parse_scene("round-table")], tmp_path, replace(TINY_TABLE, localize=False, gamma=1.0))
     list(again.render())
     after = list(again.train())

@@ -16,10 +16,11 @@ from vapor.calibration.calibrate import calibrate_model
 from vapor.calibration.familiarity import describe, fit_familiarity, learn_familiarity
 from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.regressors.base import SceneBox, VariationalPoseRegressor
 from vapor.regressors.efficientnet import EfficientNetLite0
 from vapor.regressors.familiarity import Describer, description_size
 from vapor.regressors.resnet import ResNet18
+from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import read_safetensors
 from vapor.track import main
 from vapor.training_data.training_set import load_training_set
@@ -71,12 +72,12 @@ def test_images_of_no_such_place_score_above_1(familiarity, kind):
 def test_the_threshold_is_the_larger_of_what_training_and_held_out_images_ask_for(familiarity):
     assert familiarity.threshold >= familiarity.own_distance
     far = describe(REGRESSOR, images(range(60), change=lambda image: image[..., ::-1]))
-    moved = familiarity.judged_by(far)
+    moved = familiarity.with_threshold_of(far)
     assert moved.threshold > 1.5 * familiarity.threshold
     assert (moved.unfamiliarity(far) <= 1.0).mean() >= 0.98
-    near = familiarity.judged_by(describe(REGRESSOR, images(range(60))))
+    near = familiarity.with_threshold_of(describe(REGRESSOR, images(range(60))))
     assert near.threshold == familiarity.own_distance
-    assert familiarity.judged_by(far[:49]).threshold == familiarity.own_distance
+    assert familiarity.with_threshold_of(far[:49]).threshold == familiarity.own_distance
 
 
 def test_own_distance_is_to_other_stretches_not_to_the_images_beside():

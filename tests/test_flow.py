@@ -16,10 +16,13 @@ from vapor.checkpoints.checkpoint import Calibration, Checkpoint, load_checkpoin
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import LOG_FLOOR, exact_log_density
 from vapor.observation import VaporObservationModel
-from vapor.regressors.base import DensityRegressor, NetworkConfig, SceneBox
-from vapor.regressors.baselines import make_regressor
-from vapor.regressors.flow import FlowRegressor, _Spline
-from vapor.regressors.loss import LossConfig, training_loss
+from vapor.regressors.base import DensityRegressor
+from vapor.regressors.flow import FlowRegressor
+from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.splines import Spline
 from vapor.training.presets import METHODS
 from vapor.training.train import train_on
 from vapor.training_data.training_set import load_training_set
@@ -113,7 +116,7 @@ def test_draws_follow_the_density(head):
 def test_inverse_splines_undo_their_slopes():
     raw = 2.0 * torch.randn(1, 1, 24, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     for circular in (False, True):
-        spline = _Spline.of(raw.expand(1, 4001, -1), circular=circular)
+        spline = Spline.of(raw.expand(1, 4001, -1), circular=circular)
         y = torch.linspace(0.0, 1.0, 4001, dtype=torch.float64)[None]
         x = spline.inverse(y)
         assert (x[0, 0], x[0, -1]) == pytest.approx((0.0, 1.0), abs=1e-6)
@@ -130,7 +133,7 @@ def test_splines_of_any_numbers_stay_finite_in_single_precision(circular):
     raw = (30.0 * torch.randn(1, 4000, 96, generator=torch.Generator().manual_seed(1))).requires_grad_()
     at = torch.rand(1, 4000, generator=torch.Generator().manual_seed(2))
     at[0, :2] = torch.tensor([0.0, 1.0])
-    spline = _Spline.of(raw, circular=circular)
+    spline = Spline.of(raw, circular=circular)
     slope = spline.log_slope(at)
     slope.sum().backward()
     x = spline.inverse(at).detach()
@@ -147,7 +150,7 @@ def test_the_most_noise_on_targets_leaves_a_camera_in_its_box():
     noise = torch.randn(200, 1, 6, generator=torch.Generator().manual_seed(0)).clamp(-5.9, 5.9)
     noise[0, 0, :3] = 5.9
     images = torch.zeros(200, 3, 32, 32)
-    assert torch.isfinite(training_loss(network, images, *truth, noise, LossConfig(target_noise_m=0.05)).total)
+    assert torch.isfinite(network.loss(images, *truth, noise, LossConfig(target_noise_m=0.05)).total)
     with pytest.raises(VaporTrackError, match="target_noise_m"):
         LossConfig(target_noise_m=0.06)
 
@@ -180,7 +183,7 @@ def test_axes_are_taken_that_no_camera_of_the_training_brings_together():
 
 def test_a_posterior_of_two_places_is_learned_with_both_and_as_sharp_as_it_is():
     network = network_with("flow")
-    network.describe = lambda images: FEATURE.expand(len(images), -1)
+    network.extract_features = lambda images: FEATURE.expand(len(images), -1)
     places = Poses.exp(np.array([[-0.4, 0.3, 1.0, 0.0, 0.0, 0.5], [0.5, 1.2, 0.6, 1.0, 0.0, -0.8]]))
     network.choose_axes(places)
     truth = (
@@ -194,7 +197,7 @@ def test_a_posterior_of_two_places_is_learned_with_both_and_as_sharp_as_it_is():
     for step in range(300):
         optimizer.param_groups[0]["lr"] = 5e-3 * (1 - step / 300)
         noise = torch.randn(64, 1, 6, generator=generator)
-        loss = training_loss(network, torch.zeros(64, 3, 1, 1), *truth, noise, config).total
+        loss = network.loss(torch.zeros(64, 3, 1, 1), *truth, noise, config).total
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -238,7 +241,7 @@ def test_a_model_file_keeps_samples_densities_and_axes(tmp_path):
 
 def test_training_takes_the_axes_of_its_poses_and_is_judged_by_its_own_density(tmp_path):
     frames = make_frames(8, seed=3)
-    config = replace(METHODS["flow"](TINY), augment=STILL, epochs=1, resume=False, validation_share=0.0)
+    config = replace(METHODS["flow"](TINY), augment=STILL, epochs=1, resume=False, validation_fraction=0.0)
     trained = train_on({"a": frames * 4}, tmp_path / "m.safetensors", config).checkpoint
     network, images = trained.build_network(), load_training_set({"a": frames}, config.network.frame_size)
     rotation = network.state_dict()["world_axes"].double().numpy().T @ images.poses.rotation

@@ -56,20 +56,22 @@ def stairwell(top: tuple[int, ...] = (0, 1, 2, 3, 4), walks: int = 5) -> Trainin
 def test_one_of_several_walks_is_held_out_as_a_whole():
     images = stairwell()
     split = hold_out(images, 0.1)
-    assert len(np.unique(images.sequence[split.judged])) == 1
-    held_out = images.sequence == images.sequence[split.judged][0]
-    np.testing.assert_array_equal(split.judged, held_out)
+    assert len(np.unique(images.sequence[split.held_out_mask])) == 1
+    held_out = images.sequence == images.sequence[split.held_out_mask][0]
+    np.testing.assert_array_equal(split.held_out_mask, held_out)
     np.testing.assert_array_equal(trained(split), ~held_out)
     (note,) = split.notes
-    assert note == f"held out: walk{images.sequence[split.judged][0]} (400 images); other passes show what is there"
+    assert (
+        note == f"held out: walk{images.sequence[split.held_out_mask][0]} (400 images); other passes show what is there"
+    )
 
 
 def test_of_many_walks_as_many_are_held_out_as_asked_for():
     images = stairwell(walks=20, top=tuple(range(20)))
     split = hold_out(images, 0.3)
-    assert len(np.unique(images.sequence[split.judged])) == 6
-    assert split.judged.mean() == pytest.approx(0.3)
-    assert not hold_out(images, 0.0).judged.any()
+    assert len(np.unique(images.sequence[split.held_out_mask])) == 6
+    assert split.held_out_mask.mean() == pytest.approx(0.3)
+    assert not hold_out(images, 0.0).held_out_mask.any()
 
 
 def test_a_floor_that_one_walk_alone_shows_is_trained_on():
@@ -79,7 +81,7 @@ def test_a_floor_that_one_walk_alone_shows_is_trained_on():
     alone = images.poses.translation[:, 2] > 8.9
     for share in (0.1, 0.9):
         split = hold_out(images, share)
-        assert split.judged.any()
+        assert split.held_out_mask.any()
         assert trained(split)[alone].all()
 
 
@@ -88,10 +90,10 @@ def test_what_only_the_walk_held_out_shows_is_told_and_kept_apart_in_time():
     others = [Poses.concatenate([corridor(0, 20, y_m=0.1 * i), corridor(0, 40, z_m=20.0 * i)]) for i in (1, 2, 3)]
     images = recorded(first, *others)
     split = hold_out(images, 0.1)
-    assert not split.judged[400:].any()
-    assert split.judged[:200].sum() > 150
+    assert not split.held_out_mask[400:].any()
+    assert split.held_out_mask[:200].sum() > 150
     assert trained(split)[230:].all()
-    held, beside = np.flatnonzero(split.judged), np.flatnonzero(trained(split)[:400])
+    held, beside = np.flatnonzero(split.held_out_mask), np.flatnonzero(trained(split)[:400])
     assert np.abs(held[:, None] - beside).min() * STEP_M > 0.5  # never touching
     assert any(note.startswith("trained on, as no other recording shows it within") for note in split.notes)
     assert any(note.endswith("or not shown by any") for note in split.notes)
@@ -100,7 +102,7 @@ def test_what_only_the_walk_held_out_shows_is_told_and_kept_apart_in_time():
 def test_of_one_recording_a_stretch_that_was_visited_again_is_held_out():
     images = recorded(Poses.concatenate([corridor(0, 20), corridor(20, 0, y_m=0.2)]))  # forth, and back backwards
     split = hold_out(images, 0.1)
-    held = np.flatnonzero(split.judged)
+    held = np.flatnonzero(split.held_out_mask)
     assert 20 <= len(held) <= 60
     assert (np.diff(held) == 1).all()
     assert np.abs(held[:, None] - np.flatnonzero(trained(split))).min() > 3
@@ -115,7 +117,7 @@ def test_ground_seen_once_or_the_other_way_round_is_not_held_out(back):
     images = recorded(corridor(0, 20), back)
     split = hold_out(images, 0.1)
     assert trained(split).all()
-    assert not split.judged.any()
+    assert not split.held_out_mask.any()
     (note,) = split.notes
     assert note.startswith("nothing is held out")
 
@@ -132,7 +134,7 @@ def test_the_choice_does_not_depend_on_the_unit_of_length():
         )
         found = hold_out(larger, 0.2)
         np.testing.assert_array_equal(trained(found), trained(expected))
-        np.testing.assert_array_equal(found.judged, expected.judged)
+        np.testing.assert_array_equal(found.held_out_mask, expected.held_out_mask)
 
 
 def test_a_camera_that_stands_is_no_other_pass():
@@ -141,17 +143,17 @@ def test_a_camera_that_stands_is_no_other_pass():
     assert trained(split).all()
 
 
-def test_given_images_outside_the_map_are_not_judged_by_and_told():
+def test_given_images_outside_the_map_are_not_evaluated_on_and_told():
     training = stairwell(top=(), walks=3)
     held_out = stairwell(top=(0,), walks=1)
     split = within_map(training, held_out)
-    np.testing.assert_array_equal(split.judged, np.arange(400) < 300)
+    np.testing.assert_array_equal(split.held_out_mask, np.arange(400) < 300)
     assert len(split.held_out) == 300
     (note,) = split.notes
-    assert note.startswith("not judged by, as no training image is within ")
+    assert note.startswith("not evaluated on, as no training image is within ")
     assert note.endswith("45°: walk0, images 300 to 399")
     same = within_map(training, training)
-    assert same.judged.all()
+    assert same.held_out_mask.all()
     assert same.notes == ()
 
 

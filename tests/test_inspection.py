@@ -292,14 +292,14 @@ def test_a_top_floor_where_all_walks_end_is_told_with_who_shows_it_and_how_late(
     top = coverage.floors()[-1]
     assert (len(top.names), top.trained, top.images) == (5, 4, 150)
     assert top.late == pytest.approx(30 / 330)
-    assert (coverage.split.judged & (coverage.floor == 3)).sum() == 30
+    assert (coverage.split.held_out_mask & (coverage.floor == 3)).sum() == 30
 
 
 def test_what_is_shown_is_what_holding_out_calls_so():
     images = stairwell(top=(0, 1))
     coverage = Coverage.of(images)
-    for number in np.unique(images.sequence[coverage.split.judged]):
-        judged = coverage.split.judged & (images.sequence == number)
+    for number in np.unique(images.sequence[coverage.split.held_out_mask]):
+        judged = coverage.split.held_out_mask & (images.sequence == number)
         assert (coverage.others[judged] > 0).all()
 
 

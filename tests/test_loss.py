@@ -7,8 +7,10 @@ from torch import distributions
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
-from vapor.regressors.loss import LossConfig, kl_divergence, pose_distance, variational_loss
+from vapor.regressors.loss import LossConfig, pose_distance
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.variational import VariationalPoseRegressor, kl_divergence
 
 BOX = SceneBox((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
 CONFIG = LossConfig(
@@ -91,7 +93,7 @@ def test_mapping_only_the_winners_gives_the_loss_and_gradient_of_mapping_all():
     gradients = {name: p.grad.clone() for name, p in network.named_parameters() if p.grad is not None}
     assert max(g.abs().max() for g in gradients.values()) > 1e-3
     network.zero_grad()
-    loss = variational_loss(network, images, *truth, noise, CONFIG)
+    loss = network.loss(images, *truth, noise, CONFIG)
     loss.total.backward()
     torch.testing.assert_close(loss.total, expected, rtol=1e-10, atol=0)
     for name, parameter in network.named_parameters():
@@ -100,7 +102,7 @@ def test_mapping_only_the_winners_gives_the_loss_and_gradient_of_mapping_all():
 
 def test_loss_is_beta_kl_plus_the_winners_distance():
     network, images, truth, noise = _batch()
-    loss = variational_loss(network, images, *truth, noise, CONFIG)
+    loss = network.loss(images, *truth, noise, CONFIG)
     assert loss.total.item() == pytest.approx(0.01 * loss.kl.item() + loss.distance.item())
     everyone = LossConfig(alpha=1.0, num_samples=25)
-    assert variational_loss(network, images, *truth, noise, everyone).distance > loss.distance
+    assert network.loss(images, *truth, noise, everyone).distance > loss.distance

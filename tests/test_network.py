@@ -12,18 +12,15 @@ from safetensors.torch import save_file
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from vapor.regressors.base import (
-    NetworkConfig,
-    PoseMap,
-    SceneBox,
-    VariationalPoseRegressor,
-    load_pretrained,
-    make_backbone,
-    rotation_from_6d,
-    sample_latent,
-)
+from vapor.regressors.backbones import make_backbone
 from vapor.regressors.efficientnet import EfficientNetLite0, pretrained_lite0_state
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.pose_map import PoseMap
+from vapor.regressors.pretrained import load_pretrained
 from vapor.regressors.resnet import ResNet18
+from vapor.regressors.rotations import rotation_from_6d
+from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.variational import VariationalPoseRegressor, sample_latent
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.0))
 SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=32, latent_dim=4)

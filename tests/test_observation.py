@@ -14,7 +14,9 @@ from filtering.se3 import Poses
 from vapor.checkpoints.checkpoint import Calibration, Checkpoint, CheckpointError, save_checkpoint
 from vapor.images import prepare
 from vapor.observation import VaporObservationModel
-from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.variational import VariationalPoseRegressor
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.0))
 CONFIG = NetworkConfig(image_width=32, image_height=32, shortest_edge=40, feature_dim=16, latent_dim=4)

@@ -13,8 +13,8 @@ from tests.test_datasets import make_7scenes
 from vapor.benchmark import real as real_benchmark
 from vapor.benchmark import real_rows
 from vapor.benchmark.real_rows import ROWS, Place, Trained, simulated_motions
-from vapor.regressors.base import NetworkConfig
 from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import NetworkConfig
 from vapor.track import main
 from vapor.training.config import TrainConfig
 

@@ -14,16 +14,16 @@ from tests.test_train import STILL, TINY, make_frames, pose
 from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint
 from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel
-from vapor.regressors.base import NetworkConfig, SceneBox
-from vapor.regressors.baselines import make_regressor
-from vapor.regressors.loss import retrieval_loss
-from vapor.regressors.retrieval import RetrievalRegressor, memory_of
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.retrieval import RetrievalRegressor
+from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import read_safetensors, write_safetensors
 from vapor.training import memory as training_memory
 from vapor.training.augment import AugmentConfig
-from vapor.training.epoch import fitting_epochs
+from vapor.training.duration import fitting_epochs
 from vapor.training.holding_out import hold_out
-from vapor.training.memory import VARIANTS, described, look
+from vapor.training.memory import VARIANTS, extract_training_features, features_of
 from vapor.training.presets import METHODS, PRESETS
 from vapor.training.start import start
 from vapor.training.train import train_on
@@ -47,7 +47,7 @@ RETRIEVAL = replace(
     augment=STILL,
     epochs=10,
     finish=0.4,
-    validation_share=0.2,
+    validation_fraction=0.2,
     learning_rate=3e-3,
     calibrate=False,
 )
@@ -140,8 +140,8 @@ def test_the_backbone_never_changes():
     network.train()
     optimizer = torch.optim.AdamW(network.parameters(), lr=0.1)
     truth = torch.from_numpy(poses.translation[:4]).float(), torch.from_numpy(poses.rotation[:4]).float()
-    feature = network.describe(torch.randn(4, 3, 32, 32))
-    retrieval_loss(network, feature, *truth, None, RETRIEVAL.loss).total.backward()
+    feature = network.extract_features(torch.randn(4, 3, 32, 32))
+    network.loss_of_features(feature, *truth, None, RETRIEVAL.loss).total.backward()
     weight = network.key.weight.detach().clone()
     optimizer.step()
     assert not torch.equal(network.key.weight, weight)
@@ -157,7 +157,7 @@ def test_an_image_is_hidden_from_its_own_pass_and_shown_to_others():
     )
     network = make_regressor(SMALL, BOX)
     assert isinstance(network, RetrievalRegressor)
-    seen = look(network, images)
+    seen = extract_training_features(network, images)
     hidden = seen.hidden(np.arange(len(images))).numpy()
     sequence, way = images.sequence, seen.way.numpy()
     same = sequence[:, None] == sequence
@@ -174,15 +174,15 @@ def test_numbers_are_standardised_once_and_images_that_were_seen_are_not_looked_
     images = load_training_set({"a": walk(60, begin=0, seed=1)}, (36, 36))
     network = make_regressor(SMALL, BOX)
     assert isinstance(network, RetrievalRegressor)
-    seen = look(network, images.select(np.arange(40)))
+    seen = extract_training_features(network, images.select(np.arange(40)))
     assert seen.features.float().mean(dim=0).abs().max() < 0.01
     assert network.standardised
-    looked, describe = [], network.describe
-    monkeypatch.setattr(network, "describe", lambda x: (looked.append(len(x)), describe(x))[1])
-    everything = look(network, images, seen)
+    looked, extract = [], network.extract_features
+    monkeypatch.setattr(network, "extract_features", lambda x: (looked.append(len(x)), extract(x))[1])
+    everything = extract_training_features(network, images, seen)
     assert sum(looked) == 20
     assert torch.equal(everything.features[:40], seen.features)
-    fresh = look(network, images).features
+    fresh = extract_training_features(network, images).features
     torch.testing.assert_close(everything.features.float(), fresh.float(), atol=0.02, rtol=0.01)
 
 
@@ -191,15 +191,17 @@ def test_images_are_varied_in_a_few_ways_each_found_once(monkeypatch):
     network = make_regressor(SMALL, BOX)
     assert isinstance(network, RetrievalRegressor)
     config = replace(RETRIEVAL, augment=AugmentConfig())
-    seen = look(network, images)
+    seen = extract_training_features(network, images)
     assert seen.num_variants == VARIANTS
-    looked, describe = [], network.describe
-    monkeypatch.setattr(network, "describe", lambda x: (looked.append(len(x)), describe(x))[1])
+    looked, extract = [], network.extract_features
+    monkeypatch.setattr(network, "extract_features", lambda x: (looked.append(len(x)), extract(x))[1])
     first, second = (seen.varied(network, number, config, bfloat16=False) for number in (0, 1))
     assert (first - second).abs().max() > 0.1
     assert seen.varied(network, VARIANTS, config, bfloat16=False) is first
     assert sum(looked) == 2 * 30
-    again = look(network, images).varied(network, 1, config, bfloat16=False)  # as after an interruption
+    again = extract_training_features(network, images).varied(
+        network, 1, config, bfloat16=False
+    )  # as after an interruption
     assert torch.equal(again, second)
     monkeypatch.setattr(training_memory, "_VARIANTS_BYTES", 2 * seen.features.nbytes + 10)
     assert seen.num_variants == 2
@@ -209,7 +211,7 @@ def test_what_is_known_of_images_gives_the_samples_that_looking_at_them_gives():
     network, _, _ = made()
     images = load_training_set({"a": walk(9, begin=0, seed=1)}, (36, 36))
     looked = list(predict(network, images, 20, 0))
-    known = list(predict(network, images, 20, 0, described(network, images)))
+    known = list(predict(network, images, 20, 0, features_of(network, images)))
     for one, other in zip(looked, known, strict=True):
         np.testing.assert_array_equal(one.as_matrix(), other.as_matrix())
 
@@ -259,7 +261,7 @@ def test_epochs_are_as_many_as_fit_but_no_more_than_help(hours, epochs):
     config = replace(RETRIEVAL, epochs=None, hours=hours, most_epochs=6)
     state = start(config, SceneBox.around(images.poses), images.poses, None)
     assert fitting_epochs(state, split, 0, config) == epochs
-    assert state.seen is None
+    assert state.features is None
 
 
 class _Interrupted(Exception):
@@ -306,7 +308,7 @@ def test_a_model_remembers_after_it_was_written_and_read(whole):
     )
     np.testing.assert_array_equal(first.samples.as_matrix(), second.samples.as_matrix())
     network = loaded.build_network()
-    memory = memory_of(network)
+    memory = network.memory
     assert memory is not None
     assert memory.translation.dtype == torch.float32
     assert (network.double().memory.keys.dtype) == torch.float64  # it goes where the network goes

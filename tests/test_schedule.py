@@ -12,8 +12,8 @@ from filtering.errors import VaporTrackError
 from vapor.evaluation.validation import Validation
 from vapor.experiments import schedule as schedule_module
 from vapor.experiments.schedule import DEFAULT, PAPER, Point, ScheduleConfig, _Clock, summary
-from vapor.regressors.base import NetworkConfig
 from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import NetworkConfig
 from vapor.track import main
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
@@ -65,7 +65,7 @@ def test_the_paper_trains_the_same_network_by_its_own_schedule():
     assert paper.loss.num_samples == 1000
     preset = PRESETS["paper-synthetic"]
     assert paper.validation_images == default.validation_images == TINY.validation_frames
-    names = ("learning_rate", "schedule", "decay_factor", "decay_epochs", "batch_size", "epochs", "average")
+    names = ("learning_rate", "schedule", "decay_factor", "decay_epochs", "batch_size", "epochs", "ema_decay")
     assert all(getattr(paper, name) == getattr(preset, name) for name in names)
     assert (paper.learning_rate, paper.schedule, paper.batch_size) == (1e-4, "steps", 4)
 
@@ -80,7 +80,7 @@ def test_a_training_ends_where_it_is_good_enough_or_took_too_long(enough, most_s
             epoch = step // 2  # two steps of half a second each
             last = Validation(epoch, 0.0, 0.1 * epoch, 0.0, 0.0) if epoch else None
             clock.follow(Progress("training", step + 1, 10, epoch + 1, 5, seconds=0.5 * (step + 1), validation=last))
-        clock.judged(0.5)
+        clock.evaluated(0.5)
     expected = [(20 * n, 1.0 * n) for n in range(1, 6)]
     assert [(point.images, point.seconds) for point in clock.course] == expected[:epochs]
     assert [point.recall for point in clock.course] == pytest.approx([0.1 * n for n in range(1, epochs + 1)])

@@ -11,7 +11,7 @@ from tests.test_checkpoint import SMALL, make_checkpoint
 from vapor.checkpoints.checkpoint import load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import Validation
 from vapor.observation import VaporObservationModel
-from vapor.regressors.base import load_pretrained
+from vapor.regressors.pretrained import load_pretrained
 from vapor.tensor_files import (
     CHECKSUM,
     SHIPPED,

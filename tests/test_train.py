@@ -14,15 +14,18 @@ from tests.checks import no_checks
 from vapor.checkpoints.checkpoint import Calibration, CheckpointError, load_checkpoint
 from vapor.evaluation.validation import validate
 from vapor.observation import VaporObservationModel
-from vapor.regressors.base import NetworkConfig, SceneBox
-from vapor.regressors.baselines import make_regressor
 from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.scene_box import SceneBox
 from vapor.training.augment import AugmentConfig
-from vapor.training.config import TrainConfig, learning_rate, samples_per_image
-from vapor.training.epoch import _update_average, _uses_bfloat16
+from vapor.training.config import TrainConfig
+from vapor.training.ema import update_average
+from vapor.training.precision import uses_bfloat16
 from vapor.training.presets import PRESETS
+from vapor.training.schedule import learning_rate, samples_per_image
 from vapor.training.start import parameter_groups
-from vapor.training.state import TrainingState, state_path
+from vapor.training.state import state_path
 from vapor.training.train import train, train_on, train_on_images
 from vapor.training_data.training_set import TrainingError, load_training_set
 
@@ -46,9 +49,9 @@ TINY = TrainConfig(
     select_by="log_density",  # moves from the first epoch on, when no sample is near yet
     epochs=4,
     batch_size=8,
-    validation_share=0.25,
+    validation_fraction=0.25,
     precision="float32",
-    half=False,
+    store_float16=False,
     device="cpu",
 )
 DESK = Path(__file__).parents[2] / "shared/data/tum_fr1/rgbd_dataset_freiburg1_xyz"
@@ -91,8 +94,8 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
         epochs=4,
         batch_size=12,
         learning_rate=3e-3,
-        average=0.9,
-        validation_share=0.0,
+        ema_decay=0.9,
+        validation_fraction=0.0,
         resume=False,
     )
     result = train_on({"two places": frames * 120}, tmp_path / "m.safetensors", config)
@@ -205,7 +208,7 @@ def test_a_selection_trains_the_network_that_its_images_alone_train(tmp_path):
 
 
 def test_the_latents_first_variance_is_the_configured_one_and_nothing_else_differs(tmp_path):
-    still = replace(TINY, learning_rate=1e-12, weight_decay=0.0, average=0.0, epochs=1)
+    still = replace(TINY, learning_rate=1e-12, weight_decay=0.0, ema_decay=0.0, epochs=1)
     wide = replace(still, initial_log_variance=0.0)
     plain = train_on_most(make_frames(24), tmp_path / "plain.safetensors", wide).checkpoint
     quiet = replace(still, initial_log_variance=-3.0)
@@ -238,10 +241,9 @@ def test_the_average_follows_weights_and_statistics_and_copies_counts():
     box = SceneBox((0.0,) * 3, (1.0,) * 3)
     network, average = (make_regressor(TINY.network, box) for _ in range(2))
     network.backbone.bn1.num_batches_tracked.fill_(7)
-    state = TrainingState(network, average, torch.optim.Adam(network.parameters()))
     for step, stays in ((0, 0.1), (5, 6 / 15), (10**6, 0.9)):
         before = {name: value.clone() for name, value in average.state_dict().items()}
-        _update_average(state, 0.9, step)
+        update_average(average, network, 0.9, step)
         for name, value in average.state_dict().items():
             now = network.state_dict()[name]
             expected = stays * before[name] + (1 - stays) * now if value.is_floating_point() else now
@@ -254,7 +256,7 @@ def test_told_seconds_are_those_of_training_without_judging(tmp_path, monkeypatc
         time.sleep(0.1)
         return validate(*args, **kwargs)
 
-    monkeypatch.setattr("vapor.training.train.validate", slowly)
+    monkeypatch.setattr("vapor.training.trainer.validate", slowly)
     told, begin = [], time.perf_counter()
     result = train_on_most(make_frames(24), tmp_path / "m.safetensors", TINY, progress=told.append)
     seconds = [progress.seconds for progress in told if progress.stage == "training"]
@@ -331,7 +333,7 @@ def test_interrupted_before_and_after_it_was_judged_a_training_ends_with_the_sam
 @pytest.mark.usefixtures("unchecked")
 def test_epochs_that_are_not_given_fit_into_the_hours(tmp_path, monkeypatch):
     now = iter(np.arange(0.0, 1e6, 0.1))  # as if every step took so long, and nothing else any time
-    monkeypatch.setattr("vapor.training.epoch.perf_counter", lambda: float(next(now)))
+    monkeypatch.setattr("vapor.training.duration.perf_counter", lambda: float(next(now)))
     config = replace(EVERYTHING, epochs=None, hours=10.0 / 3600)
     found = train_on(walks(), tmp_path / "m.safetensors", config)
     seconds = 0.1 / 8 * found.images_seen
@@ -386,7 +388,7 @@ def test_a_damaged_training_state_is_refused_by_name(tmp_path, content):
 
 @pytest.mark.parametrize("select_by", ["log_density", "sample_recall"])
 def test_the_epoch_that_is_best_on_held_out_images_is_kept(tmp_path, select_by):
-    config = replace(TINY, select_by=select_by, average=0.0, epochs=5)
+    config = replace(TINY, select_by=select_by, ema_decay=0.0, epochs=5)
     result = train_on_most(make_frames(24), tmp_path / "m.safetensors", config)
     assert [figures.epoch for figures in result.history] == [1, 2, 3, 4, 5]
     figures = [getattr(v, select_by) for v in result.history]
@@ -430,6 +432,13 @@ def test_a_loss_that_is_not_finite_ends_the_training(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_settings_are_stored_by_the_names_that_files_have_had_from_the_first():
+    changed = TrainConfig(ewta_fraction=0.4, ema_decay=0.9, validation_fraction=0.2, store_float16=False)
+    stored = changed.settings()
+    assert [stored.pop(name) for name in ("evolve", "average", "validation_share", "half")] == [0.4, 0.9, 0.2, False]
+    assert stored.keys() < vars(changed).keys()
+
+
 def test_a_missing_output_folder_is_told_before_anything_is_read(tmp_path):
     def unread():
         raise AssertionError("frames were read")
@@ -460,7 +469,7 @@ def test_one_cycle_rises_to_the_peak_and_falls_to_nothing():
 
 
 def test_samples_grow_from_the_winners_to_all_of_them_and_by_default_do_not():
-    config = TrainConfig(loss=LossConfig(alpha=0.05, num_samples=400), epochs=10, evolve=0.5)
+    config = TrainConfig(loss=LossConfig(alpha=0.05, num_samples=400), epochs=10, ewta_fraction=0.5)
     samples = [samples_per_image(config, step, 10) for step in range(100)]
     assert samples[0] == config.loss.num_winners == 20
     assert samples[25] == int(20 * 20**0.5)  # half way in the growth
@@ -475,13 +484,13 @@ def test_arithmetic_is_chosen_by_hardware_and_network_unless_it_is_told(monkeypa
     cpu = torch.device("cpu")
     lite = PRESETS["efficientnet-lite0"]
     monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda **_: True)
-    assert _uses_bfloat16(lite, torch.device("cuda"))
+    assert uses_bfloat16(lite, torch.device("cuda"))
     for capable in (False, True):
         monkeypatch.setattr(torch.cpu, "get_capabilities", lambda capable=capable: {"amx_bf16": capable})
-        assert _uses_bfloat16(TrainConfig(), cpu) == capable
-        assert not _uses_bfloat16(lite, cpu)
-        assert _uses_bfloat16(replace(lite, precision="bfloat16"), cpu)
-        assert not _uses_bfloat16(TrainConfig(precision="float32"), cpu)
+        assert uses_bfloat16(TrainConfig(), cpu) == capable
+        assert not uses_bfloat16(lite, cpu)
+        assert uses_bfloat16(replace(lite, precision="bfloat16"), cpu)
+        assert not uses_bfloat16(TrainConfig(precision="float32"), cpu)
 
 
 @pytest.mark.parametrize(
@@ -503,7 +512,7 @@ def test_paper_presets_have_the_papers_numbers(name, lambda_r, batch, epochs, n,
     assert (c.network.feature_dim, c.network.hidden_width) == (2048, 128)
     assert (c.network.image_width, c.network.image_height, c.network.frame_size) == (224, 224, (256, 256))
     assert c.augment.crop == "anywhere"
-    assert (c.weight_decay, c.average, c.precision) == (0.0, 0.0, "float32")
+    assert (c.weight_decay, c.ema_decay, c.precision) == (0.0, 0.0, "float32")
     assert (c.network.shortcut, c.loss.position_unit, c.initial_log_variance) == (False, "metre", 0.0)
 
 
@@ -530,7 +539,7 @@ def test_settings_out_of_range_are_refused(kind, change):
 
 def _norms(config: TrainConfig, output: Path) -> dict[str, float]:
     """Norm of all matrices of each part of a network trained for some steps."""
-    trained = train_on({"a": make_frames(24)}, output, replace(config, learning_rate=1e-3, validation_share=0.0))
+    trained = train_on({"a": make_frames(24)}, output, replace(config, learning_rate=1e-3, validation_fraction=0.0))
     squares: dict[str, float] = {}
     for name, value in trained.checkpoint.state_dict.items():
         if value.ndim > 1:
@@ -540,7 +549,7 @@ def _norms(config: TrainConfig, output: Path) -> dict[str, float]:
 
 
 def test_a_decay_of_the_encoder_shrinks_the_encoder_alone(tmp_path):
-    still = replace(TINY, weight_decay=0.0, average=0.0, resume=False)
+    still = replace(TINY, weight_decay=0.0, ema_decay=0.0, resume=False)
     free = _norms(still, tmp_path / "free.safetensors")
     constrained = _norms(replace(still, encoder_weight_decay=300.0), tmp_path / "constrained.safetensors")
     assert set(free) == {"backbone", "feature", "latent_mean", "latent_log_variance", "pose_map"}
@@ -552,7 +561,11 @@ def test_a_decay_of_the_encoder_shrinks_the_encoder_alone(tmp_path):
 @pytest.mark.parametrize("head", ["variational", "point", "mixture"])
 def test_every_matrix_decays_as_its_part_and_nothing_else_does(head):
     config = replace(
-        TINY, network=replace(TINY.network, head=head), weight_decay=0.1, encoder_weight_decay=0.3, validation_share=0.0
+        TINY,
+        network=replace(TINY.network, head=head),
+        weight_decay=0.1,
+        encoder_weight_decay=0.3,
+        validation_fraction=0.0,
     )
     network = make_regressor(config.network, SceneBox((0.0,) * 3, (1.0,) * 3))
     decays = {id(p): g["weight_decay"] for g in parameter_groups(network, config) for p in g["params"]}

@@ -11,6 +11,7 @@ from tests.test_passes import frames_of
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.checkpoint import Calibration
 from vapor.training import check as training_check
+from vapor.training import check_result
 from vapor.training.check import check
 from vapor.training_data.training_set import load_training_set
 
@@ -89,17 +90,15 @@ def test_a_network_that_knows_nothing_is_told(images, monkeypatch):
 
 
 def test_causes_are_told_apart(images):
-    figures = {name: training_check.Figures(1.0, 5.0, 0.5) for name in training_check.METHODS}
-    bad = training_check.TrainingCheck(
-        100, 1, figures | {"filter": training_check.Figures(2.0, 5.0, 0.3)}, 0.0, None, None
-    )
+    figures = {name: check_result.Figures(1.0, 5.0, 0.5) for name in training_check.METHODS}
+    bad = check_result.TrainingCheck(100, 1, figures | {"filter": check_result.Figures(2.0, 5.0, 0.3)}, 0.0, None, None)
     assert bad.worse
     few = CalibrationResult(Calibration(), effective_images=4.0)
-    assert "worth only 4 independent ones" in training_check._verdict(bad, few)
-    assert "longer than any held-out pass" in training_check._verdict(bad, replace(few, effective_images=40.0))
+    assert "worth only 4 independent ones" in check_result.verdict(bad, few)
+    assert "longer than any held-out pass" in check_result.verdict(bad, replace(few, effective_images=40.0))
     sure = replace(bad, methods=figures, coverage={"50%": 0.1, "90%": 0.4, "95%": 0.5}, converged=0.5)
     assert not sure.worse
-    assert "surer than it may be" in training_check._verdict(sure, few)
+    assert "overconfident" in check_result.verdict(sure, few)
 
 
 def test_a_pass_leads_on_over_images_left_out_and_ends_where_odometry_does(images, monkeypatch):

@@ -11,10 +11,10 @@ from tests.sequence_files import Walk, as_split_folder
 from tests.test_datasets import make_7scenes
 from tests.test_train import TINY, make_frames, pose
 from vapor.evaluation.validation import predict
-from vapor.regressors.base import SceneBox
-from vapor.regressors.baselines import make_regressor
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.scene_box import SceneBox
 from vapor.track import main
-from vapor.training.epoch import _paired
+from vapor.training.pairs import paired
 from vapor.training.train import train, train_on
 from vapor.training_data.training_set import TrainingError, load_training_set, open_sequences, require_apart
 
@@ -81,7 +81,7 @@ def test_each_sequence_of_a_split_has_its_own_name_and_pairs(tmp_path):
     np.testing.assert_array_equal(loaded.sequence, np.repeat([0, 1, 2], 10))
     assert loaded.names == ("chess/TrainSplit.txt, sequence 1", "chess/TrainSplit.txt, sequence 2", "seq-01")
     rng = np.random.default_rng(0)
-    first, second = np.split(_paired(rng.permutation(30).repeat(2)[:60], loaded.sequence, 5, rng=rng), 2)
+    first, second = np.split(paired(rng.permutation(30).repeat(2)[:60], loaded.sequence, 5, rng=rng), 2)
     np.testing.assert_array_equal(loaded.sequence[first], loaded.sequence[second])
 
 
@@ -123,7 +123,7 @@ def test_images_that_are_trained_on_are_not_taken_for_held_out_ones(tmp_path, mo
 
 
 def test_fewer_images_than_a_batch_are_one_batch_and_a_batch_of_one_is_refused(tmp_path):
-    config = replace(TINY, batch_size=64, calibrate=False, validation_share=0.0, epochs=2)
+    config = replace(TINY, batch_size=64, calibrate=False, validation_fraction=0.0, epochs=2)
     result = train_on({"a": make_frames(5)}, tmp_path / "model.safetensors", config)
     assert result.images_seen == 10
     with pytest.raises(TrainingError, match="batch_size is 1, expected at least 2"):

@@ -8,7 +8,9 @@ import torch
 from filtering.se3 import Poses
 from tests.sequence_files import Walk
 from vapor.checkpoints.checkpoint import Calibration, Checkpoint, save_checkpoint
-from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import read_safetensors, write_safetensors
 
 NETWORK = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)

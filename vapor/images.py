@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from filtering.errors import VaporTrackError
-from vapor.regressors.base import NetworkConfig
+from vapor.regressors.network_config import NetworkConfig
 
 
 def cover_size(columns: int, rows: int, width: int, height: int) -> tuple[int, int]:

@@ -30,10 +30,12 @@ from tests.fuzz.mcap_damage import stated_images
 from tests.sequence_files import BEGIN_NS, CAMERA, Walk, as_split_folder, picture, rewrite
 from vapor.checkpoints.checkpoint import Calibration, Checkpoint, load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import Validation
-from vapor.regressors.base import NetworkConfig, PoseRegressor, SceneBox
-from vapor.regressors.baselines import make_regressor
+from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity, description_size
-from vapor.regressors.retrieval import RetrievalRegressor, memory_of
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.retrieval import RetrievalRegressor
+from vapor.regressors.scene_box import SceneBox
 from vapor.training.state import TrainingState, load_state, save_state
 
 _IMAGES = 6
@@ -334,7 +336,8 @@ def _model(folder: Path, *, retrieval: bool) -> Path:
         features = _numbers(torch.empty(len(poses), len(regressor.centre)), rng)
         translation, rotation = (torch.from_numpy(each).float() for each in (poses.translation, poses.rotation))
         regressor.eval().remember(features, translation, rotation)
-        memory = memory_of(regressor)
+        memory = regressor.memory
+        assert memory is not None
         memory = replace(memory, keys=_numbers(memory.keys, rng), views=_numbers(memory.views, rng))
     told = {"familiarity": Familiarity(*numbers, 0.5, 1.0), "camera": CAMERA, "memory": memory}
     checkpoint = Checkpoint(network, box, Calibration(), poses, regressor.state_dict(), **told)

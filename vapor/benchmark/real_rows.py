@@ -263,7 +263,7 @@ class Trained:
             familiarity=familiar,
             training=json.loads(json.dumps(provenance)),
         )
-        save_checkpoint(file, calibrated, half=self.config.half)
+        save_checkpoint(file, calibrated, half=self.config.store_float16)
         return file
 
     def _sequence(self, place: Place, seed: int) -> tuple[Path, str]:

@@ -17,8 +17,9 @@ from filtering.se3 import Poses
 from sequences.messages import decode_image_bytes
 from vapor.checkpoints.checkpoint import Calibration, Checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.regressors.base import NetworkConfig, SceneBox
-from vapor.regressors.baselines import make_regressor
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.scene_box import SceneBox
 
 _IMAGE_SHAPE = (240, 320, 3)
 

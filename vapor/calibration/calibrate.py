@@ -31,7 +31,6 @@ from vapor.evaluation.validation import predict
 from vapor.observation import Device, resolve_device
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
-from vapor.regressors.retrieval import memory_of
 from vapor.tensor_files import read_safetensors
 from vapor.threads import limited_threads
 from vapor.training_data.passes import odometry_stretches, pass_numbers, some_runs
@@ -178,7 +177,7 @@ def _familiarity(
 ) -> Familiarity | None:
     """What is familiar to a network, judged by held-out images; None where there are too few."""
     if trained_on is None and known is not None:
-        return known.judged_by(describe(network, held_out.select(spaced(len(held_out), max_images))))
+        return known.with_threshold_of(describe(network, held_out.select(spaced(len(held_out), max_images))))
     if trained_on is None:
         first = _first_half(held_out.sequence)
         trained_on, held_out = held_out.select(np.flatnonzero(first)), held_out.select(np.flatnonzero(~first))
@@ -229,7 +228,7 @@ def calibrate(
         return CalibrationResult(calibration, odometry=source, notes=(note,))
     chosen = some_runs(len(held_out), max(max_images, LEAST_IMAGES))
     looked = [held_out.select(chosen)]
-    if training is not None and familiarity is not None and memory_of(network) is None:  # which errs on no image of it
+    if training is not None and familiarity is not None and network.memory is None:  # which errs on no image of it
         exemplars = spaced(len(training), EXEMPLARS)
         looked.append(training.select(exemplars[spaced(len(exemplars), len(chosen))]))
     total, done, seen = sum(len(images) for images in looked), 0, []

@@ -49,7 +49,7 @@ def learn_familiarity(network: PoseRegressor, training: TrainingSet, held_out: T
     if len(training) < LEAST_IMAGES:
         return None
     familiarity = fit_familiarity(describe(network, training), _stretches(training.sequence))
-    return familiarity.judged_by(describe(network, held_out))
+    return familiarity.with_threshold_of(describe(network, held_out))
 
 
 def fit_familiarity(descriptions: Float32[np.ndarray, "n d"], stretch: Int64[np.ndarray, " n"]) -> Familiarity:

@@ -23,10 +23,12 @@ from sequences.frame import Camera
 from sequences.odometry_fit import OdometryFit
 from sequences.values import parse_json
 from vapor.checkpoints.scene_scale import default_errors
-from vapor.regressors.base import NetworkConfig, PoseRegressor, SceneBox
-from vapor.regressors.baselines import make_regressor
+from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity, description_size
-from vapor.regressors.retrieval import Memory, RetrievalRegressor
+from vapor.regressors.memory import Memory
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import (
     CHECKSUM,
     SHIPPED,
@@ -112,8 +114,7 @@ class Checkpoint:
         """The network with its weights, on the CPU, in evaluation mode."""
         network = make_regressor(self.network, self.box)
         network.load_state_dict(dict(self.state_dict))
-        if isinstance(network, RetrievalRegressor):
-            network.memory = self.memory
+        network.memory = self.memory
         return network.eval()
 
     def network_sha256(self) -> str:
@@ -223,7 +224,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     calibration = parse(path, config.get("calibration"))
     familiarity = _familiarity(path, tensors) if any(name.startswith(_FAMILIARITY) for name in known) else None
     camera = _camera(path, config.get("camera"))
-    memory = _memory(path, tensors) if isinstance(regressor, RetrievalRegressor) else None
+    memory = _memory(path, tensors) if regressor.recalling else None
     unchecked = f"{path.name} was written before model files had checksums: whether it is damaged cannot be told"
     notices = () if CHECKSUM in metadata else (unchecked,)
     return Checkpoint(network, box, calibration, poses, state, training, familiarity, camera, memory, notices)
@@ -300,11 +301,12 @@ def _familiarity_like(tensors: Mapping[str, Tensor], size: int) -> dict[str, Ten
 
 def _memory_like(tensors: Mapping[str, Tensor], regressor: PoseRegressor) -> dict[str, Tensor]:
     """Tensors of the shapes that a memory has, of as many images as there are keys; none where none is needed."""
-    if not isinstance(regressor, RetrievalRegressor):
+    recalling = regressor.recalling
+    if recalling is None:
         return {}
     keys = tensors.get(_MEMORY + "keys")
     count = max(1, len(keys)) if keys is not None and keys.ndim == 2 else 1
-    return {_MEMORY + name: torch.empty(count, *shape) for name, shape in regressor.memory_shapes().items()}
+    return {_MEMORY + name: torch.empty(count, *shape) for name, shape in recalling.memory_shapes().items()}
 
 
 def _memory(path: Path, tensors: Mapping[str, Tensor]) -> Memory:

@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from filtering.errors import VaporTrackError, shortened
+from vapor.commands.renamed_options import with_new_names
 from vapor.commands.terminal import raise_of_output, say
 
 Options = TypeVar("Options")
@@ -51,14 +52,20 @@ _MIN_WIDTH = 100  # of a table, where the output is no terminal
 
 
 def parse(command: str, options: type[Options], arguments: Sequence[str], default: Options | None = None) -> Options:
-    """Options from the words of the command line; wrong ones print what is wrong and exit with status 2."""
+    """Options from the words of the command line; wrong ones print what is wrong and exit with status 2.
+
+    Old names of options are understood, with a notice on standard error (`renamed_options`).
+    """
+    words, notices = with_new_names(arguments)
+    for notice in notices:
+        say(f"vapor-track {command}: {notice}")
     given: dict[str, Any] = {} if default is None else {"default": default}
     told, width = io.StringIO(), os.environ.get("COLUMNS")
     try:
-        if not {"-h", "--help"} & set(arguments):
-            os.environ["COLUMNS"] = "1000000"  # of what is told in a box, so that no word is broken
+        if not {"-h", "--help"} & set(words):
+            os.environ["COLUMNS"] = "1000000"  # of messages in a box, so that no word is broken
         with redirect_stderr(told):
-            return tyro.cli(options, prog=f"vapor-track {command}", args=list(arguments), **given)
+            return tyro.cli(options, prog=f"vapor-track {command}", args=words, **given)
     except VaporTrackError as error:  # a value that its dataclass refuses
         usage_error(command, str(error))
     except SystemExit:

@@ -185,7 +185,7 @@ def _coverage_lines(found: Inspection, coverage: Coverage) -> Iterator[str]:
         count = len(floor.names)
         who = f"{floor.names[0]} alone" if count == 1 else f"{count} of {len(coverage.images.names)} recordings"
         late = f", only in their last {100 * floor.late:.0f} %" if floor.late is not None else ""
-        trained = f", {floor.trained} of them trained on" if coverage.split.judged.any() and count > 1 else ""
+        trained = f", {floor.trained} of them trained on" if coverage.split.held_out_mask.any() and count > 1 else ""
         yield (
             f"floor {number} of {len(floors)} ({height(floor.low_m, floor.high_m)}): {floor.images} images, shown by"
             f" {who}{late}{trained}"

@@ -1,4 +1,4 @@
-"""Options that name settings, a preset and a method: the defaults of the other options follow from them."""
+"""Options that name a preset and a method, from which the defaults of the other options follow."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def parse_named(
 
 
 def _named(arguments: Sequence[str], name: str, default: str | None) -> str | None:
-    """Known before the options are read, since their defaults depend on it; the last one counts, as of all options."""
+    """The last value given for an option; it is read before all others, since their defaults depend on it."""
     for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
         if word == f"--{name}":
             default = following

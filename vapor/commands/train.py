@@ -28,10 +28,12 @@ from vapor.commands.console import (
 )
 from vapor.commands.named_settings import Method, Preset, parse_named
 from vapor.evaluation.validation import Validation
-from vapor.training.check import TrainingCheck
+from vapor.training.check_result import TrainingCheck
+from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS, PRESETS
+from vapor.training.progress import Progress, TrainResult
 from vapor.training.state import is_training_state, state_path
-from vapor.training.train import Progress, TrainConfig, TrainResult, train
+from vapor.training.train import train
 from vapor.training_data.training_set import files_read
 
 
@@ -47,11 +49,12 @@ class Options:
     validation: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
     """Held-out data, of other images; without it passes over ground that others cover are held out."""
     preset: Preset = "auto"
-    """Named settings, of which the options below change single ones; auto: to suit the data in a quarter of an hour;
-    demo: the shipped models' network; tables: small and fast, for the scenes of that name; paper-...: the paper's."""
+    """Named settings, of which the options below change single ones. auto: what suits the data, in a quarter of an
+    hour; demo: the network of the models that ship; tables: small and fast, for the scenes of that name; paper-...: the
+    paper's."""
     method: Method | None = None
     """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one.
-    Default: what the preset says, retrieval of auto, else variational."""
+    Default: what the preset says, which is retrieval for auto and variational for all others."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
@@ -165,7 +168,7 @@ def _checked(check: TrainingCheck) -> Table:
         said += f", of which {100 * check.wrong:.1f} % are wrong"
     if check.coverage is not None:
         said += "; of these in its regions: " + ", ".join(
-            f"{name}: {100 * share:.0f} %" for name, share in check.coverage.items()
+            f"{name}: {100 * fraction:.0f} %" for name, fraction in check.coverage.items()
         )
     table.caption, table.caption_justify = said, "left"
     return table

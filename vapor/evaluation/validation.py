@@ -13,7 +13,7 @@ from torch import Tensor
 from filtering.se3 import Poses
 from vapor.checkpoints.checkpoint import Calibration
 from vapor.images import centre_crop
-from vapor.regressors.base import DensityRegressor, PoseRegressor
+from vapor.regressors.base import PoseRegressor
 from vapor.training_data.training_set import TrainingSet
 
 RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
@@ -92,8 +92,7 @@ def predict(
         images: Scaled as for training.
         num_samples: Posterior samples per image.
         seed: Of the latent noise.
-        feature: What `describe` of a network that is a density says of them, where that is known; the images are then
-            not looked at.
+        feature: Their features, from `extract_features`, where they are known; the images are then not looked at.
     """
     device = network.pixel_mean.device
     generator = torch.Generator(device).manual_seed(seed)
@@ -102,10 +101,7 @@ def predict(
     for part in given:
         with torch.inference_mode():
             noise = torch.randn(len(part), num_samples, network.noise_dim, generator=generator, device=device)
-            if feature is not None and isinstance(network, DensityRegressor):
-                drawn = network.sample(part, noise)
-            else:
-                drawn = network(part, noise)
+            drawn = network.sample(part, noise) if feature is not None else network(part, noise)
             translation, rotation = (p.cpu().double().numpy() for p in drawn)
         for i in range(len(part)):
             yield Poses(rotation[i], translation[i])
@@ -113,14 +109,15 @@ def predict(
 
 def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np.ndarray, " n"] | None:
     """Log density per m³ rad³ of each image's posterior at its true pose, (n,); None where only samples tell of it."""
-    if not isinstance(network, DensityRegressor):
+    density = network.density
+    if density is None:
         return None
     found = np.empty(len(images))
     for rows, crops in batches(network, images):
         truth = (getattr(images.poses[rows], part) for part in ("translation", "rotation"))
         with torch.inference_mode():
             poses = (torch.from_numpy(part)[:, None].to(crops) for part in truth)
-            found[rows] = network.log_density(network.describe(crops), *poses)[:, 0].cpu().double().numpy()
+            found[rows] = density.log_density(network.extract_features(crops), *poses)[:, 0].cpu().double().numpy()
     return found
 
 

@@ -1,1 +1,1 @@
-"""Experiments with many small trainings, each resumable run by run."""
+"""Experiments of many small training runs, each of which goes on after an interruption."""

@@ -1,4 +1,4 @@
-"""How recall depends on α, the share of the samples that learn: the ablation of Zangeneh et al. (ICRA 2023)."""
+"""How recall depends on α, the fraction of the samples that learn: the ablation of Zangeneh et al. (ICRA 2023)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ PAPER_ALPHAS = (0.01, *(round(0.05 * k, 2) for k in range(1, 21)))
 
 
 def _small_training() -> TrainConfig:
-    """Of all images, uncalibrated."""
-    return replace(PRESETS["tables"], calibrate=False, validation_share=0.0)
+    """On all images, without calibration."""
+    return replace(PRESETS["tables"], calibrate=False, validation_fraction=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +25,7 @@ class AlphaConfig(SweepConfig):
 
     parameter: ClassVar[str] = "alpha"
     alphas: tuple[float, ...] = PAPER_ALPHAS
-    """Shares of the samples that learn."""
+    """Fractions of the samples that learn."""
     train: TrainConfig = field(default_factory=_small_training)
     """How each network is trained; α and the seed are the experiment's. Three epochs are enough for the round table."""
 

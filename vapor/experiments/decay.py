@@ -1,7 +1,8 @@
 """Whether a constrained encoder turns confident posteriors into multimodal ones, as in Zangeneh et al., ICRA 2023.
 
-Two walks, seen often enough to be learned by heart: a free encoder tells their images apart by chance differences and
-is sure of a place in each; so it is in images of another walk, mostly wrongly. Weight decay takes what that needs.
+Two walks are seen often enough to be learned by heart: a free encoder tells their images apart by chance differences
+and is sure of one place in each. It is as sure, and mostly wrong, in images of another walk. Weight decay takes away
+what that needs.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from typing import ClassVar
 
 from filtering.errors import require_within
 from vapor.experiments.sweep import SweepConfig
-from vapor.regressors.base import NetworkConfig
 from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import NetworkConfig
 from vapor.training.config import TrainConfig
 
 
@@ -26,7 +27,7 @@ def _by_heart() -> TrainConfig:
         batch_size=16,
         learning_rate=1e-3,
         calibrate=False,
-        validation_share=0.0,
+        validation_fraction=0.0,
     )
 
 
@@ -38,13 +39,13 @@ class DecayConfig(SweepConfig):
     decays: tuple[float, ...] = (0.0, 0.3, 1.0, 3.0, 10.0)
     """Weight decays of the encoder."""
     runs: int = 3
-    """Trainings for each decay; they differ in initial weights, order, augmentation and latent noise."""
+    """Training runs for each decay; they differ in initial weights, order, augmentation and latent noise."""
     sequences: int = 2
     """Walks about the table that are trained on."""
     frames: int = 500
     """Images of each."""
     training_images: int = 300
-    """Images of those trained on that are judged as well, evenly spaced."""
+    """Images of those trained on that are evaluated as well, evenly spaced."""
     train: TrainConfig = field(default_factory=_by_heart)
     """How each network is trained; the encoder's weight decay and the seed are the experiment's."""
 
@@ -58,8 +59,8 @@ class DecayConfig(SweepConfig):
         return self.decays
 
     @property
-    def also_judged(self) -> int:
-        """Images of those trained on that are judged as well."""
+    def also_evaluated(self) -> int:
+        """Images of those trained on that are evaluated as well."""
         return self.training_images
 
     def varied(self, value: float) -> TrainConfig:

@@ -1,6 +1,6 @@
-"""What the default schedule saves against the paper's: images and time until held-out images are judged as good.
+"""What the default schedule saves against the paper's: images and time until it is as good on held-out images.
 
-By schedule is meant all of a training but its data, network, α and unit of positions: the paper's differs from the
+A schedule is here all of a training but its data, network, α and unit of positions: the paper's differs from the
 default in rate and its decay, batches of 4 instead of 32, 1000 samples an image instead of 256, crops, arithmetic
 (float32), and in neither averaging weights nor decaying them.
 """
@@ -18,11 +18,13 @@ from filtering.errors import VaporTrackError, require_within
 from sequences.atomic import atomic_output, workspace
 from sequences.values import read_json
 from vapor.cache import digest
-from vapor.experiments.trainings import Scene, identities, render_scenes, rendered_height, trained_from
+from vapor.experiments.scenes import Scene, identities, render_scenes, rendered_height
+from vapor.experiments.training_runs import trained_from
 from vapor.observation import resolve_device
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
-from vapor.training.train import Progress, train
+from vapor.training.progress import Progress
+from vapor.training.train import train
 
 DEFAULT, PAPER = SCHEDULES = "default", "paper"
 _START = "network", "pretrained_weights", "pretrained", "initial_model", "initial_log_variance"
@@ -50,7 +52,7 @@ class ScheduleConfig:
     most: float = 6.0
     """The paper's schedule is given up after so many times the time that the default one takes to its best epoch."""
     seed: int = 0
-    """Of both trainings."""
+    """Of both training runs."""
     workers: int = 2
     """Sequences that are rendered at a time."""
     train: TrainConfig = field(default_factory=TrainConfig)
@@ -76,8 +78,8 @@ class Point:
 
     Attributes:
         images: Seen so far.
-        seconds: Of training so far, wall clock, without reading and judging.
-        recall: Share of the posterior samples of held-out images within 0.3 m and 20° of the true pose.
+        seconds: Of training so far, wall clock, without reading and evaluation.
+        recall: Fraction of the posterior samples of held-out images within 0.3 m and 20° of the true pose.
     """
 
     images: int
@@ -90,7 +92,7 @@ class _EnoughError(Exception):
 
 
 class ScheduleExperiment:
-    """Two trainings of one scene, one after the other; what is done is not done again.
+    """Two training runs on one scene, one after the other; what is done is not done again.
 
     Args:
         scene: Name of a synthetic scene.
@@ -142,9 +144,9 @@ class ScheduleExperiment:
         config = self.config.of(schedule)
         folder = self.directory / "runs"
         folder.mkdir(parents=True, exist_ok=True)
-        judged = {"test": identities(self._scene.test), "enough": enough, "most_s": most_s}
+        evaluated = {"test": identities(self._scene.test), "enough": enough, "most_s": most_s}
         where = {"device": str(resolve_device(config.device))}  # seconds depend on it
-        content = digest(trained_from(self._scene, config) | judged | where)
+        content = digest(trained_from(self._scene, config) | evaluated | where)
         file = folder / f"{self._name}-{schedule}-{content}.json"
         if file.is_file():
             return [Point(**point) for point in read_json(file)]
@@ -155,7 +157,7 @@ class ScheduleExperiment:
             result = train(self._scene.train, model, config, validation=self._scene.test, progress=clock.follow)
             if not result.history:
                 raise VaporTrackError(f"{self._name}: {'; '.join(result.checkpoint.training['holding_out'])}")
-            clock.judged(result.history[-1].sample_recall)
+            clock.evaluated(result.history[-1].sample_recall)
         with atomic_output(file) as partial:
             partial.write_text(json.dumps([asdict(point) for point in clock.course]), encoding="utf-8")
         return clock.course
@@ -183,11 +185,11 @@ class _Clock:
         if progress.stage != "training":
             return
         if self._last is not None and progress.validation is not None and progress.epoch > self._last.epoch:
-            self.judged(progress.validation.sample_recall)
+            self.evaluated(progress.validation.sample_recall)
         self._last = progress
         self._advance(progress.done, progress.total or progress.done)
 
-    def judged(self, recall: float) -> None:
+    def evaluated(self, recall: float) -> None:
         """After an epoch: note where the training stands, and end it where that is enough."""
         if self._last is None:
             return

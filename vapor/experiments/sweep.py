@@ -1,4 +1,4 @@
-"""A number of the training that varies: a training for each scene, value and run."""
+"""Sweeps of one setting of training: a training run for each scene, value and seed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from typing import Any, ClassVar
 
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
-from vapor.experiments.trainings import Scene, Training, kept_samples, render_scenes, rendered_height, run_trainings
+from vapor.experiments.scenes import Scene, render_scenes, rendered_height
+from vapor.experiments.training_runs import TrainingRun, cached_samples, carry_out
 from vapor.training.config import TrainConfig
 
 MODES: Mapping[str, int] = MappingProxyType({"round-table": 4, "dinner-table": 2})
@@ -20,16 +21,16 @@ MODES: Mapping[str, int] = MappingProxyType({"round-table": 4, "dinner-table": 2
 
 @dataclass(frozen=True, kw_only=True)
 class SweepConfig(ABC):
-    """Settings of a sweep; which number varies is what subclasses say."""
+    """Settings of a sweep; subclasses say which number varies."""
 
     parameter: ClassVar[str]
     """Name of the number."""
     runs: int = 10
-    """Trainings for each value; they differ in initial weights, order, augmentation and latent noise."""
+    """Training runs for each value; they differ in initial weights, order, augmentation and latent noise."""
     first_seed: int = 0
     """Seed of the first of them."""
     gamma: float = 0.1
-    """Share of an image's samples that must be near its true pose for it to count as right."""
+    """Fraction of an image's samples that must be near its true pose for it to count as right."""
     sequences: int = 40
     """Walks about the table that are trained on."""
     frames: int = 500
@@ -37,9 +38,9 @@ class SweepConfig(ABC):
     test_frames: int = 300
     """Images of the walk that is tested on."""
     num_samples: int = 1000
-    """Posterior samples per image that is judged."""
+    """Posterior samples per image that is evaluated."""
     workers: int = 2
-    """Trainings at a time, each with one thread."""
+    """Training runs at a time, each with one thread."""
     train: TrainConfig
     """How each network is trained; the number that varies and the seed are the experiment's."""
 
@@ -61,8 +62,8 @@ class SweepConfig(ABC):
         """Of the number."""
 
     @property
-    def also_judged(self) -> int:
-        """Images of those trained on that are judged as well, evenly spaced."""
+    def also_evaluated(self) -> int:
+        """Images of those trained on that are evaluated as well, evenly spaced."""
         return 0
 
     @abstractmethod
@@ -75,7 +76,7 @@ class SweepConfig(ABC):
 
 
 class Sweep:
-    """Trainings on the table scenes, one for each scene, value and run; what is done is not done again.
+    """Training runs on the table scenes, one for each scene, value and seed; what is done is not done again.
 
     Args:
         scenes: Names among `MODES`.
@@ -105,26 +106,26 @@ class Sweep:
             yield done, total
 
     def train(self) -> Iterator[dict[str, Any]]:
-        """The result of every training, in no order: as `run_trainings`, and the value by the number's name."""
+        """The result of every training run, in no order: as `carry_out`, and the value by the number's name."""
         c = self.config
-        trainings = [
-            self._training(scene, value, seed)
+        runs = [
+            self._run(scene, value, seed)
             for seed in range(c.first_seed, c.first_seed + c.runs)  # interrupted, it has fewer runs of all
             for scene in self._scenes
             for value in c.values
         ]
-        for result in run_trainings(trainings, self.directory, c.workers):
+        for result in carry_out(runs, self.directory, c.workers):
             yield result | {c.parameter: float(result["label"])}
 
     def samples(self, scene: str, value: float) -> tuple[Poses, list[Poses]]:
         """True poses of some test images and the posterior samples of each, of the first run with this value."""
         (found,) = (s for s in self._scenes if s.name == scene)
-        return kept_samples(self._training(found, value, self.config.first_seed), self.directory)
+        return cached_samples(self._run(found, value, self.config.first_seed), self.directory)
 
-    def _training(self, scene: Scene, value: float, seed: int) -> Training:
+    def _run(self, scene: Scene, value: float, seed: int) -> TrainingRun:
         c = self.config
         config = replace(c.varied(value), seed=seed, resume=False)
-        return Training(scene, f"{value:g}", config, c.gamma, c.num_samples, training_images=c.also_judged)
+        return TrainingRun(scene, f"{value:g}", config, c.gamma, c.num_samples, training_images=c.also_evaluated)
 
 
 def in_order(results: Sequence[Mapping[str, Any]], parameter: str) -> list[Mapping[str, Any]]:

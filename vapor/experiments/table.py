@@ -14,7 +14,8 @@ from filtering.errors import VaporTrackError, require_within
 from sequences.place import SCENES, is_place
 from sequences.reader import SequenceReader
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
-from vapor.experiments.trainings import Scene, Training, render_scenes, rendered_height, run_trainings
+from vapor.experiments.scenes import Scene, render_scenes, rendered_height
+from vapor.experiments.training_runs import TrainingRun, carry_out
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS
 from vapor.training_data.training_set import TrainingError, require_apart
@@ -27,11 +28,11 @@ class TableConfig:
     methods: tuple[str, ...] = tuple(name for name in METHODS if name != "retrieval")
     """What is trained, as `vapor-track train --method`."""
     seeds: int = 3
-    """Trainings of each method on each scene."""
+    """Training runs of each method on each scene."""
     first_seed: int = 0
     """Seed of the first of them."""
     gamma: float = 0.1
-    """Share of an image's samples that must be near its true pose for it to count as right."""
+    """Fraction of an image's samples that must be near its true pose for it to count as right."""
     sequences: int = 10
     """Synthetic scenes: sequences that are trained on."""
     frames: int = 500
@@ -45,7 +46,7 @@ class TableConfig:
     localize: bool = False
     """Run the particle filter over the test sequences with every trained model, too; they need odometry."""
     workers: int = 2
-    """Trainings at a time, each with one thread."""
+    """Training runs at a time, each with one thread."""
     train: TrainConfig = field(default_factory=TrainConfig)
     """How each network is trained; method and seed are the table's."""
 
@@ -78,7 +79,7 @@ def parse_scene(text: str) -> Scene:
 
 
 class TableExperiment:
-    """One training for each scene, method and seed; what is done is not done again.
+    """One training run for each scene, method and seed; what is done is not done again.
 
     Args:
         scenes: From `parse_scene`.
@@ -98,9 +99,9 @@ class TableExperiment:
             raise VaporTrackError(f"scenes are {names or 'none'}, expected each at most once, and one")
         for scene in scenes:
             require_apart(scene.train, scene.test)
-            if config.train.validation_share > 0:
+            if config.train.validation_fraction > 0:
                 require_apart(scene.train)
-        if config.localize:  # what the filter cannot read is told now, not after a training
+        if config.localize:  # what the filter cannot read is refused now, not after training
             for entry in (entry for scene in scenes for entry in scene.test):
                 SequenceReader(Path(entry))
 
@@ -122,11 +123,11 @@ class TableExperiment:
             yield done, total
 
     def train(self) -> Iterator[dict[str, Any]]:
-        """The result of every training, in no order: as `run_trainings`; the label is the method."""
+        """The result of every training run, in no order: as `carry_out`; the label is the method."""
         c = self.config
-        yield from run_trainings(
+        yield from carry_out(
             [
-                Training(scene, method, self._train_config(method, seed), c.gamma, c.num_samples, c.localize, True)
+                TrainingRun(scene, method, self._train_config(method, seed), c.gamma, c.num_samples, c.localize, True)
                 for seed in range(c.first_seed, c.first_seed + c.seeds)
                 for scene in self._scenes.values()
                 for method in c.methods
@@ -174,7 +175,7 @@ def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
 
 
 def _filtered(reports: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Of reports of runs: how many succeed, errors, and how far `converged` is to be trusted."""
+    """Of reports of runs: how many succeed, errors, and how far `converged` can be trusted."""
     runs = [report["filter"] for report in reports]
     said = [report["consistency"]["images"] for report in reports]
     wrong = [report["consistency"]["wrong"] or 0.0 for report in reports]  # None where it was never said
@@ -182,12 +183,12 @@ def _filtered(reports: Sequence[Mapping[str, Any]]) -> list[str]:
     return [
         f"{sum(bool(run['success']) for run in runs)} of {len(runs)}",
         _error([{k: run[f"median_{k}"] for k in ("translation_m", "rotation_deg")} for run in runs]),
-        f"{100 * sum(said) / images:.0f} %, {_share(np.dot(said, wrong), sum(said))}",
+        f"{100 * sum(said) / images:.0f} %, {_percentage(np.dot(said, wrong), sum(said))}",
         f"{sum(bool(report['smoothed']['success']) for report in reports)} of {len(runs)}",
     ]
 
 
-def _share(part: float, whole: int) -> str:
+def _percentage(part: float, whole: int) -> str:
     return f"{100 * part / whole:.0f} %" if whole else "–"
 
 

@@ -163,7 +163,7 @@ class Coverage:
     @staticmethod
     def of(images: TrainingSet) -> Coverage:
         """What these images show, judged as `train` does that holds some out."""
-        split = hold_out(images, TrainConfig().validation_share)
+        split = hold_out(images, TrainConfig().validation_fraction)
         plan = Plan.of(images.poses, split.near_m)
         return Coverage(images, split, shown_by(images, split.near_m), plan, way_of(images))
 
@@ -278,7 +278,7 @@ class Coverage:
             "shown_by_others": {str(i) if i < 4 else "4 or more": float(v) for i, v in enumerate(counts)},
             "alone": [vars(stretch) | {"said": str(stretch)} for stretch in self.alone()],
             "floors": [vars(floor) for floor in self.floors()],
-            "held_out": int(self.split.judged.sum()),
+            "held_out": int(self.split.held_out_mask.sum()),
             "holding_out": list(self.split.notes),
         }
 

@@ -111,7 +111,7 @@ def _odometry(check: OdometryCheck) -> Iterator[str]:
 
 
 def _coverage(coverage: Coverage) -> Iterator[str]:
-    if not coverage.split.judged.any():
+    if not coverage.split.held_out_mask.any():
         yield (
             "record another walk over the same ground: nothing can be held out of this, so `train` would assume how"
             " images err, and not find it"

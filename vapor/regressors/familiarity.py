@@ -16,11 +16,11 @@ from vapor.regressors.base import PoseRegressor
 
 LEAST_IMAGES = 50
 QUANTILE = 0.995
-"""Share of images that are no further from the training images than counts as familiar."""
+"""Fraction of images that are no further from the training images than counts as familiar."""
 _CELL_PX, _DARK = 4, 30.0
 _CHROMA_EDGES = (-0.1, -0.05, -0.03, -0.015, 0.0, 0.015, 0.03, 0.05, 0.1)
 CHROMA = 2 * (len(_CHROMA_EDGES) + 1)
-"""How many of the numbers that describe an image tell of its colours; they come last."""
+"""How many of the numbers in a description of an image tell of its colours; they come last."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Familiarity:
         axes: Orthonormal columns.
         stretch: Factor of each axis; the last one is also that of what is left over.
         exemplars: n training images on the stretched axes.
-        own_distance: Only one training image in 200 is further from all those of other stretches of the training data.
+        own_distance: Only one training image in 200 is further from all those of other segments of the training data.
         threshold: Distance from which on an image counts as foreign: the former, or the same of held-out images if that
             is more.
     """
@@ -64,7 +64,7 @@ class Familiarity:
         """Score of images with these descriptions: 0 an image trained on, 1 at the threshold, above it foreign."""
         return self._distances(descriptions).min(axis=1) / self.threshold
 
-    def judged_by(self, held_out: Float32[np.ndarray, "m d"]) -> Familiarity:
+    def with_threshold_of(self, held_out: Float32[np.ndarray, "m d"]) -> Familiarity:
         """The same with the threshold that descriptions of held-out images ask for; the training's own if too few."""
         if len(held_out) < LEAST_IMAGES:
             return replace(self, threshold=self.own_distance)
@@ -86,9 +86,9 @@ class Describer:
     """Describes images by what the network's backbone makes of them on its way to a pose.
 
     The mean of every channel after each of four stages, and, as a network trained under changing colours says little
-    of them, how common which colours are: histograms of the shares of red and of blue against green in cells of
-    4 × 4 pixels, square roots. It listens to the network: the last batch that went through is described. A context
-    manager stops listening at its end.
+    of them, how common which colours are: histograms of how much more red, and more blue, than green there is in
+    cells of 4 × 4 pixels, as square roots. It listens to the network: the last batch that went through is described.
+    A context manager stops listening at its end.
 
     Args:
         network: Listened to from now on.
@@ -125,7 +125,7 @@ def description_size(network: PoseRegressor) -> int:
 def _colours(images: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b c"]:
     cells = functional.avg_pool2d(images.permute(0, 3, 1, 2).float(), _CELL_PX).flatten(2)
     red, green, blue = cells.unbind(dim=1)
-    shares = torch.stack([red - green, blue - green], dim=1) / (cells.sum(dim=1, keepdim=True) + _DARK)
-    bins = torch.bucketize(shares, torch.tensor(_CHROMA_EDGES, device=images.device), right=True)
+    chroma = torch.stack([red - green, blue - green], dim=1) / (cells.sum(dim=1, keepdim=True) + _DARK)
+    bins = torch.bucketize(chroma, torch.tensor(_CHROMA_EDGES, device=images.device), right=True)
     kinds = torch.arange(len(_CHROMA_EDGES) + 1, device=images.device)
     return (bins[..., None] == kinds).float().mean(dim=2).sqrt().flatten(1)

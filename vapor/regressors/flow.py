@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,21 +16,24 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from filtering.se3 import Poses
-from vapor.regressors.base import DensityRegressor, NetworkConfig, SceneBox
+from vapor.regressors.base import DensityRegressor
+from vapor.regressors.loss import Loss, LossConfig, pose_distance
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.rotations import rodrigues
+from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.splines import Spline
 
 _CIRCULAR = False, False, False, True, False, True  # x, y, z, a, c, g
 _OCTAVES = 4  # of sines and cosines in which a coordinate tells the later ones where it is
-_LEAST_WIDTH, _LEAST_HEIGHT = 1e-3, 1e-5  # of a bin: sharpest density, and what float32 resolves
-_STEEPEST = 3.0  # log ratio of the slope at a knot and that of the bins beside it, at most
 
 
 class FlowRegressor(DensityRegressor):
     """One density: each of six coordinates in [0, 1) has a spline that depends on the image and on those before it.
 
-    The coordinates are the position's shares of the scene box and (a/2π, (c + 1)/2, g/2π) of the rotation R = W Rz(a)
-    Ry(acos c) Rz(g) B. W and B permute axes, so c is the cosine between one axis of the world and one of the camera. In
-    a, c and g the volume of SO(3) is uniform, 8π² in all. At |c| = 1 a and g are not unique; `choose_axes` keeps the
-    poses of training away from there. Outside the box the density is 0.
+    The coordinates are the position as fractions of the scene box's edges, and (a/2π, (c + 1)/2, g/2π) of the rotation
+    R = W Rz(a) Ry(acos c) Rz(g) B. W and B permute axes, so c is the cosine between one axis of the world and one of
+    the camera. In a, c and g the volume of SO(3) is uniform, 8π² in all. At |c| = 1 a and g are not unique;
+    `choose_axes` keeps the poses of training away from there. Outside the box the density is 0.
     """
 
     lower: Tensor
@@ -51,6 +53,10 @@ class FlowRegressor(DensityRegressor):
         self.register_buffer("world_axes", torch.eye(3))
         self.register_buffer("camera_axes", torch.eye(3))
 
+    def initialise(self, training_poses: Poses, *, log_variance: float) -> None:
+        """Choose the axes by the training poses."""
+        self.choose_axes(training_poses)
+
     @torch.no_grad()
     def choose_axes(self, poses: Poses) -> None:
         """Take the axes of world and camera whose largest |cosine| over poses (n,) is the least."""
@@ -65,10 +71,10 @@ class FlowRegressor(DensityRegressor):
         """Draws, coordinate after coordinate through the inverse splines."""
         with torch.autocast(feature.device.type, enabled=False):
             condition = self.condition(feature)[:, None]
-            shares = torch.special.ndtr(noise)
+            uniform = torch.special.ndtr(noise)
             known: list[Tensor] = []
             for k, conditional in enumerate(self.conditionals):
-                known.append(conditional(condition, _describe(known, shares)).inverse(shares[..., k]))
+                known.append(conditional(condition, _waves(known, uniform)).inverse(uniform[..., k]))
             return self._pose(torch.stack(known, dim=-1))
 
     def log_density(
@@ -84,16 +90,40 @@ class FlowRegressor(DensityRegressor):
             inside = ((unit >= 0.0) & (unit <= 1.0)).all(dim=-1)
             known = unit.clamp(0.0, 1.0).unbind(dim=-1)
             slopes = [
-                conditional(condition, _describe(known[:k], unit)).log_slope(known[k])
+                conditional(condition, _waves(known[:k], unit)).log_slope(known[k])
                 for k, conditional in enumerate(self.conditionals)
             ]
             log_volume = (self.upper - self.lower).log().sum() + math.log(8 * math.pi**2)
             return torch.where(inside, torch.stack(slopes).sum(dim=0) - log_volume, -torch.inf)
 
+    def loss(
+        self,
+        images: Float[Tensor, "b 3 h w"],
+        true_translation: Float[Tensor, "b 3"],
+        true_rotation: Float[Tensor, "b 3 3"],
+        noise: Float[Tensor, "b 1 6"],
+        config: LossConfig,
+    ) -> Loss:
+        """Negative log density of the true poses, nats, after noise of the configured size.
+
+        The same noise moves the true poses and gives one sample of each image, of which the distance is.
+        """
+        feature = self.extract_features(images)
+        truth = true_translation[:, None], true_rotation[:, None]
+        with torch.no_grad():
+            distance = pose_distance(*self.sample(feature, noise), *truth, config, self.box).mean()
+        with torch.autocast(images.device.type, enabled=False):
+            turn = config.target_noise_rad * noise[..., 3:]
+            angle = torch.linalg.vector_norm(turn, dim=-1).clamp_min(1e-9)
+            translation = truth[0] + config.target_noise_m * noise[..., :3]
+            rotation = truth[1] @ rodrigues(turn / angle[..., None], angle)
+        total = -self.log_density(feature, translation, rotation).mean()
+        return Loss(total, torch.zeros_like(distance), distance)
+
     def _coordinates(
         self, translation: Float[Tensor, "*batch 3"], rotation: Float[Tensor, "*batch 3 3"]
     ) -> Float[Tensor, "*batch 6"]:
-        share = (translation - self.lower) / (self.upper - self.lower)
+        in_box = (translation - self.lower) / (self.upper - self.lower)
         polar = self.world_axes.mT @ rotation @ self.camera_axes.mT
         turns = torch.stack(
             [
@@ -103,7 +133,7 @@ class FlowRegressor(DensityRegressor):
             ],
             dim=-1,
         )
-        return torch.cat([share, turns], dim=-1)
+        return torch.cat([in_box, turns], dim=-1)
 
     def _pose(self, unit: Float[Tensor, "*batch 6"]) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]:
         a, c, g = unit[..., 3:].unbind(dim=-1)
@@ -113,59 +143,6 @@ class FlowRegressor(DensityRegressor):
         tilt = torch.stack([c, zero, s, zero, one, zero, -s, zero, c], dim=-1).unflatten(-1, (3, 3))
         polar = _about_z(2 * math.pi * a) @ tilt @ _about_z(2 * math.pi * g)
         return torch.lerp(self.lower, self.upper, unit[..., :3]), self.world_axes @ polar @ self.camera_axes
-
-
-@dataclass(frozen=True)
-class _Spline:
-    """Monotone maps of [0, 1] onto itself, rational quadratics between knots.
-
-    Attributes:
-        x: Knots in the coordinate.
-        y: Their images: how much of the distribution lies below.
-        slope: dy/dx at the knots.
-    """
-
-    x: Float[Tensor, "b n k"]
-    y: Float[Tensor, "b n k"]
-    slope: Float[Tensor, "b n k"]
-
-    @staticmethod
-    def of(raw: Float[Tensor, "b n r"], *, circular: bool) -> _Spline:
-        """From any numbers, three for each bin; on a circle both ends have one slope, as they are one point."""
-        widths, heights, steepness = raw.unflatten(-1, (3, -1)).unbind(dim=-2)
-        widths, heights = _shares(widths, _LEAST_WIDTH), _shares(heights, _LEAST_HEIGHT)
-        log_slope = (heights / widths).log()
-        before = log_slope.roll(1, dims=-1) if circular else torch.cat([log_slope[..., :1], log_slope[..., :-1]], -1)
-        at_knots = 0.5 * (before + log_slope) + _STEEPEST * torch.tanh(steepness / _STEEPEST)
-        last = at_knots[..., :1] if circular else log_slope[..., -1:]
-        return _Spline(_knots(widths), _knots(heights), torch.cat([at_knots, last], dim=-1).exp())
-
-    def log_slope(self, x: Float[Tensor, "b n"]) -> Float[Tensor, "b n"]:
-        """Log dy/dx: the log density of x where y is uniform."""
-        x0, _, width, height, first, second = self._bin(self.x, x)
-        mean = height / width
-        share = ((x - x0) / width).clamp(0.0, 1.0)
-        both = share * (1.0 - share)
-        above = second * share.square() + 2 * mean * both + first * (1.0 - share).square()
-        return 2 * mean.log() + above.log() - 2 * (mean + (first + second - 2 * mean) * both).log()
-
-    def inverse(self, y: Float[Tensor, "b n"]) -> Float[Tensor, "b n"]:
-        """The x of each y."""
-        x0, y0, width, height, first, second = self._bin(self.y, y)
-        mean, rise = height / width, (y - y0).clamp_min(0.0)
-        bend = rise * (first + second - 2 * mean)
-        a, b, c = height * (mean - first) + bend, height * first - bend, -mean * rise
-        share = 2 * c / (-b - (b.square() - 4 * a * c).clamp_min(0.0).sqrt())
-        return (x0 + width * share.clamp(0.0, 1.0)).clamp(0.0, 1.0)
-
-    def _bin(self, knots: Tensor, at: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """x, y, width, height, and the slopes at both ends of the bin in which `at` lies among the knots."""
-        left = torch.searchsorted(knots[..., 1:-1].detach().contiguous(), at[..., None].contiguous(), right=True)
-        (x0, x1), (y0, y1), (first, second) = (
-            (values.gather(-1, left)[..., 0], values.gather(-1, left + 1)[..., 0])
-            for values in (self.x, self.y, self.slope)
-        )
-        return x0, y0, x1 - x0, y1 - y0, first, second
 
 
 class _Conditional(nn.Module):
@@ -180,36 +157,23 @@ class _Conditional(nn.Module):
         self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(config.hidden_layers))
         self.last = nn.Linear(width, 3 * config.components)
 
-    def forward(self, condition: Float[Tensor, "b 1 w"], before: Float[Tensor, "b n e"]) -> _Spline:
+    def forward(self, condition: Float[Tensor, "b 1 w"], before: Float[Tensor, "b n e"]) -> Spline:
         hidden = self.first(condition)
         hidden = hidden.expand(-1, before.shape[1], -1) if self.before is None else hidden + self.before(before)
         hidden = functional.relu(hidden)
         for layer in self.hidden:
             hidden = functional.relu(layer(hidden))
-        return _Spline.of(self.last(hidden), circular=self.circular)
+        return Spline.of(self.last(hidden), circular=self.circular)
 
 
-def _describe(known: Sequence[Tensor], like: Float[Tensor, "b n 6"]) -> Float[Tensor, "b n e"]:
+def _waves(known: Sequence[Tensor], like: Float[Tensor, "b n 6"]) -> Float[Tensor, "b n e"]:
     """Sines and cosines of the coordinates known so far, e = 8 for each: whole turns where they are circular."""
-    waves = [like[..., :0]]
-    for share, circular in zip(known, _CIRCULAR, strict=False):
+    found = [like[..., :0]]
+    for coordinate, circular in zip(known, _CIRCULAR, strict=False):
         octaves = 2.0 ** torch.arange(_OCTAVES, device=like.device, dtype=like.dtype)
-        phase = (2 * math.pi if circular else math.pi) * share[..., None] * octaves
-        waves += [phase.sin(), phase.cos()]
-    return torch.cat(waves, dim=-1)
-
-
-def _shares(raw: Float[Tensor, "*batch k"], least: float) -> Float[Tensor, "*batch k"]:
-    """Positive numbers of sum 1, none below `least` (or half of an equal share, where that is less)."""
-    bins = raw.shape[-1]
-    least = min(least, 0.5 / bins)
-    return least + (1.0 - bins * least) * torch.softmax(raw, dim=-1)
-
-
-def _knots(shares: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch l"]:
-    """From 0 to 1, l = k + 1."""
-    sums = shares[..., :-1].cumsum(dim=-1)
-    return torch.cat([torch.zeros_like(sums[..., :1]), sums, torch.ones_like(sums[..., :1])], dim=-1)
+        phase = (2 * math.pi if circular else math.pi) * coordinate[..., None] * octaves
+        found += [phase.sin(), phase.cos()]
+    return torch.cat(found, dim=-1)
 
 
 def _about_z(angle: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3 3"]:

@@ -13,16 +13,20 @@ pose of the image found, moved by a learned relative pose).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+import math
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vapor.regressors.base import NetworkConfig, PoseRegressor, SceneBox
-from vapor.regressors.mixture import Components, MixtureDensity, rodrigues
+from vapor.regressors.loss import Loss, LossConfig, pose_distance
+from vapor.regressors.memory import Memory, RecallingRegressor
+from vapor.regressors.mixture_density import Components, MixtureDensity
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.rotations import rodrigues
+from vapor.regressors.scene_box import SceneBox
 
 _GRID = 3, 4  # rows and columns in which the third stage is kept: where in the image things are
 _KEY_DIM = 128
@@ -32,37 +36,11 @@ _TURN_RAD = 0.1  # a small turn
 _REACH = 2.0, 3.0  # offsets of one unit of the network's output, in small distances and turns
 _NARROWEST, _WIDEST = 0.05, 20.0  # component, in small distances and turns
 _WIDEST_RAD = 1.0
+_EVEN = 0.05  # fraction of the density that the loss spreads over the scene
 _HIDDEN = -1e4  # in place of the likeness of what must not be recalled
 
 
-@dataclass(frozen=True)
-class Memory:
-    """What is kept of n training images.
-
-    Attributes:
-        keys: What each looks like, as unit vectors.
-        views: What of each tells relative poses.
-        translation: Its true position, metres.
-        rotation: Its true rotation, world_from_camera.
-    """
-
-    keys: Float[Tensor, "n k"]
-    views: Float[Tensor, "n v"]
-    translation: Float[Tensor, "n 3"]
-    rotation: Float[Tensor, "n 3 3"]
-
-    def tensors(self) -> dict[str, Tensor]:
-        """All of it, by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-
-def memory_of(network: PoseRegressor) -> Memory | None:
-    """What a network remembers, on the CPU; None where it is none that does."""
-    memory = network.memory if isinstance(network, RetrievalRegressor) else None
-    return None if memory is None else Memory(**{name: value.cpu() for name, value in memory.tensors().items()})
-
-
-class RetrievalRegressor(MixtureDensity):
+class RetrievalRegressor(MixtureDensity, RecallingRegressor):
     """A mixture whose components are training images that look alike, moved by learned relative poses.
 
     The backbone is taken as it is, ImageNet's mostly, and never changes: an image is the means of its last layer, and
@@ -72,13 +50,7 @@ class RetrievalRegressor(MixtureDensity):
         config: Shape; `components` is how many training images are looked at, `hidden_width` the size of the map from
             pairs of images to relative poses, `feature_dim` that of the map to keys.
         box: Of the training positions; its size is the unit of lengths.
-
-    Attributes:
-        memory: The training images; None before there are any.
     """
-
-    centre: Tensor
-    spread: Tensor
 
     def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
         super().__init__(config, box)
@@ -97,54 +69,25 @@ class RetrievalRegressor(MixtureDensity):
         self.register_buffer("centre", torch.zeros(size))
         self.register_buffer("spread", torch.ones(size))
         self.unit_m = _UNIT * float(box.extent.prod()) ** (1 / 3)
-        self.memory: Memory | None = None
 
     @property
     def encoder(self) -> tuple[nn.Module, ...]:
         """What learns from images."""
         return self.feature, self.key, self.own_view, self.view
 
-    def train(self, mode: bool = True) -> RetrievalRegressor:
-        """Training mode of all but the backbone, whose statistics stay as they are."""
-        super().train(mode)
-        self.backbone.eval()
-        return self
-
-    def describe(self, images: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
-        """The numbers that stand for normalised images, each in units of its spread over the training images."""
+    def extract_features(self, images: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
+        """The backbone's numbers of normalised images, each in units of its spread over the training images."""
         with torch.no_grad():
             third, last = self.backbone.maps(images)
             cells = functional.adaptive_avg_pool2d(third, _GRID).flatten(1)
             numbers = torch.cat([last.mean(dim=(2, 3)), cells], dim=1).to(self.centre.dtype)
             return (numbers - self.centre) / self.spread
 
-    @property
-    def standardised(self) -> bool:
-        """Whether `standardise` was called."""
-        return bool((self.spread != 1.0).any())
-
-    @torch.no_grad()
-    def standardise(self, features: Float[Tensor, "n f"]) -> None:
-        """Let `describe` say 0 where training images have their mean, in units of their standard deviation.
-
-        Args:
-            features: What it said of them before.
-        """
-        spread, centre = torch.std_mean(features, dim=0)
-        self.centre.copy_(centre)
-        self.spread.copy_(spread.clamp_min(1e-3))
-
     @torch.no_grad()
     def remember(
         self, features: Float[Tensor, "n f"], translation: Float[Tensor, "n 3"], rotation: Float[Tensor, "n 3 3"]
     ) -> None:
-        """Replace the memory by n images.
-
-        Args:
-            features: From `describe`, in any precision.
-            translation: Their true positions, metres.
-            rotation: Their true rotations, world_from_camera.
-        """
+        """Replace the memory by n images, as the weights see them now."""
         parts = [(self._keys(part), self.view(part)) for part in map(Tensor.float, features.split(4096))]
         keys, views = (torch.cat(list(each)) for each in zip(*parts, strict=True))
         self.memory = Memory(keys, views, translation, rotation)
@@ -153,7 +96,7 @@ class RetrievalRegressor(MixtureDensity):
         """The mixtures of images with these features.
 
         Args:
-            feature: From `describe`.
+            feature: From `extract_features`.
             hidden: Remembered images that must not be recalled for each of them; None for none.
         """
         memory = self._remembered()
@@ -175,16 +118,32 @@ class RetrievalRegressor(MixtureDensity):
             widths = torch.stack([widths[..., 0], widths[..., 1].clamp_max(_WIDEST_RAD)], dim=-1)
             return Components(torch.log_softmax(likeness + more[..., 0], dim=1), translation, rotation, widths)
 
+    def loss_of_features(
+        self,
+        feature: Float[Tensor, "b f"],
+        true_translation: Float[Tensor, "b 3"],
+        true_rotation: Float[Tensor, "b 3 3"],
+        hidden: Bool[Tensor, "b n"] | None,
+        config: LossConfig,
+    ) -> Loss:
+        """Negative log density of the true poses, nats; a twentieth of the density counts as even over the scene's box.
+
+        So an image that nothing else shows, of which there is nothing to learn, cannot outweigh the rest. The distance
+        is that of the heaviest component.
+        """
+        mixture = self.components(feature, hidden)
+        truth = true_translation[:, None], true_rotation[:, None]
+        even = -float(np.log(self.box.extent.prod() * 8.0 * np.pi**2))
+        found = mixture.log_density(*truth)[:, 0] + math.log1p(-_EVEN)
+        total = -torch.logaddexp(found, found.new_tensor(even + math.log(_EVEN))).mean()
+        row, heaviest = torch.arange(len(feature)), mixture.log_weights.argmax(dim=1)
+        poses = mixture.translation[row, heaviest], mixture.rotation[row, heaviest]
+        distance = pose_distance(*poses, true_translation, true_rotation, config, self.box).mean().detach()
+        return Loss(total, torch.zeros_like(distance), distance)
+
     def memory_shapes(self) -> dict[str, tuple[int, ...]]:
         """Of one image, the shapes of what is remembered of it, by name."""
         return {"keys": (_KEY_DIM,), "views": (self.config.hidden_width,), "translation": (3,), "rotation": (3, 3)}
-
-    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> RetrievalRegressor:
-        """Take the memory along to another device."""
-        super()._apply(fn, recurse)
-        if self.memory is not None:
-            self.memory = Memory(**{name: fn(value) for name, value in self.memory.tensors().items()})
-        return self
 
     def _keys(self, feature: Float[Tensor, "b f"]) -> Float[Tensor, "b k"]:
         return functional.normalize(self.key(torch.relu(self.feature(feature))), dim=-1)

@@ -33,7 +33,7 @@ class AugmentConfig:
     colour: float = 0.1
     """Amount of each colour channel's own gain."""
     blur_probability: float = 0.3
-    """Share of the images that are blurred."""
+    """Fraction of the images that are blurred."""
     blur_sigma_px: float = 1.0
     """Largest standard deviation of the Gaussian blur, pixels; each is drawn from half of it up."""
     light: float = 0.0
@@ -111,7 +111,7 @@ def jitter_and_normalise(
 ) -> Float[Tensor, "b 3 h w"]:
     """Colour jitter and the backbone's normalisation as one affine map per image; channels-last in memory."""
     grey = torch.tensor(_GREY, device=crops.device)
-    mean_grey = crops[:, ::4, ::4].float().mean(dim=(1, 2)) @ grey  # a sixteenth of the pixels tell the mean
+    mean_grey = crops[:, ::4, ::4].float().mean(dim=(1, 2)) @ grey  # a sixteenth of the pixels is enough for the mean
     matrix, offset = (
         torch.from_numpy(a).to(crops.device) for a in colour_jitter(mean_grey.cpu().numpy(), config, rng=rng)
     )

@@ -1,9 +1,9 @@
-"""A new model on its held-out passes: the filter beside the single image, and what is wrong where it is no better."""
+"""The check of a new model on its held-out passes: the filter beside the single image, with errors that suit it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,89 +24,20 @@ from vapor.evaluation.validation import predict
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.tracking.methods import Followed, Passage, follow, posterior_of
+from vapor.training.check_result import Figures, TrainingCheck, verdict
 from vapor.training_data.training_set import TrainingSet
 
 METHODS = ("single_image", "kalman", "filter", "smoothed")
 LEAST_PASS = 20  # images
 _MOST_IMAGES = 600
-_LEAST_JUDGED = 50
-_WORSE_RIGHT, _WORSE_MEDIAN = 0.02, 1.1  # than the single image, in share of the images and times the median error
-_LEAST_COVERAGE = 0.8  # of the 95 % region
+_LEAST_EVALUATED = 50
 _WIDER = (2.0, 4.0, 8.0, 16.0)  # variances that are tried
-_HARDLY, _FEW, _SCALE = 0.2, 10.0, 0.1
-
-
-@dataclass(frozen=True)
-class Figures:
-    """What one method was worth.
-
-    Attributes:
-        median_m: Error of position, metres.
-        median_deg: Error of rotation, degrees.
-        right: Share of the images within 0.3 m and 20°.
-    """
-
-    median_m: float
-    median_deg: float
-    right: float
-
-
-@dataclass(frozen=True)
-class TrainingCheck:
-    """Filter and single image over held-out passes, the same that errors were fitted on.
-
-    Attributes:
-        images: Judged.
-        passes: In so many passes, each begun anew.
-        methods: By name, those of `METHODS`.
-        converged: Share of the images called converged.
-        wrong: Share of these beyond 0.3 m or 20°; None where none is.
-        coverage: Share of these in the filter's 50, 90 and 95 % regions, by name; None where they are fewer than 50.
-        inflation: Factor by which the variances of images were enlarged, as the fitted ones did not do.
-        assumed: Whether errors in proportion to the scene took the place of the fitted ones, as those did not do.
-        verdict: A sentence.
-    """
-
-    images: int
-    passes: int
-    methods: Mapping[str, Figures]
-    converged: float
-    wrong: float | None
-    coverage: Mapping[str, float] | None
-    inflation: float = 1.0
-    assumed: bool = False
-    verdict: str = ""
-
-    @property
-    def worse(self) -> bool:
-        """Whether the filter is worse than the single image."""
-        single, ours = self.methods["single_image"], self.methods["filter"]
-        return ours.right < single.right - _WORSE_RIGHT or ours.median_m > _WORSE_MEDIAN * single.median_m
-
-    @property
-    def overconfident(self) -> bool:
-        """Whether its regions hold too few true poses."""
-        return self.coverage is not None and self.coverage["95%"] < _LEAST_COVERAGE
-
-    @property
-    def rank(self) -> tuple[bool, float, bool]:
-        """Of several the one with the greatest is kept, the first of equals: that it is no surer than it may be comes
-        first. Which of two is worse by less says nothing: it is luck which wrong place a filter stays at."""
-        held = 1.0
-        if self.overconfident and self.coverage is not None:
-            held = self.coverage["95%"]
-        return not self.overconfident, held, not self.worse
-
-    @property
-    def as_json(self) -> dict[str, Any]:
-        """For the model file."""
-        return asdict(self)
 
 
 def check(
     network: PoseRegressor,
     images: TrainingSet,
-    judged: Bool[np.ndarray, " n"],
+    held_out: Bool[np.ndarray, " n"],
     result: CalibrationResult,
     familiarity: Familiarity | None,
     scene: Poses,
@@ -119,7 +50,7 @@ def check(
     Args:
         network: With its final weights.
         images: Recordings, n images, of which some are held out.
-        judged: Those, (n,).
+        held_out: Those, (n,).
         result: What was calibrated.
         familiarity: What is familiar to the network.
         scene: Poses that outline it.
@@ -130,7 +61,7 @@ def check(
         The check, None without `LEAST_PASS` images in a row with odometry, and the calibration to keep.
     """
     fitted = result.calibration
-    runs = list(_runs(images, judged))
+    runs = list(_runs(images, held_out))
     if not runs:
         return None, fitted
     runs = [(rows[: max(_MOST_IMAGES // len(runs), LEAST_PASS)], odometry) for rows, odometry in runs]
@@ -176,16 +107,16 @@ def check(
                 break
     smoothed = [each.compared().poses["smoothed"] for each in followed]
     found = replace(found, methods={**found.methods, "smoothed": _figures(followed, smoothed)})
-    return replace(found, verdict=_verdict(found, result)), replace(fitted, errors=kept)
+    return replace(found, verdict=verdict(found, result)), replace(fitted, errors=kept)
 
 
 def _runs(
-    images: TrainingSet, judged: Bool[np.ndarray, " n"]
+    images: TrainingSet, held_out: Bool[np.ndarray, " n"]
 ) -> Iterator[tuple[Int64[np.ndarray, " k"], tuple[Odometry | None, ...]]]:
     """Held-out images that odometry leads through, and the motion to each from the one before."""
     rows: list[int] = []
     motions: list[Odometry | None] = []
-    for row in np.flatnonzero(judged).tolist():
+    for row in np.flatnonzero(held_out).tolist():
         motion = _between(images, rows[-1], row) if rows else None
         if motion is None:
             if len(rows) >= LEAST_PASS:
@@ -208,7 +139,7 @@ def _between(images: TrainingSet, first: int, last: int) -> Odometry | None:
 
 
 def _summed(followed: Sequence[Followed]) -> TrainingCheck:
-    """Without smoothing, of which nothing depends."""
+    """Figures of all methods but the smoothed trajectory, which decides nothing."""
     methods = {name: _figures(followed, [each.poses[name] for each in followed]) for name in METHODS[:-1]}
     passages = [each.passage for each in followed]
     said = [
@@ -218,7 +149,7 @@ def _summed(followed: Sequence[Followed]) -> TrainingCheck:
     said = [each for each in said if each["images"]]
     images, converged = sum(len(each.times_ns) for each in passages), sum(each["images"] for each in said)
 
-    def share(of: Callable[[Mapping[str, Any]], float]) -> float:
+    def fraction(of: Callable[[Mapping[str, Any]], float]) -> float:
         return sum(each["images"] * of(each) for each in said) / converged
 
     return TrainingCheck(
@@ -226,9 +157,9 @@ def _summed(followed: Sequence[Followed]) -> TrainingCheck:
         len(passages),
         methods,
         converged / images,
-        share(lambda each: each["wrong"]) if said else None,
-        {name: share(lambda each, name=name: each["coverage"][name]) for name in REGIONS}
-        if converged >= _LEAST_JUDGED
+        fraction(lambda each: each["wrong"]) if said else None,
+        {name: fraction(lambda each, name=name: each["coverage"][name]) for name in REGIONS}
+        if converged >= _LEAST_EVALUATED
         else None,
     )
 
@@ -240,34 +171,3 @@ def _figures(followed: Sequence[Followed], poses: Sequence[Poses]) -> Figures:
     moved_m, turned = (np.concatenate(part) for part in zip(*apart, strict=True))
     right = np.concatenate([is_right(found, truth) for found, truth in passages])
     return Figures(float(np.median(moved_m)), float(np.degrees(np.median(turned))), float(np.mean(right)))
-
-
-def _verdict(found: TrainingCheck, result: CalibrationResult) -> str:
-    single, ours = found.methods["single_image"], found.methods["filter"]
-    told = f"right in {100 * ours.right:.0f} % of {found.images} held-out images, the single image in"
-    told = f"the filter is {told} {100 * single.right:.0f} %"
-    if found.inflation > 1.0:
-        told += f"; variances of images are taken {found.inflation:.0f} times as large as they were found"
-    if found.assumed:
-        told += "; how images err is assumed, as what was found did worse"
-    if not (found.worse or found.overconfident):
-        return told
-    what = "it is worse than the single image" if found.worse else "it is surer than it may be"
-    return f"{told}. Beware: {what}; likely {_cause(found, result)}"
-
-
-def _cause(found: TrainingCheck, result: CalibrationResult) -> str:
-    odometry = result.calibration.odometry
-    if found.methods["single_image"].right < _HARDLY:
-        return "because the network hardly knows the place: record more of it, or train for longer"
-    if odometry is not None and abs(odometry.scale) > _SCALE:
-        return (
-            f"because odometry and true poses disagree ({100 * odometry.scale:+.0f} % in distance): check extrinsics"
-            " and stamps"
-        )
-    if 0.0 < result.effective_images < _FEW:
-        return (
-            f"because the held-out images are worth only {result.effective_images:.0f} independent ones: record another"
-            " pass"
-        )
-    return "because errors last longer than any held-out pass shows: record passes on another day or in other light"

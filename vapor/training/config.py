@@ -1,4 +1,4 @@
-"""TrainConfig: how a network is trained, and the learning rate that follows from it."""
+"""TrainConfig: how a network is trained."""
 
 from __future__ import annotations
 
@@ -9,12 +9,20 @@ from typing import Any, Literal
 
 from vapor.checkpoints.checkpoint import Calibration
 from vapor.observation import Device
-from vapor.regressors.base import NetworkConfig
 from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.registry import REGRESSORS, regressor_class
 from vapor.training.augment import AugmentConfig
 from vapor.training_data.training_set import TrainingError
 
 _LARGER = 1.75  # edges of images, where a training may take longer
+_STORED_NAMES = {
+    "ewta_fraction": "evolve",
+    "ema_decay": "average",
+    "validation_fraction": "validation_share",
+    "store_float16": "half",
+}
+"""Setting -> its name in files, of those that had another one when files were first written with them."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +40,7 @@ class TrainConfig:
     augment: AugmentConfig = field(default_factory=AugmentConfig)
     """How much training images vary."""
     bandwidth_translation_m: float = 0.1
-    """Kernel width of posterior samples along each axis, metres: of the density by which epochs are judged."""
+    """Kernel width of posterior samples along each axis, metres: of the density by which epochs are evaluated."""
     bandwidth_rotation_rad: float = 0.1
     """Likewise about each axis, radians."""
     calibrate: bool = True
@@ -60,38 +68,39 @@ class TrainConfig:
     """aspect camera: given so many hours, and where `epochs` follow from them, images are 1.75 times as large along
     each edge as `network` says; None for never."""
     finish: float = 0.2
-    """Share of the epochs after which the model, judged by then, goes on learning with what was held out of the data as
-    well: 0 for none, and it never sees that."""
+    """After its evaluation the model goes on learning from everything, what was held out of the data as well, for this
+    fraction of the epochs; 0 for none: then it never learns from what was held out."""
     batch_size: int = 32
     """Images per step, at least 2; all of them where there are fewer."""
     learning_rate: float = 3e-3
-    """Largest learning rate of Adam."""
+    """Largest learning rate of AdamW."""
     weight_decay: float = 1e-2
-    """Decoupled weight decay of matrices (AdamW); 0 is Adam."""
+    """Decoupled weight decay of matrices; with 0, AdamW is Adam."""
     encoder_weight_decay: float | None = None
     """The same of the encoder, all from the image to μ and log σ² (with other heads, to the feature); None for as much
     as the rest. Enough of it keeps the network from learning each image by heart, and so posteriors broad."""
     schedule: Literal["one-cycle", "steps"] = "one-cycle"
     """One cosine up and down, or a decay by a factor every so many epochs, as in the paper."""
     warmup: float = 0.1
-    """one-cycle: share of the training in which the rate rises."""
+    """one-cycle: fraction of the training in which the rate rises."""
     decay_factor: float = 0.8
     """steps: the factor."""
     decay_epochs: int = 50
     """steps: epochs between two decays, n in the paper."""
     decay_times: int = 10
     """steps: how often, at most."""
-    evolve: float = 0.0
-    """Share of the training in which the samples per image grow from the number of winners, who then all learn, to M
-    (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, what the image does tell is
+    ewta_fraction: float = 0.0
+    """Fraction of the training in which the samples per image grow from the number of winners, who then all learn, to
+    M (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, what the image does tell is
     learned first. 0 draws all M from the start, as the paper does."""
-    average: float = 0.998
-    """Decay per step of the moving average of weights that is kept; 0 keeps the last weights themselves."""
-    validation_share: float = 0.1
-    """About this share of the images is held out where no validation data is given, in passes over ground that others
-    cover; 0 for none."""
+    ema_decay: float = 0.998
+    """Decay per step of the exponential moving average of weights, which becomes the model; with 0 it is the last
+    weights themselves."""
+    validation_fraction: float = 0.1
+    """About this fraction of the images is held out where no validation data is given, in passes over ground that
+    others cover; 0 for none."""
     validation_images: int = 500
-    """Held-out images that are judged, evenly spaced, at most."""
+    """Held-out images that epochs are evaluated on, evenly spaced, at most."""
     select_by: Literal["sample_recall", "mode_recall", "log_density"] = "sample_recall"
     """Figure on held-out images whose best epoch is kept; without held-out images it is the last. The density at the
     true pose falls when a possible place is forgotten, but it prefers vague posteriors to sharp ones that miss: of a
@@ -99,7 +108,7 @@ class TrainConfig:
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it, but for efficientnet-lite0
     on a CPU, which gains nothing by it."""
-    half: bool = True
+    store_float16: bool = True
     """Store weight matrices as float16."""
     seed: int = 0
     """Of initial weights, order, augmentation and latent noise."""
@@ -128,10 +137,10 @@ class TrainConfig:
                 f"training: initial_model {self.initial_model} and pretrained_weights {self.pretrained_weights} are"
                 " both given, expected one of them: a model brings its backbone along"
             )
-        if self.loss.relative > 0.0 and self.network.head not in ("point", "dropout"):
+        if self.loss.relative > 0.0 and not regressor_class(self.network.head).learns_relative_poses:
+            able = " or ".join(head for head in REGRESSORS if regressor_class(head).learns_relative_poses)
             raise TrainingError(
-                f"training: loss.relative is {self.loss.relative} with head {self.network.head}, expected head point or"
-                " dropout"
+                f"training: loss.relative is {self.loss.relative} with head {self.network.head}, expected head {able}"
             )
         if not -10.0 <= self.initial_log_variance <= 5.0:
             raise TrainingError(f"training: initial_log_variance is {self.initial_log_variance}, expected -10 to 5")
@@ -141,7 +150,7 @@ class TrainConfig:
         Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # which refuses what is no width
         if self.seed < 0:
             raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
-        for name in ("evolve", "average", "validation_share", "warmup"):
+        for name in ("ewta_fraction", "ema_decay", "validation_fraction", "warmup"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
 
@@ -166,26 +175,10 @@ class TrainConfig:
         """Files of weights that a training starts from."""
         return tuple(file for file in (self.initial_model, self.pretrained_weights) if file is not None)
 
+    def as_stored(self) -> dict[str, Any]:
+        """All settings, by the names that they have in files."""
+        return {_STORED_NAMES.get(name, name): value for name, value in asdict(self).items()}
+
     def settings(self) -> dict[str, Any]:
-        """What makes a training this one: all but where it runs."""
-        return {name: value for name, value in asdict(self).items() if name not in ("device", "resume")}
-
-
-def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float:
-    """The learning rate of one step, counted from 0 over the whole training."""
-    if config.schedule == "steps":
-        decays = min(step // steps_per_epoch // config.decay_epochs, config.decay_times)
-        return config.learning_rate * config.decay_factor**decays
-    share = (step + 0.5) / (steps_per_epoch * config.known_epochs)
-    if share < config.warmup:
-        return config.learning_rate * (1 - math.cos(math.pi * share / config.warmup)) / 2
-    return config.learning_rate * (1 + math.cos(math.pi * (share - config.warmup) / (1 - config.warmup))) / 2
-
-
-def samples_per_image(config: TrainConfig, step: int, steps_per_epoch: int) -> int:
-    """Posterior samples per image of one step, counted from 0 over the whole training: geometric growth, then M."""
-    winners, samples = config.loss.num_winners, config.loss.num_samples
-    share = step / (steps_per_epoch * config.known_epochs)
-    if share >= config.evolve:
-        return samples
-    return int(winners * (samples / winners) ** (share / config.evolve))
+        """What makes a training this one: all but where it runs, by the names that they have in files."""
+        return {name: value for name, value in self.as_stored().items() if name not in ("device", "resume")}

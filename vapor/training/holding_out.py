@@ -39,43 +39,44 @@ class Split:
     Attributes:
         training: Images to train on.
         source: Recordings of which images are held out, n images: those between them tell how the camera moved.
-        judged: Held out, (n,): trained images show what is around each, and none of them is next to it in time.
+        held_out_mask: Which are held out, (n,): trained images show what is around each, and none of them is next to
+            it in time.
         notes: What was done, in sentences.
-        everything: Images to learn from once the model was judged.
+        everything: Images to learn from once the model was evaluated.
         near_m: How far away a place counts as shown, metres.
     """
 
     training: TrainingSet
     source: TrainingSet
-    judged: Bool[np.ndarray, " n"]
+    held_out_mask: Bool[np.ndarray, " n"]
     notes: tuple[str, ...]
     everything: TrainingSet
     near_m: float
 
     @cached_property
     def held_out(self) -> TrainingSet:
-        """The images to judge and calibrate by."""
-        return self.source.select(np.flatnonzero(self.judged))
+        """The images to evaluate and calibrate on."""
+        return self.source.select(np.flatnonzero(self.held_out_mask))
 
 
-def hold_out(images: TrainingSet, share: float) -> Split:
-    """Hold out about a share of the images.
+def hold_out(images: TrainingSet, fraction: float) -> Split:
+    """Hold out about a fraction of the images.
 
-    Of four recordings and more whole ones, those that the others cover best; of fewer the stretches that are covered
+    Of four recordings and more whole ones, those that the others cover best; of fewer the segments that are covered
     best by the rest. What no other pass shows is trained on, and images next to it are left out. Where nothing is
     covered, nothing is held out.
 
     Args:
         images: All that there are, n of them.
-        share: Of them, in [0, 1); 0 for none.
+        fraction: Of them, in [0, 1); 0 for none.
     """
     nothing = np.zeros(len(images), bool)
     side = typical_side_m(images.poses)
-    if share == 0.0:
+    if fraction == 0.0:
         return Split(images, images, nothing, (), images, near_scale_m(images.poses))
     way = way_of(images)
     rows = spaced(len(images), _COMPARED)
-    chosen, near_m = _chosen(images.select(rows), way[rows], share, side)
+    chosen, near_m = _chosen(images.select(rows), way[rows], fraction, side)
     like = np.searchsorted(rows, np.arange(len(images)), side="right") - 1  # the last compared image, or the next one
     like += images.sequence[rows[like]] != images.sequence
     candidate = chosen[like]
@@ -103,9 +104,9 @@ def hold_out(images: TrainingSet, share: float) -> Split:
 
 
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
-    """Judge by those held-out images whose surroundings training images show."""
+    """Evaluate on those held-out images whose surroundings training images show."""
     shown, near_m = shown_around(held_out.poses, training.poses)
-    outside = f"not judged by, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
+    outside = f"not evaluated on, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
     return Split(training, held_out, shown, () if shown.all() else (outside,), training, near_m)
 
 
@@ -151,10 +152,10 @@ def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
 
 
 def _chosen(
-    images: TrainingSet, way: Float64[np.ndarray, " n"], share: float, side: float
+    images: TrainingSet, way: Float64[np.ndarray, " n"], fraction: float, side: float
 ) -> tuple[Bool[np.ndarray, " n"], float]:
     """Images of the passes to hold out, and how far away counts as near."""
-    passes = list(_passes(images.sequence, share))
+    passes = list(_passes(images.sequence, fraction))
     taken = np.zeros(len(images), bool)
 
     def nearest(which: slice) -> Float64[np.ndarray, " k"]:
@@ -165,7 +166,7 @@ def _chosen(
         return nearest_m(images.poses[mask], images.poses[others], FARTHEST * side)
 
     near_m = near_m_of(np.concatenate([nearest(which) for which in passes]), FARTHEST * side)
-    while taken.sum() < share * len(images):
+    while taken.sum() < fraction * len(images):
         free = [which for which in passes if not taken[which].any()]
         shown = [float((nearest(which) <= near_m).mean()) for which in free]
         if not shown or max(shown) < _LEAST_SHOWN:
@@ -174,13 +175,13 @@ def _chosen(
     return taken, near_m
 
 
-def _passes(sequence: Int64[np.ndarray, " n"], share: float) -> Iterator[slice]:
-    """What may be held out as one: whole recordings of many, else stretches."""
+def _passes(sequence: Int64[np.ndarray, " n"], fraction: float) -> Iterator[slice]:
+    """What may be held out as one: whole recordings of many, else segments."""
     begins = np.flatnonzero(np.diff(sequence, prepend=sequence[0] - 1))
     for begin, end in pairwise([*begins.tolist(), len(sequence)]):
         length = end - begin
         if len(begins) < WHOLE_OF:
-            length = min(max(int(share * len(sequence)), 2), length)
+            length = min(max(int(fraction * len(sequence)), 2), length)
         for first in range(begin, end - length + 1, max(length // 4, 1)):
             yield slice(first, first + length)
 

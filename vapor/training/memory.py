@@ -1,4 +1,4 @@
-"""What a retrieval regressor learns from: images as its backbone sees them, and which of them it must not recall."""
+"""What a regressor that recalls images learns from: features extracted once, and which images it must not recall."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from vapor.evaluation.validation import batches
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.retrieval import RetrievalRegressor
+from vapor.regressors.memory import RecallingRegressor
 from vapor.training.augment import jitter_and_normalise, random_crops
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import way_of
@@ -27,18 +27,18 @@ _BATCH = 64
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Training images as a network's backbone, which does not learn, sees them.
+class TrainingFeatures:
+    """Features of training images by a backbone that does not learn.
 
     Attributes:
         images: The images, n of them.
-        features: What `describe` says of each, half precision.
+        features: Of each, from `extract_features`, half precision.
         translation: True positions, metres, on the network's device.
         rotation: True rotations, world_from_camera.
         sequence: Which recording each is of.
         way: How far the camera has come, in units of what counts as elsewhere.
         reach: So much further on the way, and back, images of the same recording are hidden from each.
-        variants: What `describe` says of them varied by augmentation, in one way and another, as far as asked for.
+        variants: Features of the images varied by augmentation, in one way and another, as far as asked for.
     """
 
     images: TrainingSet
@@ -56,12 +56,12 @@ class Seen:
         return int(np.clip(_VARIANTS_BYTES // (self.features.nbytes + 1), 1, VARIANTS))
 
     def varied(
-        self, network: RetrievalRegressor, number: int, config: TrainConfig, *, bfloat16: bool
+        self, network: RecallingRegressor, number: int, config: TrainConfig, *, bfloat16: bool
     ) -> Float[Tensor, "n f"]:
-        """What `describe` says of the images when they are varied, half precision; the same for the same number.
+        """Features of the images when they are varied, half precision; the same for the same number.
 
         Args:
-            network: The one that saw them.
+            network: The one that the features are of.
             number: Of the epoch; beyond `num_variants` they come again.
             config: How they are varied.
             bfloat16: Whether the backbone may be of that precision.
@@ -76,24 +76,26 @@ class Seen:
                 pixels = torch.from_numpy(crops).to(device)
                 images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
                 with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-                    features[part] = network.describe(images)
+                    features[part] = network.extract_features(images)
             self.variants[variant] = features
         return self.variants[variant]
 
     def hidden(self, indices: Int64[np.ndarray, " b"]) -> Bool[Tensor, "b n"]:
-        """Of the images, those that each of some must not recall: of its own pass, as no image to come is of it."""
+        """Of the images, those that each of some must not recall: its own pass, to which no image to come belongs."""
         rows = torch.from_numpy(indices).to(self.way.device)
         near = (self.way[rows][:, None] - self.way).abs() < self.reach[rows][:, None]
         return near & (self.sequence[rows][:, None] == self.sequence)
 
 
-def look(network: RetrievalRegressor, images: TrainingSet, known: Seen | None = None) -> Seen:
-    """Training images as the network's backbone sees them, once for all of a training.
+def extract_training_features(
+    network: RecallingRegressor, images: TrainingSet, known: TrainingFeatures | None = None
+) -> TrainingFeatures:
+    """Features of training images, once for all of a training.
 
     Args:
         network: Whose numbers are standardised by these images where that was not done yet.
         images: In order of time.
-        known: Some of them, or others, that were seen before.
+        known: Features of some of them, or of others, that were extracted before.
     """
     device = network.pixel_mean.device
     features = torch.empty(len(images), len(network.centre), dtype=torch.float16, device=device)
@@ -102,13 +104,13 @@ def look(network: RetrievalRegressor, images: TrainingSet, known: Seen | None = 
         at = np.searchsorted(known.images.rows, images.rows).clip(max=len(known.images) - 1)
         new = known.images.rows[at] != images.rows
         features[~new] = known.features[at[~new]]
-    found = described(network, images.select(np.flatnonzero(new)))
+    found = features_of(network, images.select(np.flatnonzero(new)))
     if not network.standardised:
         network.standardise(found)
         found = (found - network.centre) / network.spread
     features[new] = found.half()
     way = way_of(images)
-    return Seen(
+    return TrainingFeatures(
         images,
         features,
         torch.from_numpy(images.poses.translation).float().to(device),
@@ -120,16 +122,16 @@ def look(network: RetrievalRegressor, images: TrainingSet, known: Seen | None = 
 
 
 @torch.no_grad()
-def described(network: RetrievalRegressor, images: TrainingSet) -> Float[Tensor, "n f"]:
-    """What a network's backbone, which does not learn, says of the centre crops of images."""
+def features_of(network: RecallingRegressor, images: TrainingSet) -> Float[Tensor, "n f"]:
+    """Features of the centre crops of images."""
     none = torch.empty(0, len(network.centre), device=network.pixel_mean.device)
-    return torch.cat([none, *(network.describe(crops) for _, crops in batches(network, images))])
+    return torch.cat([none, *(network.extract_features(crops) for _, crops in batches(network, images))])
 
 
-def remember(network: PoseRegressor, seen: Seen | None) -> None:
-    """Let a network remember images as its weights see them now; nothing where it is none that remembers."""
-    if isinstance(network, RetrievalRegressor) and seen is not None:
-        network.remember(seen.features, seen.translation, seen.rotation)
+def remember(network: PoseRegressor, seen: TrainingFeatures | None) -> None:
+    """Let a network remember images as its weights see them now; nothing where it is none that recalls any."""
+    if network.recalling is not None and seen is not None:
+        network.recalling.remember(seen.features, seen.translation, seen.rotation)
 
 
 def _shown_again(images: TrainingSet, way: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

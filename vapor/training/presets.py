@@ -1,4 +1,4 @@
-"""Named training configurations: the paper's and faster ones; and the methods that they can train."""
+"""Named training configurations, the paper's and faster ones, and the methods that they can train."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
-from vapor.regressors.base import Head, NetworkConfig
 from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import Head, NetworkConfig
+from vapor.regressors.registry import regressor_class
 from vapor.training.augment import AugmentConfig
 from vapor.training.config import TrainConfig
 
@@ -19,7 +20,7 @@ _LITE0 = replace(_RESNET18, backbone="efficientnet-lite0")
 def _paper(
     lambda_rotation: float, batch_size: int, epochs: int, decay_epochs: int, alpha: float = 0.2, hidden_layers: int = 3
 ) -> TrainConfig:
-    """The schedule of Zangeneh et al. (ICRA 2023); all images are trained on, the last weights are kept."""
+    """The schedule of Zangeneh et al. (ICRA 2023); all images are trained on, and the last weights are the model."""
     return TrainConfig(
         network=replace(_RESNET18, hidden_layers=hidden_layers, shortcut=False),
         loss=LossConfig(
@@ -40,8 +41,8 @@ def _paper(
         decay_factor=0.8,
         decay_epochs=decay_epochs,
         decay_times=10,
-        average=0.0,
-        validation_share=0.0,
+        ema_decay=0.0,
+        validation_fraction=0.0,
         precision="float32",
     )
 
@@ -55,12 +56,11 @@ _TABLES = TrainConfig(
 
 
 def _learning(c: TrainConfig) -> TrainConfig:
-    """Of a preset that trains a retrieval regressor, what suits one all of which learns."""
-    if c.network.head != "retrieval":
+    """Of a preset for a regressor with a frozen backbone, what suits one all of which learns."""
+    if not regressor_class(c.network.head).frozen_backbone:
         return c
-    usual = {
-        name: getattr(TrainConfig(), name) for name in ("weight_decay", "average", "finish", "most_epochs", "select_by")
-    }
+    names = "weight_decay", "ema_decay", "finish", "most_epochs", "select_by"
+    usual = {name: getattr(TrainConfig(), name) for name in names}
     return replace(c, network=_FAST, loss=replace(c.loss, alpha=0.1), **usual)
 
 
@@ -98,7 +98,7 @@ def _retrieval(c: TrainConfig) -> TrainConfig:
         loss=loss,
         learning_rate=1e-3,
         weight_decay=5e-2,
-        average=0.99,
+        ema_decay=0.99,
         finish=0.05,
         most_epochs=20,
         select_by="log_density",
@@ -134,6 +134,6 @@ METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
         "retrieval": _retrieval,
     }
 )
-"""The paper's regressor, the same without its parts, those it is measured against (see `vapor.regressors.baselines`),
-one that is a density (`vapor.regressors.flow`), and one that remembers (`vapor.regressors.retrieval`): what each makes
-of a configuration."""
+"""What `--method` offers, by the names of the literature: what each makes of a configuration. They are the paper's
+regressor, the same without its parts, those it is compared with, one that is a density, and one that recalls training
+images. Every head of `vapor.regressors.registry` can be trained without a row here."""

@@ -10,9 +10,10 @@ import torch
 from filtering.se3 import Poses
 from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint
 from vapor.observation import resolve_device
-from vapor.regressors.base import PoseRegressor, SceneBox, VariationalPoseRegressor, load_pretrained
-from vapor.regressors.baselines import make_regressor
-from vapor.regressors.flow import FlowRegressor
+from vapor.regressors.base import PoseRegressor
+from vapor.regressors.pretrained import load_pretrained
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
 from vapor.training.state import TrainingState
 from vapor.training_data.training_set import TrainingError
@@ -30,7 +31,7 @@ def initial_model(config: TrainConfig) -> Checkpoint | None:
     initial = load_checkpoint(config.initial_model)
     wanted = config.network
     sizes = {name: getattr(wanted, name) for name in ("image_width", "image_height", "shortest_edge")}
-    shortcut = initial.network.shortcut or wanted.shortcut  # `start` adds one that is missing
+    shortcut = initial.network.shortcut or wanted.shortcut  # `take_weights` adds one that is missing
     found = replace(initial.network, shortcut=shortcut, **sizes)  # convolutions fit images of any size
     if other := [name for name, value in asdict(wanted).items() if getattr(found, name) != value]:
         told = ", ".join(f"{name} {getattr(found, name)!r} (expected {getattr(wanted, name)!r})" for name in other)
@@ -44,7 +45,7 @@ def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint 
     Args:
         config: How it will be trained.
         box: Where cameras can be.
-        poses: world_from_camera of the training images, (n,); a flow's axes follow from them.
+        poses: world_from_camera of the training images, (n,); some regressors start from them.
         initial: From `initial_model`.
 
     Raises:
@@ -58,13 +59,9 @@ def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint 
     packaged = config.pretrained and config.network.backbone == "efficientnet-lite0"
     if config.pretrained_weights is not None or packaged:
         load_pretrained(network, config.pretrained_weights)
-    if isinstance(network, FlowRegressor):
-        network.choose_axes(poses)
-    if isinstance(network, VariationalPoseRegressor):
-        with torch.no_grad():
-            network.latent_log_variance.bias.add_(config.initial_log_variance)
+    network.initialise(poses, log_variance=config.initial_log_variance)
     if initial is not None:
-        _take_weights(network, initial)
+        network.take_weights(initial.state_dict)
     average.load_state_dict(network.state_dict())
     network, average = (
         n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
@@ -72,14 +69,6 @@ def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint 
     )
     optimizer = torch.optim.AdamW(parameter_groups(network, config), lr=config.learning_rate, fused=True)
     return TrainingState(network, average, optimizer)
-
-
-def _take_weights(network: PoseRegressor, initial: Checkpoint) -> None:
-    """All of a model's weights; where it has no shortcut, a new one adds nothing at first."""
-    state = dict(initial.state_dict)
-    if isinstance(network, VariationalPoseRegressor) and network.pose_map.shortcut is not None:
-        state.setdefault("pose_map.shortcut.weight", torch.zeros_like(network.pose_map.shortcut.weight))
-    network.load_state_dict(state)
 
 
 def parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[str, Any]]:

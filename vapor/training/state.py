@@ -19,11 +19,11 @@ from vapor.checkpoints.checkpoint import parse_config, parse_metadata
 from vapor.evaluation.validation import Validation
 from vapor.regressors.base import PoseRegressor
 from vapor.tensor_files import CHECKSUM, CheckpointError, format_of, read_safetensors, write_safetensors
-from vapor.training.memory import Seen
+from vapor.training.memory import TrainingFeatures
 
 FORMAT = "vapor-track training state"
 VERSION = 2
-_MOMENTS = {"step", "exp_avg", "exp_avg_sq"}  # Adam's, of a parameter
+_MOMENTS = {"step", "exp_avg", "exp_avg_sq"}  # AdamW's, of a parameter
 _ANEW = "remove the file, or train with --no-resume, to start anew"
 
 
@@ -33,14 +33,15 @@ class TrainingState:
 
     Attributes:
         network: The network being trained.
-        average: Its exponential moving average, which is validated and kept.
-        optimizer: Adam, with its moments.
-        epochs: How many there will be before the model is judged.
+        average: Its exponential moving average, which is evaluated and becomes the model.
+        optimizer: AdamW, with its moments.
+        epochs: How many there will be before the finished model is evaluated.
         epoch: Epochs done; more than that while it goes on with everything.
-        seconds: They took so many, judging left out.
+        seconds: They took so many, evaluation left out.
         history: Figures of the epochs done, where there are held-out images.
         best: Weights of the best epoch so far, on the CPU.
-        seen: The images of the epoch as a retrieval regressor sees them; found again after an interruption.
+        features: Of the images of the epoch, for a regressor that recalls images; extracted again after an
+            interruption.
     """
 
     network: PoseRegressor
@@ -51,7 +52,7 @@ class TrainingState:
     seconds: float = 0.0
     history: list[Validation] = field(default_factory=list)
     best: dict[str, Tensor] = field(default_factory=dict)
-    seen: Seen | None = None
+    features: TrainingFeatures | None = None
 
 
 def state_path(output: Path) -> Path:
@@ -147,9 +148,9 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
 
 
 def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) -> dict[int, dict[str, Tensor]]:
-    """Adam's moments by the index of their parameter, in the parameter's memory layout.
+    """AdamW's moments by the index of their parameter, in the parameter's memory layout.
 
-    The fused Adam walks parameter and moments by address: a channels-last parameter with contiguous moments would
+    The fused AdamW walks parameter and moments by address: a channels-last parameter with contiguous moments would
     silently be updated with those of other elements.
     """
     parameters = [p for group in optimizer.param_groups for p in group["params"]]

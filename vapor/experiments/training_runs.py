@@ -1,70 +1,50 @@
-"""One training of an experiment: from sequences to figures on other ones, done once and kept."""
+"""Training runs of an experiment: from sequences to figures on other ones, each done once and cached."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-import math
-import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output, workspace
-from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
 from sequences.values import read_arrays, read_json
 from vapor.benchmark.recordings import from_rows, to_rows
 from vapor.cache import digest
 from vapor.checkpoints.checkpoint import load_checkpoint, spaced
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import exact_log_density, predict
+from vapor.experiments.scenes import Scene, identities, identity
 from vapor.observation import resolve_device
 from vapor.parallel import in_parallel
 from vapor.pipeline.run import RunConfig, run
 from vapor.threads import limited_threads
 from vapor.training.config import TrainConfig
 from vapor.training.train import train_on_images
-from vapor.training_data.training_set import TrainingError, TrainingSet, load_training_set, open_sequences, parse_entry
+from vapor.training_data.training_set import TrainingError, TrainingSet, load_training_set, open_sequences
 
 _RESULTS = 2  # counts up when the same training gives other results than before
-_LEAST_HEIGHT, _SPARE = 96, 1.4  # of rendered images: pixels, and times what covers a frame
 _SHOWN = 25  # test images whose samples are kept for pictures, evenly spaced
 
 
 @dataclass(frozen=True)
-class Scene:
-    """What networks are trained on and tested on.
-
-    Attributes:
-        name: Where a person reads.
-        train: Files and folders, as `vapor-track train` takes them.
-        test: Likewise; no image of them is trained on.
-    """
-
-    name: str
-    train: tuple[str, ...]
-    test: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Training:
-    """One training and how it is tested.
+class TrainingRun:
+    """One training run and how it is tested.
 
     Attributes:
         scene: Its data.
-        label: What sets it apart from the other trainings of the experiment; part of a file name.
-        config: How; its seed is that of the training.
-        gamma: Share of an image's samples that must be near its true pose.
+        label: What sets it apart from the other runs of the experiment; part of a file name.
+        config: How it is trained; its seed is that of the run.
+        gamma: Fraction of an image's samples that must be near its true pose.
         num_samples: Posterior samples per test image.
         localize: Whether the particle filter runs over the test sequences, too.
-        keep_model: Whether the model stays, so that another way to test it needs no other training.
-        training_images: Images of those trained on that are judged as well, evenly spaced.
+        keep_model: Whether the model stays, so that testing it in another way does not take training again.
+        training_images: Images of those trained on that are evaluated as well, evenly spaced.
     """
 
     scene: Scene
@@ -77,7 +57,7 @@ class Training:
     training_images: int = 0
 
     def model_file(self, directory: Path) -> Path:
-        """Where the model lies, named after all that the training depends on."""
+        """Where the model lies, named after all that training depends on."""
         return directory / "runs" / f"{self._name}-{digest(trained_from(self.scene, self.config))}.safetensors"
 
     def file(self, directory: Path, suffix: str) -> Path:
@@ -98,109 +78,29 @@ class Training:
 
 def trained_from(scene: Scene, config: TrainConfig) -> dict[str, Any]:
     """All that a training depends on, as JSON."""
-    settings = {k: _identity(str(v)) if isinstance(v, Path) else v for k, v in config.settings().items()}
+    settings = {k: identity(str(v)) if isinstance(v, Path) else v for k, v in config.settings().items()}
     return {**settings, "data": identities(scene.train), "results": _RESULTS}
 
 
-def identities(entries: Sequence[str]) -> list[list[str | int]]:
-    """What tells each of some files and folders from others and from itself after a change."""
-    return [_identity(entry) for entry in entries]
-
-
-def _identity(entry: str) -> list[str | int]:
-    """Where it lies, and sizes and times of change of its files: of a folder, or the folder of a split, all in it."""
-    path, _ = parse_entry(entry)
-    folder = path.parent if path.suffix == ".txt" else path
-    walked = (Path(at, name) for at, _, names in os.walk(folder, followlinks=True) for name in names)
-    about: list[list[str | int]] = []
-    for file in sorted(walked if folder.is_dir() else [path]):
-        with suppress(FileNotFoundError):
-            stat = file.stat()
-            about.append([os.path.relpath(file, folder), stat.st_size, stat.st_mtime_ns])
-    content = hashlib.sha256(json.dumps(about).encode()).hexdigest()
-    return [str(Path(entry).resolve()), len(about), content]
-
-
-def render_scenes(
-    names: Sequence[str],
-    directory: Path,
-    *,
-    train_walks: int,
-    train_frames: int,
-    test_walks: int,
-    test_frames: int,
-    height: int,
-    workers: int,
-) -> Iterator[tuple[int, int, list[Scene]]]:
-    """Render what is missing of synthetic scenes; yields the number of walks done, of all, and the scenes they make.
-
-    Args:
-        names: Of synthetic scenes.
-        directory: Sequences lie in its `images`.
-        train_walks: Sequences to train on, of `train_frames` images each, seeds from 0.
-        train_frames: See there.
-        test_walks: Sequences to test on, of `test_frames` images each.
-        test_frames: See there.
-        height: Of the images, pixels; they are 4:3.
-        workers: Processes at a time.
-    """
-    size = round(height * 4 / 3), height
-    folder = directory / "images"
-    folder.mkdir(parents=True, exist_ok=True)
-    walks = {
-        name: {
-            split: [
-                (
-                    folder / f"{name}-{split}-{seed}-{frames}-{size[0]}x{size[1]}-{SYNTHESIS}.mcap",
-                    name,
-                    split,
-                    seed,
-                    frames,
-                )
-                for seed in range(number)
-            ]
-            for split, number, frames in (("train", train_walks, train_frames), ("test", test_walks, test_frames))
-        }
-        for name in names
-    }
-    scenes = [Scene(n, *(tuple(str(w[0]) for w in w[split]) for split in ("train", "test"))) for n, w in walks.items()]
-    every = [walk for splits in walks.values() for some in splits.values() for walk in some]
-    missing = [(*walk, size) for walk in every if not walk[0].is_file()]
-    yield len(every) - len(missing), len(every), scenes
-    for done, _ in enumerate(in_parallel(_render, missing, workers), len(every) - len(missing) + 1):
-        yield done, len(every), scenes
-
-
-def rendered_height(frame_size: tuple[int, int]) -> int:
-    """Height of 4:3 images that cover a frame (width, height) when they are scaled down, pixels."""
-    return max(_LEAST_HEIGHT, math.ceil(_SPARE * max(frame_size[1], frame_size[0] * 3 / 4)))
-
-
-def run_trainings(trainings: Sequence[Training], directory: Path, workers: int) -> Iterator[dict[str, Any]]:
-    """The result of every training, in no order; what is done is not done again.
+def carry_out(runs: Sequence[TrainingRun], directory: Path, workers: int) -> Iterator[dict[str, Any]]:
+    """The result of every training run, in no order; what is done is not done again.
 
     JSON: `scene`, `label`, `seed`; `seconds` of training and `images_seen`, all of `posterior_metrics`, with
     `training_images` the same of these as `training`, and with `localize` `filter`, the report of every test sequence;
     or `error`, why it could not be trained.
     """
     (directory / "runs").mkdir(parents=True, exist_ok=True)
-    yield from in_parallel(_run, [(training, directory) for training in trainings], workers)
+    yield from in_parallel(_result, [(run, directory) for run in runs], workers)
 
 
-def kept_samples(training: Training, directory: Path) -> tuple[Poses, list[Poses]]:
-    """True poses of some test images, and the posterior samples of each, of a training that is done."""
+def cached_samples(training: TrainingRun, directory: Path) -> tuple[Poses, list[Poses]]:
+    """True poses of some test images, and the posterior samples of each, of a run that is done."""
     stored = read_arrays(training.file(directory, ".npz"))
     rows = {name: stored[name].astype(np.float64) for name in ("truth", "samples")}
     return from_rows(rows["truth"]), [from_rows(image) for image in rows["samples"]]
 
 
-def _render(
-    file: Path, scene: str, split: Literal["train", "test"], seed: int, frames: int, size: tuple[int, int]
-) -> None:
-    write_synthetic(synthesize(scene, seed=seed, num_frames=frames, split=split, width=size[0], height=size[1]), file)
-
-
-def _run(training: Training, directory: Path) -> dict[str, Any]:
+def _result(training: TrainingRun, directory: Path) -> dict[str, Any]:
     file = training.file(directory, ".json")
     if file.is_file():
         return read_json(file)
@@ -220,7 +120,7 @@ def _run(training: Training, directory: Path) -> dict[str, Any]:
 
 
 def _images(entries: tuple[str, ...], frame_size: tuple[int, int], *, central: bool = True) -> TrainingSet:
-    """Images, read once for all trainings of a scene in this process unless files change."""
+    """Images, read once for all runs on a scene in this process unless files change."""
     return _read_once(entries, frame_size, central, json.dumps(identities(entries)))
 
 
@@ -229,7 +129,7 @@ def _read_once(entries: tuple[str, ...], frame_size: tuple[int, int], central: b
     return load_training_set(open_sequences(entries), frame_size, central=central)
 
 
-def _train(training: Training, model: Path) -> dict[str, float]:
+def _train(training: TrainingRun, model: Path) -> dict[str, float]:
     """Train, unless that is done; `seconds` and `images_seen`."""
     about = model.with_suffix(".json")
     if model.is_file() and about.is_file():
@@ -246,12 +146,12 @@ def _train(training: Training, model: Path) -> dict[str, float]:
     return cost
 
 
-def _test(training: Training, directory: Path, model: Path, folder: Path) -> dict[str, Any]:
+def _test(training: TrainingRun, directory: Path, model: Path, folder: Path) -> dict[str, Any]:
     seed, scene = training.config.seed, training.scene
     checkpoint = load_checkpoint(model)
     network = checkpoint.build_network().to(resolve_device(training.config.device))
 
-    def judge(images: TrainingSet, kept: dict[int, Poses]) -> dict[str, Any]:
+    def evaluate(images: TrainingSet, kept: dict[int, Poses]) -> dict[str, Any]:
         def posteriors() -> Iterator[Poses]:
             for index, posterior in enumerate(predict(network, images, training.num_samples, seed)):
                 if index in kept:
@@ -270,10 +170,10 @@ def _test(training: Training, directory: Path, model: Path, folder: Path) -> dic
     test = _images(scene.test, size)
     shown = spaced(len(test), _SHOWN)
     kept = dict.fromkeys(shown.tolist(), Poses.identity())
-    result = judge(test, kept)
+    result = evaluate(test, kept)
     if training.training_images:
         seen = _images(scene.train, size)
-        result["training"] = judge(seen.select(spaced(len(seen), training.training_images)), {})
+        result["training"] = evaluate(seen.select(spaced(len(seen), training.training_images)), {})
     if training.localize:
         config = RunConfig(seed, recording=False, num_samples=training.num_samples, device=training.config.device)
         result["filter"] = [

@@ -1,0 +1,99 @@
+"""NetworkConfig: shape of the network, and of the images that it sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, get_args
+
+from filtering.errors import VaporTrackError, require_within
+from vapor.regressors.backbones import Backbone
+from vapor.regressors.registry import REGRESSORS
+
+if TYPE_CHECKING:
+    Head = str
+else:
+    Head = Literal[tuple(REGRESSORS)]  # the choices of the option; a type checker wants them written out
+
+_MOST_ASPECT = 4.0
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Shape of the network, and of the images it sees."""
+
+    backbone: Backbone = "resnet18-half"
+    """Convolutional network; resnet18-half has half of its channels, for demos, resnet18-quarter a quarter."""
+    head: Head = "variational"
+    """From feature to poses: "variational" through a random latent vector; "deterministic" through its mean; "point"
+    straight to one pose; "dropout" the same with random units of the feature left out, in use as well; "mixture" to
+    a density of Gaussians in position and isotropic matrix-Fisher distributions in rotation; "flow" to a density made
+    of splines; "retrieval" to a mixture around training images that look alike."""
+    image_width: int = 160
+    """Width of the image that enters the network, pixels. With the aspect of the camera's images it sees all but the
+    margin for crops; the paper's networks see a square."""
+    image_height: int = 120
+    """Its height, pixels."""
+    shortest_edge: int = 126
+    """Shorter side of what crops are taken from, pixels: the image's middle, of the network's aspect."""
+    feature_dim: int = 2048
+    """Size of the image feature that the head takes."""
+    latent_dim: int = 16
+    """Dimension d of the latent space."""
+    hidden_width: int = 128
+    """Width of the hidden layers of the pose map, and of a flow's."""
+    hidden_layers: int = 3
+    """Hidden layers of the pose map after its first, n_layers in the paper; and of a flow."""
+    shortcut: bool = True
+    """variational, deterministic: a linear map from the latent vector to the pose beside the hidden layers of the pose
+    map, with which poses are learned from fewer images; the paper's network has none."""
+    dropout: float = 0.5
+    """dropout: fraction of the feature's units that is left out; retrieval: of the numbers that stand for an image."""
+    components: int = 10
+    """mixture: its components; flow: bins of each of its splines."""
+
+    def __post_init__(self) -> None:
+        if self.backbone not in get_args(Backbone):
+            raise VaporTrackError(f"network: backbone is {self.backbone!r}, expected one of {get_args(Backbone)}")
+        if self.head not in REGRESSORS:
+            raise VaporTrackError(f"network: head is {self.head!r}, expected one of {tuple(REGRESSORS)}")
+        shorter, longer = sorted((self.image_width, self.image_height))
+        if not (32 <= shorter <= self.shortest_edge and longer <= 8 * shorter):
+            raise VaporTrackError(
+                f"network: image_width {self.image_width} and image_height {self.image_height} with shortest_edge"
+                f" {self.shortest_edge}, expected 32 <= the shorter <= shortest_edge, the longer at most 8 times it"
+            )
+        require_within(
+            self,
+            shortest_edge=(32, 4096),
+            feature_dim=(1, 65536),
+            latent_dim=(1, 4096),
+            hidden_width=(1, 8192),
+            hidden_layers=(0, 100),
+            dropout=(0.0, 0.99),
+            components=(1, 10_000),
+        )
+
+    @property
+    def frame_size(self) -> tuple[int, int]:
+        """Width and height of what crops are taken from, pixels: shortest edge and aspect as configured."""
+        scale = self.shortest_edge / min(self.image_width, self.image_height)
+        return round(self.image_width * scale), round(self.image_height * scale)
+
+    def larger(self, factor: float) -> NetworkConfig:
+        """The same for images whose edges are so many times as long."""
+        edges = {name: round(factor * getattr(self, name)) for name in ("image_width", "image_height", "shortest_edge")}
+        return replace(self, **edges)
+
+    def for_camera(self, width: int, height: int) -> NetworkConfig:
+        """The same for images of another aspect: about as many pixels, but no more than the camera has.
+
+        Args:
+            width: Of the camera's images, pixels.
+            height: Likewise.
+        """
+        aspect = min(max(width / height, 1 / _MOST_ASPECT), _MOST_ASPECT)
+        pixels = min(self.image_width * self.image_height, width * height)
+        scale = self.shortest_edge / min(self.image_width, self.image_height)
+        sides = (8 * max(round(edge / 8), 4) for edge in ((pixels * aspect) ** 0.5, (pixels / aspect) ** 0.5))
+        across, down = sides
+        return replace(self, image_width=across, image_height=down, shortest_edge=round(scale * min(across, down)))

@@ -1,0 +1,75 @@
+"""One pose an image, learned by position and rotation: PoseNet, and MapNet where pairs of images are compared.
+
+Sources: PoseNet, Kendall and Cipolla, "Geometric loss functions for camera pose regression with deep learning", CVPR
+2017; MapNet, Brahmbhatt et al., "Geometry-aware learning of maps for camera localization", CVPR 2018.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from vapor.regressors.base import PoseRegressor
+from vapor.regressors.loss import Loss, LossConfig, pose_distance, pose_errors
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.pose_map import PoseMap, repeated
+from vapor.regressors.scene_box import SceneBox
+
+
+class PointRegressor(PoseRegressor):
+    """One pose an image, and how much errors of position and of rotation count in training, which is learned too."""
+
+    learns_relative_poses = True
+
+    def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
+        super().__init__(config, box)
+        self.pose_map = PoseMap(nn.Identity(), config.feature_dim, box)
+        # s of Kendall and Cipolla, of position and of rotation, with their initial values; theirs is of quaternions.
+        self.log_scale = nn.Parameter(torch.tensor([0.0, -3.0]))
+        self.noise_dim = 0
+
+    def sample(
+        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
+    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+        """The pose, m times."""
+        with torch.autocast(feature.device.type, enabled=False):
+            return repeated(self.pose_map(feature), noise.shape[1])
+
+    def loss(
+        self,
+        images: Float[Tensor, "b 3 h w"],
+        true_translation: Float[Tensor, "b 3"],
+        true_rotation: Float[Tensor, "b 3 3"],
+        noise: Float[Tensor, "b 1 d"],
+        config: LossConfig,
+    ) -> Loss:
+        """Errors of position and rotation, weighted by scales that are learned: |e| exp(−s) + s (Kendall and Cipolla).
+
+        With `relative`, the same of the pose of each image of the second half of the batch as seen from its partner in
+        the first half, weighted by the same scales (Brahmbhatt et al., whose scales and norms may be others).
+        """
+        translation, rotation = self(images, noise)
+        poses = translation[:, 0], rotation[:, 0]
+        truth = true_translation, true_rotation
+
+        def weighted(errors: tuple[Tensor, Tensor]) -> Tensor:
+            scale = self.log_scale
+            return (torch.stack(errors, dim=-1) * torch.exp(-scale) + scale).sum(dim=-1).mean()
+
+        total = weighted(pose_errors(poses, truth, config, self.box))
+        if config.relative > 0.0:
+            half = len(images) // 2
+            with torch.autocast(images.device.type, enabled=False):  # bfloat16 would round metres to centimetres
+                axes = true_rotation[:half]
+                errors = pose_errors(_relative(*poses, half, axes), _relative(*truth, half, axes), config, self.box)
+            total = total + config.relative * weighted(errors)
+        distance = pose_distance(*poses, *truth, config, self.box).mean()
+        return Loss(total, torch.zeros_like(distance), distance.detach())
+
+
+def _relative(translation: Tensor, rotation: Tensor, half: int, axes: Tensor) -> tuple[Tensor, Tensor]:
+    """Poses of the second half as seen from the first; `axes` turns what they see to the world's axes."""
+    back = rotation[:half].mT
+    shift = (axes @ back @ (translation[half : 2 * half] - translation[:half])[..., None])[..., 0]
+    return shift, back @ rotation[half : 2 * half]

@@ -1,0 +1,112 @@
+"""The variational pose regressor: image -> latent Gaussian -> camera poses (Zangeneh et al., ICRA 2023)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from filtering.se3 import Poses
+from vapor.regressors.base import PoseRegressor
+from vapor.regressors.loss import Loss, LossConfig, pose_distance
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.pose_map import PoseMap
+from vapor.regressors.scene_box import SceneBox
+
+LatentSamples = Float[Tensor, "*batch d"]
+
+
+class VariationalPoseRegressor(PoseRegressor):
+    """The paper's network: `encode` an image once, `decode` any number of latent samples."""
+
+    def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
+        super().__init__(config, box)
+        # Two heads: one head for both would tie the spread of a latent to its place.
+        self.latent_mean = nn.Linear(config.feature_dim, config.latent_dim)
+        self.latent_log_variance = nn.Linear(config.feature_dim, config.latent_dim)
+        layers: list[nn.Module] = [nn.Linear(config.latent_dim, config.hidden_width), nn.ReLU()]
+        for _ in range(config.hidden_layers):
+            layers += [nn.Linear(config.hidden_width, config.hidden_width), nn.ReLU()]
+        shortcut_dim = config.latent_dim if config.shortcut else 0
+        self.pose_map = PoseMap(nn.Sequential(*layers), config.hidden_width, box, shortcut_dim)
+        self.noise_dim = config.latent_dim
+
+    @property
+    def encoder(self) -> tuple[nn.Module, ...]:
+        """From the image to μ and log σ²."""
+        return *super().encoder, self.latent_mean, self.latent_log_variance
+
+    def encode(self, images: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]:
+        """Mean μ and log variance log σ² of the latent Gaussian of normalised images."""
+        return self.latent(self.extract_features(images))
+
+    def latent(self, feature: Float[Tensor, "b f"]) -> tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]:
+        """Mean μ and log variance log σ² of the latent Gaussian of images with these features."""
+        with torch.autocast(feature.device.type, enabled=False):
+            return self.latent_mean(feature), self.latent_log_variance(feature).clamp(-20.0, 20.0)
+
+    def decode(self, latent: LatentSamples) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]:
+        """Translations in metres and rotation matrices, world_from_camera, of latent samples."""
+        with torch.autocast(latent.device.type, enabled=False):
+            return self.pose_map(latent)
+
+    def sample(
+        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
+    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+        """The pose map of z = μ + σ ⊙ ε, for given ε."""
+        return self.decode(sample_latent(*self.latent(feature), noise))
+
+    def loss(
+        self,
+        images: Float[Tensor, "b 3 h w"],
+        true_translation: Float[Tensor, "b 3"],
+        true_rotation: Float[Tensor, "b 3 3"],
+        noise: Float[Tensor, "b m d"],
+        config: LossConfig,
+    ) -> Loss:
+        """β KL + mean d_pose over the batch and, of each image, the ⌊αM⌋ samples nearest to its true pose.
+
+        All M samples are mapped without gradient first, to find the winners; only the winners are mapped again with
+        gradient. The losers' gradient is zero, so this is the gradient of mapping all of them, for a fraction of the
+        work.
+        """
+        mean, log_variance = self.encode(images)
+        truth = true_translation[:, None], true_rotation[:, None]
+        with torch.no_grad():
+            distance = pose_distance(*self.decode(sample_latent(mean, log_variance, noise)), *truth, config, self.box)
+            winners = distance.topk(config.num_winners, dim=1, largest=False, sorted=False).indices
+            winning_noise = noise.gather(1, winners[..., None].expand(-1, -1, noise.shape[-1]))
+        latent = sample_latent(mean, log_variance, winning_noise)
+        nearest = pose_distance(*self.decode(latent), *truth, config, self.box).mean()
+        kl = kl_divergence(mean, log_variance).mean()
+        return Loss(config.beta * kl + nearest, kl.detach(), nearest.detach())
+
+    def samples_in_training(self, scheduled: int) -> int:
+        """As many as the schedule says: the winners are found among them."""
+        return scheduled
+
+    @torch.no_grad()
+    def initialise(self, training_poses: Poses, *, log_variance: float) -> None:
+        """Let the latent have about this log variance before training."""
+        self.latent_log_variance.bias.add_(log_variance)
+
+    def take_weights(self, state: Mapping[str, Tensor]) -> None:
+        """Where the trained model has no shortcut, a new one adds nothing at first."""
+        state = dict(state)
+        if self.pose_map.shortcut is not None:
+            state.setdefault("pose_map.shortcut.weight", torch.zeros_like(self.pose_map.shortcut.weight))
+        super().take_weights(state)
+
+
+def sample_latent(
+    mean: Float[Tensor, "b d"], log_variance: Float[Tensor, "b d"], noise: Float[Tensor, "b m d"]
+) -> Float[Tensor, "b m d"]:
+    """z = μ + σ ⊙ ε."""
+    return mean[:, None] + torch.exp(0.5 * log_variance)[:, None] * noise
+
+
+def kl_divergence(mean: Float[Tensor, "b d"], log_variance: Float[Tensor, "b d"]) -> Float[Tensor, " b"]:
+    """KL(N(μ, diag σ²) ‖ N(0, I)) in nats: ½ Σ (μ² + σ² − 1 − log σ²)."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).sum(dim=-1)

@@ -1,0 +1,135 @@
+"""What goes into the model file at the end of a training: calibration and check on held-out images, and provenance."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+from filtering.se3 import Poses
+from vapor.calibration.calibrate import CalibrationResult, calibrate
+from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
+from vapor.checkpoints.checkpoint import MAX_PRIOR_POSES, Calibration, Checkpoint, spaced
+from vapor.checkpoints.scene_scale import default_errors
+from vapor.evaluation.validation import predict
+from vapor.regressors.base import PoseRegressor
+from vapor.regressors.familiarity import Familiarity
+from vapor.training.check import check
+from vapor.training.check_result import TrainingCheck
+from vapor.training.config import TrainConfig
+from vapor.training.holding_out import Split
+from vapor.training.trainer import weights_of
+from vapor.training_data.training_set import TrainingSet
+
+
+@dataclass(frozen=True)
+class HeldOutFindings:
+    """What held-out images say of a model.
+
+    Attributes:
+        calibration: How wrong its posteriors are.
+        calibrated: How that was found; None where it was not asked for.
+        check: The filter on the held-out passes; None without any, or without odometry through them.
+    """
+
+    calibration: Calibration
+    calibrated: CalibrationResult | None = None
+    check: TrainingCheck | None = None
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """For the model file."""
+        if self.calibrated is None:
+            return {}
+        return {"calibration": self.calibrated.provenance, "check": self.check.as_json if self.check else None}
+
+
+def calibrate_and_check(
+    model: PoseRegressor,
+    split: Split,
+    evaluated: TrainingSet,
+    config: TrainConfig,
+    advance: Callable[[Literal["calibrating", "checking"], int, int], None],
+) -> HeldOutFindings:
+    """Calibrate a model on held-out images where that is configured, and run the filter over them.
+
+    Args:
+        model: With its final weights.
+        split: What is held out.
+        evaluated: Held-out images that epochs were evaluated on.
+        config: Of the training.
+        advance: Called with the stage, the number of images done and of all.
+    """
+    prior_poses = _prior_poses(model, split.training, config.seed)
+    widths = config.bandwidth_translation_m, config.bandwidth_rotation_rad
+    calibration = Calibration(*widths, default_errors(prior_poses))
+    if not config.calibrate:
+        return HeldOutFindings(calibration)
+    familiarity = _familiarity(model, split.training, evaluated)
+    calibrated = calibrate(
+        model,
+        split.held_out,
+        prior_poses,
+        calibration,
+        training=split.training,
+        familiarity=familiarity,
+        max_images=config.validation_images,
+        seed=config.seed,
+        advance=partial(advance, "calibrating"),
+    )
+    checked, calibration = check(
+        model,
+        split.source,
+        split.held_out_mask,
+        calibrated,
+        familiarity,
+        prior_poses,
+        seed=config.seed,
+        advance=partial(advance, "checking"),
+    )
+    return HeldOutFindings(calibration, calibrated, checked)
+
+
+def model_checkpoint(
+    model: PoseRegressor,
+    learned: TrainingSet,
+    split: Split,
+    evaluated: TrainingSet,
+    found: HeldOutFindings,
+    config: TrainConfig,
+    provenance: Mapping[str, Any],
+) -> Checkpoint:
+    """A finished model, ready to be written.
+
+    Args:
+        model: With its final weights.
+        learned: All images that it learned from.
+        split: What was held out.
+        evaluated: Held-out images that epochs were evaluated on.
+        found: From `calibrate_and_check`.
+        config: Of the training.
+        provenance: Where the model came from, as JSON.
+    """
+    familiarity = _familiarity(model, split.training, evaluated) if config.calibrate else None
+    return Checkpoint(
+        config.network,
+        model.box,
+        found.calibration,
+        _prior_poses(model, learned, config.seed),
+        weights_of(model),
+        json.loads(json.dumps({**provenance, **found.provenance})),
+        familiarity,
+        split.training.camera,
+        model.memory.cpu() if model.memory else None,
+    )
+
+
+def _familiarity(model: PoseRegressor, training: TrainingSet, evaluated: TrainingSet) -> Familiarity | None:
+    return learn_familiarity(model, training.select(spaced(len(training), EXEMPLARS)), evaluated)
+
+
+def _prior_poses(model: PoseRegressor, images: TrainingSet, seed: int) -> Poses:
+    """world_from_camera, (n,): a posterior sample of each of n evenly spaced images."""
+    return Poses.concatenate(list(predict(model, images.select(spaced(len(images), MAX_PRIOR_POSES)), 1, seed)))

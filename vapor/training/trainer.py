@@ -1,0 +1,133 @@
+"""Trainer: a training epoch by epoch, its evaluation on held-out images, and what it tells of its progress."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+
+import torch
+from torch import Tensor
+
+from vapor.checkpoints.checkpoint import Calibration
+from vapor.evaluation.validation import Validation, validate
+from vapor.regressors.base import PoseRegressor
+from vapor.training.config import TrainConfig
+from vapor.training.epoch import train_epoch
+from vapor.training.holding_out import Split
+from vapor.training.memory import VARIANTS, features_of, remember
+from vapor.training.progress import Progress, ProgressCallback
+from vapor.training.schedule import evaluation_interval, finishing, steps_in_epoch
+from vapor.training.state import TrainingState
+from vapor.training_data.training_set import TrainingSet
+
+
+class Trainer:
+    """A training under way: first on what is not held out, then, once the model was evaluated, on everything.
+
+    Attributes:
+        state: Where it stands.
+        config: With its number of epochs.
+        goes_on: Whether there is more to learn from once the model was evaluated.
+        epochs: In all.
+        best: Figures of the best epoch so far.
+    """
+
+    def __init__(self, state: TrainingState, split: Split, config: TrainConfig, report: ProgressCallback) -> None:
+        self.state, self.config = state, config
+        more = len(split.everything) > len(split.training)
+        self.goes_on = bool(split.held_out_mask.any()) and config.finish > 0 and more
+        self.epochs = state.epochs + (finishing(config).known_epochs if self.goes_on else 0)
+        self.best = best_epoch(state.history, config)
+        self._split, self._report = split, report
+        self._per_step_s = 0.0  # of the last steps
+        self._features: Tensor | None = None  # of the images to evaluate on, of a backbone that does not learn
+
+    @property
+    def kept(self) -> PoseRegressor:
+        """The network whose weights become the model's."""
+        return self.state.average if self.config.ema_decay else self.state.network
+
+    def images_seen(self, epochs: int) -> int:
+        """How many images were seen when so many epochs were done."""
+        return sum(len(self._images(epoch)) for epoch in range(epochs))
+
+    def epoch(self) -> float:
+        """Learn from all images once; returns the mean loss."""
+        state, seconds_before, begin_s = self.state, self.state.seconds, perf_counter() - self.state.seconds
+        finished = state.epoch >= state.epochs
+        config, since = (finishing(self.config), state.epochs) if finished else (self.config, 0)
+        steps = [steps_in_epoch(self._images(epoch), config) for epoch in range(self.epochs)]
+        before = sum(steps[: state.epoch])
+        passes = 1 if state.features is not None else 2  # over all images: as they are, and as this epoch varies them
+        first_s = 0.0
+
+        def report(step: int, loss: float, rate: float) -> None:
+            nonlocal first_s
+            seconds, done = perf_counter() - begin_s, before + step
+            if step == 1:
+                first_s = seconds
+                self._per_step_s = self._per_step_s or seconds / done
+            else:
+                self._per_step_s = (seconds - first_s) / (step - 1)
+            left_s = self._per_step_s * (sum(steps) - done)
+            if state.features is not None:
+                left_s += (first_s - seconds_before) / passes * max(min(VARIANTS, state.epochs) - state.epoch - 1, 0)
+            self._report(
+                Progress(
+                    "training on everything" if finished else "training",
+                    done,
+                    sum(steps),
+                    epoch=state.epoch + 1,
+                    epochs=self.epochs,
+                    loss=loss,
+                    learning_rate=rate,
+                    seconds=seconds,
+                    left_s=left_s,
+                    validation=state.history[-1] if state.history else None,
+                    best=self.best,
+                )
+            )
+
+        loss = train_epoch(state, self._images(state.epoch), config, report, since=since)
+        state.epoch += 1
+        state.seconds = perf_counter() - begin_s
+        return loss
+
+    def evaluate(self, held_out: TrainingSet, loss: float) -> None:
+        """Compare the weights with the best so far, now and then; mean loss of the epoch as given."""
+        state, config = self.state, self.config
+        interval = evaluation_interval(len(self._split.training), len(held_out))
+        if not len(held_out) or (state.epoch % interval and state.epoch < state.epochs):
+            return
+        kept = self.kept
+        remember(kept, state.features)
+        if self._features is None and kept.recalling is not None:
+            self._features = features_of(kept.recalling, held_out)
+        widths = Calibration(config.bandwidth_translation_m, config.bandwidth_rotation_rad)
+        figures = validate(
+            kept,
+            held_out,
+            widths,
+            num_samples=config.loss.num_samples,
+            seed=config.seed,
+            epoch=state.epoch,
+            train_loss=loss,
+            feature=self._features,
+        )
+        state.history.append(figures)
+        self.best = best_epoch(state.history, config)
+        if self.best is figures:
+            state.best = weights_of(kept)
+
+    def _images(self, epoch: int) -> TrainingSet:
+        return self._split.training if epoch < self.state.epochs else self._split.everything
+
+
+def best_epoch(history: Sequence[Validation], config: TrainConfig) -> Validation | None:
+    """The best epoch so far, of equally good ones the last: at first none may be good at all."""
+    return max(reversed(history), key=lambda figures: getattr(figures, config.select_by), default=None)
+
+
+def weights_of(network: PoseRegressor) -> dict[str, torch.Tensor]:
+    """Copies of its parameters and statistics on the CPU, by name."""
+    return {name: value.detach().cpu().clone() for name, value in network.state_dict().items()}
