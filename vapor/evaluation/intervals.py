@@ -47,8 +47,8 @@ class Walks:
 
     def number(self, flags: Sequence[bool]) -> Interval | None:
         """Of how many of the runs have a flag, (n,)."""
-        share = self.mean(flags)
-        return None if share is None else (len(flags) * share[0], len(flags) * share[1])
+        fraction = self.mean(flags)
+        return None if fraction is None else (len(flags) * fraction[0], len(flags) * fraction[1])
 
     def median(self, values: Sequence[int | float | None]) -> Interval | None:
         """Of the median of the runs' values (n,); runs without one do not count."""
@@ -69,5 +69,5 @@ class Walks:
 
 
 def dissent(walks: int) -> float:
-    """The largest share of walks that are otherwise, with 95 % confidence, where so many agree: about 3 in n."""
+    """The largest fraction of walks that are otherwise, with 95 % confidence, where so many agree: about 3 in n."""
     return 1.0 - 0.05 ** (1.0 / walks)

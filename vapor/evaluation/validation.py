@@ -30,8 +30,8 @@ class Validation:
     Attributes:
         epoch: Epochs trained, from 1.
         train_loss: Mean training loss of that epoch.
-        sample_recall: Share of the posterior samples within 0.3 m and 20° of the true pose.
-        mode_recall: Share of the images whose sample of highest density is.
+        sample_recall: Fraction of the posterior samples within 0.3 m and 20° of the true pose.
+        mode_recall: Fraction of the images whose sample of highest density is.
         log_density: Mean of log(p̂(true pose) + 10⁻⁴ per m³ rad³): unlike the recalls it falls when a possible place is
             forgotten, which a filter cannot mend.
     """
@@ -54,7 +54,7 @@ def validate(
     train_loss: float,
     feature: Float[Tensor, "n f"] | None = None,
 ) -> Validation:
-    """Judge the posteriors of held-out images, with the same latent noise every time.
+    """Evaluate the posteriors of held-out images, with the same latent noise every time.
 
     Args:
         network: In any mode; evaluated in evaluation mode, and left as it was.

@@ -1,0 +1,32 @@
+"""The smoothed trajectory: of all images of a run at once, when the last one is there."""
+
+from __future__ import annotations
+
+from filtering.error_model import ErrorModel
+from filtering.localizer import LocalizerConfig
+from filtering.se3 import Poses
+from vapor.tracking.history import History
+
+
+def smooth_history(history: History, errors: ErrorModel, config: LocalizerConfig) -> Poses:
+    """Smooth a run.
+
+    Args:
+        history: Of n images.
+        errors: How its images err.
+        config: Settings of the filter, of which the slow errors of odometry count.
+
+    Returns:
+        world_from_camera, batch (n,).
+    """
+    from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth  # loads GTSAM
+
+    return smooth(
+        [modes[:SMOOTHED_MODES] for modes in history.evidence],
+        history.odometry,
+        history.ways,
+        history.filtered,
+        history.converged,
+        errors,
+        SmoothingConfig(slow_errors=config.slow_errors),
+    )
