@@ -440,8 +440,8 @@ def test_floors_are_judged_in_the_lengths_of_the_scene(scale, monkeypatch):
     modes = tuple((Mode(off[i], 0.01 * np.eye(6), 1.0),) for i in range(4))
     beliefs = dict.fromkeys(("kalman", "gaussian_sum", "filter"), Belief(modes, ["ambiguous"] * 4))
     compared = Comparison(10**8 * np.arange(4), truth, dict.fromkeys(METHODS, off), beliefs, modes, 1, 1.0)
-    followed = SimpleNamespace(compared=lambda: compared.scaled(scale))
-    monkeypatch.setattr(trials, "follow_trial", lambda trial, setup, replay: followed)
+    monkeypatch.setattr(trials, "follow_trial", lambda trial, setup, replay: None)
+    monkeypatch.setattr(trials, "compare", lambda followed: compared.scaled(scale))
     given = SimpleNamespace(variant="full", cue_images=0)
     for scene in ("corridor", "ceiling"):
         trial = Trial(scene, "walk", (Piece(0, 0, 4),), scale=scale)

@@ -119,7 +119,7 @@ def test_smoothed_kalman_and_gaussian_sum_are_evaluated_where_they_exist():
     for frame, step in simulated_steps(40):
         recorder.add(frame, replace(step, baselines={"gaussian_sum": step.image_modes, "kalman": step.image_modes}))
     record = recorder.finish()
-    finished = record.with_finished({"smoothed": record.truth.poses})
+    finished = record.with_methods({"smoothed": record.truth.poses})
     report = build_report(finished)
     assert report["smoothed"]["converged_at_s"] == 0.0
     assert report["kalman"]["ape_rmse_m"] == report["single_image"]["ape_rmse_m"]

@@ -9,7 +9,7 @@ from filtering.se3 import Poses
 from tests.simulation import lifted, motion, seen_at
 from vapor.tracking.history import MOST_MODES, History
 from vapor.tracking.loop import Localizer, StepLoop, Tracker
-from vapor.tracking.methods import BASELINES, METHODS, finish, in_order, start_baselines
+from vapor.tracking.methods import BASELINES, METHODS, in_order, poses_at_end, start_baselines
 
 ONWARD = motion(0.1, 0, 0, 0, 0, 0)
 S = 1_000_000_000
@@ -83,6 +83,6 @@ def test_a_history_has_what_methods_at_the_end_need():
     assert [len(modes) for modes in history.evidence] == [MOST_MODES] * 4
     assert history.odometry == [None, ONWARD, ONWARD, ONWARD]
     assert history.ways.shape == history.converged.shape == history.filtered.batch_shape == (4,)
-    poses = finish(history, many.errors, config)
+    poses = poses_at_end(history, many.errors, config)
     assert list(poses) == ["smoothed"]
     assert poses["smoothed"].batch_shape == (4,)

@@ -33,7 +33,7 @@ class Options:
     """Directory for sequence and results, new or with earlier ones. Default: demo/SCENE."""
     overwrite: Overwrite = False
     seed: int = 1
-    """Of the sequence and of the filter."""
+    """Seed of the sequence and of the filter."""
     frames: int = 300
     """Number of images, ten a second."""
 

@@ -80,9 +80,9 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, ta
     Args:
         result: The run.
         output: Directory of its results.
-        title: Of the table of figures.
+        title: Title of the table of figures.
         recording: Whether there is a recording among them.
-        tail: Whether figures are of the tail of the errors, as of `format_table`.
+        tail: Whether the figures are about the tail of the errors, see `format_table`.
     """
     report = result.report
     if report["frames_with_true_pose"]:

@@ -27,8 +27,8 @@ class Comparison:
     Attributes:
         times_ns: Stamps, (n,).
         truth: True poses, batch (n,).
-        poses: Of every method by its name, those of `METHODS`, world_from_camera, batches (n,).
-        beliefs: Of the baselines and of the filter.
+        poses: Poses of every method by its name in `METHODS`, world_from_camera, batches (n,).
+        beliefs: What the filter and each baseline believed, by name.
         image_modes: Places of each image's posterior alone, (n,).
         particles: Median number of particles of the filter.
         step_ms: Median milliseconds of a step of the filter.
@@ -50,7 +50,7 @@ class Comparison:
         """What every method was worth, as JSON.
 
         Args:
-            images: Those that count, at least one; None for all.
+            images: Which images count, at least one; None for all.
             floor_height_m: From floor to floor, in the unit of the poses, where floors look alike.
 
         Returns:
@@ -109,7 +109,7 @@ def compare(followed: Followed) -> Comparison:
     return Comparison(
         followed.passage.times_ns,
         followed.passage.truth,
-        followed.poses | followed.finished(),
+        followed.poses | followed.poses_at_end(),
         followed.beliefs,
         followed.image_modes,
         followed.particles,

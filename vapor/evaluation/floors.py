@@ -32,7 +32,7 @@ def find_floors(
     Stairs go to the floor that is nearer.
 
     Args:
-        heights_m: Of the positions.
+        heights_m: Heights of the positions, metres.
         cells: Number of the cell of the plan that each is in.
     """
     one = np.zeros(len(heights_m), np.int64), 1

@@ -76,6 +76,6 @@ def _scaled_fit(fit: OdometryFit, factor: float) -> OdometryFit:
 
 
 def _products(factor: float) -> Float64[np.ndarray, "6 6"]:
-    """By what a covariance of (v, ω) is multiplied when lengths are multiplied by a factor."""
+    """Factors by which a covariance of (v, ω) is multiplied when lengths are multiplied by a factor."""
     lengths = np.array([factor] * 3 + [1.0] * 3)
     return np.outer(lengths, lengths)

@@ -15,7 +15,7 @@ _TRUTH = "ground_truth.tum"
 
 
 def files_read(directory: Path, ground_truth: Path | None = None) -> list[Path]:
-    """Files that `evaluate_directory` reads, as far as they are there."""
+    """Files that `evaluate_directory` reads where they exist."""
     truth = directory / _TRUTH if ground_truth is None else ground_truth
     return [*(directory / name for name in (*FILES.values(), MANIFEST)), truth]
 
@@ -24,7 +24,7 @@ def evaluate_directory(directory: Path, ground_truth: Path | None = None) -> dic
     """Recompute the metrics of a run from the trajectories that it wrote.
 
     Args:
-        directory: What `vapor-track run` wrote; `trajectory.tum` must be there, the other files of `FILES` may be.
+        directory: What `vapor-track run` wrote; `trajectory.tum` must be there, other files of `FILES` may be missing.
         ground_truth: True poses as a TUM file; None for `ground_truth.tum` in the directory.
 
     Returns:

@@ -61,10 +61,10 @@ def validate(
         held_out: Images scaled as for training; their centre crops are used.
         calibration: Kernel widths.
         num_samples: Posterior samples per image.
-        seed: Of the latent noise.
+        seed: Seed of the latent noise.
         epoch: Passed through.
         train_loss: Passed through.
-        feature: As of `predict`.
+        feature: See `predict`.
     """
     figures = []
     for i, samples in enumerate(predict(network, held_out, num_samples, seed, feature)):
@@ -91,7 +91,7 @@ def predict(
         network: In any mode.
         images: Scaled as for training.
         num_samples: Posterior samples per image.
-        seed: Of the latent noise.
+        seed: Seed of the latent noise.
         feature: What `describe` of a network that is a density says of them, where that is known; the images are then
             not looked at.
     """

@@ -14,7 +14,7 @@ class FilteringConfig:
     """Settings of a run, whatever the observation model."""
 
     seed: int = 0
-    """Of all random draws: same seed, same file, same machine, same output."""
+    """Seed of all random draws: on the same machine, the same seed and file give the same output."""
     recording: bool = True
     """Write recording.rrd for the Rerun viewer."""
     view: bool = False
@@ -36,10 +36,10 @@ class RunConfig(FilteringConfig):
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where the network runs."""
     threads: int = 1
-    """Processor threads of the network. More pay for a large network on an idle machine; on a busy one they cost."""
+    """Processor threads of the network: more help a large network on an idle machine, and slow down a busy one."""
     fitted_odometry: bool = True
-    """Take the noise of the odometry from the model's calibration, where that had odometry to fit it from; else as the
-    sequence states it."""
+    """Take the noise of the odometry from the model's calibration, where that was fitted from odometry; otherwise as
+    the sequence states it."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

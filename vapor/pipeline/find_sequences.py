@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 SUMMARY = "summary.json"
-"""Beside the results of many sequences: what came of all of them."""
+"""Name of the file that says what came of many sequences, beside their results."""
 
 
 def is_fleet(paths: Sequence[Path]) -> bool:
-    """Whether these are several sequences, as far as the words tell: more than one path, or a folder to search."""
+    """Whether these paths stand for several sequences: they are more than one, or a folder to search."""
     return len(paths) > 1 or (len(paths) == 1 and _found_in(paths[0]) not in ([], list(paths)))
 
 
@@ -52,7 +52,7 @@ def _is_result(file: Path) -> bool:
 
 
 def unique_names(sequences: Sequence[Path]) -> list[str]:
-    """Names as short as they can be told apart by; numbered where whole paths do not, as of `a.mcap` beside `a/`."""
+    """The shortest names that tell sequences apart; numbered where whole paths do not, as with `a.mcap` and `a/`."""
     parts = [(*path.parent.parts[1:], path.stem if path.suffix == ".mcap" else path.name) for path in sequences]
     lengths = [1] * len(parts)
     while True:

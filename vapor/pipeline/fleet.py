@@ -30,16 +30,16 @@ class Outcome:
     """What came of one sequence: figures, or the error that kept it from being localized.
 
     Attributes:
-        name: Of its folder among the results.
-        sequence: Where it lies.
+        name: Name of its folder among the results.
+        sequence: Path of the sequence.
         error: Why there are no figures; None where there are.
         images: Images localized.
         duration_s: From the first to the last of them.
         status: Fraction of the images by status.
         final_status: Status of the last image.
         images_with_true_pose: How many have one.
-        median_translation_m: Of the filter; None without true poses, like the next two.
-        median_rotation_deg: Of the filter.
+        median_translation_m: Median error of the filter; None without true poses, like the next two.
+        median_rotation_deg: Median error of the filter.
         success: Whether the filter found the place, and kept it.
         skipped: Images and messages left out, by reason.
         few_images: A sentence where fewer than half of the images were used.
@@ -75,12 +75,12 @@ def run_fleet(
     """Localize sequence after sequence; each has the results that it would have alone.
 
     Args:
-        sequences: Where they lie, by the names of their results.
+        sequences: Paths of the sequences, by the names of their results.
         model: Model file, or name of a model that ships with the package; loaded once.
-        output: Directory for the results, a folder a sequence and `summary.json`, which tells of those done so far.
+        output: Directory for the results: a folder for each sequence, and `summary.json` on those done so far.
         config: Settings of every run.
         reading: What to read of every sequence.
-        overwrite: As of `run`, of the folder of each sequence, and of `summary.json`.
+        overwrite: See `run`; it applies to the folder of each sequence, and to `summary.json`.
         progress: Called after every image with the name of the sequence, the number done and an upper bound of all.
 
     Yields:

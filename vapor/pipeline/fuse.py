@@ -32,14 +32,14 @@ def fuse(
 
     Args:
         estimates: Files of poses, one for each method.
-        output: Directory for the results, as of `vapor.pipeline.run.run`.
+        output: Directory for the results, see `vapor.pipeline.run.run`.
         config: Settings of the run.
         odometry: Recorded odometry.
         simulate_odometry: True poses to simulate odometry from, where there is none.
         ground_truth: True poses; None for those that the odometry is simulated from.
         trust: How far to trust the estimates.
         reading: How to read the files.
-        overwrite: As of `vapor.pipeline.run.run`.
+        overwrite: See `vapor.pipeline.run.run`.
         progress: Called after every frame with the number done and an upper bound of all.
 
     Raises:

@@ -29,10 +29,10 @@ from vapor.reporting.rerun_viewer import RerunViewer
 from vapor.reporting.viewer import NullViewer
 from vapor.tracking.history import History
 from vapor.tracking.loop import StepLoop
-from vapor.tracking.methods import finish, start_baselines
+from vapor.tracking.methods import poses_at_end, start_baselines
 
 PUBLISHED_PARTICLES = 500
-"""Of each image, in `estimate.mcap`."""
+"""How many particles of each image go into `estimate.mcap`."""
 
 
 def localize(
@@ -47,7 +47,7 @@ def localize(
     allow_few_images: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunRecord:
-    """Localize frame after frame, show and write it; then smooth.
+    """Localize frame after frame, show and write each; then smooth.
 
     Args:
         source: The frames.
@@ -55,7 +55,7 @@ def localize(
         directory: Where `estimate.mcap` and `recording.rrd` go.
         config: Settings.
         errors: How the model's posteriors err.
-        observed: What the model takes of a frame.
+        observed: Takes from a frame what the model is to see.
         odometry_fit: How wrong the odometry is; None for what the frames state and the settings assume.
         allow_few_images: Go on also where fewer than one in ten of the images asked for were used.
         progress: Called after every frame with the number done and an upper bound of all.
@@ -91,9 +91,9 @@ def localize(
             f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes fewer)"
         )
     record = recorder.finish(skipped=source.skipped, images=source.counts)
-    finished = finish(history, errors, settings)
-    fits = agreement(finished["smoothed"], record.times_ns, history.evidence, errors)
-    return replace(record.with_finished(finished, smoothed_agreement=fits), peak_rss_mb=peak_rss_mb())
+    at_end = poses_at_end(history, errors, settings)
+    fits = agreement(at_end["smoothed"], record.times_ns, history.evidence, errors)
+    return replace(record.with_methods(at_end, smoothed_agreement=fits), peak_rss_mb=peak_rss_mb())
 
 
 def peak_rss_mb() -> float:

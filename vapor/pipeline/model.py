@@ -17,8 +17,8 @@ class LoadedModel:
 
     Attributes:
         name: Name of its file, or the name it ships by.
-        file: Where it lies.
-        sha256: Of its file.
+        file: Path of its file.
+        sha256: SHA-256 of its file.
         observation: The model itself.
     """
 

@@ -65,7 +65,7 @@ def run_into(
     reading: SequenceOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunResult:
-    """As `run`, into a directory that is there, file by file."""
+    """As `run`, but file by file into a directory that exists."""
     reading = reading or SequenceOptions()
     reader = SequenceReader(sequence, reading)
     observation = model.observation.seen_by(reader.camera)
@@ -92,7 +92,7 @@ def run_into(
         }
         result = write_results(record, directory, settings, title=sequence.name)
         notices = [*reader.notices, *observation.notices, *result.notices]
-        if (memory := observation.checkpoint.memory) is not None and "smoothed" in record.methods:
+        if (memory := observation.checkpoint.memory) is not None:
             trained = Poses(memory.rotation.double().numpy(), memory.translation.double().numpy())
             notices += [told] if (told := told_unshown(record.methods["smoothed"].poses, trained)) else []
         return replace(result, notices=tuple(notices))

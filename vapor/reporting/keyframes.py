@@ -55,7 +55,7 @@ def make_keyframe(frame: Frame, estimate: Estimate) -> Keyframe:
 def choose_keyframes(keyframes: list[Keyframe], count: int) -> list[Keyframe]:
     """At most `count` keyframes that tell the story best: the first, the last, and those where the belief changes.
 
-    The curve of doubt over time (the share of the belief outside the best hypothesis, and the log of the spread) is
+    The curve of doubt over time (the fraction of the belief outside the best hypothesis, and the log of the spread) is
     simplified: as long as there are too many, the keyframe goes that lies nearest to the line between its neighbours.
     How much time a keyframe stands for counts too, so that calm segments stay present and neighbours do not crowd.
     """

@@ -40,7 +40,7 @@ def extent_of(record: RunRecord) -> tuple[Float64[np.ndarray, "3"], Float64[np.n
 
 
 def choose_planes(low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"]) -> list[tuple[int, int]]:
-    """The planes worth looking at: from above, and from the side if the scene has height; the most telling last."""
+    """The planes worth looking at: from above, and from the side if the scene has height; the most informative last."""
     size = high - low
     side = (int(np.argmax(size[:2])), 2)
     if size[2] < 0.25 * size.max():

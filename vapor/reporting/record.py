@@ -26,12 +26,12 @@ class RunRecord:
             Of single images it is the best mode of each one's posterior. Dead reckoning starts at the first true pose,
             or at the first estimate where that is unknown, and anew where there is no odometry; a sequence without any
             has none.
-        covariance: Of ξ = (v, ω) in the tangent at the filter's best mode, metres and radians, (n, 6, 6).
+        covariance: Covariance of ξ = (v, ω) in the tangent at the filter's best mode, metres and radians, (n, 6, 6).
         status: The filter's own status, (n,).
         num_modes: Number of hypotheses, (n,).
         best_weight: Weight of the reported hypothesis, (n,).
         num_particles: Number of particles, (n,).
-        effective_sample_size: In particles, (n,).
+        effective_sample_size: Effective number of particles, (n,).
         agreement: Fraction of the belief that the latest images fitted, (n,).
         unfamiliarity: How unlike the training data each image was, see `PosePosterior`, (n,).
         step_ms: Wall-clock milliseconds of each step, (n,).
@@ -61,15 +61,15 @@ class RunRecord:
     images: ImageCounts | None
     peak_rss_mb: float | None
 
-    def with_finished(
+    def with_methods(
         self, poses: Mapping[str, Poses], *, smoothed_agreement: Float64[np.ndarray, " n"] | None = None
     ) -> RunRecord:
-        """The same with methods that see the whole run at once.
+        """The same with more methods: those that see the whole run at once.
 
         Args:
-            poses: World_from_camera (n,), by the name of the method.
+            poses: Their poses, world_from_camera, batches (n,), by name.
             smoothed_agreement: How well the images about each smoothed pose fit it, (n,).
         """
-        finished = {name: Trajectory(self.times_ns, each) for name, each in poses.items()}
-        methods = in_order({**self.methods, **finished})
+        more = {name: Trajectory(self.times_ns, each) for name, each in poses.items()}
+        methods = in_order({**self.methods, **more})
         return replace(self, methods=methods, smoothed_agreement=smoothed_agreement)

@@ -21,7 +21,7 @@ _MOST_KEYFRAMES = 24
 
 
 class RunRecorder:
-    """Collects a run image by image; what it keeps per image is under 2 kB, beside at most 24 keyframes."""
+    """Collects a run image by image: under 2 kB per image, beside at most 24 keyframes."""
 
     def __init__(self) -> None:
         self._times_ns: list[int] = []
@@ -86,9 +86,9 @@ class RunRecorder:
         """The record of all images added.
 
         Args:
-            skipped: As of `RunRecord`, like the others.
+            skipped: See `RunRecord`, like the others.
             images: What became of the images that the sequence states.
-            peak_rss_mb: Peak resident memory.
+            peak_rss_mb: Peak resident memory of the process, MiB.
 
         Raises:
             VaporTrackError: no image was added.

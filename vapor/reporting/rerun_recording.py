@@ -15,7 +15,7 @@ class Recording:
     """A file that Rerun writes through a pipe: where there is no room, Rerun itself would wait for ever.
 
     Attributes:
-        pipe: What Rerun is to write to.
+        pipe: Path that Rerun is to write to.
         error: Why the file could not be written; None while it can. What is written to the pipe then is lost.
 
     Raises:

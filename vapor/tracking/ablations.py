@@ -36,11 +36,11 @@ class Ablation:
     told_of_kidnap: bool = False
 
     def start(self, config: LocalizerConfig, *, rng: np.random.Generator, kidnap_index: int | None = None) -> Localizer:
-        """The filter without that part.
+        """A filter without that part.
 
         Args:
-            config: Its settings, as `localizer` made them.
-            rng: Of its draws.
+            config: Settings of the filter, already changed by `localizer`.
+            rng: Source of its random draws.
             kidnap_index: First image after the camera was carried off; None where it was not.
         """
 

@@ -16,7 +16,7 @@ class KalmanTracker:
     """One hypothesis, corrected by the place of each image that is nearest to it.
 
     Args:
-        config: Settings of the filter, of which the slow errors of odometry and the gaps count.
+        config: Settings of the filter; only the slow errors of odometry and the gaps are used.
         rng: Not used.
     """
 
@@ -24,7 +24,7 @@ class KalmanTracker:
         self._localizer = KalmanLocalizer(KalmanConfig(slow_errors=config.slow_errors, gap=config.gap))
 
     def update(self, posterior: PosePosterior, odometry: Odometry | None, *, elapsed_s: float) -> tuple[Mode, ...]:
-        """As of `Tracker`."""
+        """Take one image, see `Tracker`."""
         return (self._localizer.update(posterior, odometry, elapsed_s=elapsed_s),)
 
 
@@ -33,12 +33,12 @@ class GaussianSumTracker:
 
     Args:
         config: Settings of the filter.
-        rng: Of its draws.
+        rng: Source of its random draws.
     """
 
     def __init__(self, config: LocalizerConfig, rng: np.random.Generator) -> None:
         self._localizer = GaussianSumLocalizer(None, config, rng=rng)
 
     def update(self, posterior: PosePosterior, odometry: Odometry | None, *, elapsed_s: float) -> tuple[Mode, ...]:
-        """As of `Tracker`."""
+        """Take one image, see `Tracker`."""
         return self._localizer.update(posterior, odometry, elapsed_s=elapsed_s).modes

@@ -16,7 +16,7 @@ from vapor.tracking.ablations import ABLATIONS, Ablation
 from vapor.tracking.belief import Belief, mode_status
 from vapor.tracking.history import History
 from vapor.tracking.loop import StepLoop
-from vapor.tracking.methods import BASELINES, finish, start_baselines
+from vapor.tracking.methods import BASELINES, poses_at_end, start_baselines
 from vapor.tracking.passage import Passage
 
 
@@ -28,9 +28,9 @@ class Followed:
         passage: What they were given.
         errors: How its images err.
         config: Settings of the filter.
-        beliefs: Of the baselines that were asked for, and of the filter.
+        beliefs: What the filter believed, and the baselines that were asked for, by name.
         image_modes: Places of each image's posterior alone, (n,).
-        history: For methods that see the whole passage at once.
+        history: What methods need that see the whole passage at once.
         particles: Median number of particles of the filter.
         step_ms: Median milliseconds of a step of the filter.
         kidnap_index: First image after the camera was carried off; None where it was not.
@@ -48,16 +48,16 @@ class Followed:
 
     @cached_property
     def poses(self) -> dict[str, Poses]:
-        """Of every method but those that see the whole passage at once, by name, world_from_camera, batches (n,)."""
+        """Poses of every method that goes from image to image, by name, world_from_camera, batches (n,)."""
         return {
             "single_image": Poses.stack([modes[0].world_from_camera for modes in self.image_modes]),
             "dead_reckoning": self.passage.dead_reckoning,
             **{name: belief.best for name, belief in self.beliefs.items()},
         }
 
-    def finished(self) -> dict[str, Poses]:
-        """Of those, by name, world_from_camera, batches (n,)."""
-        return finish(self.history, self.errors, self.config)
+    def poses_at_end(self) -> dict[str, Poses]:
+        """Poses of every method that sees the whole passage at once, by name, world_from_camera, batches (n,)."""
+        return poses_at_end(self.history, self.errors, self.config)
 
 
 def follow(
@@ -76,9 +76,9 @@ def follow(
         passage: Its first image has a place.
         errors: How its images err.
         config: Settings of the filter; its slow errors and gaps are those of all methods.
-        rng: Of all draws.
-        ablation: What is different about the filter. How images err is the same to all methods, and changed by the
-            caller.
+        rng: Source of all random draws.
+        ablation: What is different about the filter. What it changes in `errors` and `config` the caller has changed
+            already, as that concerns all methods.
         kidnap_index: First image after the camera was carried off; None where it was not.
         baselines: Names of those to run; a Gaussian sum takes as long as the filter.
 

@@ -1,4 +1,4 @@
-"""The step loop: one image after the other, its posterior and odometry given to the filter and to every baseline."""
+"""The step loop: image after image, the posterior and the odometry go to the filter and to every baseline."""
 
 from __future__ import annotations
 
@@ -16,10 +16,8 @@ from filtering.posterior import PosePosterior
 class Localizer(Protocol):
     """The filter as the loop sees it: `ParticleLocalizer`, or an ablation of it."""
 
-    def update(
-        self, posterior: PosePosterior, odometry: Odometry | None, /, *, elapsed_s: float
-    ) -> Estimate:  # as of `ParticleLocalizer.update`
-        """Localize one image."""
+    def update(self, posterior: PosePosterior, odometry: Odometry | None, /, *, elapsed_s: float) -> Estimate:
+        """Localize one image, see `ParticleLocalizer.update`."""
         ...
 
 
@@ -31,7 +29,7 @@ class Tracker(Protocol):
         """Take one image.
 
         Args:
-            posterior: Of the image.
+            posterior: The image's posterior.
             odometry: Motion since the previous image, not used on the first one; None where it is unknown.
             elapsed_s: Seconds since the previous image.
 
@@ -46,13 +44,13 @@ class Step:
     """What the methods made of one image.
 
     Attributes:
-        posterior: Of the image.
-        estimate: Of the filter.
+        posterior: The image's posterior.
+        estimate: What the filter believes after the image.
         image_modes: Places of the image's posterior alone, by falling weight. Where it has none: those of the last
             image that had any; before that, the filter's modes.
         evidence: Places of the image's posterior, none where it says nothing: what a smoother is told.
-        baselines: Modes of every baseline by its name, the best one first.
-        step_ms: Wall-clock milliseconds of the posterior and the filter; baselines do not count.
+        baselines: Hypotheses of every baseline by its name, the best one first.
+        step_ms: Wall-clock milliseconds that posterior and filter took, without the baselines.
     """
 
     posterior: PosePosterior
@@ -68,7 +66,7 @@ class StepLoop:
 
     Args:
         localizer: The filter.
-        baselines: By name, see `start_baselines`.
+        baselines: The baselines by name, see `start_baselines`.
     """
 
     def __init__(self, localizer: Localizer, baselines: Mapping[str, Tracker]) -> None:
@@ -81,8 +79,8 @@ class StepLoop:
         """Take one image.
 
         Args:
-            time_ns: Its stamp.
-            observe: Gives its posterior; called once, and timed.
+            time_ns: Stamp of the image.
+            observe: Computes its posterior; it is called once, and timed.
             odometry: Motion since the previous image; None where it is unknown.
 
         Raises:

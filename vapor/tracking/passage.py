@@ -25,7 +25,7 @@ class Passage:
         times_ns: Stamps, increasing, (n,).
         odometry: Camera motion since the image before, (n,); None where it is unknown. The first is not used.
         truth: True poses, world_from_camera, batch (n,).
-        posterior: What an image says, by its number.
+        posterior: Gives the posterior of an image, by its number.
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -34,14 +34,14 @@ class Passage:
     posterior: Callable[[int], PosePosterior]
 
     def restated(self, fit: OdometryFit | None) -> Passage:
-        """The same with the white noise of the odometry as it was found to be; None: as it is."""
+        """The same with the white noise of the odometry as it was fitted; with None, as it is."""
         if fit is None:
             return self
         return replace(self, odometry=tuple(None if each is None else fit.restated(each) for each in self.odometry))
 
     @cached_property
     def dead_reckoning(self) -> Poses:
-        """Poses from odometry alone, from the true one on where there is no odometry, batch (n,)."""
+        """Poses from odometry alone, batch (n,); wherever odometry is missing they start anew at the true pose."""
         starts = [i for i, motion in enumerate(self.odometry) if i == 0 or motion is None]
         segments = zip(starts, [*starts[1:], len(self.odometry)], strict=True)
         return Poses.concatenate([dead_reckoning(self.truth[a], self.odometry[a:b]) for a, b in segments])

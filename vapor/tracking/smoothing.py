@@ -1,4 +1,4 @@
-"""The smoothed trajectory: of all images of a run at once, when the last one is there."""
+"""The smoothed trajectory, computed from all images of a run at once."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ def smooth_history(history: History, errors: ErrorModel, config: LocalizerConfig
     """Smooth a run.
 
     Args:
-        history: Of n images.
+        history: A run of n images.
         errors: How its images err.
-        config: Settings of the filter, of which the slow errors of odometry count.
+        config: Settings of the filter; only the slow errors of odometry are used.
 
     Returns:
         world_from_camera, batch (n,).

@@ -175,7 +175,7 @@ def check(
                 found, followed, kept = other, again, errors
             if not (found.worse or found.overconfident):
                 break
-    smoothed = [each.finished()["smoothed"] for each in followed]
+    smoothed = [each.poses_at_end()["smoothed"] for each in followed]
     found = replace(found, methods={**found.methods, "smoothed": _figures(followed, smoothed)})
     return replace(found, verdict=_verdict(found, result)), replace(fitted, errors=kept)
 
