@@ -29,9 +29,6 @@ from filtering.se3 import Poses
 SMOOTHED_MODES = 6
 """Of each image, the heaviest: enough for the smoother."""
 
-JUDGED_MODES = 16
-"""Likewise to judge its trajectory by: of a place among many alike too, and bounded in memory over a long sequence."""
-
 _ABOUT_NS, _ABOUT_IMAGES = 500_000_000, 5  # what is about an image, to each side
 _REGULAR = 1e-8 * np.eye(6)  # a tenth of a millimetre and of a milliradian keep modes of equal samples regular
 _STANDING = 1e-9  # lengths: no way is shorter, which keeps correlations regular

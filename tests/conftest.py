@@ -54,13 +54,13 @@ def unchecked() -> Iterator[None]:
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs draw no pictures, where a test does not look at them: they take a second a run."""
-    monkeypatch.setattr("vapor.pipeline.run.write_pictures", lambda *_, **__: [])
+    monkeypatch.setattr("vapor.pipeline.results.write_pictures", lambda *_, **__: [])
 
 
 @pytest.fixture
 def plain_results(no_pictures: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs draw no pictures and publish few particles, where a test looks at neither."""
-    monkeypatch.setattr("vapor.pipeline.run._PUBLISHED_PARTICLES", 20)
+    monkeypatch.setattr("vapor.pipeline.localize.PUBLISHED_PARTICLES", 20)
 
 
 @cache

@@ -4,9 +4,12 @@ import numpy as np
 
 from filtering.estimate import Estimate, Mode
 from filtering.motion import Odometry
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
-from vapor.reporting.record import RunRecord, RunRecorder
+from vapor.reporting.record import RunRecord
+from vapor.reporting.recorder import RunRecorder
+from vapor.tracking.loop import Step
 
 FLOOR_M = 3.0
 CAMERA = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
@@ -24,7 +27,7 @@ def true_walk(count: int, *, floors: int = 5, height_m: float = FLOOR_M) -> Pose
 
 
 def simulated_steps(count=200, *, seed=0, with_truth=True, with_odometry=True, start_ns=1_700_000_000_000_000_000):
-    """Yield (frame, single-image pose, estimate, step_ms): the belief is on five floors until a third of the way."""
+    """Yield (frame, step): the belief is on five floors until a third of the way. There are no baselines."""
     rng = np.random.default_rng(seed)
     truth = true_walk(count)
     v, u = np.mgrid[:120, :160]
@@ -54,13 +57,14 @@ def simulated_steps(count=200, *, seed=0, with_truth=True, with_odometry=True, s
         covariances = np.broadcast_to(np.diag([1e-6] * 6), (500, 6, 6))
         agreement, unfamiliarity = 1.0 - 0.5 * belief, 0.1 * rng.random()
         estimate = Estimate(modes, status, particles, covariances, log_weights, agreement, 0.1, 0.1, unfamiliarity)
-        yield frame, single, estimate, 20.0 + rng.random()
+        places = (Mode(single, covariance, 1.0),)
+        yield frame, Step(PosePosterior.nothing(), estimate, places, (), {}, 20.0 + rng.random())
 
 
 def simulated_record(count=200, **options) -> RunRecord:
     recorder = RunRecorder()
-    for frame, single, estimate, step_ms in simulated_steps(count, **options):
-        recorder.add(frame, single, estimate, step_ms)
+    for frame, step in simulated_steps(count, **options):
+        recorder.add(frame, step)
     return recorder.finish(skipped={"undecodable_image": 2}, peak_rss_mb=512.0)
 
 

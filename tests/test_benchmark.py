@@ -22,12 +22,12 @@ from vapor.checkpoints.checkpoint import Calibration, load_checkpoint
 from vapor.commands import console
 from vapor.commands.benchmark_tables import tables
 from vapor.commands.console import show
-from vapor.evaluation.belief import Belief
+from vapor.evaluation.comparison import Comparison
 from vapor.evaluation.floors import FLOOR_HEIGHT_M
 from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry
-from vapor.evaluation.trajectory import FILES
 from vapor.track import main
-from vapor.tracking.methods import Comparison
+from vapor.tracking.belief import Belief
+from vapor.tracking.methods import METHODS
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -210,7 +210,7 @@ def test_a_run_at_another_scale_has_the_results_of_the_unscaled_one(folder, tiny
     runs = {each["kind"]: each for each in json.loads((folder / "summary.json").read_text())["runs"]}
     assert load_checkpoint(tiny_model).calibration.odometry is None
     for kind in scaled:
-        for name in FILES:
+        for name in METHODS:
             ours, theirs = runs[kind]["methods"][name], runs["cue"]["methods"][name]
             same = pytest.approx(theirs["median_translation_m"], rel=1e-4 if name == "smoothed" else 1e-6)
             assert ours["median_translation_m"] == same
@@ -440,9 +440,9 @@ def test_floors_are_judged_in_the_lengths_of_the_scene(scale, monkeypatch):
     off = Poses(truth.rotation, truth.translation + np.array([[0.0, 0.0, height * up] for up in (1.05, 1, 0, 0)]))
     modes = tuple((Mode(off[i], 0.01 * np.eye(6), 1.0),) for i in range(4))
     beliefs = dict.fromkeys(("kalman", "gaussian_sum", "filter"), Belief(modes, ["ambiguous"] * 4))
-    compared = Comparison(10**8 * np.arange(4), truth, dict.fromkeys(FILES, off), beliefs, modes, 1, 1.0)
-    followed = SimpleNamespace(compared=lambda: compared.scaled(scale))
-    monkeypatch.setattr(trials, "follow_trial", lambda trial, setup, replay: followed)
+    compared = Comparison(10**8 * np.arange(4), truth, dict.fromkeys(METHODS, off), beliefs, modes, 1, 1.0)
+    monkeypatch.setattr(trials, "follow_trial", lambda trial, setup, replay: None)
+    monkeypatch.setattr(trials, "compare", lambda followed: compared.scaled(scale))
     given = SimpleNamespace(variant="full", cue_images=0)
     for scene in ("corridor", "ceiling"):
         trial = Trial(scene, "walk", (Piece(0, 0, 4),), scale=scale)

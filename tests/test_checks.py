@@ -7,7 +7,7 @@ from jaxtyping import Float64, TypeCheckError
 from filtering.se3 import Poses
 from tests.checks import checked, no_checks
 from vapor.benchmark.recordings import from_rows
-from vapor.evaluation.belief import longest_s
+from vapor.evaluation.consistency import longest_s
 
 WRONG = {
     "fields of a dataclass": lambda: Poses(np.eye(3), np.zeros(4)),

@@ -486,7 +486,7 @@ def test_an_interrupted_run_leaves_nothing_and_ends_with_130(walk_of_25, tiny_mo
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vapor.pipeline.run.smooth", interrupt)
+    monkeypatch.setattr("filtering.smoothing.smooth", interrupt)
     assert main(words_of_run(walk_of_25, tiny_model, earlier)) == 130
     assert capsys.readouterr().err == "vapor-track run: interrupted\n"
     assert contents(earlier) == before

@@ -9,14 +9,10 @@ from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.tum import write_tum
 from tests.simulated_run import true_walk
-from vapor.evaluation.trajectory import (
-    associate,
-    convergence_s,
-    dead_reckoning,
-    evaluate_consistency,
-    evaluate_directory,
-    evaluate_trajectory,
-)
+from vapor.evaluation.consistency import evaluate_consistency
+from vapor.evaluation.run_directory import evaluate_directory
+from vapor.evaluation.trajectory import associate, convergence_s, evaluate_trajectory
+from vapor.tracking.dead_reckoning import dead_reckoning
 
 S = 1_000_000_000
 

@@ -37,10 +37,10 @@ from vapor.benchmark.faults import (
     tripled,
 )
 from vapor.benchmark.trials import Replay
-from vapor.evaluation.belief import Belief
-from vapor.evaluation.trajectory import dead_reckoning
 from vapor.track import main
-from vapor.tracking.methods import posterior_of
+from vapor.tracking.belief import Belief
+from vapor.tracking.dead_reckoning import dead_reckoning
+from vapor.tracking.passage import posterior_of
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

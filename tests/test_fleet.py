@@ -11,8 +11,9 @@ from tests.test_datasets import make_7scenes
 from tests.tiny_model import SMALL
 from vapor.commands.run import _show_outcomes
 from vapor.pipeline import fleet as fleet_module
-from vapor.pipeline import run as run_module
-from vapor.pipeline.fleet import Outcome, find_sequences, is_fleet
+from vapor.pipeline import model as model_module
+from vapor.pipeline.find_sequences import find_sequences, is_fleet
+from vapor.pipeline.fleet import Outcome
 from vapor.track import main
 
 
@@ -109,8 +110,8 @@ def test_a_fleet_gives_each_sequence_what_it_gets_alone_and_one_summary(
     bags, tiny_model, tmp_path, capsys, monkeypatch
 ):
     loads: list[str] = []
-    load = run_module.find_model
-    monkeypatch.setattr(run_module, "find_model", lambda name: loads.append(name) or load(name))
+    load = model_module.find_model
+    monkeypatch.setattr(model_module, "find_model", lambda name: loads.append(name) or load(name))
     out = tmp_path / "results"
     assert run([bags], tiny_model, out) == 1
     assert len(loads) == 1

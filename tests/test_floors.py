@@ -6,8 +6,9 @@ import pytest
 from filtering.estimate import Mode
 from filtering.se3 import Poses
 from tests.simulated_run import true_walk
-from vapor.evaluation.belief import Belief, judge_belief, judge_floor
-from vapor.evaluation.floors import floors_off, on_true_floor, once_on_floor
+from vapor.evaluation.consistency import evaluate_belief
+from vapor.evaluation.floors import evaluate_floor, floors_off, on_true_floor, once_on_floor
+from vapor.tracking.belief import Belief
 
 HEIGHT = 3.0
 
@@ -34,22 +35,22 @@ def test_from_when_on_the_floor_is_right_counts_to_the_end():
 def test_poses_are_right_but_for_their_floor_and_once_on_it():
     truth = true_walk(5)
     poses = raised(truth, [3, 3, 0.5, 0.5, 0])
-    assert judge_floor(poses, truth, HEIGHT) == {
+    assert evaluate_floor(poses, truth, HEIGHT) == {
         "but_for_it": 0.6, "settled_images": 3, "settled_right": pytest.approx(1 / 3)
     }  # fmt: skip
-    never = judge_floor(raised(truth, [3] * 5, along=1.0), truth, HEIGHT)
+    never = evaluate_floor(raised(truth, [3] * 5, along=1.0), truth, HEIGHT)
     assert never == {"but_for_it": 0.0, "settled_images": 0, "settled_right": None}
 
 
-def test_a_belief_is_judged_once_on_its_floor():
+def test_a_belief_is_evaluated_once_on_its_floor():
     truth = true_walk(5)
     poses = raised(truth, [3, 3, 0.5, 0, 0])
     modes = [(Mode(poses[i], 0.01 * np.eye(6), 1.0),) for i in range(5)]
     times_ns = 100_000_000 * np.arange(5)
-    verdict = judge_belief(
-        Belief(modes, ["ambiguous"] * 5), times_ns, truth, converged_at_s=None, seam=None, floor_height_m=HEIGHT
+    found = evaluate_belief(
+        Belief(modes, ["ambiguous"] * 5), times_ns, truth, converged_at_s=None, kidnap_index=None, floor_height_m=HEIGHT
     )["on_floor"]
-    assert (verdict["images"], verdict["wrong"]) == (3, pytest.approx(1 / 3))
-    assert verdict["coverage"]["95%"] == pytest.approx(2 / 3)
-    plain = judge_belief(Belief(modes, ["ambiguous"] * 5), times_ns, truth, converged_at_s=None, seam=None)
+    assert (found["images"], found["wrong"]) == (3, pytest.approx(1 / 3))
+    assert found["coverage"]["95%"] == pytest.approx(2 / 3)
+    plain = evaluate_belief(Belief(modes, ["ambiguous"] * 5), times_ns, truth, converged_at_s=None, kidnap_index=None)
     assert "on_floor" not in plain

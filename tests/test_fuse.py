@@ -19,9 +19,9 @@ from sequences.odometry import OdometryNoise
 from sequences.tum import read_tum, write_tum
 from tests.pose_text import FRAMES, moved, noisy, walk, write_named
 from tests.simulation import ERRORS
-from vapor.evaluation.trajectory import FILES
-from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of
+from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of
 from vapor.track import main
+from vapor.tracking.methods import FILES
 
 BACK = EstimateOptions(direction="world-to-camera")
 EXACT = OdometryNoise(0.0, 0.0, 0.0, 30.0, 0.0, 0.0)

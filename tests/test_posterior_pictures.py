@@ -8,7 +8,7 @@ from filtering.se3 import Poses, rotation_from_rotvec
 from sequences.synthesize import synthesize, write_synthetic
 from tests.tiny_model import write_tiny_model
 from vapor.reporting.posterior_pictures import draw_posterior, hopf_coordinates, level_axis
-from vapor.reporting.rerun_viewer import frusta
+from vapor.reporting.rerun_shapes import frusta
 from vapor.track import main
 
 LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # a camera that looks along the world's x

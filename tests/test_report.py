@@ -1,6 +1,7 @@
 """What a run leaves behind: the record, report.json, the table and the pictures."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -8,11 +9,12 @@ import pytest
 from rich.console import Console
 
 from filtering.errors import VaporTrackError
-from sequences.frame import Trajectory
 from tests.simulated_run import simulated_record, simulated_steps
-from vapor.evaluation.trajectory import dead_reckoning
-from vapor.reporting.record import RunRecorder, telling_moments
-from vapor.reporting.report import build_report, format_table, is_report, write_pictures, write_report
+from vapor.reporting.keyframes import choose_keyframes
+from vapor.reporting.pictures import write_pictures
+from vapor.reporting.recorder import RunRecorder
+from vapor.reporting.report import build_report, format_table, is_report, write_report
+from vapor.tracking.dead_reckoning import dead_reckoning
 
 
 @pytest.fixture(scope="module")
@@ -30,17 +32,23 @@ def rendered(report) -> str:
 
 
 def test_the_record_holds_every_image_in_order(record):
-    frames, singles, estimates, step_ms = zip(*simulated_steps(150), strict=True)
+    frames, steps = zip(*simulated_steps(150), strict=True)
+    singles = [step.image_modes[0].world_from_camera for step in steps]
+    estimates = [step.estimate for step in steps]
     assert record.times_ns.tolist() == [frame.time_ns for frame in frames]
-    assert np.array_equal(record.single_image.translation, np.stack([pose.translation for pose in singles]))
-    assert np.array_equal(record.filter.rotation[70], estimates[70].modes[0].world_from_camera.rotation)
+    assert np.array_equal(
+        record.methods["single_image"].poses.translation, np.stack([pose.translation for pose in singles])
+    )
+    assert np.array_equal(
+        record.methods["filter"].poses.rotation[70], estimates[70].modes[0].world_from_camera.rotation
+    )
     assert record.status == tuple(estimate.status for estimate in estimates)
     assert record.num_modes.tolist() == [len(estimate.modes) for estimate in estimates]
-    assert record.step_ms.tolist() == list(step_ms)
+    assert record.step_ms.tolist() == [step.step_ms for step in steps]
     for name in ("agreement", "unfamiliarity", "effective_sample_size"):
         assert getattr(record, name).tolist() == [getattr(estimate, name) for estimate in estimates]
     expected = dead_reckoning(frames[0].world_from_camera, [frame.odometry for frame in frames])
-    assert np.allclose(record.dead_reckoning.as_matrix(), expected.as_matrix(), atol=1e-12)
+    assert np.allclose(record.methods["dead_reckoning"].poses.as_matrix(), expected.as_matrix(), atol=1e-12)
 
 
 def test_a_record_of_no_image_is_refused():
@@ -54,31 +62,31 @@ def test_without_odometry_and_truth_those_parts_are_absent():
     assert list(record.methods) == ["single_image", "filter"]
 
 
-def test_however_long_the_run_few_moments_are_kept_with_the_first_and_last_among_them(record):
-    assert len(record.moments) == 24
-    assert record.moments[0].time_ns == record.times_ns[0]
-    assert record.moments[-1].time_ns == record.times_ns[-1]
-    assert all(len(moment.cloud) == 300 for moment in record.moments)
+def test_however_long_the_run_few_keyframes_are_kept_with_the_first_and_last_among_them(record):
+    assert len(record.keyframes) == 24
+    assert record.keyframes[0].time_ns == record.times_ns[0]
+    assert record.keyframes[-1].time_ns == record.times_ns[-1]
+    assert all(len(keyframe.cloud) == 300 for keyframe in record.keyframes)
 
 
-def test_telling_moments_show_the_ambiguous_belief_and_the_resolved_one(record):
-    chosen = telling_moments(list(record.moments), 5)
+def test_keyframes_show_the_ambiguous_belief_and_the_resolved_one(record):
+    chosen = choose_keyframes(list(record.keyframes), 5)
     assert len(chosen) == 5
     assert len(chosen[0].modes) == 5
     collapse_ns = record.times_ns[next(i for i, s in enumerate(record.status) if s == "converged")]
-    before = [moment for moment in chosen if moment.time_ns < collapse_ns]
+    before = [keyframe for keyframe in chosen if keyframe.time_ns < collapse_ns]
     assert 2 <= len(before) <= 4
 
 
 def test_thumbnails_are_small_and_do_not_share_the_frames_buffer():
-    frame, single, estimate, _ = next(simulated_steps(1))
+    frame, step = next(simulated_steps(1))
     large = np.full((1000, 2000, 3), 7, np.uint8)
     for image, shape in ((large, (160, 320, 3)), (frame.image.copy(), frame.image.shape)):
         recorder = RunRecorder()
-        recorder.add(type(frame)(frame.time_ns, image), single, estimate, 1.0)
+        recorder.add(type(frame)(frame.time_ns, image), step)
         before = image.flat[0]
         image[:] = 99
-        thumbnail = recorder.finish().moments[0].thumbnail
+        thumbnail = recorder.finish().keyframes[0].thumbnail
         assert thumbnail.shape == shape
         assert thumbnail.flat[0] == before != 99
 
@@ -106,13 +114,12 @@ def test_the_report_has_the_keys_of_its_specification(record):
     assert "smoothed" not in report
 
 
-def test_smoothed_kalman_and_gaussian_sum_are_judged_where_they_exist():
+def test_smoothed_kalman_and_gaussian_sum_are_evaluated_where_they_exist():
     recorder = RunRecorder()
-    for frame, single, estimate, step_ms in simulated_steps(40):
-        recorder.add(frame, single, estimate, step_ms)
-    plain = recorder.finish()
-    single = Trajectory(plain.times_ns, plain.single_image)
-    finished = recorder.finish(smoothed=plain.truth, kalman=single, gaussian_sum=single)
+    for frame, step in simulated_steps(40):
+        recorder.add(frame, replace(step, baselines={"gaussian_sum": step.image_modes, "kalman": step.image_modes}))
+    record = recorder.finish()
+    finished = record.with_methods({"smoothed": record.truth.poses})
     report = build_report(finished)
     assert report["smoothed"]["converged_at_s"] == 0.0
     assert report["kalman"]["ape_rmse_m"] == report["single_image"]["ape_rmse_m"]
@@ -123,7 +130,7 @@ def test_smoothed_kalman_and_gaussian_sum_are_judged_where_they_exist():
     assert "Gaussian sum" in rendered(report)
 
 
-def test_without_true_poses_no_method_is_judged():
+def test_without_true_poses_no_method_is_evaluated():
     report = build_report(simulated_record(30, with_truth=False))
     assert report["frames_with_true_pose"] == 0
     assert not {"single_image", "dead_reckoning", "filter"} & set(report)
@@ -171,7 +178,7 @@ def test_a_file_that_is_too_large_to_be_a_report_is_none(tmp_path, monkeypatch):
 
 
 def ink(path) -> float:
-    """Share of the picture that is not white."""
+    """Fraction of the picture that is not white."""
     return float((np.asarray(cv2.imread(str(path))) < 250).any(axis=-1).mean())
 
 

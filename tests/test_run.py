@@ -36,7 +36,9 @@ from vapor.calibration.familiarity import learn_familiarity
 from vapor.checkpoints.checkpoint import load_checkpoint, save_checkpoint
 from vapor.commands.run import show_run
 from vapor.observation import VaporObservationModel
-from vapor.pipeline.run import FilteringConfig, localize, write_results
+from vapor.pipeline.config import FilteringConfig
+from vapor.pipeline.localize import localize
+from vapor.pipeline.results import write_results
 from vapor.reporting.record import RunRecord
 from vapor.track import main
 from vapor.training_data.training_set import load_training_set
@@ -249,7 +251,7 @@ def test_a_rosbag2_folder_gives_what_its_file_gives(finished, tiny_model, walk_o
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_without_true_poses_nothing_is_judged_and_nothing_of_an_earlier_run_stays(
+def test_without_true_poses_nothing_is_evaluated_and_nothing_of_an_earlier_run_stays(
     finished, tiny_model, walk_of_25, tmp_path, capsys
 ):
     out = tmp_path / "out"
@@ -275,7 +277,7 @@ def test_a_run_of_one_image_is_a_run(tiny_model, tmp_path):
 
 
 @pytest.mark.usefixtures("unchecked", "plain_results")
-def test_options_choose_the_stretch_and_leave_out_topics(tiny_model, walk_of_25, tmp_path):
+def test_options_choose_the_segment_and_leave_out_topics(tiny_model, walk_of_25, tmp_path):
     words = ["--start-s", "0.5", "--duration-s", "1", "--ground-truth-topic", "", "--no-recording"]
     assert run(walk_of_25, tiny_model, tmp_path / "out", *words) == 0
     report = report_of(tmp_path / "out")
@@ -330,7 +332,7 @@ def test_a_gap_in_the_odometry_widens_the_belief_but_does_not_forget_it(walk_of_
     std = np.sqrt(record.covariance[:, 0, 0])
     assert std[after] > 1.1 * std[after - 1]
     assert record.best_weight[after:].min() > 0.9
-    assert record.filter.distance(record.truth.poses)[0].max() < 0.2
+    assert record.methods["filter"].poses.distance(record.truth.poses)[0].max() < 0.2
 
 
 def wrong_odometry(kind: str, poses: list[tuple[int, Poses]], begin: int, end: int) -> list[tuple[int, Poses]]:
@@ -353,8 +355,7 @@ def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, ca
         walk.odometry = wrong_odometry(kind, walk.odometry, begin, begin + 75)
     sequence = walk.write(tmp_path / "walk.mcap")
     record = follow(sequence, tmp_path / "out", floors_of(sequence, alone=60))
-    assert record.smoothed is not None
-    off_m = record.smoothed.poses.distance(record.truth.poses)[0]
+    off_m = record.methods["smoothed"].poses.distance(record.truth.poses)[0]
     result = write_results(record, tmp_path / "out", {}, title=kind)
     with (tmp_path / "out" / "status.csv").open() as file:
         doubtful = np.array([row["smoothed"] == "doubtful" for row in csv.DictReader(file)])
@@ -384,14 +385,14 @@ def test_foreign_images_make_a_run_lost_and_it_recovers(tmp_path):
 
 
 @dataclass(frozen=True)
-class Judged:
+class KnowsWhatIsForeign:
     """Posteriors of one model, with the unfamiliarity of another."""
 
     says: Floors
-    judges: VaporObservationModel
+    knows: VaporObservationModel
 
     def observe(self, image, *, rng):
-        unfamiliarity = self.judges.observe(image, rng=rng).unfamiliarity
+        unfamiliarity = self.knows.observe(image, rng=rng).unfamiliarity
         return replace(self.says.observe(image, rng=rng), unfamiliarity=unfamiliarity)
 
 
@@ -406,8 +407,10 @@ def test_black_frames_are_lost_where_the_model_knows_what_is_familiar(tiny_model
     images = load_training_set({"walk": list(SequenceReader(sequence))[:30] * 3}, NETWORK.frame_size)
     knowing = replace(checkpoint, familiarity=learn_familiarity(checkpoint.build_network(), images, images))
     status = {}
-    for name, judge in (("knowing", knowing), ("unknowing", checkpoint)):
-        model = Judged(floors_of(sequence, alone=60), VaporObservationModel(judge, num_samples=1, device="cpu"))
+    for name, known in (("knowing", knowing), ("unknowing", checkpoint)):
+        model = KnowsWhatIsForeign(
+            floors_of(sequence, alone=60), VaporObservationModel(known, num_samples=1, device="cpu")
+        )
         status[name] = follow(sequence, tmp_path / name, model).status
     assert status["knowing"][10:30] == status["unknowing"][10:30] == ("converged",) * 20
     assert status["knowing"][50:] == ("lost",) * 10

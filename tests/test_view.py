@@ -11,7 +11,8 @@ import pytest
 from filtering.errors import VaporTrackError
 from sequences.frame import Frame
 from tests.simulated_run import simulated_steps
-from vapor.reporting.rerun_viewer import NullViewer, RerunViewer
+from vapor.reporting.rerun_viewer import RerunViewer
+from vapor.reporting.viewer import NullViewer
 
 
 @pytest.fixture(scope="module")
@@ -29,16 +30,16 @@ def columns_of(path) -> set[str]:
 def test_the_null_viewer_takes_every_image_and_leaves_nothing(tmp_path, monkeypatch, steps):
     monkeypatch.chdir(tmp_path)
     with NullViewer() as viewer:
-        for frame, _, estimate, _ in steps:
-            viewer.log(frame, estimate, None)
+        for frame, step in steps:
+            viewer.log(frame, step.estimate, None)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_recording_appears_under_its_name_only_when_closed(tmp_path, steps):
     path = tmp_path / "recording.rrd"
     viewer = RerunViewer(path)
-    for frame, _, estimate, _ in steps:
-        viewer.log(frame, estimate, estimate.particles)
+    for frame, step in steps:
+        viewer.log(frame, step.estimate, step.estimate.particles)
     assert not path.exists()
     viewer.close()
     assert path.read_bytes()[:4] == b"RRF2"
@@ -49,8 +50,8 @@ def test_a_recording_appears_under_its_name_only_when_closed(tmp_path, steps):
 def test_a_recording_holds_image_belief_paths_and_plots(tmp_path, steps):
     path = tmp_path / "recording.rrd"
     with RerunViewer(path) as viewer:
-        for frame, _, estimate, _ in steps:
-            viewer.log(frame, estimate, estimate.particles)
+        for frame, step in steps:
+            viewer.log(frame, step.estimate, step.estimate.particles)
     entities = columns_of(path)
     for entity in (
         "/world/camera",
@@ -72,8 +73,8 @@ def test_a_recording_holds_image_belief_paths_and_plots(tmp_path, steps):
 def test_without_truth_camera_posterior_and_with_large_images_the_rest_is_recorded(tmp_path, steps):
     path = tmp_path / "recording.rrd"
     with RerunViewer(path) as viewer:
-        for i, (_, _, estimate, _) in enumerate(steps[:3]):
-            viewer.log(Frame(i * 10**8, np.full((960, 1280, 3), 90, np.uint8)), estimate, None)
+        for i, (_, step) in enumerate(steps[:3]):
+            viewer.log(Frame(i * 10**8, np.full((960, 1280, 3), 90, np.uint8)), step.estimate, None)
     entities = columns_of(path)
     assert {"/world/camera", "/world/particles", "/world/path/filter"} <= entities
 
@@ -84,7 +85,7 @@ def test_an_error_in_the_loop_leaves_no_recording_and_keeps_the_old_one(tmp_path
 
     def fail():
         with RerunViewer(path) as viewer:
-            viewer.log(steps[0][0], steps[0][2], None)
+            viewer.log(steps[0][0], steps[0][1].estimate, None)
             raise OSError("camera unplugged")
 
     with pytest.raises(OSError, match="camera unplugged"):
@@ -111,8 +112,8 @@ def test_a_recording_for_which_there_is_no_room_is_an_error_and_leaves_nothing(n
 
     def record():
         with viewer:
-            for frame, _, estimate, _ in 40 * steps:  # more than a pipe holds
-                viewer.log(frame, estimate, estimate.particles)
+            for frame, step in 40 * steps:  # more than a pipe holds
+                viewer.log(frame, step.estimate, step.estimate.particles)
 
     said = r"recording\.rrd: the recording cannot be written: File too large.*--no-recording"
     with room_for(num_bytes), pytest.raises(VaporTrackError, match=said):
@@ -122,7 +123,7 @@ def test_a_recording_for_which_there_is_no_room_is_an_error_and_leaves_nothing(n
 
 def test_a_recording_whose_last_bytes_find_no_room_is_an_error_and_leaves_nothing(tmp_path, steps):
     viewer = RerunViewer(tmp_path / "recording.rrd")
-    viewer.log(steps[0][0], steps[0][2], None)
+    viewer.log(steps[0][0], steps[0][1].estimate, None)
     with room_for(0), pytest.raises(VaporTrackError, match=r"recording\.rrd: the recording cannot be written"):
         viewer.close()
     assert list(tmp_path.iterdir()) == []
@@ -130,7 +131,7 @@ def test_a_recording_whose_last_bytes_find_no_room_is_an_error_and_leaves_nothin
 
 def test_closing_twice_is_harmless(tmp_path, steps):
     with RerunViewer(tmp_path / "recording.rrd") as viewer:
-        viewer.log(steps[0][0], steps[0][2], None)
+        viewer.log(steps[0][0], steps[0][1].estimate, None)
         viewer.close()
     assert (tmp_path / "recording.rrd").exists()
 

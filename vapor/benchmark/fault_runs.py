@@ -21,8 +21,8 @@ from vapor.benchmark.recordings import FileSettings, RecordingSettings, load_rec
 from vapor.benchmark.trials import Replay, Setup
 from vapor.benchmark.windows import trials_by_seed
 from vapor.cache import cached, code_digest
-from vapor.evaluation.belief import Belief
 from vapor.parallel import in_parallel
+from vapor.tracking.belief import Belief
 
 _BARREN = 20  # walks in a row without a moment for a fault, after which there is none to be hoped for
 

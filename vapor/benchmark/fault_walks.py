@@ -28,7 +28,7 @@ from vapor.benchmark.trials import (
     trial_settings,
 )
 from vapor.benchmark.windows import Trial
-from vapor.evaluation.belief import Belief
+from vapor.tracking.belief import Belief
 
 RECORDED = "recorded"
 """What recordings are told as, where synthetic walks are by their scene."""

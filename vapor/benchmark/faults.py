@@ -16,8 +16,8 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry import STATED_OVER_S, OdometryNoise, simulate_odometry
 from vapor.benchmark.trials import Replay
-from vapor.evaluation.belief import Belief
 from vapor.evaluation.trajectory import convergence_s, is_right
+from vapor.tracking.belief import Belief
 
 CONVERGED_S = 5.0
 """The filter has been converged for so long when a fault begins."""

@@ -16,7 +16,7 @@ from vapor.benchmark.trials import Setup, run_trial
 from vapor.benchmark.windows import Kind, Trial, choose_trials
 from vapor.checkpoints.checkpoint import find_model, load_checkpoint
 from vapor.parallel import in_parallel
-from vapor.tracking.ablations import VARIANTS
+from vapor.tracking.ablations import ABLATIONS
 
 _MAX_SEED = 2**62
 
@@ -79,8 +79,8 @@ class BenchmarkConfig(RecordingsConfig):
             if not chosen or len(set(chosen)) < len(chosen):
                 raise VaporTrackError(f"{name} are {', '.join(chosen) or 'none'}, expected each at most once, and one")
         for variant in self.variants:
-            if variant not in VARIANTS:
-                raise VaporTrackError(f"unknown variant {variant!r}, expected one of {', '.join(VARIANTS)}")
+            if variant not in ABLATIONS:
+                raise VaporTrackError(f"unknown variant {variant!r}, expected one of {', '.join(ABLATIONS)}")
 
 
 class Benchmark:

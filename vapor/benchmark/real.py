@@ -14,12 +14,15 @@ from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from vapor.benchmark.real_rows import ROWS, Place, Row
 from vapor.cache import cached, code_digest
-from vapor.evaluation.trajectory import REGIONS, RIGHT
+from vapor.evaluation.comparison import compare
+from vapor.evaluation.consistency import REGIONS
+from vapor.evaluation.trajectory import RIGHT
 from vapor.threads import limited_threads
-from vapor.tracking.methods import follow
+from vapor.tracking import methods
+from vapor.tracking.follow import follow
 
-METHODS = ("single_image", "kalman", "gaussian_sum", "filter", "smoothed")
-"""Of a table, in its order."""
+METHODS = tuple(name for name in methods.METHODS if name != "dead_reckoning")
+"""Of a table, in its order: dead reckoning is told where it starts."""
 
 _CODE = (
     "sequences.estimates",
@@ -30,6 +33,7 @@ _CODE = (
     "vapor.calibration",
     "vapor.checkpoints",
     "vapor.evaluation",
+    "vapor.pipeline.estimate_model",
     "vapor.pipeline.fuse",
     "vapor.tracking",
 )
@@ -100,7 +104,7 @@ def _judged(row: Row, seed: int, place: Place, config: RealConfig) -> list[dict[
         place.advance("localizing", seed, None)
         draw = row.draw(place, seed, config.localizer)
         followed = follow(draw.passage, draw.errors, draw.localizer, rng=np.random.default_rng(seed))
-        compared = followed.compared().scaled(1.0 / draw.unit_m)
+        compared = compare(followed).scaled(1.0 / draw.unit_m)
         return [
             {"row": row.name, "group": row.group, "of": what, "seed": seed, "unit_m": draw.unit_m}
             | compared.figures(images)

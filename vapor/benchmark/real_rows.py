@@ -32,8 +32,9 @@ from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
 from vapor.calibration.images import Seen, Way, fit_errors
 from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, spaced
 from vapor.checkpoints.scene_scale import default_errors
-from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of, over_sequences
-from vapor.tracking.methods import Passage, posterior_of
+from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of
+from vapor.pipeline.fuse import over_sequences
+from vapor.tracking.passage import Passage, posterior_of
 from vapor.training.presets import PRESETS
 from vapor.training.train import Progress, TrainConfig, train
 from vapor.training_data.training_set import load_training_set, open_sequences

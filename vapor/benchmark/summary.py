@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from vapor.benchmark.windows import KINDS
+from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.intervals import Walks
-from vapor.evaluation.trajectory import FILES, REGIONS, THRESHOLDS
+from vapor.evaluation.trajectory import THRESHOLDS
+from vapor.tracking.methods import BASELINES, METHODS
 
 WITHIN_IMAGES = 50
 """A kidnapped filter should be right again after no more images than this."""
@@ -50,10 +52,10 @@ def _aggregate(results: Results) -> dict[str, Any]:
         "runs": len(results),
         "walks": walks.count,
         "images": sum(images),
-        "methods": {name: _method([result["methods"][name] for result in results], walks) for name in FILES},
+        "methods": {name: _method([result["methods"][name] for result in results], walks) for name in METHODS},
         "belief": {
             name: _belief([result["belief"][name] for result in results], images, walks)
-            for name in ("kalman", "gaussian_sum", "filter")
+            for name in (*BASELINES, "filter")
         },
         "image_truth_among_modes": _mean([result["image_truth_among_modes"] for result in results]),
         "particles": float(np.median([result["particles"] for result in results])),

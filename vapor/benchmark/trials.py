@@ -21,10 +21,12 @@ from vapor.benchmark.recordings import Recording, RecordingSettings, load_record
 from vapor.benchmark.windows import KINDS, STAND_S, Kind, Piece, Trial, recorded_images, walk_frames
 from vapor.cache import cached, code_digest
 from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint
+from vapor.evaluation.comparison import compare
 from vapor.evaluation.floors import FLOOR_HEIGHT_M
 from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry, scaled_poses
-from vapor.tracking.ablations import VARIANTS
-from vapor.tracking.methods import Followed, Passage, follow, posterior_of
+from vapor.tracking.ablations import ABLATIONS
+from vapor.tracking.follow import Followed, follow
+from vapor.tracking.passage import Passage, posterior_of
 
 _CODE = (
     "sequences.odometry_fit",
@@ -49,7 +51,7 @@ class Setup:
         num_samples: Posterior samples per image.
         localizer: Settings of the filter.
         errors: What replaces numbers of the model's own error model, by name.
-        variant: Which of `VARIANTS` of the filter.
+        variant: Which of `ABLATIONS` of the filter.
         odometry_scale: Error of the odometry's distances, as a share of them; None for a random one.
     """
 
@@ -208,7 +210,7 @@ def follow_replay(
     """
     replay = replay.scaled(scale)
     calibration = scaled_calibration(setup.checkpoint().calibration, scale)
-    variant = VARIANTS[setup.variant]
+    variant = ABLATIONS[setup.variant]
     errors, fit = variant.errors(calibration.errors), calibration.odometry
     config = scaled_localizer(variant.localizer(setup.localizer), scale)
     if fit is not None:
@@ -218,12 +220,12 @@ def follow_replay(
         return posterior_of(replay.posterior_poses(image), errors, float(replay.unfamiliarity[image]))
 
     passage = Passage(replay.times_ns, replay.odometry, replay.truth, posterior).restated(fit)
-    return follow(passage, errors, config, rng=np.random.default_rng(seed), variant=variant, seam=seam)
+    return follow(passage, errors, config, rng=np.random.default_rng(seed), ablation=variant, kidnap_index=seam)
 
 
 def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
     # Judged in the lengths of the scene: what is right is so at any scale.
-    compared = follow_trial(trial, setup, replay).compared().scaled(1.0 / trial.scale)
+    compared = compare(follow_trial(trial, setup, replay)).scaled(1.0 / trial.scale)
     return {
         "name": trial.name,
         "scene": trial.scene,

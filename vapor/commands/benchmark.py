@@ -31,7 +31,7 @@ from vapor.commands import real_tables
 from vapor.commands.benchmark_tables import failures, fault_failures, fault_tables, tables
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, progress_of, show, usage_error
 from vapor.observation import Device, VaporObservationModel
-from vapor.pipeline.fleet import unique_names
+from vapor.pipeline.find_sequences import unique_names
 from vapor.reporting.report import write_report
 from vapor.threads import limited_threads
 from vapor.training.presets import PRESETS

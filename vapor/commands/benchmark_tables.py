@@ -11,13 +11,15 @@ from rich.table import Table
 from vapor.benchmark.faults import FAULT_S, FAULTS, LONG_S, NONE, NOTICED_S, SETTLED_S
 from vapor.benchmark.summary import OFTEN, WITHIN_IMAGES
 from vapor.benchmark.windows import KINDS
+from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.intervals import Interval, dissent
-from vapor.evaluation.trajectory import FILES, REGIONS, THRESHOLDS
+from vapor.evaluation.trajectory import THRESHOLDS
+from vapor.tracking.methods import BASELINES, METHODS
 
 Aggregate = Mapping[str, Any]
 Summary = Mapping[str, Mapping[str, Mapping[str, Aggregate]]]
 
-_BELIEVERS = ("filter", "kalman", "gaussian_sum")
+_BELIEVERS = ("filter", *BASELINES)
 _OWN = {
     "cue": ("success", "conv.\nat"),
     "no-cue": ("wrong\nruns", "longest\nwrong"),
@@ -74,8 +76,7 @@ def fault_tables(summary: Mapping[str, Mapping[str, Aggregate]]) -> Iterator[Tab
             f"from\n{NOTICED_S:g} s",
             "sure,\nwrong",
             "at\nmost",
-            "\nKalman",
-            "\nGauss.",
+            *(f"\n{METHODS[name].short_label or METHODS[name].label}" for name in BASELINES),
         )
         table.columns[0].no_wrap = True
         for name, total in faults.items():
@@ -93,7 +94,7 @@ def fault_tables(summary: Mapping[str, Mapping[str, Aggregate]]) -> Iterator[Tab
             f"In % of the images from the fault's beginning on; it lasts {FAULT_S:g} s where nothing else is said."
             f" {SETTLED_S:g} s after: right from {SETTLED_S:g} s after its end on. From {NOTICED_S:g} s: lost from"
             f" {NOTICED_S:g} s after its beginning to its end. At most: the longest that any walk was sure and wrong."
-            " Kalman filter and Gaussian sum: success and right."
+            f" {' and '.join(METHODS[name].label for name in BASELINES)}: success and right."
             f" Without a fault {lost} of all images of the walks are called lost."
         )
         yield table
@@ -117,7 +118,7 @@ def fault_failures(summary: Mapping[str, Mapping[str, Aggregate]]) -> Iterator[s
 def _methods_table(title: str, total: Aggregate) -> Table:
     limits = ["recall\n{}\n{}°".format(*name.removesuffix("deg").replace("m", " m").split("/")) for name in THRESHOLDS]
     table = _table(title, "method", "success", "found\nat", "median\nerror", *limits)
-    for name in FILES:
+    for name in METHODS:
         method = total["methods"][name]
         tracking, between = "successes" in method, method["intervals"]
         table.add_row(
@@ -210,7 +211,7 @@ def _floor_table(total: Aggregate) -> Table:
     regions = [f"in {region.replace('%', ' %')}\nregion" for region in REGIONS]
     columns = ["once on its\nfloor: images", "right", *regions, "median\nNEES (5.3)", "right but\nfor floor"]
     table = _table(None, "method", *columns)
-    for name in FILES:
+    for name in METHODS:
         floor = total["methods"][name]["floor"]
         between = floor["intervals"]
         believed = total["belief"].get(name, {}).get("on_floor")

@@ -13,7 +13,10 @@ from sequences.errors import SequenceError
 from sequences.results import results_folder
 from sequences.synthesize import synthesize, write_synthetic
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_files, usage_error
-from vapor.pipeline.run import RESULTS, RunConfig, load_model, run_into
+from vapor.pipeline.config import RunConfig
+from vapor.pipeline.model import load_model
+from vapor.pipeline.results import RESULTS
+from vapor.pipeline.run import run_into
 from vapor.reporting.report import format_table
 
 _SEQUENCE = "sequence.mcap"
@@ -30,7 +33,7 @@ class Options:
     """Directory for sequence and results, new or with earlier ones. Default: demo/SCENE."""
     overwrite: Overwrite = False
     seed: int = 1
-    """Of the sequence and of the filter."""
+    """Seed of the sequence and of the filter."""
     frames: int = 300
     """Number of images, ten a second."""
 

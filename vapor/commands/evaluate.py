@@ -11,7 +11,7 @@ import tyro
 
 from sequences.results import MANIFEST, UNCHECKED, refuse_other
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
-from vapor.evaluation.trajectory import evaluate_directory, files_read
+from vapor.evaluation.run_directory import evaluate_directory, files_read
 from vapor.reporting.report import format_table, is_report, write_report
 
 

@@ -12,8 +12,9 @@ import tyro
 from sequences.estimates import EstimateOptions
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, usage_error
 from vapor.commands.run import show_run
-from vapor.pipeline.fuse import EstimateConfig, fuse
-from vapor.pipeline.run import FilteringConfig
+from vapor.pipeline.config import FilteringConfig
+from vapor.pipeline.estimate_model import EstimateConfig
+from vapor.pipeline.fuse import fuse
 
 
 @dataclass(frozen=True)

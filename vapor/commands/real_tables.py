@@ -9,7 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from vapor.benchmark.real import METHODS, Figure
-from vapor.evaluation.trajectory import REGIONS
+from vapor.evaluation.consistency import REGIONS
 
 Summary = Mapping[str, Mapping[str, Any]]
 

@@ -24,8 +24,11 @@ from vapor.commands.console import (
     show_skipped,
     usage_error,
 )
-from vapor.pipeline.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
-from vapor.pipeline.run import RunConfig, RunResult, run
+from vapor.pipeline.config import RunConfig
+from vapor.pipeline.find_sequences import SUMMARY, find_sequences, is_fleet
+from vapor.pipeline.fleet import Outcome, format_fleet, run_fleet, total
+from vapor.pipeline.results import RunResult
+from vapor.pipeline.run import run
 from vapor.reporting.report import format_table
 
 
@@ -72,20 +75,20 @@ def _run_one(options: Options) -> None:
 
 
 def show_run(result: RunResult, output: Path, *, title: str, recording: bool, tail: bool = False) -> None:
-    """Print what came of one run: figures, verdicts, what became of the images, where results lie, few images last.
+    """Print what came of one run: figures, status, what became of the images, where results lie, few images last.
 
     Args:
         result: The run.
         output: Directory of its results.
-        title: Of the table of figures.
+        title: Title of the table of figures.
         recording: Whether there is a recording among them.
-        tail: Whether figures are of the tail of the errors, as of `format_table`.
+        tail: Whether the figures are about the tail of the errors, see `format_table`.
     """
     report = result.report
     if report["frames_with_true_pose"]:
         show(format_table(report, title=title, tail=tail))
-    verdicts = ", ".join(f"{100 * share:.0f} % {verdict}" for verdict, share in report["status"].items())
-    show(f"{report['frames']} images: {verdicts}")
+    status = ", ".join(f"{100 * fraction:.0f} % {name}" for name, fraction in report["status"].items())
+    show(f"{report['frames']} images: {status}")
     show_images(report["images"])
     show_skipped(report["skipped"])
     show_notices(result.notices)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import pairwise
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -12,6 +13,7 @@ from scipy.signal import find_peaks
 
 from filtering.se3 import Poses
 from sequences.scenes import corridor
+from vapor.evaluation.trajectory import is_right
 
 FLOOR_HEIGHT_M: Mapping[str, float] = MappingProxyType({"corridor": corridor.FLOOR_HEIGHT})
 """From floor to floor, metres along z, in the scenes whose floors look alike from end to end."""
@@ -30,7 +32,7 @@ def find_floors(
     Stairs go to the floor that is nearer.
 
     Args:
-        heights_m: Of the positions.
+        heights_m: Heights of the positions, metres.
         cells: Number of the cell of the plan that each is in.
     """
     one = np.zeros(len(heights_m), np.int64), 1
@@ -74,3 +76,19 @@ def once_on_floor(poses: Poses, truth: Poses, floor_height_m: float) -> Bool[np.
     """The images from the first on which, and on all later ones of which, the floor is right, (n,)."""
     wrong = floors_off(poses, truth, floor_height_m) != 0
     return np.cumsum(wrong[::-1])[::-1] == 0
+
+
+def evaluate_floor(poses: Poses, truth: Poses, floor_height_m: float) -> dict[str, Any]:
+    """How often poses (n,) are right but for their floor, and once their floor is right.
+
+    Returns:
+        `but_for_it`: fraction of the images that are right if they are moved to the true floor. `settled_images`: those
+        from the first on which, and on all later ones of which, the floor is right; `settled_right`: fraction of
+        them that is right, None if there are none.
+    """
+    right, settled = is_right(poses, truth), once_on_floor(poses, truth, floor_height_m)
+    return {
+        "but_for_it": float(np.mean(is_right(on_true_floor(poses, truth, floor_height_m), truth))),
+        "settled_images": int(settled.sum()),
+        "settled_right": float(np.mean(right[settled])) if settled.any() else None,
+    }

@@ -38,7 +38,7 @@ class Walks:
     def mean(
         self, values: Sequence[int | float | None], weights: Sequence[int | float] | None = None
     ) -> Interval | None:
-        """Of the mean of the runs' values (n,), weighted by (n,) where given; runs without a value do not count."""
+        """Interval of the mean of the runs' values (n,), weighted if asked for; runs without a value do not count."""
         known = np.array([value is not None for value in values])
         weight = known * (1.0 if weights is None else np.array(weights))
         total = self._times @ weight
@@ -46,12 +46,12 @@ class Walks:
         return self._interval(known, of_draws[total > 0] / total[total > 0])
 
     def number(self, flags: Sequence[bool]) -> Interval | None:
-        """Of how many of the runs have a flag, (n,)."""
-        share = self.mean(flags)
-        return None if share is None else (len(flags) * share[0], len(flags) * share[1])
+        """Interval of how many of the runs have a flag, (n,)."""
+        fraction = self.mean(flags)
+        return None if fraction is None else (len(flags) * fraction[0], len(flags) * fraction[1])
 
     def median(self, values: Sequence[int | float | None]) -> Interval | None:
-        """Of the median of the runs' values (n,); runs without one do not count."""
+        """Interval of the median of the runs' values (n,); runs without one do not count."""
         known = np.array([value is not None for value in values])
         numbers = np.array([value for value in values if value is not None], np.float64)
         order = np.argsort(numbers)
@@ -69,5 +69,5 @@ class Walks:
 
 
 def dissent(walks: int) -> float:
-    """The largest share of walks that are otherwise, with 95 % confidence, where so many agree: about 3 in n."""
+    """The largest fraction of walks that are otherwise, with 95 % confidence, where so many agree: about 3 in n."""
     return 1.0 - 0.05 ** (1.0 / walks)

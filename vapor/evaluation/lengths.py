@@ -1,4 +1,4 @@
-"""The same in another unit of length: a room as large as a car park, or as small as a shoebox."""
+"""Poses, beliefs and settings in another unit of length: a room as large as a car park, or as small as a shoebox."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry_fit import OdometryFit
 from vapor.checkpoints.checkpoint import Calibration
+from vapor.tracking.belief import Belief
 
 
 def scaled_poses(poses: Poses, factor: float) -> Poses:
@@ -30,6 +31,11 @@ def scaled_mode(mode: Mode, factor: float) -> Mode:
     """A mode whose lengths are multiplied by a factor."""
     pose = scaled_poses(mode.world_from_camera, factor)
     return replace(mode, world_from_camera=pose, covariance=mode.covariance * _products(factor))
+
+
+def scaled_belief(belief: Belief, factor: float) -> Belief:
+    """A belief whose lengths are multiplied by a factor."""
+    return replace(belief, modes=[tuple(scaled_mode(mode, factor) for mode in modes) for modes in belief.modes])
 
 
 def scaled_calibration(calibration: Calibration, factor: float) -> Calibration:
@@ -70,6 +76,6 @@ def _scaled_fit(fit: OdometryFit, factor: float) -> OdometryFit:
 
 
 def _products(factor: float) -> Float64[np.ndarray, "6 6"]:
-    """By what a covariance of (v, ω) is multiplied when lengths are multiplied by a factor."""
+    """Factors by which a covariance of (v, ω) is multiplied when lengths are multiplied by a factor."""
     lengths = np.array([factor] * 3 + [1.0] * 3)
     return np.outer(lengths, lengths)

@@ -32,14 +32,14 @@ def posterior_metrics(
         posteriors: Posterior samples of each image, world_from_camera, (m,).
         truth: True poses, world_from_camera, (n,).
         calibration: Kernel widths of the density, and how far a place reaches.
-        gamma: Share of an image's samples that must be near its true pose for the posterior to count as right.
+        gamma: Fraction of an image's samples that must be near its true pose for the posterior to count as right.
         exact_log_density: Log density of each image's own posterior at its true pose, per m³ rad³, where it is known.
 
     Returns:
-        `images`; `recall`, `mode_recall` and `oracle_recall`, for each of `THRESHOLDS` the share of the images of which
-        at least γ of the samples (Zangeneh et al., ICRA 2023), the best mode, or any one sample is within both limits;
-        `mean` and `mode`, the median errors of the samples' mean (arithmetic in position, chordal L2 in rotation) and
-        of the best mode, `translation_m` and `rotation_deg`; `negative_log_density`, the mean of
+        `images`; `recall`, `mode_recall` and `oracle_recall`, for each of `THRESHOLDS` the fraction of the images of
+        which at least γ of the samples (Zangeneh et al., ICRA 2023), the best mode, or any one sample is within both
+        limits; `mean` and `mode`, the median errors of the samples' mean (arithmetic in position, chordal L2 in
+        rotation) and of the best mode, `translation_m` and `rotation_deg`; `negative_log_density`, the mean of
         −log(p̂ + 10⁻⁴ per m³ rad³) at the true pose, nats, so that no single image decides, p̂ being the kernel density
         of the samples; `exact_negative_log_density`, the same of the exact density, None where there is none; `modes`,
         the mean number of modes, the places among the samples.
@@ -62,8 +62,8 @@ def posterior_metrics(
         translation_m, rotation_rad = points.distance(true_pose)
         rotation_deg = np.degrees(rotation_rad)
         near = np.stack([(translation_m <= m) & (rotation_deg <= deg) for m, deg in THRESHOLDS.values()])
-        share = near[:, :-2].mean(axis=1)
-        inside.append([share >= gamma - 1e-12, near[:, -1], share > 0])
+        fraction = near[:, :-2].mean(axis=1)
+        inside.append([fraction >= gamma - 1e-12, near[:, -1], fraction > 0])
         errors.append([translation_m[-2:], rotation_deg[-2:]])
         densities.append(np.logaddexp(calibration.density(samples).log_density(true_pose)[0], LOG_FLOOR))
         counts.append(len(found))

@@ -30,8 +30,8 @@ class Validation:
     Attributes:
         epoch: Epochs trained, from 1.
         train_loss: Mean training loss of that epoch.
-        sample_recall: Share of the posterior samples within 0.3 m and 20° of the true pose.
-        mode_recall: Share of the images whose sample of highest density is.
+        sample_recall: Fraction of the posterior samples within 0.3 m and 20° of the true pose.
+        mode_recall: Fraction of the images whose sample of highest density is.
         log_density: Mean of log(p̂(true pose) + 10⁻⁴ per m³ rad³): unlike the recalls it falls when a possible place is
             forgotten, which a filter cannot mend.
     """
@@ -54,17 +54,17 @@ def validate(
     train_loss: float,
     feature: Float[Tensor, "n f"] | None = None,
 ) -> Validation:
-    """Judge the posteriors of held-out images, with the same latent noise every time.
+    """Evaluate the posteriors of held-out images, with the same latent noise every time.
 
     Args:
         network: In any mode; evaluated in evaluation mode, and left as it was.
         held_out: Images scaled as for training; their centre crops are used.
         calibration: Kernel widths.
         num_samples: Posterior samples per image.
-        seed: Of the latent noise.
+        seed: Seed of the latent noise.
         epoch: Passed through.
         train_loss: Passed through.
-        feature: As of `predict`.
+        feature: See `predict`.
     """
     figures = []
     for i, samples in enumerate(predict(network, held_out, num_samples, seed, feature)):
@@ -91,7 +91,7 @@ def predict(
         network: In any mode.
         images: Scaled as for training.
         num_samples: Posterior samples per image.
-        seed: Of the latent noise.
+        seed: Seed of the latent noise.
         feature: Their features, from `extract_features`, where they are known; the images are then not looked at.
     """
     device = network.pixel_mean.device

@@ -22,7 +22,8 @@ from vapor.evaluation.validation import exact_log_density, predict
 from vapor.experiments.scenes import Scene, identities, identity
 from vapor.observation import resolve_device
 from vapor.parallel import in_parallel
-from vapor.pipeline.run import RunConfig, run
+from vapor.pipeline.config import RunConfig
+from vapor.pipeline.run import run
 from vapor.threads import limited_threads
 from vapor.training.config import TrainConfig
 from vapor.training.train import train_on_images

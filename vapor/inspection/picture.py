@@ -9,7 +9,8 @@ import numpy as np
 
 from vapor.inspection.coverage import SECTORS, Coverage, height
 from vapor.inspection.predictions import Predictions
-from vapor.reporting.pictures import COLORS, new_figure, save_figure
+from vapor.reporting.colors import COLORS
+from vapor.reporting.figures import new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,9 +1,8 @@
-"""Many recorded sequences, one run each with one model: which they are, and what came of each."""
+"""Many recorded sequences, one run each with one model, and what came of each."""
 
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -15,13 +14,15 @@ from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output
 from sequences.options import SequenceOptions
 from sequences.results import folder_to_write, refuse_other, require_replaceable
-from vapor.pipeline.run import RESULTS, RunConfig, RunResult, files_read, load_model, run
+from vapor.pipeline.config import RunConfig
+from vapor.pipeline.find_sequences import SUMMARY
+from vapor.pipeline.model import load_model
+from vapor.pipeline.results import RESULTS, RunResult
+from vapor.pipeline.run import files_read, run
 from vapor.reporting.report import is_report
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-SUMMARY = "summary.json"
 
 
 @dataclass(frozen=True)
@@ -29,16 +30,16 @@ class Outcome:
     """What came of one sequence: figures, or the error that kept it from being localized.
 
     Attributes:
-        name: Of its folder among the results.
-        sequence: Where it lies.
+        name: Name of its folder among the results.
+        sequence: Path of the sequence.
         error: Why there are no figures; None where there are.
         images: Images localized.
         duration_s: From the first to the last of them.
-        status: Share of the images by verdict.
-        final_status: Verdict of the last image.
+        status: Fraction of the images by status.
+        final_status: Status of the last image.
         images_with_true_pose: How many have one.
-        median_translation_m: Of the filter; None without true poses, like the next two.
-        median_rotation_deg: Of the filter.
+        median_translation_m: Median error of the filter; None without true poses, like the next two.
+        median_rotation_deg: Median error of the filter.
         success: Whether the filter found the place, and kept it.
         skipped: Images and messages left out, by reason.
         few_images: A sentence where fewer than half of the images were used.
@@ -61,69 +62,6 @@ class Outcome:
     notices: tuple[str, ...] = ()
 
 
-def is_fleet(paths: Sequence[Path]) -> bool:
-    """Whether these are several sequences, as far as the words tell: more than one path, or a folder to search."""
-    return len(paths) > 1 or (len(paths) == 1 and _found_in(paths[0]) not in ([], list(paths)))
-
-
-def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
-    """The sequences that are meant, by the names of their results, in order.
-
-    A file or a rosbag2 folder is a sequence. Any other folder stands for all MCAP files and rosbag2 folders in it and
-    deeper, but for results of earlier runs; where it holds none it stands for itself, and fails when it is opened. What
-    is found twice is localized once. A name is that of the file or folder, with those of folders above it where others
-    have it too.
-    """
-    found: dict[Path, Path] = {}
-    for path in paths:
-        for sequence in _found_in(path, leave_out=output.absolute()) or [path]:
-            found.setdefault(sequence.resolve(), sequence)
-    return dict(zip(unique_names(list(found)), found.values(), strict=True))
-
-
-def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
-    """Sequences that a path stands for, in order of their names."""
-    if not path.is_dir() or (path / "metadata.yaml").is_file():
-        return [path]
-    sequences: list[Path] = []
-    for entry in sorted(path.iterdir()):
-        if entry.name.startswith(".") or entry.absolute() == leave_out:
-            continue
-        if entry.is_dir() and (
-            not entry.is_symlink() or (entry / "metadata.yaml").is_file()
-        ):  # links may run in circles
-            sequences += _found_in(entry, leave_out)
-        elif entry.suffix == ".mcap" and entry.is_file() and not _is_result(entry):
-            sequences.append(entry)
-    return sequences
-
-
-def _is_result(file: Path) -> bool:
-    return file.name == "estimate.mcap" and (file.parent / "report.json").is_file()
-
-
-def unique_names(sequences: Sequence[Path]) -> list[str]:
-    """Names as short as they can be told apart by; numbered where whole paths do not, as of `a.mcap` beside `a/`."""
-    parts = [(*path.parent.parts[1:], path.stem if path.suffix == ".mcap" else path.name) for path in sequences]
-    lengths = [1] * len(parts)
-    while True:
-        names = ["-".join(part[-length:]) for part, length in zip(parts, lengths, strict=True)]
-        counts = Counter(name.casefold() for name in [*names, SUMMARY])
-        longer = [
-            min(length + (counts[name.casefold()] > 1), len(part))
-            for name, length, part in zip(names, lengths, parts, strict=True)
-        ]
-        if longer == lengths:
-            break
-        lengths = longer
-    taken: Counter[str] = Counter()
-    for i, name in enumerate(names):
-        taken[name.casefold()] += 1
-        if counts[name.casefold()] > 1:
-            names[i] = f"{name}-{taken[name.casefold()]}"
-    return names
-
-
 def run_fleet(
     sequences: Mapping[str, Path],
     model: str,
@@ -137,12 +75,12 @@ def run_fleet(
     """Localize sequence after sequence; each has the results that it would have alone.
 
     Args:
-        sequences: Where they lie, by the names of their results.
+        sequences: Paths of the sequences, by the names of their results.
         model: Model file, or name of a model that ships with the package; loaded once.
-        output: Directory for the results, a folder a sequence and `summary.json`, which tells of those done so far.
+        output: Directory for the results: a folder for each sequence, and `summary.json` on those done so far.
         config: Settings of every run.
         reading: What to read of every sequence.
-        overwrite: As of `run`, of the folder of each sequence, and of `summary.json`.
+        overwrite: See `run`; it applies to the folder of each sequence, and to `summary.json`.
         progress: Called after every image with the name of the sequence, the number done and an upper bound of all.
 
     Yields:
@@ -183,7 +121,7 @@ def run_fleet(
 
 def _outcome(name: str, sequence: Path, result: RunResult) -> Outcome:
     report = result.report
-    judged = report.get("filter", {})
+    errors = report.get("filter", {})
     return Outcome(
         name,
         str(sequence),
@@ -192,9 +130,9 @@ def _outcome(name: str, sequence: Path, result: RunResult) -> Outcome:
         status=report["status"],
         final_status=result.record.status[-1],
         images_with_true_pose=report["frames_with_true_pose"],
-        median_translation_m=judged.get("median_translation_m"),
-        median_rotation_deg=judged.get("median_rotation_deg"),
-        success=judged.get("success"),
+        median_translation_m=errors.get("median_translation_m"),
+        median_rotation_deg=errors.get("median_rotation_deg"),
+        success=errors.get("success"),
         skipped=report["skipped"],
         few_images=result.few_images,
         notices=result.notices,
@@ -202,7 +140,7 @@ def _outcome(name: str, sequence: Path, result: RunResult) -> Outcome:
 
 
 def total(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """What sequences add up to: shares are of all images, the median is that of the sequences' medians."""
+    """What sequences add up to: fractions are of all images, the median is that of the sequences' medians."""
     images = sum(outcome.images for outcome in outcomes)
     converged = sum(outcome.images * outcome.status.get("converged", 0.0) for outcome in outcomes)
     medians = [outcome.median_translation_m for outcome in outcomes if outcome.median_translation_m is not None]
@@ -238,12 +176,12 @@ def format_fleet(outcomes: Sequence[Outcome]) -> Table:
     """A row a sequence; those of error and success only where there are true poses."""
     from rich.table import Table
 
-    judged = any(outcome.median_translation_m is not None for outcome in outcomes)
+    has_truth = any(outcome.median_translation_m is not None for outcome in outcomes)
     table = Table()
     table.add_column("sequence", overflow="fold")
     for name in ("images", "duration", "converged", "at the end"):
         table.add_column(name, justify="right")
-    for name in ("median error", "success") if judged else ():
+    for name in ("median error", "success") if has_truth else ():
         table.add_column(name, justify="right")
     for o in outcomes:
         if o.error is not None:
@@ -259,6 +197,6 @@ def format_fleet(outcomes: Sequence[Outcome]) -> Table:
             f"{o.duration_s:.1f} s",
             f"{100 * o.status['converged']:.0f} %",
             o.final_status,
-            *((error, success) if judged else ()),
+            *((error, success) if has_truth else ()),
         )
     return table

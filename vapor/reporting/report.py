@@ -15,31 +15,30 @@ from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
 from sequences.tum import format_time
 from sequences.values import read_json
-from vapor.evaluation.trajectory import FILES, TAIL_M, THRESHOLDS, associate, evaluate_consistency, evaluate_methods
-from vapor.reporting.pictures import LABELS, write_pictures
-from vapor.reporting.record import RunRecord, RunRecorder
+from vapor.evaluation.consistency import evaluate_consistency
+from vapor.evaluation.trajectory import TAIL_M, THRESHOLDS, associate, evaluate_methods
+from vapor.reporting.record import RunRecord
+from vapor.tracking.methods import METHODS, in_order
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 FITS = 0.7
-"""Share of the images about a smoothed pose that must fit it; as of the filter's to be `converged`."""
+"""Fraction of the images about a smoothed pose that must fit it; as of the filter's to be `converged`."""
 
 _POSITION, _ROTATION = slice(0, 3), slice(3, 6)
-
-__all__ = ["RunRecord", "RunRecorder", "build_report", "format_table", "write_pictures", "write_report"]
 
 
 def build_report(record: RunRecord) -> dict[str, Any]:
     """The content of `report.json`; the same for the same run but for `step_ms` and `peak_rss_mb`.
 
     Returns:
-        `frames`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (share of the images by verdict),
+        `frames`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of the images by status),
         `smoothed_doubtful` (number of poses, see `doubtful`; null without a smoothed trajectory), `particles` (median),
         `step_ms`, `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each method's metrics, and
         `consistency` (see `evaluate_consistency`).
     """
-    verdicts = Counter(record.status)
+    counts = Counter(record.status)
     frames = len(record.times_ns)
     p50, p95 = np.percentile(record.step_ms, [50, 95])
     doubts = doubtful(record)
@@ -50,7 +49,7 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "skipped": dict(record.skipped),
         "images": None if record.images is None else record.images.as_json(),
         "duration_s": float(record.times_ns[-1] - record.times_ns[0]) / 1e9,
-        "status": {name: verdicts[name] / frames for name in ("converged", "ambiguous", "lost")},
+        "status": {name: counts[name] / frames for name in ("converged", "ambiguous", "lost")},
         "smoothed_doubtful": None if doubts is None else int(doubts.sum()),
         "particles": int(np.median(record.num_particles)),
         "step_ms": {"p50": float(p50), "p95": float(p95)},
@@ -70,7 +69,7 @@ def doubtful(record: RunRecord) -> Bool[np.ndarray, " n"] | None:
     return None if record.smoothed_agreement is None else record.smoothed_agreement < FITS
 
 
-def told_doubtful(record: RunRecord) -> str | None:
+def doubtful_notice(record: RunRecord) -> str | None:
     """What to say of a run with doubtful smoothed poses; None where there are none."""
     doubts = doubtful(record)
     if doubts is None or not doubts.any():
@@ -88,7 +87,7 @@ def write_report(path: Path, report: Mapping[str, Any]) -> None:
 def write_status(path: Path, record: RunRecord) -> None:
     """Write what is to be thought of the poses of each image, as CSV.
 
-    `time`: as in the trajectories. `status`, `std_m`, `std_deg`: of the filter's pose, its verdict and the standard
+    `time`: as in the trajectories. `status`, `std_m`, `std_deg`: of the filter's pose, its status and the standard
     deviations along the widest axis of position and rotation, by what it believed at that moment. `smoothed`: `fits` or
     `doubtful`, whether the images about the smoothed pose fit it.
     """
@@ -125,16 +124,13 @@ def format_table(report: Mapping[str, Any], *, title: str | None = None, tail: b
         table.add_column(f"worse than\n{TAIL_M[threshold]:g} m" if tail else name, justify="right")
     table.add_column("converged", justify="right")
     digits = 3 if tail else 2
-    for name in FILES:
-        if name not in report:
-            continue
-        metrics = report[name]
+    for name, metrics in in_order(report).items():
         converged_at_s = metrics.get("converged_at_s")
         converged = "" if "success" not in metrics else "no" if converged_at_s is None else f"{converged_at_s:.1f} s"
         table.add_row(
-            LABELS[name],
+            METHODS[name].label,
             f"{metrics['median_translation_m']:.{digits}f} m  {metrics['median_rotation_deg']:5.1f}°",
-            *(f"{100 * share:.{digits - 2}f} %" for share in metrics["worse_than" if tail else "recall"].values()),
+            *(f"{100 * part:.{digits - 2}f} %" for part in metrics["worse_than" if tail else "recall"].values()),
             converged,
             style="bold" if name == "filter" else None,
         )

@@ -1,4 +1,4 @@
-"""The filter with one of its parts taken out, to see what that part is worth."""
+"""Ablations: the filter with one of its parts taken out, to see what that part is worth."""
 
 from __future__ import annotations
 
@@ -6,22 +6,27 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+import numpy as np
+
 from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
+from filtering.estimate import Estimate
 from filtering.localizer import ParticleLocalizer
-from filtering.motion import SlowErrors
+from filtering.motion import Odometry, SlowErrors
+from filtering.posterior import PosePosterior
 from filtering.rivals import DoubtingLocalizer
+from vapor.tracking.loop import Localizer
 
 
 @dataclass(frozen=True)
-class Variant:
+class Ablation:
     """Changes to the settings of a filter.
 
     Attributes:
         meaning: What is different.
         kind: The filter.
-        localizer: Settings of the filter -> those of the variant.
-        errors: How images err -> how the variant takes them to.
+        localizer: Settings of the filter -> those of the ablation.
+        errors: How images err -> how the ablation takes them to.
         told_of_kidnap: Whether it is told that the camera was carried off, and starts anew there.
     """
 
@@ -31,35 +36,65 @@ class Variant:
     errors: Callable[[ErrorModel], ErrorModel] = lambda errors: errors
     told_of_kidnap: bool = False
 
+    def start(self, config: LocalizerConfig, *, rng: np.random.Generator, kidnap_index: int | None = None) -> Localizer:
+        """A filter without that part.
+
+        Args:
+            config: Settings of the filter, already changed by `localizer`.
+            rng: Source of its random draws.
+            kidnap_index: First image after the camera was carried off; None where it was not.
+        """
+
+        def begin() -> ParticleLocalizer:
+            return self.kind(None, config, rng=rng)
+
+        return _ToldOfKidnap(begin, kidnap_index) if self.told_of_kidnap else begin()
+
+
+class _ToldOfKidnap:
+    """A filter that starts anew at one image, without the odometry that leads there."""
+
+    def __init__(self, begin: Callable[[], ParticleLocalizer], kidnap_index: int | None) -> None:
+        self._begin = begin
+        self._kidnap_index = kidnap_index
+        self._localizer = begin()
+        self._images = 0
+
+    def update(self, posterior: PosePosterior, odometry: Odometry | None, /, *, elapsed_s: float) -> Estimate:
+        if self._images == self._kidnap_index:
+            self._localizer, odometry = self._begin(), None
+        self._images += 1
+        return self._localizer.update(posterior, odometry, elapsed_s=elapsed_s)
+
 
 def _each_image_anew(errors: ErrorModel) -> ErrorModel:
     return replace(errors, lasting_share=0.0, length_m=1e-6 * errors.length_m, length_rad=1e-6)
 
 
 # To add one: a name, what is different, and a function of the settings.
-VARIANTS: Mapping[str, Variant] = MappingProxyType(
+ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
     {
-        "full": Variant("the filter as it is"),
-        "no-lasting-errors": Variant("every image errs anew, and its view is new", errors=_each_image_anew),
-        "no-tails": Variant("Gaussian errors", errors=lambda errors: replace(errors, tail=1e6)),
-        "no-adaptation": Variant(
+        "full": Ablation("the filter as it is"),
+        "no-lasting-errors": Ablation("every image errs anew, and its view is new", errors=_each_image_anew),
+        "no-tails": Ablation("Gaussian errors", errors=lambda errors: replace(errors, tail=1e6)),
+        "no-adaptation": Ablation(
             "images err as their model says, whatever odometry shows",
             localizer=lambda config: replace(config, adapt_errors=False),
         ),
-        "trusting-shares": Variant(
-            "a place is as possible as its share of the samples",
+        "trusting-shares": Ablation(
+            "a place is as probable as the fraction of the samples in it",
             errors=lambda errors: replace(errors, possible_share=1.0),
         ),
-        "no-slow-errors": Variant(
+        "no-slow-errors": Ablation(
             "the odometry errs as white noise only",
             localizer=lambda config: replace(config, slow_errors=SlowErrors(scale=0.0, relative_drift=0.0)),
         ),
-        "no-injection": Variant(
+        "no-injection": Ablation(
             "no hypothesis is added after the first image",
             localizer=lambda config: replace(config, kidnap_per_view=0.0, max_kidnap_per_view=0.0),
         ),
-        "inject-on-doubt": Variant("hypotheses are added where the images cast doubt, as in AMCL", DoubtingLocalizer),
-        "told-of-kidnap": Variant("starts anew where the camera was carried to", told_of_kidnap=True),
+        "inject-on-doubt": Ablation("hypotheses are added where the images cast doubt, as in AMCL", DoubtingLocalizer),
+        "told-of-kidnap": Ablation("starts anew where the camera was carried to", told_of_kidnap=True),
     }
 )
-"""Variants by name."""
+"""Ablations by name; `full` is none."""

@@ -18,12 +18,13 @@ from vapor.calibration.calibrate import NUM_SAMPLES, CalibrationResult
 from vapor.calibration.familiarity import describe
 from vapor.checkpoints.checkpoint import Calibration
 from vapor.checkpoints.scene_scale import default_errors
-from vapor.evaluation.belief import judge_belief
-from vapor.evaluation.trajectory import REGIONS, is_right
+from vapor.evaluation.consistency import REGIONS, evaluate_belief
+from vapor.evaluation.trajectory import is_right
 from vapor.evaluation.validation import predict
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
-from vapor.tracking.methods import Followed, Passage, follow, posterior_of
+from vapor.tracking.follow import Followed, follow
+from vapor.tracking.passage import Passage, posterior_of
 from vapor.training.check_result import Figures, TrainingCheck, verdict
 from vapor.training_data.training_set import TrainingSet
 
@@ -90,7 +91,7 @@ def check(
             passage = Passage(images.times_ns[rows], odometry[: len(rows)], images.poses[rows], posterior)
             passage = passage.restated(fit)
             rng = np.random.default_rng(seed)
-            followed.append(follow(passage, errors, config, rng=rng, gaussian_sum=False))
+            followed.append(follow(passage, errors, config, rng=rng, baselines=("kalman",)))
         return followed
 
     followed, kept = tried(fitted.errors), fitted.errors
@@ -105,7 +106,7 @@ def check(
                 found, followed, kept = other, again, errors
             if not (found.worse or found.overconfident):
                 break
-    smoothed = [each.compared().poses["smoothed"] for each in followed]
+    smoothed = [each.poses_at_end()["smoothed"] for each in followed]
     found = replace(found, methods={**found.methods, "smoothed": _figures(followed, smoothed)})
     return replace(found, verdict=verdict(found, result)), replace(fitted, errors=kept)
 
@@ -143,7 +144,9 @@ def _summed(followed: Sequence[Followed]) -> TrainingCheck:
     methods = {name: _figures(followed, [each.poses[name] for each in followed]) for name in METHODS[:-1]}
     passages = [each.passage for each in followed]
     said = [
-        judge_belief(each.beliefs["filter"], of.times_ns, of.truth, converged_at_s=None, seam=None)["said_converged"]
+        evaluate_belief(each.beliefs["filter"], of.times_ns, of.truth, converged_at_s=None, kidnap_index=None)[
+            "said_converged"
+        ]
         for each, of in zip(followed, passages, strict=True)
     ]
     said = [each for each in said if each["images"]]

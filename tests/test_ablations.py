@@ -12,7 +12,7 @@ from filtering.posterior import PosePosterior
 from filtering.rivals import DoubtingLocalizer
 from filtering.se3 import Poses
 from tests.simulation import ERRORS
-from vapor.tracking.ablations import VARIANTS
+from vapor.tracking.ablations import ABLATIONS
 
 
 def poses_around(x_m: float, count: int, seed: int) -> Poses:
@@ -21,48 +21,48 @@ def poses_around(x_m: float, count: int, seed: int) -> Poses:
     return Poses.exp(tangent)
 
 
-@pytest.mark.parametrize("name", VARIANTS)
-def test_every_variant_follows_a_camera(name):
-    variant = VARIANTS[name]
-    localizer = variant.kind(None, variant.localizer(LocalizerConfig()), rng=np.random.default_rng(0))
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_every_ablation_follows_a_camera(name):
+    ablation = ABLATIONS[name]
+    localizer = ablation.kind(None, ablation.localizer(LocalizerConfig()), rng=np.random.default_rng(0))
     onward = Odometry(Poses.exp(np.array([0.1, 0, 0, 0, 0, 0])), 1e-4 * np.eye(6), 0.1)
     for i in range(8):
-        posterior = PosePosterior.from_samples(poses_around(0.1 * i, 100, 10 + i), variant.errors(ERRORS))
+        posterior = PosePosterior.from_samples(poses_around(0.1 * i, 100, 10 + i), ablation.errors(ERRORS))
         estimate = localizer.update(posterior, onward)
     assert np.linalg.norm(estimate.modes[0].world_from_camera.translation - [0.7, 0, 0]) < 0.1
     assert np.isfinite(estimate.log_weights).all()
 
 
-def test_each_variant_changes_what_it_says_and_nothing_else():
+def test_each_ablation_changes_what_it_says_and_nothing_else():
     config = LocalizerConfig()
     changed = {
         name: (
-            variant.kind is not ParticleLocalizer,
-            variant.localizer(config) != config,
-            variant.errors(ERRORS) != ERRORS,
-            variant.told_of_kidnap,
+            ablation.kind is not ParticleLocalizer,
+            ablation.localizer(config) != config,
+            ablation.errors(ERRORS) != ERRORS,
+            ablation.told_of_kidnap,
         )
-        for name, variant in VARIANTS.items()
+        for name, ablation in ABLATIONS.items()
     }
     assert changed["full"] == (False, False, False, False)
     assert all(sum(change) == 1 for name, change in changed.items() if name != "full")
-    assert VARIANTS["trusting-shares"].errors(ERRORS) == replace(ERRORS, possible_share=1.0)
-    assert VARIANTS["no-tails"].errors(ERRORS) == replace(ERRORS, tail=1e6)
-    slow = VARIANTS["no-slow-errors"].localizer(config).slow_errors
+    assert ABLATIONS["trusting-shares"].errors(ERRORS) == replace(ERRORS, possible_share=1.0)
+    assert ABLATIONS["no-tails"].errors(ERRORS) == replace(ERRORS, tail=1e6)
+    slow = ABLATIONS["no-slow-errors"].localizer(config).slow_errors
     assert (slow.scale, slow.relative_drift, slow.drift) == (0.0, 0.0, None)
-    assert VARIANTS["no-injection"].localizer(config).kidnap_per_view == 0.0
-    assert VARIANTS["inject-on-doubt"].kind is DoubtingLocalizer
+    assert ABLATIONS["no-injection"].localizer(config).kidnap_per_view == 0.0
+    assert ABLATIONS["inject-on-doubt"].kind is DoubtingLocalizer
 
 
 def test_without_lasting_errors_every_image_is_new_however_little_the_camera_moves():
-    errors = VARIANTS["no-lasting-errors"].errors(ERRORS)
+    errors = ABLATIONS["no-lasting-errors"].errors(ERRORS)
     assert errors.lasting_share == 0.0
     novelty = {}
-    for name, of_variant in (("full", ERRORS), ("no-lasting-errors", errors)):
+    for name, of_ablation in (("full", ERRORS), ("no-lasting-errors", errors)):
         localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
         hardly = Odometry(Poses.exp(np.array([0.01, 0, 0, 0, 0, 0])), 1e-6 * np.eye(6), 0.1)
         for i in range(3):
-            estimate = localizer.update(PosePosterior.from_samples(poses_around(0.0, 100, i), of_variant), hardly)
+            estimate = localizer.update(PosePosterior.from_samples(poses_around(0.0, 100, i), of_ablation), hardly)
         novelty[name] = estimate.novelty
     assert novelty["full"] < 0.05
     assert novelty["no-lasting-errors"] == 1.0
@@ -71,7 +71,7 @@ def test_without_lasting_errors_every_image_is_new_however_little_the_camera_mov
 def test_without_injection_nothing_is_born_where_images_move_to():
     weights = {}
     for name in ("full", "no-injection"):
-        config = VARIANTS[name].localizer(LocalizerConfig(kidnap_per_view=0.1))
+        config = ABLATIONS[name].localizer(LocalizerConfig(kidnap_per_view=0.1))
         localizer = ParticleLocalizer(None, config, rng=np.random.default_rng(0))
         onward = Odometry(Poses.exp(np.array([0.6, 0, 0, 0, 0, 0])), 1e-4 * np.eye(6), 0.5)
         for i in range(8):

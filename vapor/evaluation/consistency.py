@@ -1,0 +1,174 @@
+"""Consistency of reported confidence: what a method says of itself, image by image, against the truth."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.special import chdtri
+
+from filtering.estimate import Mode
+from filtering.se3 import Poses
+from sequences.frame import Trajectory
+from vapor.evaluation.floors import once_on_floor
+from vapor.evaluation.trajectory import SURE, associate, is_right
+from vapor.tracking.belief import Belief
+
+REGIONS: Mapping[str, float] = MappingProxyType({"50%": 0.5, "90%": 0.9, "95%": 0.95})
+"""Regions of a mode's Gaussian, by the probability that they hold."""
+
+JUMP_M = 1.0
+"""A false recovery takes the best mode at least this far from the truth."""
+
+_LEAST_VARIANCE = 1e-12  # of a mode whose particles coincide: a micrometre, a microradian
+
+
+def evaluate_consistency(
+    estimate: Trajectory,
+    covariance: Float64[np.ndarray, "n 6 6"],
+    converged: Bool[np.ndarray, " n"],
+    truth: Trajectory,
+) -> dict[str, Any]:
+    """Whether a filter is as good as it says, over the images of which it says that it has converged.
+
+    Args:
+        estimate: Best modes, world_from_camera, (n,).
+        covariance: Their covariances in the tangent at the mode, ξ = (v, ω).
+        converged: Whether the status was "converged", (n,).
+        truth: True world_from_camera.
+
+    Returns:
+        `images`: how many said so and have a true pose. `wrong`: the fraction of them that are not right (`RIGHT`).
+        `coverage`: for each of the 50, 90 and 95 % regions of the best mode's Gaussian the fraction of them with the
+        true pose inside. `median_nees`: median normalised estimation error squared, ξᵀ Σ⁻¹ ξ, 5.35 for a true
+        covariance (Bar-Shalom et al. 2001, §5.4). All but `images` are None where that is 0.
+    """
+    found, true_poses = associate(estimate.times_ns, truth)
+    sure = converged[found]
+    images = int(sure.sum())
+    if images == 0:
+        return {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
+    best, true_poses = estimate.poses[found][sure], true_poses[sure]
+    error = (best.inverse() @ true_poses).log()
+    regular = covariance[found][sure] + _LEAST_VARIANCE * np.eye(6)
+    nees = np.einsum("ni,ni->n", error, np.linalg.solve(regular, error[..., None])[..., 0])
+    return {
+        "images": images,
+        "wrong": float(np.mean(~is_right(best, true_poses))),
+        "coverage": {name: float(np.mean(nees <= chdtri(6, 1 - probability))) for name, probability in REGIONS.items()},
+        "median_nees": float(np.median(nees)),
+    }
+
+
+def evaluate_belief(
+    belief: Belief,
+    times_ns: Int64[np.ndarray, " n"],
+    truth: Poses,
+    *,
+    converged_at_s: float | None,
+    kidnap_index: int | None,
+    floor_height_m: float | None = None,
+) -> dict[str, Any]:
+    """Every figure on how far a method is to be trusted.
+
+    Args:
+        belief: After each of n images.
+        times_ns: Stamps (n,).
+        truth: True poses, batch (n,).
+        converged_at_s: When it found itself, of `evaluate_trajectory`.
+        kidnap_index: First image after the camera was carried off; None where it was not.
+        floor_height_m: From floor to floor, where floors look alike.
+
+    Returns:
+        `status`: fraction of the images by status. `said_converged`, `after_convergence`, `all_images`:
+        `evaluate_consistency` over the images of that status, those from `converged_at_s` on, and all.
+        `truth_among_modes`: fraction of the images with a mode within 0.3 m and 20° of the truth. `longest_wrong_s`:
+        how long at most it said `converged` and was wrong in all images. `false_recoveries`: their number, see
+        `count_false_recoveries`. `kidnap`: None, or whether the last image before was `right_before`, and `images` as
+        `recovery_images`. `on_floor`, with `floor_height_m`: `evaluate_consistency` over the images from when on its
+        floor is right.
+    """
+    best = belief.best
+    covariance = np.stack([modes[0].covariance for modes in belief.modes])
+    counts = Counter(belief.status)
+    said = np.array([status == "converged" for status in belief.status])
+    elapsed_s = (times_ns - times_ns[0]) / 1e9
+    after = np.zeros(len(said), bool) if converged_at_s is None else elapsed_s >= converged_at_s - 1e-9
+    trajectory, true_trajectory = Trajectory(times_ns, best), Trajectory(times_ns, truth)
+    right, error_m = is_right(best, truth), best.distance(truth)[0]
+    of_floor: dict[str, Any] = {}
+    if floor_height_m is not None:
+        settled = once_on_floor(best, truth, floor_height_m)
+        of_floor["on_floor"] = evaluate_consistency(trajectory, covariance, settled, true_trajectory)
+    return of_floor | {
+        "status": {name: counts[name] / len(said) for name in ("converged", "ambiguous", "lost")},
+        "said_converged": evaluate_consistency(trajectory, covariance, said, true_trajectory),
+        "after_convergence": evaluate_consistency(trajectory, covariance, after, true_trajectory),
+        "all_images": evaluate_consistency(trajectory, covariance, np.ones(len(said), bool), true_trajectory),
+        "truth_among_modes": truth_among_modes(belief.modes, truth),
+        "longest_wrong_s": longest_s(said & ~right, times_ns),
+        "false_recoveries": count_false_recoveries(right, error_m, kidnap_index=kidnap_index),
+        "kidnap": None
+        if kidnap_index is None
+        else {
+            "right_before": bool(right[kidnap_index - 1]),
+            "images": recovery_images(right, kidnap_index=kidnap_index),
+        },
+    }
+
+
+def truth_among_modes(modes: Sequence[tuple[Mode, ...]], truth: Poses) -> float:
+    """Fraction of the images with any mode, however light, within 0.3 m and 20° of the true pose."""
+    found = [
+        is_right(Poses.stack([mode.world_from_camera for mode in of_image]), truth[[i] * len(of_image)]).any()
+        for i, of_image in enumerate(modes)
+    ]
+    return float(np.mean(found))
+
+
+def longest_s(flags: Bool[np.ndarray, " n"], times_ns: Int64[np.ndarray, " n"]) -> float:
+    """The longest time over which all images (n,) have a flag, seconds: each lasts until the next, the last no time."""
+    longest_ns, since = 0, None
+    for flag, time_ns in zip(flags, times_ns, strict=True):
+        if since is not None:
+            longest_ns = max(longest_ns, int(time_ns - since))
+        since = None if not flag else time_ns if since is None else since
+    return longest_ns / 1e9
+
+
+def count_false_recoveries(
+    right: Bool[np.ndarray, " n"], error_m: Float64[np.ndarray, " n"], *, kidnap_index: int | None = None
+) -> int:
+    """How often the pose was right at an image and more than 1 m off at the next.
+
+    Args:
+        right: Whether the pose is right, (n,).
+        error_m: Its error of position, metres, (n,).
+        kidnap_index: First image after the camera was carried off, where any method is thrown off.
+    """
+    leaps = right[:-1] & (error_m[1:] > JUMP_M)
+    if kidnap_index is not None:
+        leaps[kidnap_index - 1] = False
+    return int(leaps.sum())
+
+
+def recovery_images(right: Bool[np.ndarray, " n"], *, kidnap_index: int) -> int | None:
+    """How many images at its new place a method needed to be right again and stay so.
+
+    Args:
+        right: Whether the pose is right, (n,).
+        kidnap_index: First image at the new place.
+
+    Returns:
+        1 for the first image there; the last of them is right, and with it at least 95 % of all that follow.
+        None if there is no such image.
+    """
+    later = right[kidnap_index:]
+    remaining = np.arange(len(later), 0, -1)
+    right_from_here = np.cumsum(later[::-1])[::-1]
+    candidates = np.flatnonzero(later & (right_from_here >= SURE * remaining))
+    return int(candidates[0]) + 1 if len(candidates) else None

@@ -1,0 +1,54 @@
+"""The trajectories in a run's directory, evaluated anew."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from filtering.errors import VaporTrackError
+from sequences.results import MANIFEST, verify
+from sequences.tum import read_tum
+from vapor.evaluation.trajectory import associate, evaluate_methods
+from vapor.tracking.methods import FILES
+
+_TRUTH = "ground_truth.tum"
+
+
+def files_read(directory: Path, ground_truth: Path | None = None) -> list[Path]:
+    """Files that `evaluate_directory` reads where they exist."""
+    truth = directory / _TRUTH if ground_truth is None else ground_truth
+    return [*(directory / name for name in (*FILES.values(), MANIFEST)), truth]
+
+
+def evaluate_directory(directory: Path, ground_truth: Path | None = None) -> dict[str, Any]:
+    """Recompute the metrics of a run from the trajectories that it wrote.
+
+    Args:
+        directory: What `vapor-track run` wrote; `trajectory.tum` must be there, other files of `FILES` may be missing.
+        ground_truth: True poses as a TUM file; None for `ground_truth.tum` in the directory.
+
+    Returns:
+        `frames`, `frames_with_true_pose`, and for each method found its metrics, as in `report.json`.
+
+    Raises:
+        VaporTrackError: a file is missing, malformed or not as its manifest lists it, or nothing overlaps.
+    """
+    if not directory.is_dir():
+        raise VaporTrackError(f"{directory}: no such directory, expected one that `vapor-track run` wrote")
+    if not (directory / FILES["filter"]).is_file():
+        raise VaporTrackError(
+            f"{directory}: no {FILES['filter']} in it, expected a directory that `vapor-track run` wrote"
+        )
+    verify(directory, [*FILES.values(), *([_TRUTH] if ground_truth is None else [])])
+    truth_path = directory / _TRUTH if ground_truth is None else ground_truth
+    if not truth_path.is_file():
+        hint = "; give the true poses with --ground-truth FILE" if ground_truth is None else ""
+        raise VaporTrackError(f"{truth_path}: no such file, expected true poses as TUM text{hint}")
+    truth = read_tum(truth_path)
+    methods = {name: read_tum(directory / file) for name, file in FILES.items() if (directory / file).is_file()}
+    try:
+        metrics = evaluate_methods(methods, truth)
+    except VaporTrackError as error:
+        raise VaporTrackError(f"{directory} against {truth_path}: {error}") from error
+    found, _ = associate(methods["filter"].times_ns, truth)
+    return {"frames": len(found), "frames_with_true_pose": int(found.sum()), **metrics}

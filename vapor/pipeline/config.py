@@ -1,0 +1,48 @@
+"""Settings of runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from filtering.config import LocalizerConfig
+from filtering.errors import VaporTrackError
+
+
+@dataclass(frozen=True)
+class FilteringConfig:
+    """Settings of a run, whatever the observation model."""
+
+    seed: int = 0
+    """Seed of all random draws: on the same machine, the same seed and file give the same output."""
+    recording: bool = True
+    """Write recording.rrd for the Rerun viewer."""
+    view: bool = False
+    """Open the Rerun viewer and stream into it."""
+    localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
+    """The particle filter."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise VaporTrackError(f"seed is {self.seed}, expected at least 0")
+
+
+@dataclass(frozen=True)
+class RunConfig(FilteringConfig):
+    """Settings of a run with a regressor, beside the sequence and the model."""
+
+    num_samples: int = 1000
+    """Posterior samples per image."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the network runs."""
+    threads: int = 1
+    """Processor threads of the network: more help a large network on an idle machine, and slow down a busy one."""
+    fitted_odometry: bool = True
+    """Take the noise of the odometry from the model's calibration, where that was fitted from odometry; otherwise as
+    the sequence states it."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("num_samples", "threads"):
+            if getattr(self, name) < 1:
+                raise VaporTrackError(f"{name} is {getattr(self, name)}, expected at least 1")

@@ -1,0 +1,102 @@
+"""Frame by frame through a sequence: observe, track, show, write."""
+
+from __future__ import annotations
+
+import resource
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from filtering.error_model import ErrorModel
+from filtering.errors import VaporTrackError
+from filtering.localizer import ParticleLocalizer
+from filtering.posterior import ObservationModel
+from filtering.smoothing import agreement
+from sequences.estimates import EstimateSequence
+from sequences.odometry_fit import OdometryFit
+from sequences.reader import SequenceReader
+from sequences.writer import EstimateWriter
+from vapor.pipeline.config import FilteringConfig
+from vapor.reporting.record import RunRecord
+from vapor.reporting.recorder import RunRecorder
+from vapor.reporting.rerun_viewer import RerunViewer
+from vapor.reporting.viewer import NullViewer
+from vapor.tracking.history import History
+from vapor.tracking.loop import StepLoop
+from vapor.tracking.methods import poses_at_end, start_baselines
+
+PUBLISHED_PARTICLES = 500
+"""How many particles of each image go into `estimate.mcap`."""
+
+
+def localize(
+    source: SequenceReader | EstimateSequence,
+    model: ObservationModel,
+    directory: Path,
+    config: FilteringConfig,
+    errors: ErrorModel,
+    *,
+    observed: Callable[[Any], np.ndarray] = attrgetter("image"),
+    odometry_fit: OdometryFit | None = None,
+    allow_few_images: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> RunRecord:
+    """Localize frame after frame, show and write each; then smooth.
+
+    Args:
+        source: The frames.
+        model: Maps what was observed to its posterior.
+        directory: Where `estimate.mcap` and `recording.rrd` go.
+        config: Settings.
+        errors: How the model's posteriors err.
+        observed: Takes from a frame what the model is to see.
+        odometry_fit: How wrong the odometry is; None for what the frames state and the settings assume.
+        allow_few_images: Go on also where fewer than one in ten of the images asked for were used.
+        progress: Called after every frame with the number done and an upper bound of all.
+
+    Raises:
+        VaporTrackError: unusable frames, none, or fewer than one in ten of those asked for.
+    """
+    settings = config.localizer
+    if odometry_fit is not None:
+        settings = replace(settings, slow_errors=odometry_fit.slow_errors)
+    localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
+    loop = StepLoop(localizer, start_baselines(settings, lambda: np.random.default_rng(config.seed)))
+    recorder, history = RunRecorder(), History()
+    recording = directory / "recording.rrd" if config.recording else None
+    viewer = RerunViewer(recording, spawn=config.view) if recording or config.view else NullViewer()
+    with viewer, EstimateWriter(directory / "estimate.mcap") as writer:
+        for frame in source:
+            if frame.odometry is not None and odometry_fit is not None:
+                frame = replace(frame, odometry=odometry_fit.restated(frame.odometry))
+            try:
+                step = loop.step(frame.time_ns, partial(localizer.observe, observed(frame)), frame.odometry)
+            except VaporTrackError as error:
+                raise VaporTrackError(f"{source.path}: image at {frame.time_ns} ns: {error}") from error
+            history.add(step, frame.odometry)
+            recorder.add(frame, step)
+            modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in step.estimate.modes]
+            writer.write(frame.time_ns, modes, step.estimate.cloud(PUBLISHED_PARTICLES))
+            viewer.log(frame, step.estimate, step.posterior.samples)
+            if progress is not None:
+                progress(len(recorder), source.num_images)
+    if source.counts.are_very_few and not allow_few_images:
+        raise VaporTrackError(
+            f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes fewer)"
+        )
+    record = recorder.finish(skipped=source.skipped, images=source.counts)
+    at_end = poses_at_end(history, errors, settings)
+    fits = agreement(at_end["smoothed"], record.times_ns, history.evidence, errors)
+    return replace(record.with_methods(at_end, smoothed_agreement=fits), peak_rss_mb=peak_rss_mb())
+
+
+def peak_rss_mb() -> float:
+    """Peak resident memory of this process, MiB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)

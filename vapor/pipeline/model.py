@@ -1,0 +1,45 @@
+"""Models, loaded for runs."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from vapor.checkpoints.checkpoint import find_model
+from vapor.observation import VaporObservationModel
+from vapor.pipeline.config import RunConfig
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model ready for runs, whatever the number of sequences.
+
+    Attributes:
+        name: Name of its file, or the name it ships by.
+        file: Path of its file.
+        sha256: SHA-256 of its file.
+        observation: The model itself.
+    """
+
+    name: str
+    file: Path
+    sha256: str
+    observation: VaporObservationModel
+
+
+def load_model(model: str, config: RunConfig) -> LoadedModel:
+    """Load a model for runs with some settings.
+
+    Args:
+        model: Model file, or name of a model that ships with the package.
+        config: Settings.
+
+    Raises:
+        VaporTrackError: no such model, an unusable file, or no such device.
+    """
+    checkpoint = find_model(model)
+    observation = VaporObservationModel.from_checkpoint(
+        str(checkpoint), num_samples=config.num_samples, device=config.device
+    )
+    return LoadedModel(Path(model).name, checkpoint, hashlib.sha256(checkpoint.read_bytes()).hexdigest(), observation)

@@ -1,0 +1,66 @@
+"""What a run writes into its directory, beside what it writes on the way."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sequences.atomic import atomic_output
+from sequences.tum import write_tum
+from vapor.reporting.pictures import write_pictures
+from vapor.reporting.record import RunRecord
+from vapor.reporting.report import build_report, doubtful_notice, write_report, write_status
+from vapor.tracking.methods import FILES
+
+_PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
+RESULTS = frozenset(
+    {
+        *FILES.values(),
+        *("ground_truth.tum", "status.csv", "config.json", "report.json", "estimate.mcap", "recording.rrd"),
+        *("trajectory.png", "particles.png", "errors.png"),
+    }
+)
+"""Names of all files that a run may write."""
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run found.
+
+    Attributes:
+        record: Everything collected on the way.
+        report: Content of `report.json`.
+        pictures: Names of the pictures in the output directory.
+        notices: What a person should know of the sequence, the model and the smoothed trajectory.
+    """
+
+    record: RunRecord
+    report: dict[str, Any]
+    pictures: tuple[str, ...]
+    notices: tuple[str, ...] = ()
+
+    @property
+    def few_images(self) -> str | None:
+        """A sentence where fewer than half of the images were used."""
+        return None if self.record.images is None else self.record.images.warning
+
+
+def write_results(record: RunRecord, directory: Path, settings: dict[str, Any], *, title: str) -> RunResult:
+    """Write trajectories, pictures, `config.json` (settings, and the versions they were used with), `report.json`."""
+    for name, trajectory in record.methods.items():
+        write_tum(directory / FILES[name], trajectory)
+    if record.truth is not None:
+        write_tum(directory / "ground_truth.tum", record.truth)
+    write_status(directory / "status.csv", record)
+    pictures = write_pictures(record, directory, title=title)
+    versions = {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in _PACKAGES}
+    with atomic_output(directory / "config.json") as partial:
+        partial.write_text(json.dumps(settings | {"versions": versions}, indent=2) + "\n", encoding="utf-8")
+    report = build_report(record)
+    write_report(directory / "report.json", report)
+    notice = doubtful_notice(record)
+    return RunResult(record, report, tuple(picture.name for picture in pictures), (notice,) if notice else ())

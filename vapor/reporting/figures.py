@@ -1,0 +1,52 @@
+"""Figures without a window, and PNG files of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sequences.atomic import atomic_output
+from vapor.reporting.colors import FAINT, INK
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_SOFTWARE = "vapor-track"  # as a PNG says that made it
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of so many inches, drawn without a window."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=120, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def add_title(figure: Figure, title: str) -> None:
+    """Print a title over a figure, to the left."""
+    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold", color=INK)
+
+
+def quiet_axes(ax: Axes) -> None:
+    """Leave of a frame what is to be read: the lower and the left side, thin."""
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set_color(FAINT)
+    ax.tick_params(colors=INK, labelsize=9, color=FAINT)
+    ax.xaxis.label.set_color(INK)
+    ax.yaxis.label.set_color(INK)
+
+
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Write a PNG, the same bytes for the same figure; it appears under its name only when complete."""
+    with atomic_output(path) as partial:
+        figure.savefig(partial, format="png", metadata={"Software": _SOFTWARE})
+    return path
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a file is a PNG that `save_figure` wrote."""
+    with path.open("rb") as file:
+        return b"tEXtSoftware\0" + _SOFTWARE.encode() in file.read(1000)

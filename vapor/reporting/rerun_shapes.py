@@ -1,0 +1,53 @@
+"""Cameras, ellipsoids and images in the form in which Rerun shows them."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from filtering.se3 import Poses
+from sequences.frame import Camera
+
+_IMAGE_SIDE = 480  # pixels
+_JPEG_QUALITY = 75
+
+
+def thinned(poses: Poses, count: int) -> Poses:
+    """At most `count` of the poses (n,), evenly spaced in their order."""
+    return poses[np.linspace(0, len(poses) - 1, min(count, len(poses))).round().astype(np.int64)]
+
+
+def frusta(poses: Poses, size_m: float = 0.2) -> Float32[np.ndarray, "n 10 3"]:
+    """Cameras (n,) as one line each, which goes along every edge of the pyramid from the centre to the image."""
+    x, y = 0.5 * size_m, 0.375 * size_m
+    corners = np.array([[-x, -y, size_m], [x, -y, size_m], [x, y, size_m], [-x, y, size_m]])
+    line = np.concatenate([corners, np.zeros((1, 3))])[[1, 0, 3, 4, 0, 3, 2, 4, 1, 2]]
+    points = line @ np.swapaxes(poses.rotation, 1, 2) + poses.translation[:, None]
+    return points.astype(np.float32)
+
+
+def as_jpeg(image: UInt8[np.ndarray, "height width 3"]) -> tuple[bytes, int, int]:
+    """The image as JPEG with its longer side at most 480 pixels, its width and its height."""
+    import cv2
+
+    height, width = image.shape[:2]
+    scale = min(1.0, _IMAGE_SIDE / max(height, width))
+    if scale < 1.0:
+        width, height = max(1, round(width * scale)), max(1, round(height * scale))
+        image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return jpeg.tobytes(), width, height
+
+
+def stand_in_camera(image: UInt8[np.ndarray, "height width 3"]) -> Camera:
+    """60° across, for the frustum's shape only, where the sequence does not tell the intrinsics."""
+    height, width = image.shape[:2]
+    focal = width / (2.0 * np.tan(np.radians(30.0)))
+    return Camera(width, height, float(focal), float(focal), (width - 1) / 2, (height - 1) / 2)
+
+
+def ellipsoid(covariance: Float64[np.ndarray, "3 3"]) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3 3"]]:
+    """Standard deviations along the principal axes, and the axes as a right-handed rotation."""
+    variance, axes = np.linalg.eigh((covariance + covariance.T) / 2)
+    axes[:, 2] *= np.linalg.det(axes)
+    return np.sqrt(np.maximum(variance, 1e-8)), axes
