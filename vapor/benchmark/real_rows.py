@@ -34,8 +34,10 @@ from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint, save_check
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of, over_sequences
 from vapor.tracking.methods import Passage, posterior_of
+from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
-from vapor.training.train import Progress, TrainConfig, train
+from vapor.training.progress import Progress
+from vapor.training.train import train
 from vapor.training_data.training_set import load_training_set, open_sequences
 
 Advance = Callable[[str, int, int | None], None]
