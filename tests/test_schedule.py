@@ -11,13 +11,13 @@ import pytest
 from filtering.errors import VaporTrackError
 from vapor.evaluation.validation import Validation
 from vapor.experiments import schedule as schedule_module
-from vapor.experiments.schedule import DEFAULT, PAPER, Point, ScheduleConfig, _Clock, summary
+from vapor.experiments.schedule import DEFAULT, PAPER, Clock, Point, ScheduleConfig, summary
 from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.track import main
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
-from vapor.training.train import Progress
+from vapor.training.progress import Progress
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -74,8 +74,8 @@ def test_the_paper_trains_the_same_network_by_its_own_schedule():
     ("enough", "most_s", "epochs"), [(0.3, None, 3), (None, 2.5, 3), (0.9, 1e9, 5), (None, None, 5)]
 )
 def test_a_training_ends_where_it_is_good_enough_or_took_too_long(enough, most_s, epochs):
-    clock = _Clock(10, enough, most_s, lambda *_: None)
-    with pytest.raises(schedule_module._EnoughError) if epochs < 5 else contextlib.nullcontext():
+    clock = Clock(10, enough, most_s, lambda *_: None)
+    with pytest.raises(schedule_module.EnoughError) if epochs < 5 else contextlib.nullcontext():
         for step in range(10):
             epoch = step // 2  # two steps of half a second each
             last = Validation(epoch, 0.0, 0.1 * epoch, 0.0, 0.0) if epoch else None

@@ -35,8 +35,10 @@ from vapor.checkpoints.scene_scale import default_errors
 from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of
 from vapor.pipeline.fuse import over_sequences
 from vapor.tracking.passage import Passage, posterior_of
+from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
-from vapor.training.train import Progress, TrainConfig, train
+from vapor.training.progress import Progress
+from vapor.training.train import train
 from vapor.training_data.training_set import load_training_set, open_sequences
 
 Advance = Callable[[str, int, int | None], None]

@@ -87,7 +87,7 @@ class Point:
     recall: float
 
 
-class _EnoughError(Exception):
+class EnoughError(Exception):
     """Ends a training from within: what was asked for is known."""
 
 
@@ -151,8 +151,8 @@ class ScheduleExperiment:
         if file.is_file():
             return [Point(**point) for point in read_json(file)]
         batch_size = min(config.batch_size, self.config.sequences * self.config.frames)
-        clock = _Clock(batch_size, enough, most_s, advance)
-        with workspace(folder, file.name) as work, contextlib.suppress(_EnoughError):
+        clock = Clock(batch_size, enough, most_s, advance)
+        with workspace(folder, file.name) as work, contextlib.suppress(EnoughError):
             model = work / "model.safetensors"
             result = train(self._scene.train, model, config, validation=self._scene.test, progress=clock.follow)
             if not result.history:
@@ -163,7 +163,7 @@ class ScheduleExperiment:
         return clock.course
 
 
-class _Clock:
+class Clock:
     """Follows a training by its progress, and ends it.
 
     Args:
@@ -197,7 +197,7 @@ class _Clock:
         self.course.append(Point(self._last.done * self._batch_size, seconds, recall))
         enough = self._enough is not None and recall >= self._enough
         if enough or (self._most_s is not None and seconds > self._most_s):
-            raise _EnoughError
+            raise EnoughError
 
 
 def summary(courses: dict[str, list[Point]]) -> dict[str, Any]:

@@ -2,8 +2,7 @@
 
 The posterior is a mixture with one component for each of the training images that look most alike: its weight says how
 alike, its mean is that image's pose moved by what the two images tell of the motion between them. So it has as many
-places as there are that look like the image, and what is to be learned is a matter of pairs of images, of which there
-are many more than images.
+places as look like the image, and what is learned is about pairs of images, of which there are many more than images.
 
 Sources: Arandjelović et al., "NetVLAD", CVPR 2016 (places by what they look like); Wu et al., "Improving generalization
 via scalable neighborhood component analysis", ECCV 2018 (learned against a memory of all images); Balntas et al.,

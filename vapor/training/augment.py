@@ -22,8 +22,8 @@ class AugmentConfig:
     """How much training images vary; an amount a means a factor drawn from [1 − a, 1 + a]."""
 
     crop: Literal["central", "anywhere"] = "central"
-    """Crops from the middle, of the network's aspect, or from the whole image: one far off centre shows what a turned
-    camera would."""
+    """Crops from the middle, of the network's aspect, or from the whole image: a crop far off centre shows what a
+    turned camera would see."""
     brightness: float = 0.3
     """Amount of brightness."""
     contrast: float = 0.3

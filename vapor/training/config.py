@@ -56,14 +56,14 @@ class TrainConfig:
     with another loss. Its scene box is widened where the new data need it, and a missing shortcut is added."""
     initial_log_variance: float = -4.0
     """variational: log σ² of the latent before training, about; `initial_model` brings its own. With a low one the pose
-    map can use early what the encoder learns, which noise would hide; 0, as in the paper, is where an image that says
-    nothing ends."""
+    map can use early what the encoder learns, which noise would hide; 0, as in the paper, is what images that tell
+    nothing of the place end at."""
     epochs: int | None = None
     """Times every training image is seen; None for as many as `hours` allow, from 4 to `most_epochs`."""
     most_epochs: int = 200
-    """None: that many at most."""
+    """epochs None: that many at most."""
     hours: float = 0.2
-    """How long a training takes whose epochs are not given; how long a step takes is measured first."""
+    """Hours that training takes where `epochs` are not given; the time of a step is measured first."""
     larger_from_hours: float | None = None
     """aspect camera: given so many hours, and where `epochs` follow from them, images are 1.75 times as large along
     each edge as `network` says; None for never."""
@@ -78,7 +78,7 @@ class TrainConfig:
     """Decoupled weight decay of matrices; with 0, AdamW is Adam."""
     encoder_weight_decay: float | None = None
     """The same of the encoder, all from the image to μ and log σ² (with other heads, to the feature); None for as much
-    as the rest. Enough of it keeps the network from learning each image by heart, and so posteriors broad."""
+    as the rest. With enough of it no image is learned by heart, and posteriors stay broad."""
     schedule: Literal["one-cycle", "steps"] = "one-cycle"
     """One cosine up and down, or a decay by a factor every so many epochs, as in the paper."""
     warmup: float = 0.1
@@ -102,9 +102,9 @@ class TrainConfig:
     validation_images: int = 500
     """Held-out images that epochs are evaluated on, evenly spaced, at most."""
     select_by: Literal["sample_recall", "mode_recall", "log_density"] = "sample_recall"
-    """Figure on held-out images whose best epoch is kept; without held-out images it is the last. The density at the
-    true pose falls when a possible place is forgotten, but it prefers vague posteriors to sharp ones that miss: of a
-    ceiling of 24 like places it once kept the second epoch of 24."""
+    """The epoch that is best on held-out images by this figure becomes the model; without any it is the last. The
+    density at the true pose falls when a possible place is forgotten, but it prefers vague posteriors to sharp ones
+    that miss: for a ceiling of 24 places alike it once chose the second epoch of 24."""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it, but for efficientnet-lite0
     on a CPU, which gains nothing by it."""

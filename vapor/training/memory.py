@@ -128,10 +128,10 @@ def features_of(network: RecallingRegressor, images: TrainingSet) -> Float[Tenso
     return torch.cat([none, *(network.extract_features(crops) for _, crops in batches(network, images))])
 
 
-def remember(network: PoseRegressor, seen: TrainingFeatures | None) -> None:
+def remember(network: PoseRegressor, features: TrainingFeatures | None) -> None:
     """Let a network remember images as its weights see them now; nothing where it is none that recalls any."""
-    if network.recalling is not None and seen is not None:
-        network.recalling.remember(seen.features, seen.translation, seen.rotation)
+    if network.recalling is not None and features is not None:
+        network.recalling.remember(features.features, features.translation, features.rotation)
 
 
 def _shown_again(images: TrainingSet, way: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

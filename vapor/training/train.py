@@ -122,7 +122,7 @@ def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, con
 
 
 def _checked_start(output: Path, config: TrainConfig) -> Checkpoint | None:
-    """The model to start from, if any; raises what would otherwise be told after reading or hours of training."""
+    """The model to start from, if any; raises what would otherwise be raised after reading or hours of training."""
     if not output.parent.is_dir():
         raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
     if output.is_dir():
