@@ -10,7 +10,7 @@ OUTSIDE = "outside the stretch asked for"
 NO_ESTIMATE = "no estimate"
 """Frames that others' estimates leave out, as those of a part of a walk do: they were not asked for either."""
 _NOT_ASKED = (OUTSIDE, NO_ESTIMATE)
-_FEW, _VERY_FEW = 0.5, 0.1  # shares of the images asked for
+_FEW, _VERY_FEW = 0.5, 0.1  # fractions of the images asked for
 
 
 @dataclass
@@ -19,7 +19,7 @@ class ImageCounts:
 
     Attributes:
         stated: How many there are, as the file states it, or as counted where it does not.
-        read: How many came: fewer where reading ended behind the stretch asked for.
+        read: How many came: fewer where reading ended behind the segment asked for.
         used: How many became frames.
         skipped: How many did not, by reason.
     """

@@ -16,7 +16,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 
 LEAST_INCREMENTS = 100
-_PIECE = 300  # increments whose errors are judged together: the work grows with its cube
+_PIECE = 300  # increments whose errors are evaluated together: the work grows with its cube
 _CLIP = 5.0  # robust standard deviations
 _SMOOTHED_S = 1.0
 _TIME_S = 30.0  # of the drift, where the data cannot tell
@@ -30,7 +30,7 @@ Six = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
-class OdometryStretch:
+class OdometrySegment:
     """Consecutive increments of odometry and the true poses that they lead from and to.
 
     Attributes:
@@ -58,8 +58,8 @@ class OdometryFit:
             recording.
         pose_noise: Standard deviation of the noise of single poses, of those taken for true or of those whose motion is
             reported, metres and radians.
-        white_error: Standard error of √white_per_s, as a share of it.
-        drift_error: Standard error of the drift, as a share of it.
+        white_error: Standard error of √white_per_s, as a fraction of it.
+        drift_error: Standard error of the drift, as a fraction of it.
         scale_error: Standard error of `scale`; 1 where nothing moved.
         increments: Number of increments.
         recordings: Number of recordings.
@@ -155,7 +155,7 @@ class OdometryFit:
         )
 
 
-def fit_odometry(stretches: Sequence[OdometryStretch], *, max_increments: int = 1000) -> OdometryFit:
+def fit_odometry(segments: Sequence[OdometrySegment], *, max_increments: int = 1000) -> OdometryFit:
     """Fit white noise, drift and scale error by maximum likelihood.
 
     The error of increment i, true⁻¹ odometry, is on each axis s·vᵢ + bᵢ dtᵢ + wᵢ + mᵢ₋₁ − mᵢ: scale error s, drift b
@@ -168,14 +168,14 @@ def fit_odometry(stretches: Sequence[OdometryStretch], *, max_increments: int = 
     true poses with the errors.
 
     Args:
-        stretches: With 100 increments in all, at least.
+        segments: With 100 increments in all, at least.
         max_increments: Where there are more, neighbours are put together.
 
     Raises:
         SequenceError: too few increments, or true poses that are not as many as increments and one.
         VaporTrackError: odometry that is none.
     """
-    pieces, increments = _pieces(stretches, max_increments)
+    pieces, increments = _pieces(segments, max_increments)
     limits = _limits([piece.errors / np.sqrt(piece.dt)[:, None] for piece in pieces])
     clipped = 0
     for piece in pieces:
@@ -249,42 +249,42 @@ class _Piece:
         self.jitter = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
 
 
-def _pieces(stretches: Sequence[OdometryStretch], max_increments: int) -> tuple[list[_Piece], int]:
-    """Stretches of at most so many increments, cut where they are long; and the number of increments given."""
+def _pieces(segments: Sequence[OdometrySegment], max_increments: int) -> tuple[list[_Piece], int]:
+    """Segments cut into pieces of at most 300 increments; and the number of increments given."""
     increments = 0
-    for number, stretch in enumerate(stretches):
-        if len(stretch.truth) != len(stretch.odometry) + 1:
+    for number, segment in enumerate(segments):
+        if len(segment.truth) != len(segment.odometry) + 1:
             raise SequenceError(
-                f"stretch {number}: {len(stretch.truth)} true poses of {len(stretch.odometry)} increments, expected"
+                f"segment {number}: {len(segment.truth)} true poses of {len(segment.odometry)} increments, expected"
                 " one more than increments"
             )
-        increments += len(stretch.odometry)
+        increments += len(segment.odometry)
     if increments < LEAST_INCREMENTS:
         raise SequenceError(f"{increments} increments of odometry, expected at least {LEAST_INCREMENTS} to fit it")
     together = -(-increments // max_increments)
     pieces = []
-    for stretch in stretches:
-        merged, at = _merged(stretch, together)
+    for segment in segments:
+        merged, at = _merged(segment, together)
         if len(merged) < 3:
             continue
-        real = stretch.truth[at[:-1]].inverse() @ stretch.truth[at[1:]]
+        real = segment.truth[at[:-1]].inverse() @ segment.truth[at[1:]]
         reported = Poses.stack([step.previous_from_current for step in merged])
         errors, motion = (real.inverse() @ reported).log(), real.log()[:, :3]
         dt = np.array([step.duration_s for step in merged])
         moved = _smoothed(np.linalg.norm(motion, axis=-1, keepdims=True), dt)[:, 0]
         smoothed = _smoothed(motion, dt)
         for part in np.array_split(np.arange(len(merged)), -(-len(merged) // _PIECE)):
-            pieces.append(_Piece(stretch.recording, errors[part], dt[part], moved[part], motion[part], smoothed[part]))
+            pieces.append(_Piece(segment.recording, errors[part], dt[part], moved[part], motion[part], smoothed[part]))
     if sum(len(piece.dt) for piece in pieces) < LEAST_INCREMENTS / 2:
         raise SequenceError("too few increments of odometry that follow each other and take time to fit it")
     return pieces, increments
 
 
-def _merged(stretch: OdometryStretch, together: int) -> tuple[list[Odometry], np.ndarray]:
+def _merged(segment: OdometrySegment, together: int) -> tuple[list[Odometry], np.ndarray]:
     """Increments put together by so many, and more where they take no time; and the true poses between them."""
     merged, at, count = [], [0], 0
     current: Odometry | None = None
-    for i, step in enumerate(stretch.odometry):
+    for i, step in enumerate(segment.odometry):
         require_odometry(step)
         current, count = (step if current is None else current.then(step)), count + 1
         if count >= together and current.duration_s > 0:

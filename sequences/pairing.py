@@ -62,7 +62,7 @@ def odometry_between(
 
     A message's twist covariance says how wrong the velocity was on the way to it: over the interval of dt seconds that
     it ends, the increment errs with covariance twist · dt². That error is taken as white noise along the interval, so a
-    share of an interval has that share of it, and increments compose: wherever the images fall, the covariances of
+    part of an interval has that fraction of it, and increments compose: wherever the images fall, the covariances of
     consecutive ones add up to that of the whole. For axes that were not measured all the way, and for all where the
     others are zero, `motion_noise` speaks instead, about the motion of the base. Each part between two messages errs as
     one of constant twist (`filtering.motion.accumulated`); the adjoint carries its covariance to the current frame.
@@ -128,7 +128,7 @@ def pose_at(
 
 @dataclass
 class PoseWindow:
-    """The last stretch of a stream of time-stamped poses: what is no longer asked for is forgotten.
+    """The end of a stream of time-stamped poses: what is no longer asked for is forgotten.
 
     Poses may come in another order than that of their stamps, as long as nothing later was asked for.
 
@@ -180,7 +180,7 @@ class PoseWindow:
         return Motion(float(metres), float(radians), (self._times_ns[index] - self._times_ns[before]) * 1e-9)
 
     def finish(self) -> None:
-        """No pose comes any more: judge the last steps as well."""
+        """No pose comes any more: look for jumps among the last steps as well."""
         for index in range(max(len(self._steps) - JUMP_CONTEXT, 0), len(self._steps)):
             self._count_jump(index)
 

@@ -119,7 +119,7 @@ class SequenceReader:
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order of time.
 
-        What lies behind the stretch asked for is not decoded, but counted.
+        What lies behind the segment asked for is not decoded, but counted.
 
         Raises:
             SequenceError: the file is damaged or has not all of the messages that it states, an image is neither used
@@ -211,7 +211,7 @@ class _Pairing:
         self._num_true = 0
 
     def is_over(self, log_time_ns: int) -> bool:
-        """Whether what is logged from a time on lies too far behind the stretch asked for to be of it."""
+        """Whether what is logged from a time on lies too far behind the segment asked for to be of it."""
         if self.is_stopped:
             return True
         if self._options.duration_s is None or self._begin is None:
@@ -220,7 +220,7 @@ class _Pairing:
         return since_s > self._options.start_s + self._options.duration_s + _MAX_LATENESS_S
 
     def account_for_the_rest(self) -> None:
-        """Count the images that were not read as outside the stretch; raise SequenceError where one is missing."""
+        """Count the images that were not read as outside the segment; raise SequenceError where one is missing."""
         counts = self.counts
         if unread := counts.stated - counts.read:
             counts.skipped[OUTSIDE] += unread
@@ -282,7 +282,7 @@ class _Pairing:
         heapq.heappush(self._waiting, (order, self.counts.read, time_ns, message))
 
     def _is_asked_for(self, time_ns: int) -> bool:
-        """Whether an image is of the stretch asked for; of video the first packet need not have the first image."""
+        """Whether an image is of the segment asked for; of video the first packet need not have the first image."""
         assert self._begin is not None
         if self.is_stopped:
             return False

@@ -21,7 +21,7 @@ _LEAST_OVERLAP_S = 10.0
 _MAX_GAP_S = 0.5
 _MAX_STEPS = 1 << 21  # half a day
 _LEAST_CORRELATION = 0.6
-_RIVAL_SHARE = 0.9  # another offset must correlate by less than this share of the best
+_RIVAL_FRACTION = 0.9  # another offset must correlate by less than this fraction of the best
 _LEAST_TURN_RAD_PER_S = 0.02  # standard deviation of how fast it turns
 
 
@@ -65,7 +65,7 @@ def find_time_offset(
     # Errors of the turn rate are independent where it is measured over other times; a sharp peak makes them small.
     independent = max(float(seconds[best]) / (_SPAN * _STEP_S), 1.0)
     deviation_s = _STEP_S * np.sqrt(max(1 - peak**2, 0.0) / (independent * bend))
-    if peak < _LEAST_CORRELATION or rival > _RIVAL_SHARE * peak or deviation_s > certain_s:
+    if peak < _LEAST_CORRELATION or rival > _RIVAL_FRACTION * peak or deviation_s > certain_s:
         raise SequenceError(
             f"rotation says too little about the time offset: that of odometry and poses correlates by {peak:.2f} at"
             f" best, to {1e3 * deviation_s:.1f} ms, and by {rival:.2f} at another offset, expected at least"

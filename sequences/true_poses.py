@@ -35,7 +35,7 @@ from sequences.topics import choose, decode, listing
 from sequences.transforms import Step, TransformTree, along
 
 _SURVEY_S = 60.0  # of /tf that is read to find frames that nobody named
-_OFFSET_STRETCH_S, _OFFSET_STEP_S = 1800.0, 0.02  # of odometry, to find a time offset in
+_OFFSET_SEGMENT_S, _OFFSET_STEP_S = 1800.0, 0.02  # of odometry, to find a time offset in
 _CAMERA_POSES = "geometry_msgs/PoseStamped"
 _BASES = ("base_link", "base_footprint")
 
@@ -299,7 +299,7 @@ def odometry_track(bag: Bag, source: PoseSource) -> Trajectory:
             continue
         times_ns.append(span[1])
         numbers.extend([*pose.translation, *pose.as_quat_xyzw()])
-        if (times_ns[-1] - times_ns[0]) * 1e-9 > _OFFSET_STRETCH_S:
+        if (times_ns[-1] - times_ns[0]) * 1e-9 > _OFFSET_SEGMENT_S:
             break
     if len(times_ns) < 2:
         raise SequenceError(f"{bag.path}: {source.topic}: no odometry, expected some to find a time offset by")

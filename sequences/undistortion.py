@@ -139,8 +139,8 @@ def _sees_all_of(lens: Lens, pinhole: Camera) -> bool:
     y = ((unit[1] + 0.5) * pinhole.height - 0.5 - pinhole.cy) / pinhole.fy
     if max(np.abs(x).max(), np.abs(y).max()) > _WIDEST:
         return False
-    share = np.arange(1, _ALONG + 1)[:, None] / _ALONG
-    points = _projected(lens, np.stack([share * x, share * y], axis=-1).reshape(-1, 2)).reshape(_ALONG, -1, 2)
+    fraction = np.arange(1, _ALONG + 1)[:, None] / _ALONG
+    points = _projected(lens, np.stack([fraction * x, fraction * y], axis=-1).reshape(-1, 2)).reshape(_ALONG, -1, 2)
     camera = lens.camera
     outermost = points[-1] + 0.5
     if not ((outermost >= 0.0) & (outermost <= (camera.width, camera.height))).all():
