@@ -13,11 +13,11 @@ from sequences.datasets import list_images
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.image_headers import why_left_out
-from sequences.layouts.image_files import read_image_bytes
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout_helpers.image_files import read_image_bytes
 from sequences.messages import decode_image_bytes
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.pairing import MAX_ODOMETRY_GAP_S, interpolate
+from sequences.posed_images import PosedImages
 from sequences.tum import read_tum
 from sequences.undistortion import Lens
 from sequences.writer import SequenceWriter

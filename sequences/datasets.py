@@ -12,42 +12,14 @@ from pathlib import Path
 from sequences.errors import SequenceError
 from sequences.frame import Camera, Frame
 from sequences.image_headers import why_left_out
-from sequences.layouts import (
-    ambiguous,
-    cambridge,
-    ceiling,
-    colmap,
-    euroc,
-    nerfstudio,
-    record3d,
-    seven_scenes,
-    stray_scanner,
-    tum_rgbd,
-)
-from sequences.layouts.image_files import read_image_bytes
-from sequences.layouts.packed import PackedImage
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import INTRINSICS_LEVELS, find_layouts
+from sequences.layout_helpers.image_files import read_image_bytes
+from sequences.layout_helpers.packed import PackedImage
 from sequences.messages import decode_image_bytes
 from sequences.options import OdometryUse, SequenceOptions
+from sequences.posed_images import PosedImages
 from sequences.reader import SequenceReader
 from sequences.undistortion import Lens, pinhole_of, undistorted
-
-_LAYOUTS = (
-    tum_rgbd,
-    euroc,
-    seven_scenes,
-    ambiguous,
-    ceiling,
-    cambridge,
-    stray_scanner,
-    record3d,
-    nerfstudio,
-    colmap,
-)
-_LISTS = (".txt", ".json")  # files by which a layout lists what lies beside them
-_FILES_OF_LAYOUTS = (*_LISTS, ".r3d")  # a file of another kind is a recording
-_LEVELS = 3  # folders above a data set in which layouts look for `intrinsics.json`, at most
-_SPLITS = ("train", "test", "TrainSplit.txt", "TestSplit.txt", "dataset_train.txt", "dataset_test.txt")
 
 
 class PosedFrames(Iterator[Frame]):
@@ -168,16 +140,15 @@ def list_images(path: Path) -> PosedImages:
     """Images and true poses of a data set, none of them read yet.
 
     Args:
-        path: A folder of TUM RGB-D or EuRoC MAV, a 7-Scenes sequence or scene, a sequence or split of the Ambiguous
-            Relocalization data set or of the Ceiling recording, a recording of Stray Scanner or Record3D, a nerfstudio
-            folder or a COLMAP model; or a file: by which 7-Scenes or Cambridge Landmarks list a split, such as
-            `chess/TrainSplit.txt` or `ShopFacade/dataset_test.txt`, an `.r3d`, or nerfstudio's `transforms_train.json`.
+        path: A folder of any of the `sequences.layouts`; or a file: by which 7-Scenes or Cambridge Landmarks list a
+            split, such as `chess/TrainSplit.txt` or `ShopFacade/dataset_test.txt`, an `.r3d`, or nerfstudio's
+            `transforms_train.json`.
 
     Raises:
         SequenceError: the layout is unknown, a file is missing or damaged, or no image has a true pose.
     """
     path = Path(path)
-    images = next((images for layout in _LAYOUTS if (images := layout.list_images(path)) is not None), None)
+    images = next((images for layout in find_layouts() if (images := layout.list_images(path)) is not None), None)
     if images is None:
         raise SequenceError(f"{path}: {_what_is_there(path)}")
     if not len(images):
@@ -195,9 +166,9 @@ def files_read(path: Path) -> Iterator[Path]:
     yield path
     if is_recording(path):
         return
-    folder = path.parent if path.suffix in _LISTS else path
+    folder = path.parent if any(path.suffix in layout.list_suffixes for layout in find_layouts()) else path
     yield folder
-    yield from (above / "intrinsics.json" for above in folder.absolute().parents[:_LEVELS])
+    yield from (above / "intrinsics.json" for above in folder.absolute().parents[:INTRINSICS_LEVELS])
     with suppress(SequenceError):
         yield from (image.path if isinstance(image, PackedImage) else image for image in list_images(path).files)
 
@@ -207,15 +178,21 @@ def _what_is_there(path: Path) -> str:
         return "is a file, expected the folder of a data set or the list of a split"
     if any(path.glob("*.mcap")):
         return "has .mcap files and no metadata.yaml, expected them one by one (`ros2 bag reindex` writes one)"
-    if splits := [name for name in _SPLITS if (path / name).exists()]:
+    names = dict.fromkeys(name for layout in find_layouts() for name in layout.splits)
+    folders_first = sorted(names, key=lambda name: "." in name)
+    if splits := [name for name in folders_first if (path / name).exists()]:
         return f"no sequence or data set, perhaps its {' or '.join(splits)} is meant"
-    looked_for = f"looked for an .mcap file, metadata.yaml, {', '.join(layout.LOOKED_FOR for layout in _LAYOUTS)}"
+    looked_for = f"looked for an .mcap file, metadata.yaml, {', '.join(layout.looked_for for layout in find_layouts())}"
     return f"{'no sequence or data set' if path.exists() else 'no such folder or file'}; {looked_for}"
 
 
 def is_recording(path: Path) -> bool:
     """Whether a path is taken for an MCAP file or rosbag2 folder, rather than images on disk or the list of a split."""
-    return (path.is_file() and path.suffix not in _FILES_OF_LAYOUTS) or (path / "metadata.yaml").is_file()
+    if not path.is_file():
+        return (path / "metadata.yaml").is_file()
+    if path.suffix == ".mcap":  # no layout needs to be asked
+        return True
+    return not any(path.suffix in (*layout.list_suffixes, *layout.archive_suffixes) for layout in find_layouts())
 
 
 def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:

@@ -16,10 +16,10 @@ from sequences.convert import BASE_FROM_CAMERA
 from sequences.counts import NO_ESTIMATE, ImageCounts
 from sequences.errors import SequenceError
 from sequences.frame import Frame
-from sequences.layouts.posed_images import ASSUMED_HZ
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.pairing import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S, interpolate, odometry_between
 from sequences.pose_files import Direction, FrameName, PoseFile, natural_order, read_poses
+from sequences.posed_images import ASSUMED_HZ
 
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 

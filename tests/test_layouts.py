@@ -1,17 +1,21 @@
 """Layouts of data sets, each as a small copy from known poses -> images, poses, order, and what is wrong with them."""
 
 import json
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from filtering.se3 import Poses
+from sequences import layouts
 from sequences.convert import convert
-from sequences.datasets import count_frames, list_images, posed_frames
+from sequences.datasets import count_frames, files_read, is_recording, list_images, posed_frames
 from sequences.errors import SequenceError
 from sequences.frame import Camera
+from sequences.layout import find_layouts
 from sequences.messages import decode_image_bytes
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
@@ -539,3 +543,61 @@ def test_stamped_data_says_that_its_stamps_are_not_assumed(tmp_path: Path) -> No
     some = images[2:8:3]
     assert [file.name for file in some.files] == [images.files[2].name, images.files[5].name]
     assert same(some.world_from_camera, images.world_from_camera[[2, 5]], 1e-12)
+
+
+def test_layouts_are_asked_in_an_order_that_each_of_them_states() -> None:
+    found = find_layouts()
+    assert [layout.name for layout in found] == [
+        *("TUM RGB-D", "EuRoC MAV", "7-Scenes", "Ambiguous Relocalization", "Ceiling", "Cambridge Landmarks"),
+        *("Stray Scanner", "Record3D", "nerfstudio", "COLMAP"),
+    ]
+    assert len({layout.order for layout in found}) == len(found)
+
+
+NEW_LAYOUT = """
+import numpy as np
+from filtering.se3 import Poses
+from sequences.layout import Layout
+from sequences.posed_images import PosedImages
+
+
+def list_images(path):
+    if not (path / "phone.txt").is_file():
+        return None
+    return PosedImages("Phone", [path / "0.png"], np.array([7]), Poses.identity(1), [None])
+
+
+LAYOUT = Layout("Phone", looked_for="phone.txt", order=85, list_images=list_images, list_suffixes=(".phone",))
+"""
+
+
+@pytest.fixture
+def new_layout(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """One more file among the layouts."""
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "phone.py").write_text(NEW_LAYOUT)
+    monkeypatch.setattr(layouts, "__path__", [*layouts.__path__, str(tmp_path / "more")])
+    find_layouts.cache_clear()
+    yield
+    find_layouts.cache_clear()
+
+
+@pytest.mark.usefixtures("new_layout")
+def test_a_new_layout_is_one_new_file(tmp_path: Path) -> None:
+    scan = tmp_path / "scan"
+    scan.mkdir()
+    write_image(scan / "0.png", 0)
+    with pytest.raises(SequenceError, match=r"odometry\.csv, \.r3d, phone\.txt, transforms\.json, images\.bin$"):
+        list_images(scan)
+    (scan / "phone.txt").write_text("")
+    (frame,) = posed_frames(scan)
+    assert (frame.time_ns, frame.image.shape) == (7, (24, 32, 3))
+    (scan / "list.phone").write_text("")
+    assert not is_recording(scan / "list.phone")
+    assert scan in files_read(scan / "list.phone")
+
+
+def test_layouts_are_not_imported_before_a_data_set_is_read() -> None:
+    imported = "[name for name in sys.modules if name.startswith('sequences.layouts.')]"
+    program = f"import sys; from sequences import datasets; assert not {imported}"
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -16,7 +16,7 @@ from sequences.bag import bag_files
 from sequences.datasets import list_images, posed_frames
 from sequences.errors import SequenceError
 from sequences.image_headers import DamagedImageError, stated_size
-from sequences.layouts.packed import Archive
+from sequences.layout_helpers.packed import Archive
 from sequences.messages import decode_image_bytes
 
 ROOT = Path(__file__).resolve().parents[1]

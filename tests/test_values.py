@@ -15,7 +15,7 @@ from sequences import values
 from sequences.encodings import decoder
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.intrinsics import find_camera
+from sequences.layout_helpers.intrinsics import find_camera
 from sequences.pose_files import read_poses
 from sequences.pose_tables import read_pose_table
 from sequences.tum import read_tum

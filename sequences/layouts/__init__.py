@@ -1,4 +1,4 @@
-"""How data sets of images with true poses lie on disk, a module a layout.
+"""How data sets of images with true poses lie on disk, a module a layout and nothing else.
 
-Each has `LOOKED_FOR`, a file it is recognised by, and `list_images(path)`, None where such are not there.
+A new layout is one new file here: `sequences.layout` says what it has to have.
 """

@@ -15,14 +15,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from sequences.errors import SequenceError
-from sequences.layouts.numbered import NumberedLayout
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import Layout
+from sequences.layout_helpers.numbered import NumberedLayout
+from sequences.posed_images import PosedImages
 from sequences.values import natural
 
-LOOKED_FOR = "poses_seq*.txt"
-_LAYOUT = NumberedLayout(
-    "Ambiguous Relocalization", "seq frame qw qx qy qz tx ty tz", ",", ("rgb_matched", "rgb", "images"), levels=3
-)
+_NAME = "Ambiguous Relocalization"
+_NUMBERED = NumberedLayout(_NAME, "seq frame qw qx qy qz tx ty tz", ",", ("rgb_matched", "rgb", "images"), levels=3)
 
 
 def list_images(path: Path) -> PosedImages | None:
@@ -44,8 +43,11 @@ def list_images(path: Path) -> PosedImages | None:
             names = " and ".join(file.name for file in files)
             raise SequenceError(f"{files[0].parent}: {names}, expected one file of poses a sequence")
     unposed = [folder for folder, files in found.items() if not files]
-    return _LAYOUT.list_images([files[0] for files in found.values() if files], unposed)
+    return _NUMBERED.list_images([files[0] for files in found.values() if files], unposed)
 
 
 def _pose_files(folder: Path) -> list[Path]:
     return sorted(folder.glob("poses_seq*.txt"))
+
+
+LAYOUT = Layout(_NAME, looked_for="poses_seq*.txt", order=40, list_images=list_images, splits=("train", "test"))

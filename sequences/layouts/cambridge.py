@@ -22,13 +22,14 @@ import numpy as np
 from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.layouts.intrinsics import find_camera
-from sequences.layouts.named import list_named
-from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import Layout
+from sequences.layout_helpers.intrinsics import find_camera
+from sequences.layout_helpers.named import list_named
+from sequences.layout_helpers.pose_rows import NOT_FINITE, read_pose_row
+from sequences.posed_images import PosedImages
 from sequences.values import is_number, read_lines
 
-LOOKED_FOR = "dataset_train.txt"
+_NAME = "Cambridge Landmarks"
 _COLUMNS = "file tx ty tz qw qx qy qz"  # X Y Z W P Q R
 _NUM_HEADER_LINES = 3
 _FARTHEST_M = 10_000.0
@@ -65,7 +66,7 @@ def list_images(path: Path) -> PosedImages | None:
         else:
             poses[name] = Poses(np.ascontiguousarray(pose.rotation.T), pose.translation)
     scene = path.absolute().parent
-    images = list_named("Cambridge Landmarks", path.parent, path.parent, poses, _in_no_list(path.parent))
+    images = list_named(_NAME, path.parent, path.parent, poses, _in_no_list(path.parent))
     camera = find_camera((scene, scene.parent), images.files)
     return replace(images, cameras=[camera] * len(images))
 
@@ -75,3 +76,13 @@ def _in_no_list(scene: Path) -> list[Path]:
     lists = [file for file in scene.glob("dataset_*.txt") if file.is_file()]
     named = {line.strip().partition("/")[0] for file in lists for _, line in read_lines(file)}
     return [folder for folder in scene.iterdir() if folder.is_dir() and folder.name not in named]
+
+
+LAYOUT = Layout(
+    _NAME,
+    looked_for="dataset_train.txt",
+    order=60,
+    list_images=list_images,
+    list_suffixes=(".txt",),
+    splits=("dataset_train.txt", "dataset_test.txt"),
+)

@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sequences.layouts.numbered import NumberedLayout
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import Layout
+from sequences.layout_helpers.numbered import NumberedLayout
+from sequences.posed_images import PosedImages
 from sequences.values import natural
 
-LOOKED_FOR = "poses.txt"
-_LAYOUT = NumberedLayout("Ceiling", "seq image tx ty tz qw qx qy qz", None, ("images", "rgb"), levels=2)
+_NAME = "Ceiling"
+_NUMBERED = NumberedLayout(_NAME, "seq image tx ty tz qw qx qy qz", None, ("images", "rgb"), levels=2)
 
 
 def list_images(path: Path) -> PosedImages | None:
@@ -28,7 +29,10 @@ def list_images(path: Path) -> PosedImages | None:
         SequenceError: a file is missing or damaged, or a frame is there twice.
     """
     if (path / "poses.txt").is_file():
-        return _LAYOUT.list_images([path / "poses.txt"])
+        return _NUMBERED.list_images([path / "poses.txt"])
     pose_files = sorted(path.glob("*/poses.txt"), key=lambda file: natural(file.parent.name))
     unposed = {folder for folder in path.glob("*/") if folder.is_dir()} - {file.parent for file in pose_files}
-    return _LAYOUT.list_images(pose_files, unposed) if pose_files else None
+    return _NUMBERED.list_images(pose_files, unposed) if pose_files else None
+
+
+LAYOUT = Layout(_NAME, looked_for="poses.txt", order=50, list_images=list_images, splits=("train", "test"))

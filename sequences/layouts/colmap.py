@@ -21,16 +21,17 @@ from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.colmap_binary import camera_rows, image_rows
-from sequences.layouts.intrinsics import camera_of, lens_of, scaled_to
-from sequences.layouts.named import list_named
-from sequences.layouts.packed import ImageFile
-from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import Layout
+from sequences.layout_helpers.colmap_binary import camera_rows, image_rows
+from sequences.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
+from sequences.layout_helpers.named import list_named
+from sequences.layout_helpers.packed import ImageFile
+from sequences.layout_helpers.pose_rows import NOT_FINITE, read_pose_row
+from sequences.posed_images import PosedImages
 from sequences.undistortion import DistortionModel, Lens
 from sequences.values import parse_numbers, read_lines, read_rows
 
-LOOKED_FOR = "images.bin"
+_NAME = "COLMAP"
 _IMAGE_COLUMNS = "id qw qx qy qz tx ty tz camera name"
 _CAMERA_COLUMNS = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
 # Of each model: focal lengths among its parameters, which are followed by cx and cy; how it distorts, and the number of
@@ -64,7 +65,7 @@ def list_images(path: Path) -> PosedImages | None:
     poses, camera_ids = _read_images(found[1], cameras)
     base, root = _image_folder(found[1], camera_ids)
     folders = [Path(each) for each, _, _ in os.walk(root)] if root != base else ()  # which may hold what not
-    images = list_named("COLMAP", base, root, poses, folders)
+    images = list_named(_NAME, base, root, poses, folders)
     ids: dict[ImageFile, str] = {root / name: camera_id for name, camera_id in camera_ids.items()}
     used = [ids[file] for file in images.files]
     scaled = {
@@ -157,3 +158,6 @@ def _image_folder(file: Path, names: dict[str, str]) -> tuple[Path, Path]:
     raise SequenceError(
         f"{file}: none of its images found, looked in {', '.join(str(folder) for _, folder in folders)}"
     )
+
+
+LAYOUT = Layout(_NAME, looked_for="images.bin", order=100, list_images=list_images)

@@ -19,17 +19,18 @@ from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.image_files import num_beside
-from sequences.layouts.intrinsics import camera_of, lens_of, scaled_to
-from sequences.layouts.packed import ImageFile
-from sequences.layouts.pose_rows import read_pose_matrix
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import Layout
+from sequences.layout_helpers.image_files import num_beside
+from sequences.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
+from sequences.layout_helpers.packed import ImageFile
+from sequences.layout_helpers.pose_rows import read_pose_matrix
 from sequences.pairing import MAX_TRUE_POSE_GAP_S, interpolate
 from sequences.pose_tables import read_pose_table
+from sequences.posed_images import PosedImages
 from sequences.undistortion import DistortionModel, Lens
 from sequences.values import MAX_TIME_NS, parse_numbers, parse_whole, read_rows, read_yaml, require_inside
 
-LOOKED_FOR = "mav0/cam0/data.csv"
+_NAME = "EuRoC MAV"
 _MODELS: dict[str, DistortionModel] = {
     "radial-tangential": "plumb_bob",
     "radtan": "plumb_bob",
@@ -68,7 +69,7 @@ def list_images(path: Path) -> PosedImages | None:
     files = [files[i] for i in kept]
     camera = _read_camera(calibration, files)
     world_from_camera = poses[kept] @ (sensor_from_body @ body_from_camera)
-    return PosedImages("EuRoC MAV", files, times_ns[kept], world_from_camera, [camera] * len(files), skipped=+skipped)
+    return PosedImages(_NAME, files, times_ns[kept], world_from_camera, [camera] * len(files), skipped=+skipped)
 
 
 def _read_list(listing: Path, skipped: Counter[str]) -> tuple[np.ndarray, list[Path]]:
@@ -123,3 +124,6 @@ def _read_camera(file: Path, files: Sequence[ImageFile]) -> Camera | Lens:
     if model not in _MODELS:
         raise SequenceError(f"{file}: distortion_model {quoted(model)}, expected one of {', '.join(_MODELS)}")
     return scaled_to(lens_of(str(file), camera, _MODELS[model], coefficients), files)
+
+
+LAYOUT = Layout(_NAME, looked_for="mav0/cam0/data.csv", order=20, list_images=list_images)

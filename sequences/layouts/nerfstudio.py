@@ -21,16 +21,17 @@ from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.image_files import size_of_first
-from sequences.layouts.intrinsics import camera_of, lens_of, scaled_to
-from sequences.layouts.named import list_named
-from sequences.layouts.packed import ImageFile
-from sequences.layouts.pose_rows import NOT_FINITE, from_opengl, read_pose_matrix
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import Layout
+from sequences.layout_helpers.image_files import size_of_first
+from sequences.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
+from sequences.layout_helpers.named import list_named
+from sequences.layout_helpers.packed import ImageFile
+from sequences.layout_helpers.pose_rows import NOT_FINITE, from_opengl, read_pose_matrix
+from sequences.posed_images import PosedImages
 from sequences.undistortion import DistortionModel, Lens
 from sequences.values import LARGEST, parse_number, read_json
 
-LOOKED_FOR = "transforms.json"
+_NAME = "nerfstudio"
 # Of each model: how it distorts, and the names of the coefficients of that in OpenCV's order.
 _MODELS: dict[str, tuple[DistortionModel, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": ("plumb_bob", ()),
@@ -73,7 +74,7 @@ def list_images(path: Path) -> PosedImages | None:
         pose = read_pose_matrix(frame.get("transform_matrix"), f"{where}: transform_matrix")
         poses[name] = NOT_FINITE if pose is None else _scaled(from_opengl(pose), 1.0 / scale)
         stated[root / name] = _read_stated(content | frame, where)
-    images = list_named("nerfstudio", root, root, poses)
+    images = list_named(_NAME, root, root, poses)
     used = [stated[image] for image in images.files]
     cameras = {
         one: _camera(one, [image for image, its in zip(images.files, used, strict=True) if its == one], str(file))
@@ -141,3 +142,6 @@ def _camera(stated: _Stated, files: Sequence[ImageFile], where: str) -> Camera |
     cx, cy = width / 2 if stated.cx is None else stated.cx, height / 2 if stated.cy is None else stated.cy
     camera = camera_of(where, (width, height), (fx, fy), (cx - 0.5, cy - 0.5))
     return scaled_to(lens_of(where, camera, stated.model, stated.coefficients), files)
+
+
+LAYOUT = Layout(_NAME, looked_for="transforms.json", order=90, list_images=list_images, list_suffixes=(".json",))

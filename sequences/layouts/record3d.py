@@ -19,10 +19,11 @@ from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.intrinsics import camera_of, scaled_to
-from sequences.layouts.packed import Archive, ImageFile, PackedImage
-from sequences.layouts.pose_rows import NOT_FINITE, from_opengl, read_pose_row, stack_poses
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import Layout
+from sequences.layout_helpers.intrinsics import camera_of, scaled_to
+from sequences.layout_helpers.packed import Archive, ImageFile, PackedImage
+from sequences.layout_helpers.pose_rows import NOT_FINITE, from_opengl, read_pose_row, stack_poses
+from sequences.posed_images import PosedImages
 from sequences.values import (
     LARGEST,
     parse_frame_number,
@@ -33,7 +34,7 @@ from sequences.values import (
     require_inside,
 )
 
-LOOKED_FOR = ".r3d"
+_NAME = "Record3D"
 _COLUMNS = "qx qy qz qw tx ty tz"
 _PLACES = (("metadata", "rgbd"), ("metadata.json", "rgb"), ("metadata.json", "rgbd"), ("metadata", "rgb"))
 
@@ -69,9 +70,7 @@ def list_images(path: Path) -> PosedImages | None:
     used = [files[number] for number in numbers]
     camera = scaled_to(_camera(metadata, where), used)
     times_ns = np.array([stamps[number] for number in numbers], np.int64)
-    return PosedImages(
-        "Record3D", used, times_ns, stack_poses(poses), [camera] * len(used), assumed_hz, skipped=+skipped
-    )
+    return PosedImages(_NAME, used, times_ns, stack_poses(poses), [camera] * len(used), assumed_hz, skipped=+skipped)
 
 
 def _find(path: Path) -> tuple[str, Any, dict[int, ImageFile]] | None:
@@ -138,3 +137,6 @@ def _finite(values: Any, where: str) -> np.ndarray:
     if not (np.abs(array) <= LARGEST).all():
         raise SequenceError(f"{where} is missing or not finite, expected numbers")
     return array
+
+
+LAYOUT = Layout(_NAME, looked_for=".r3d", order=80, list_images=list_images, archive_suffixes=(".r3d",))

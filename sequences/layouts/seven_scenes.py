@@ -14,12 +14,13 @@ from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.intrinsics import find_camera
-from sequences.layouts.pose_rows import NOT_FINITE, read_pose_matrix, stack_poses
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import Layout
+from sequences.layout_helpers.intrinsics import find_camera
+from sequences.layout_helpers.pose_rows import NOT_FINITE, read_pose_matrix, stack_poses
+from sequences.posed_images import PosedImages
 from sequences.values import parse_frame_number, parse_numbers, read_rows, require_inside
 
-LOOKED_FOR = "frame-*.pose.txt"
+_NAME = "7-Scenes"
 _CAMERA = Camera(640, 480, 585.0, 585.0, 320.0, 240.0)
 
 
@@ -85,7 +86,7 @@ def _list(sequences: list[Path]) -> PosedImages:
             poses.append(pose)
             numbers[-1].append(number)
     camera = find_camera((sequences[0], sequences[0].parent), files, _CAMERA)
-    return PosedImages.numbered("7-Scenes", files, stack_poses(poses), numbers, skipped, camera)
+    return PosedImages.numbered(_NAME, files, stack_poses(poses), numbers, skipped, camera)
 
 
 def _frame_number(path: Path) -> int:
@@ -99,3 +100,13 @@ def _read_pose(file: Path) -> Poses | None:
     """One pose; None where it is not finite."""
     rows = [parse_numbers(line.split(), f"{file}:{number}", "a 4 x 4 matrix") for number, line in read_rows(file)]
     return read_pose_matrix(rows, str(file))
+
+
+LAYOUT = Layout(
+    _NAME,
+    looked_for="frame-*.pose.txt",
+    order=30,
+    list_images=list_images,
+    list_suffixes=(".txt",),
+    splits=("TrainSplit.txt", "TestSplit.txt"),
+)

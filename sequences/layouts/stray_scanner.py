@@ -19,13 +19,14 @@ from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.image_files import images_by_number, images_in, size_of_first
-from sequences.layouts.packed import ImageFile, Video
-from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row, stack_poses
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import Layout
+from sequences.layout_helpers.image_files import images_by_number, images_in, size_of_first
+from sequences.layout_helpers.packed import ImageFile, Video
+from sequences.layout_helpers.pose_rows import NOT_FINITE, read_pose_row, stack_poses
+from sequences.posed_images import PosedImages
 from sequences.values import parse_frame_number, parse_numbers, parse_time_ns, read_rows, require_inside
 
-LOOKED_FOR = "odometry.csv"
+_NAME = "Stray Scanner"
 _COLUMNS = ["timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw"]
 _POSITION = {"x": "tx", "y": "ty", "z": "tz"}
 _FOCAL = ["fx", "fy", "cx", "cy"]
@@ -69,7 +70,7 @@ def list_images(path: Path) -> PosedImages | None:
     files = [frames[number] for number in numbers]
     camera = _camera(path / "camera_matrix.csv", files, focal, frames.size)
     times = np.array(times_ns, np.int64)
-    return PosedImages("Stray Scanner", files, times, stack_poses(poses), [camera] * len(files), skipped=+skipped)
+    return PosedImages(_NAME, files, times, stack_poses(poses), [camera] * len(files), skipped=+skipped)
 
 
 class _Frames:
@@ -142,3 +143,6 @@ def _camera(
             f"{file}: fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g}, expected those of images of {width} x {height} pixels"
         )
     return Camera(width, height, fx, fy, cx, cy)
+
+
+LAYOUT = Layout(_NAME, looked_for="odometry.csv", order=70, list_images=list_images)

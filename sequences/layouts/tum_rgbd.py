@@ -11,14 +11,15 @@ import numpy as np
 from filtering.errors import quoted
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.image_files import num_beside
-from sequences.layouts.intrinsics import find_camera
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout import Layout
+from sequences.layout_helpers.image_files import num_beside
+from sequences.layout_helpers.intrinsics import find_camera
 from sequences.pairing import MAX_TRUE_POSE_GAP_S, interpolate
+from sequences.posed_images import PosedImages
 from sequences.tum import read_tum
 from sequences.values import parse_time_ns, read_rows, require_inside
 
-LOOKED_FOR = "rgb.txt and groundtruth.txt"
+_NAME = "TUM RGB-D"
 # Published intrinsics at 640 x 480, by a part of the folder's name.
 _KNOWN_CAMERAS = {
     "freiburg1": Camera(640, 480, 517.3, 516.5, 318.6, 255.3),
@@ -65,4 +66,7 @@ def list_images(path: Path) -> PosedImages | None:
     files = [files[i] for i in kept]
     known = next((camera for name, camera in _KNOWN_CAMERAS.items() if name in path.name), _CAMERA)
     camera = find_camera((path, path.parent), files, known)
-    return PosedImages("TUM RGB-D", files, times[kept], poses[kept], [camera] * len(files), skipped=+skipped)
+    return PosedImages(_NAME, files, times[kept], poses[kept], [camera] * len(files), skipped=+skipped)
+
+
+LAYOUT = Layout(_NAME, looked_for="rgb.txt and groundtruth.txt", order=10, list_images=list_images)

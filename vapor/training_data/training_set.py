@@ -24,7 +24,7 @@ from sequences import datasets
 from sequences.bag import bag_files
 from sequences.datasets import PosedFrames, is_recording, list_images, posed_frames
 from sequences.frame import Camera, Frame
-from sequences.layouts.packed import ImageFile
+from sequences.layout_helpers.packed import ImageFile
 from sequences.options import OdometryUse, SequenceOptions
 from vapor.cameras import AsTakenBy, described
 from vapor.images import centre_crop, scale_to_cover

@@ -11,7 +11,7 @@ from jaxtyping import Int64
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
-from sequences.layouts.packed import ImageFile
+from sequences.layout_helpers.packed import ImageFile
 from sequences.undistortion import Lens
 
 ASSUMED_HZ = 30

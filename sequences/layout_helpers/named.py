@@ -9,9 +9,9 @@ from itertools import groupby
 from pathlib import Path, PurePosixPath
 
 from filtering.se3 import Poses
-from sequences.layouts.image_files import num_beside
-from sequences.layouts.pose_rows import stack_poses
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout_helpers.image_files import num_beside
+from sequences.layout_helpers.pose_rows import stack_poses
+from sequences.posed_images import PosedImages
 from sequences.values import natural, require_inside
 
 

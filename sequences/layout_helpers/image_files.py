@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sequences.errors import SequenceError
 from sequences.image_headers import is_jpeg, is_png, stated_size
-from sequences.layouts.packed import ImageFile, PackedImage
+from sequences.layout_helpers.packed import ImageFile, PackedImage
 from sequences.messages import decode_image_bytes
 from sequences.values import parse_frame_number, read_bytes
 

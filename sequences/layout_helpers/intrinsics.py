@@ -8,8 +8,8 @@ from typing import TypeVar
 
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.layouts.image_files import size_of_first
-from sequences.layouts.packed import ImageFile
+from sequences.layout_helpers.image_files import size_of_first
+from sequences.layout_helpers.packed import ImageFile
 from sequences.undistortion import DistortionModel, Lens
 from sequences.values import parse_number, read_json
 

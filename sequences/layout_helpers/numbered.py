@@ -10,10 +10,10 @@ from pathlib import Path
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.layouts.image_files import images_by_number, images_in_first
-from sequences.layouts.intrinsics import find_camera
-from sequences.layouts.pose_rows import NOT_FINITE, read_pose_row, stack_poses
-from sequences.layouts.posed_images import PosedImages
+from sequences.layout_helpers.image_files import images_by_number, images_in_first
+from sequences.layout_helpers.intrinsics import find_camera
+from sequences.layout_helpers.pose_rows import NOT_FINITE, read_pose_row, stack_poses
+from sequences.posed_images import PosedImages
 from sequences.values import parse_frame_number, read_rows, require_inside
 
 
