@@ -20,6 +20,8 @@ from sequences.rosbag2 import read_listing
 
 Stamps = Literal["header", "log"]
 TF_STATIC, TF = "/tf_static", "/tf"
+METADATA_NAME = "vapor-track"
+"""Of the metadata record in which a file says where its odometry comes from."""
 
 
 @dataclass(frozen=True)

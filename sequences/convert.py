@@ -11,7 +11,7 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.datasets import list_images
 from sequences.errors import SequenceError
-from sequences.frame import Camera
+from sequences.frame import BASE_FROM_CAMERA, Camera
 from sequences.image_headers import why_left_out
 from sequences.layout_helpers.image_files import read_image_bytes
 from sequences.messages import decode_image_bytes
@@ -21,9 +21,6 @@ from sequences.posed_images import PosedImages
 from sequences.tum import read_tum
 from sequences.undistortion import Lens
 from sequences.writer import SequenceWriter
-
-BASE_FROM_CAMERA = Poses(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
-"""The body that carries the camera looks where it looks: x ahead, y left, z up."""
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ from jaxtyping import Float64, Int64
 
 from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
-from sequences.convert import BASE_FROM_CAMERA
 from sequences.counts import NO_ESTIMATE, ImageCounts
 from sequences.errors import SequenceError
-from sequences.frame import Frame
+from sequences.frame import BASE_FROM_CAMERA, Frame
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.pairing import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S, interpolate, odometry_between
 from sequences.pose_files import Direction, FrameName, PoseFile, natural_order, read_poses

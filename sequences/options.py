@@ -17,6 +17,7 @@ from sequences.errors import SequenceError
 from sequences.pose_tables import times_beside
 
 OdometryUse = Literal["required", "optional", "unread"]
+TruePoseUse = Literal["required", "optional"]
 
 _MAX_DURATION_S = 1e9  # of a recording; NaN and infinity are none
 _MAX_OFFSET_S = 1e10  # between two clocks, one of which began in 1970

@@ -8,17 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from filtering.se3 import Poses
-from sequences.bag import Bag
+from sequences.bag import METADATA_NAME, Bag
 from sequences.camera_info import ImageCamera
 from sequences.counts import ImageCounts
 from sequences.errors import SequenceError
 from sequences.frame import Frame
-from sequences.options import OdometryUse, SequenceOptions
+from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reading.frame_pairing import FramePairing
-from sequences.roles import Roles, TruePoseUse
+from sequences.roles import Roles
 from sequences.topics import decode
-
-METADATA_NAME = "vapor-track"  # of the record in which a file says where its odometry comes from
 
 
 class SequenceReader:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Literal
 
 from filtering.se3 import Poses
 from sequences.bag import Bag, Topic
@@ -14,7 +13,7 @@ from sequences.extrinsics import Extrinsics, find_extrinsics
 from sequences.frame import Trajectory
 from sequences.images import ImageStream, Stills
 from sequences.messages import decode_compressed_image, decode_image, frame_name
-from sequences.options import OdometryUse, SequenceOptions, pose_of_numbers
+from sequences.options import OdometryUse, SequenceOptions, TruePoseUse, pose_of_numbers
 from sequences.pairing import MAX_ODOMETRY_GAP_S
 from sequences.pose_sources import PoseSource, poses_of_topic
 from sequences.topics import choose, first
@@ -27,7 +26,6 @@ from sequences.true_poses import (
 )
 from sequences.video import Video
 
-TruePoseUse = Literal["required", "optional"]
 _IMAGE_STREAMS: dict[str, Callable[[], ImageStream]] = {
     "sensor_msgs/Image": partial(Stills, decode_image),
     "sensor_msgs/CompressedImage": partial(Stills, decode_compressed_image),

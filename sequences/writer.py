@@ -14,12 +14,11 @@ from mcap_ros2.writer import Writer
 
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
-from sequences.bag import Bag
+from sequences.bag import METADATA_NAME, Bag
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.message_definitions import schema_name, schema_text
 from sequences.messages import covariance_to_ros
-from sequences.reader import METADATA_NAME
 from sequences.undistortion import Lens, pinhole_of
 
 MAP_FRAME, ODOM_FRAME, BASE_FRAME, CAMERA_FRAME = "map", "odom", "base_link", "camera_optical_frame"

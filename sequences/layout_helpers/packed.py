@@ -93,7 +93,7 @@ class Archive:
             raise SequenceError(f"{self.path}: member {quoted(key)} cannot be read: {error}") from error
 
 
-class Video:
+class VideoFile:
     """Frames of a video by their numbers from 0 on; one after the other is fast, and all are as they were stored.
 
     Attributes:

@@ -21,7 +21,7 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.layout import Layout
 from sequences.layout_helpers.image_files import images_by_number, images_in, size_of_first
-from sequences.layout_helpers.packed import ImageFile, Video
+from sequences.layout_helpers.packed import ImageFile, VideoFile
 from sequences.layout_helpers.pose_rows import NOT_FINITE, read_pose_row, stack_poses
 from sequences.posed_images import PosedImages
 from sequences.values import parse_frame_number, parse_numbers, parse_time_ns, read_rows, require_inside
@@ -84,7 +84,7 @@ class _Frames:
             return
         if not (folder / "rgb.mp4").is_file():
             raise SequenceError(f"{folder / 'rgb.mp4'}: no such file, expected the video, or its frames in rgb/")
-        self._video = Video(folder / "rgb.mp4")
+        self._video = VideoFile(folder / "rgb.mp4")
 
     def __contains__(self, number: int) -> bool:
         if self._files is not None:

@@ -17,9 +17,8 @@ from sequences.counts import ImageCounts
 from sequences.datasets import is_recording, list_images, posed_frames
 from sequences.errors import SequenceError
 from sequences.frame import Frame
-from sequences.options import OdometryUse, SequenceOptions
+from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
-from sequences.roles import TruePoseUse
 from vapor.inspection.looks import Look, Looks, look_at
 from vapor.inspection.turns import outline, turn_between
 from vapor.training_data.training_set import TrainingError, TrainingSet, name_entries
