@@ -206,10 +206,12 @@ class _Track:
     twist_covariances: Float64[np.ndarray, "k 6 6"]
 
     def covers(self, time_ns: int) -> bool:
+        """Whether odometry tells where the body was."""
         asked = np.array([time_ns], np.int64)
         return bool(interpolate(self.times_ns, self.odom_from_base, asked, max_gap_s=MAX_ODOMETRY_GAP_S)[1][0])
 
     def between(self, start_ns: int, end_ns: int, motion_noise: MotionNoise) -> Odometry:
+        """Motion of the camera between two covered times; the noise is that of odometry that states none."""
         return odometry_between(
             self.times_ns,
             self.odom_from_base,

@@ -215,6 +215,7 @@ def fit_odometry(segments: Sequence[OdometrySegment], *, max_increments: int = 1
 
 
 def _six(values: np.ndarray) -> Six:
+    """Six numbers of an array, (6,)."""
     a, b, c, d, e, f = (float(value) for value in values)
     return a, b, c, d, e, f
 
@@ -376,6 +377,7 @@ class _Model:
         return values[:6], values[6:12], values[12:18], float(values[18]), p
 
     def covariance(self, piece: _Piece, axis: int, parameters: np.ndarray) -> np.ndarray:
+        """Covariance (n, n) of the errors of a piece on one axis, but for that of the scale."""
         q, b, r, time_s, p = self.unpack(parameters)
         covariance = b[axis] * piece.product * np.exp(-piece.apart / time_s) + r[axis] * piece.jitter
         covariance[np.diag_indices(len(piece.dt))] += q[axis] * piece.dt + p[axis] * piece.moved

@@ -113,8 +113,8 @@ def require_replaceable(
         foreign = _foreign(directory, reads)
         if foreign and not overwrite:
             raise SequenceError(
-                f"{given}: {_told([*foreign.values()])}, expected an empty folder or unchanged results; --overwrite"
-                " replaces files of the results' names only"
+                f"{given}: {_told([*foreign.values()])}, expected an empty folder or unchanged results;"
+                " --overwrite replaces files of the results' names only"
             )
         _refuse_lost(directory, foreign, reads, writes)
         return directory, bool(foreign) or not _exchangeable(directory)
@@ -122,6 +122,7 @@ def require_replaceable(
 
 @contextmanager
 def _writing(directory: Path) -> Iterator[None]:
+    """Make errors of the system SequenceErrors that name the folder."""
     try:
         yield
     except OSError as error:
@@ -161,8 +162,8 @@ def claim_folder(directory: Path, command: str, *, reads: Iterable[Path] = (), o
         names = [entry.name for entry in sorted(directory.iterdir()) if not is_workspace(entry.name)]
         if names and not overwrite:
             raise SequenceError(
-                f"{given}: {_told(names)}, expected an empty folder or one of `vapor-track {command}`; --overwrite uses"
-                " it all the same"
+                f"{given}: {_told(names)}, expected an empty folder or one of `vapor-track {command}`; --overwrite"
+                " uses it all the same"
             )
         if names and (around := [path for path in reads if directory.resolve().is_relative_to(path)]):
             raise SequenceError(
@@ -266,6 +267,7 @@ def read_manifest(directory: Path) -> dict[str, Any]:
 
 
 def _own_manifest(directory: Path) -> dict[str, Any] | None:
+    """The manifest of a folder, None where there is none of ours."""
     try:
         return read_manifest(directory)
     except SequenceError:
@@ -273,6 +275,7 @@ def _own_manifest(directory: Path) -> dict[str, Any] | None:
 
 
 def _write_manifest(directory: Path, command: str, files: Mapping[str, Listed] | None) -> None:
+    """Write the manifest of a folder, with its files by name; None where the folder grows."""
     manifest = {
         "format": FORMAT,
         "version": VERSION,

@@ -218,6 +218,7 @@ def _frames_that_could(tree: TransformTree, rig: Rig) -> list[str]:
 
 
 def _of_topic(bag: Bag, options: SequenceOptions, rig: Rig, topic: Topic) -> PoseRoute:
+    """Poses of a topic. Raises SequenceError where nothing says where the camera sits on the body that they are of."""
     resolved: dict[str, object] = {"ground_truth_topic": topic.name}
     child = frame_name(options.ground_truth_child_frame or "")
     if not child and topic.num_messages:
@@ -241,6 +242,7 @@ def _of_topic(bag: Bag, options: SequenceOptions, rig: Rig, topic: Topic) -> Pos
 
 
 def _of_tree(bag: Bag, options: SequenceOptions, rig: Rig, frame: str) -> PoseRoute:
+    """Poses of the camera in a frame of tf. Raises SequenceError where no transforms lead there, or none moves."""
     if options.ground_truth_child_frame is not None and rig.base_from_camera is not None:
         rig = replace(rig, base=frame_name(options.ground_truth_child_frame))
     tree = read_tree(bag, lambda tree: rig.path(tree, frame) is not None)
@@ -264,6 +266,11 @@ def _of_tree(bag: Bag, options: SequenceOptions, rig: Rig, frame: str) -> PoseRo
 
 
 def _of_file(bag: Bag, options: SequenceOptions, rig: Rig, odometry: Callable[[], Trajectory]) -> PoseRoute:
+    """Poses of the file that the options name; the odometry is to find a time offset by.
+
+    Raises:
+        SequenceError: the file cannot be used, nothing says where the camera sits, or the rotation tells no offset.
+    """
     file = Path(options.poses or "")
     trajectory = read_pose_table(file, options.poses_times)
     extrinsics = rig.on(bag, frame_name(options.ground_truth_child_frame or ""), " (--ground-truth-child-frame)")

@@ -220,19 +220,23 @@ class EstimateWriter(_MessageWriter):
 
 
 def _header(time_ns: int, frame_id: str) -> dict:
+    """std_msgs/Header."""
     sec, nanosec = divmod(int(time_ns), 1_000_000_000)
     return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id}
 
 
 def _xyz(v: np.ndarray) -> dict:
+    """geometry_msgs/Vector3 or Point of three numbers."""
     return {"x": v[0], "y": v[1], "z": v[2]}
 
 
 def _pose(pose: Poses) -> dict:
+    """geometry_msgs/Pose of one pose."""
     return _poses(Poses(pose.rotation[None], pose.translation[None]))[0]
 
 
 def _poses(poses: Poses) -> list[dict]:
+    """geometry_msgs/Pose of each of a batch (n,)."""
     rows = zip(poses.translation.tolist(), poses.as_quat_xyzw().tolist(), strict=True)
     return [
         {
@@ -244,6 +248,7 @@ def _poses(poses: Poses) -> list[dict]:
 
 
 def _transform(time_ns: int, parent: str, child: str, parent_from_child: Poses) -> dict:
+    """geometry_msgs/TransformStamped."""
     pose = _pose(parent_from_child)
     return {
         "header": _header(time_ns, parent),
