@@ -14,7 +14,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.pose_tables import times_beside
+from sequences.trajectories.pose_tables import times_beside
 
 OdometryUse = Literal["required", "optional", "unread"]
 TruePoseUse = Literal["required", "optional"]

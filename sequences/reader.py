@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from filtering.se3 import Poses
-from sequences.bag import METADATA_NAME, Bag
-from sequences.camera_info import ImageCamera
-from sequences.counts import ImageCounts
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
+from sequences.reading.camera_info import ImageCamera
+from sequences.reading.counts import ImageCounts
 from sequences.reading.frame_pairing import FramePairing
-from sequences.roles import Roles
-from sequences.topics import decode
+from sequences.reading.roles import Roles
+from sequences.recordings.bag import METADATA_NAME, Bag
+from sequences.recordings.topics import decode
 
 
 class SequenceReader:

@@ -15,13 +15,14 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, IndexType
 
-from sequences.bag import Bag
-from sequences.counts import OUTSIDE
-from sequences.datasets import list_images, posed_frames
+from sequences.datasets.frames import posed_frames
+from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
-from sequences.images import Stills
+from sequences.images.streams import Stills
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
+from sequences.reading.counts import OUTSIDE
+from sequences.recordings.bag import Bag
 from tests.sequence_files import BEGIN_NS, Walk, as_file_without_index, as_split_folder, rewrite, write_listing
 
 IMAGES = "/camera/image/compressed"
@@ -212,7 +213,7 @@ def test_chunks_that_all_claim_the_same_time_are_not_held_without_limit(
 
     path = damaged(walk_file, tmp_path / "heap.mcap", at_once, chunk_size=1000)
     assert len(list(Bag(path).messages([IMAGES]))) == 12
-    monkeypatch.setattr("sequences.mcap_file._MAX_HELD_BYTES", 3000)
+    monkeypatch.setattr("sequences.recordings.mcap_file._MAX_HELD_BYTES", 3000)
     with pytest.raises(SequenceError, match=r"chunks overlap in time by more than 3000 bytes"):
         list(Bag(path).messages([IMAGES]))
 

@@ -12,9 +12,11 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.odometry_fit import OdometryFit, OdometrySegment, fit_odometry
-from sequences.pairing import interpolate
-from sequences.tum import read_tum
+from sequences.odometry_fit.fit import fit_odometry
+from sequences.odometry_fit.result import OdometryFit
+from sequences.odometry_fit.segment import OdometrySegment
+from sequences.trajectories.interpolation import interpolate
+from sequences.trajectories.tum import read_tum
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -7,20 +7,20 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
-from sequences.bag import RawMessage
-from sequences.camera_info import ImageCamera
-from sequences.counts import OUTSIDE
 from sequences.errors import SequenceError
 from sequences.frame import Frame
-from sequences.image_headers import why_left_out
-from sequences.images import Picture
-from sequences.messages import stamp_ns
+from sequences.images.headers import why_left_out
+from sequences.images.streams import Picture
 from sequences.options import SequenceOptions
+from sequences.reading.camera_info import ImageCamera
+from sequences.reading.counts import OUTSIDE
 from sequences.reading.left_out import LeftOut
 from sequences.reading.motion import MotionOfCamera
 from sequences.reading.requested_segment import RequestedSegment
+from sequences.reading.roles import Roles
 from sequences.reading.stamps import Clocks, Stamps, odometry_apart
-from sequences.roles import Roles
+from sequences.recordings.bag import RawMessage
+from sequences.recordings.messages import stamp_ns
 
 _MAX_WAITING = 64  # images held, still encoded, until odometry and true poses reach them
 _SORTED_WITHIN_S = 0.5  # images are held until one so much later has come, and so put in the order of their stamps

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from sequences.counts import ImageCounts
+from sequences.reading.counts import ImageCounts
 
 
 class LeftOut:

@@ -10,13 +10,11 @@ import numpy as np
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.bag import RawMessage
 from sequences.errors import SequenceError
-from sequences.messages import odometry_from_message, stamp_ns
 from sequences.options import SequenceOptions
-from sequences.pairing import MAX_ODOMETRY_GAP_S, PoseWindow
-from sequences.pose_sources import PoseSource
 from sequences.reading.left_out import LeftOut
+from sequences.reading.pose_source import PoseSource
+from sequences.reading.roles import Roles
 from sequences.reading.stamps import (
     MAX_LATENESS_S,
     Clocks,
@@ -24,7 +22,10 @@ from sequences.reading.stamps import (
     jumps_of_true_poses,
     true_poses_apart,
 )
-from sequences.roles import Roles
+from sequences.recordings.bag import RawMessage
+from sequences.recordings.messages import odometry_from_message, stamp_ns
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
+from sequences.trajectories.pose_window import PoseWindow
 
 
 class MotionOfCamera:

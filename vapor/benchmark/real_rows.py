@@ -19,12 +19,15 @@ from filtering.localizer import LocalizerConfig
 from filtering.motion import MotionNoise, Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.convert import BASE_FROM_CAMERA, convert
-from sequences.estimates import EstimateOptions, EstimateSequence
+from sequences.datasets.convert import convert
+from sequences.estimates.options import EstimateOptions
+from sequences.estimates.sequence import EstimateSequence
+from sequences.files.structured import read_arrays
+from sequences.frame import BASE_FROM_CAMERA
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.odometry_fit import OdometrySegment, fit_odometry
-from sequences.pairing import odometry_between
-from sequences.values import read_arrays
+from sequences.odometry_fit.fit import fit_odometry
+from sequences.odometry_fit.segment import OdometrySegment
+from sequences.trajectories.increments import odometry_between
 from vapor.benchmark.recordings import FileSettings, load_recording, record_file
 from vapor.cache import code_digest, digest
 from vapor.calibration.calibrate import calibrate

@@ -16,7 +16,7 @@ from rich.table import Table
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
-from sequences.results import claim_folder
+from sequences.outputs.claims import claim_folder
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, usage_error
 from vapor.commands.named_settings import Preset, parse_named
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS

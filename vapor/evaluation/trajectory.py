@@ -15,8 +15,8 @@ from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
-from sequences.results import MANIFEST, verify
-from sequences.tum import read_tum
+from sequences.outputs.manifest import MANIFEST, verify
+from sequences.trajectories.tum import read_tum
 
 THRESHOLDS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {"0.1m/10deg": (0.1, 10.0), "0.2m/15deg": (0.2, 15.0), "0.3m/20deg": (0.3, 20.0)}

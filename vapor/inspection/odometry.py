@@ -14,8 +14,10 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses, nearest_rotation
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
-from sequences.odometry_fit import OdometryFit, OdometrySegment, fit_odometry
-from sequences.time_offset import find_time_offset
+from sequences.odometry_fit.fit import fit_odometry
+from sequences.odometry_fit.result import OdometryFit
+from sequences.odometry_fit.segment import OdometrySegment
+from sequences.trajectories.time_offset import find_time_offset
 from vapor.training_data.passes import odometry_stretches
 from vapor.training_data.training_set import TrainingSet
 

@@ -14,7 +14,9 @@ import numpy as np
 from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output
 from sequences.options import SequenceOptions
-from sequences.results import folder_to_write, refuse_other, require_replaceable
+from sequences.outputs.claims import refuse_other
+from sequences.outputs.folders import folder_to_write
+from sequences.outputs.results import require_replaceable
 from vapor.pipeline.run import RESULTS, RunConfig, RunResult, files_read, load_model, run
 from vapor.reporting.report import is_report
 

@@ -14,8 +14,9 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.localizer import LocalizerConfig
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.estimates import EstimateOptions, EstimateSequence
-from sequences.results import results_folder
+from sequences.estimates.options import EstimateOptions
+from sequences.estimates.sequence import EstimateSequence
+from sequences.outputs.results import results_folder
 from vapor.pipeline.run import RESULTS, FilteringConfig, RunResult, localize, write_results
 
 

@@ -28,14 +28,14 @@ from filtering.rivals import GaussianSumLocalizer
 from filtering.se3 import Poses
 from filtering.smoothing import JUDGED_MODES, SMOOTHED_MODES, SmoothingConfig, agreement, smooth
 from sequences.atomic import atomic_output
-from sequences.estimates import EstimateSequence
+from sequences.estimates.sequence import EstimateSequence
 from sequences.frame import Trajectory
-from sequences.odometry_fit import OdometryFit
+from sequences.odometry_fit.result import OdometryFit
 from sequences.options import SequenceOptions
+from sequences.outputs.results import results_folder
 from sequences.reader import SequenceReader
-from sequences.results import results_folder
-from sequences.tum import write_tum
-from sequences.writer import EstimateWriter
+from sequences.recordings.estimate_writer import EstimateWriter
+from sequences.trajectories.tum import write_tum
 from vapor.checkpoints.checkpoint import find_model
 from vapor.evaluation.trajectory import FILES
 from vapor.observation import VaporObservationModel

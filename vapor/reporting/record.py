@@ -13,8 +13,8 @@ from jaxtyping import Float64, Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status
 from filtering.se3 import Poses
-from sequences.counts import ImageCounts
 from sequences.frame import Frame, Trajectory
+from sequences.reading.counts import ImageCounts
 
 _KEPT_MOMENTS = 24
 _CLOUD_SIZE = 300

@@ -21,7 +21,7 @@ from filtering.rivals import GaussianSumLocalizer
 from filtering.se3 import Poses
 from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth
 from sequences.frame import Trajectory
-from sequences.odometry_fit import OdometryFit
+from sequences.odometry_fit.result import OdometryFit
 from vapor.evaluation.belief import Belief, judge_belief, judge_floor, mode_status, truth_among_modes
 from vapor.evaluation.lengths import scaled_mode, scaled_poses
 from vapor.evaluation.trajectory import FILES, TRACKING, dead_reckoning, evaluate_trajectory
