@@ -1,4 +1,4 @@
-"""What a layout of data sets is, and those that there are.
+"""What a layout of data sets is.
 
 A layout says how images with true poses lie on disk. It is a module of `sequences.datasets.layouts`, which is found by
 itself, with a `Layout` of this name:
@@ -26,14 +26,10 @@ where `list_images(path)` keeps to these rules:
 
 from __future__ import annotations
 
-import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from importlib import import_module
 from pathlib import Path
 
-from sequences.datasets import layouts
 from sequences.datasets.posed_images import PosedImages
 
 INTRINSICS_LEVELS = 3
@@ -62,10 +58,3 @@ class Layout:
     list_suffixes: tuple[str, ...] = ()
     archive_suffixes: tuple[str, ...] = ()
     splits: tuple[str, ...] = ()
-
-
-@cache
-def find_layouts() -> tuple[Layout, ...]:
-    """All layouts, in their order; they are imported by the first call."""
-    names = [f"{layouts.__name__}.{module.name}" for module in pkgutil.iter_modules(layouts.__path__)]
-    return tuple(sorted((import_module(name).LAYOUT for name in names), key=lambda layout: layout.order))

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import pkgutil
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import cache
+from importlib import import_module
 from pathlib import Path
 
-from sequences.datasets.layout import INTRINSICS_LEVELS, find_layouts
+from sequences.datasets import layouts
+from sequences.datasets.layout import INTRINSICS_LEVELS, Layout
 from sequences.datasets.layout_helpers.packed import PackedImage
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
+
+
+@cache
+def find_layouts() -> tuple[Layout, ...]:
+    """All layouts, in their order; they are imported by the first call."""
+    names = [f"{layouts.__name__}.{module.name}" for module in pkgutil.iter_modules(layouts.__path__)]
+    return tuple(sorted((import_module(name).LAYOUT for name in names), key=lambda layout: layout.order))
 
 
 def list_images(path: Path) -> PosedImages:

@@ -11,11 +11,8 @@ from jaxtyping import Int64
 
 from filtering.se3 import Poses
 from sequences.datasets.layout_helpers.packed import ImageFile
-from sequences.frame import Camera
+from sequences.frame import ASSUMED_HZ, Camera
 from sequences.images.undistortion import Lens
-
-ASSUMED_HZ = 30
-"""The rate assumed where a layout has no time stamps: that of the sensor of 7-Scenes."""
 
 
 @dataclass(frozen=True)

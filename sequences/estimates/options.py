@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from filtering.motion import MotionNoise
-from sequences.datasets.posed_images import ASSUMED_HZ
 from sequences.errors import SequenceError
 from sequences.estimates.pose_files import Direction
+from sequences.frame import ASSUMED_HZ
 from sequences.odometry import OdometryNoise
 
 
