@@ -1,7 +1,8 @@
 """Numbers, times and names that files hold, parsed within limits.
 
 Every reader takes them from here, so that no number is one that arithmetic cannot go on with, and what is none gets an
-error that says where it is."""
+error that says where it is.
+"""
 
 from __future__ import annotations
 

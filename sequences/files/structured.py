@@ -18,6 +18,7 @@ try:
     from yaml import CSafeLoader as SafeLoader  # ten times as fast
 except ImportError:
     from yaml import SafeLoader
+
 _MAX_JSON = 64 << 20  # a list of lists takes twenty times that in memory
 _MAX_YAML = 2 << 20  # a list takes some hundred times that in memory
 _MAX_ARRAYS = 4 << 30

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sequences.odometry_fit.likelihood import Likelihood, Scales
+from sequences.odometry_fit.likelihood import Likelihood, ScaleErrors
 from sequences.odometry_fit.pieces import cut_into_pieces, error_limits
 from sequences.odometry_fit.result import OdometryFit, six
 from sequences.odometry_fit.segment import OdometrySegment
@@ -19,9 +19,9 @@ def fit_odometry(segments: Sequence[OdometrySegment], *, max_increments: int = 1
 
     The error of increment i, true⁻¹ odometry, is on each axis s·vᵢ + bᵢ dtᵢ + wᵢ + mᵢ₋₁ − mᵢ: scale error s, drift b
     (an Ornstein-Uhlenbeck process), white noise w of variance q dtᵢ (+ p |vᵢ|, where that explains the errors better by
-    the Bayesian information criterion), and noise m of single poses, which does not add up: without
-    it true poses that jitter at a high rate would pass for white noise. What the data cannot tell
-    follows weak priors: the drift errs over a second about as much as everything does, and changes over 30 s.
+    the Bayesian information criterion), and noise m of single poses, which does not add up: without it, true poses that
+    jitter at a high rate would pass for white noise. What the data cannot tell follows weak priors: the drift errs over
+    a second about as much as everything does, and changes over 30 s.
 
     s is fitted with the velocity averaged over a second as its instrument: the velocity itself shares the noise of the
     true poses with the errors.
@@ -42,7 +42,7 @@ def fit_odometry(segments: Sequence[OdometrySegment], *, max_increments: int = 1
         clipped += int((np.abs(piece.errors) > limit).sum())
         piece.errors = np.clip(piece.errors, -limit, limit)
     model = Likelihood(pieces)
-    scales = Scales(sorted({piece.recording for piece in pieces}))
+    scales = ScaleErrors(sorted({piece.recording for piece in pieces}))
     parameters = model.search(model.start, scales)
     for _ in range(2):
         scales.fit(pieces, model, parameters)

@@ -18,7 +18,7 @@ _LEAST_CURVATURE = 0.02  # of the posterior, in the logarithm of a variance
 _RANGE = (-14.0, 7.0)  # of logarithms of variances, about where the search begins
 
 
-class Scales:
+class ScaleErrors:
     """Scale errors of recordings, given the rest."""
 
     def __init__(self, numbers: Sequence[int]) -> None:
@@ -87,11 +87,11 @@ class Likelihood:
         covariance[np.diag_indices(len(piece.dt))] += q[axis] * piece.dt + p[axis] * piece.moved
         return covariance
 
-    def loss(self, parameters: np.ndarray, scales: Scales) -> tuple[float, np.ndarray]:
+    def loss(self, parameters: np.ndarray, scales: ScaleErrors) -> tuple[float, np.ndarray]:
         """Negative log posterior, up to a constant, and its gradient."""
         return self._posterior(parameters, self._likelihood(parameters, scales, range(6)))
 
-    def _likelihood(self, parameters: np.ndarray, scales: Scales, axes: Iterable[int]) -> np.ndarray:
+    def _likelihood(self, parameters: np.ndarray, scales: ScaleErrors, axes: Iterable[int]) -> np.ndarray:
         """Of every piece and some axes (pieces, axes, 6): the loss, and its slopes along q, b², r², time and p."""
         q, b, r, time_s, p = self.unpack(parameters)
         axes = list(axes)
@@ -137,7 +137,7 @@ class Likelihood:
         gradient[18] += late / _TIME_SPREAD
         return float(loss) + 0.5 * float(off @ off) + 0.5 * float(late**2), gradient[: len(parameters)]
 
-    def search(self, start: np.ndarray, scales: Scales, least_log_q: np.ndarray | None = None) -> np.ndarray:
+    def search(self, start: np.ndarray, scales: ScaleErrors, least_log_q: np.ndarray | None = None) -> np.ndarray:
         """The likeliest parameters."""
         reference = np.concatenate([self.start, self.start[:6] - np.log(self._speed)])[: len(start)]
         low, high = reference + _RANGE[0], reference + _RANGE[1]
@@ -154,7 +154,7 @@ class Likelihood:
         )
         return found.x
 
-    def standard_errors(self, parameters: np.ndarray, scales: Scales) -> np.ndarray:
+    def standard_errors(self, parameters: np.ndarray, scales: ScaleErrors) -> np.ndarray:
         """Of the logarithms, by the curvature of the posterior; about 7 where it is flat."""
         step, rows = 1e-3, []
         unchanged = self._likelihood(parameters, scales, range(6))

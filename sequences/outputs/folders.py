@@ -1,4 +1,4 @@
-"""What lies in the folder of an output, and what of it is not ours."""
+"""The folder of an output: where it is, what lies in it, and which files of that are not ours."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NAMED = 3  # files, in a message
 
 @contextmanager
 def writing(directory: Path) -> Iterator[None]:
-    """Make errors of the system SequenceErrors that name the folder."""
+    """Turn an OSError into a SequenceError that names the folder."""
     try:
         yield
     except OSError as error:

@@ -2,7 +2,8 @@
 
 A folder that holds exactly what its manifest lists is exchanged for the new one as a whole. Where that cannot be, files
 are replaced one by one and the manifest is gone meanwhile; what a killed process left half replaced is put back by the
-next that reads or writes there."""
+next that reads or writes there.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """One MCAP file: its channels, and a stream of raw messages in bounded memory.
 
 The classes of the library say what a record holds. Reading is ours: the messages that come are counted against those
-that the file states."""
+that the file states.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The records of an MCAP file, and those within its chunks.
 
 Sizes that a file states are checked against it and against limits before memory is given to them; checksums are
-compared where there are any."""
+compared where there are any.
+"""
 
 from __future__ import annotations
 

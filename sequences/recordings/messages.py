@@ -1,7 +1,8 @@
 """One decoded ROS 2 message -> numpy and the types of this project, without side effects.
 
 The conventions of ROS end here: pose covariances about the axes of the parent frame, twist covariances in the child
-frame, quaternions in x, y, z, w order, frame names with or without a leading slash."""
+frame, quaternions in x, y, z, w order, frame names with or without a leading slash.
+"""
 
 from __future__ import annotations
 
