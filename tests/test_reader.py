@@ -99,7 +99,7 @@ def test_without_odometry_every_image_is_read(tmp_path: Path) -> None:
         SequenceReader(path)
 
 
-def test_a_stretch_of_a_sequence_is_read(walk_file: Path) -> None:
+def test_a_segment_of_a_sequence_is_read(walk_file: Path) -> None:
     reader = SequenceReader(walk_file, SequenceOptions(start_s=0.25, duration_s=0.5))
     assert [f.time_ns for f in reader] == [BEGIN_NS + 100_000_000 * i for i in range(3, 8)]
     assert reader.skipped == {OUTSIDE: 7}

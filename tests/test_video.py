@@ -101,7 +101,7 @@ def test_odometry_and_true_poses_belong_to_the_images(reordered: bool, request: 
         assert max(frame.world_from_camera.distance(world_from_camera(frame.time_ns))) < 1e-9
 
 
-def test_a_stretch_may_begin_between_key_frames(h264_reordered: list[Packet], tmp_path: Path) -> None:
+def test_a_segment_may_begin_between_key_frames(h264_reordered: list[Packet], tmp_path: Path) -> None:
     path = foxglove_files.write(tmp_path / "a.mcap", "protobuf", video(h264_reordered))
     frames, skipped = read(path, start_s=0.25, duration_s=0.6)
     require(frames, list(range(3, 9)))

@@ -1,4 +1,4 @@
-"""New files or a new folder in the place of earlier ones."""
+"""Put new files, or a new folder, in the place of earlier ones."""
 
 from __future__ import annotations
 

@@ -128,7 +128,7 @@ class MotionOfCamera:
         )
 
     def forget_before(self, time_ns: int) -> None:
-        """Be told that no earlier time is asked for any more."""
+        """Learn that no earlier time will be asked for."""
         self._odometry.forget_before(time_ns)
         for source in (self._odometry_source, self._truth):
             if source is not None:

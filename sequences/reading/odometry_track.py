@@ -1,4 +1,4 @@
-"""The odometry of a recording alone, to find a time offset by."""
+"""Only the odometry of a recording, to find a time offset with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How poses over time are to be had from a topic, from tf or from a file."""
+"""Where poses over time come from: a topic, tf or a file."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ CAMERA_POSES = "geometry_msgs/PoseStamped"
 
 @dataclass(frozen=True)
 class PoseRoute:
-    """How poses over time are to be had.
+    """Where poses over time come from, and how to read them.
 
     Attributes:
-        said: What it is, for messages.
+        said: What people call it, in messages.
         topic: Where its messages are; '' for none.
         open: A source of them that no message was taken into yet.
         extrinsics: Where the camera sits on the body that they are of.

@@ -45,11 +45,11 @@ class PoseSource(ABC):
         return True
 
     def reaches(self, time_ns: int) -> bool:
-        """Whether all that is to know about this time has come."""
+        """Whether everything there is to know about this time has been read."""
         return True
 
     def forget_before(self, time_ns: int) -> None:
-        """Be told that no earlier time is asked for any more."""
+        """Learn that no earlier time will be asked for."""
         return
 
     @abstractmethod

@@ -19,7 +19,7 @@ class RequestedSegment:
         self._begin: tuple[int, int] | None = None  # stamp and log time of the first image
 
     def take_image(self, time_ns: int, log_time_ns: int) -> None:
-        """Be told of an image: the first one begins the recording."""
+        """Learn of an image: the recording begins with the first."""
         self._begin = self._begin or (time_ns, log_time_ns)
 
     def has(self, time_ns: int) -> bool:

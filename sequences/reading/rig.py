@@ -1,4 +1,4 @@
-"""Where the camera sits on the bodies that poses are of."""
+"""Where the camera is mounted on the bodies whose poses are recorded."""
 
 from __future__ import annotations
 
