@@ -12,6 +12,10 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 
+ASSUMED_HZ = 30
+"""The rate assumed where images have no time stamps: that of the sensor of 7-Scenes."""
+BASE_FROM_CAMERA = Poses(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+"""Extrinsics of a body that looks where its camera looks: x ahead, y left, z up."""
 _PIXELS = 1e6  # beyond any image's side; tele lenses have focal lengths of some of these
 _RANGES = (
     ("width", 1, _PIXELS),

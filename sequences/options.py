@@ -14,9 +14,10 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.pose_tables import times_beside
+from sequences.trajectories.pose_tables import times_beside
 
 OdometryUse = Literal["required", "optional", "unread"]
+TruePoseUse = Literal["required", "optional"]
 
 _MAX_DURATION_S = 1e9  # of a recording; NaN and infinity are none
 _MAX_OFFSET_S = 1e10  # between two clocks, one of which began in 1970

@@ -13,7 +13,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, ti
 from mcap.writer import Writer
 
 from filtering.se3 import Poses
-from sequences.message_definitions import schema_name, schema_text
+from sequences.recordings.message_definitions import schema_name, schema_text
 from tests.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, CAMERA, Walk
 from tests.tf_files import MAP_FROM_ODOM, MS, body, stamps
 

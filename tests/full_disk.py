@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from sequences import results
+from sequences.outputs import replacing
 
 ENOUGH = 10**9
 """Room for anything."""
@@ -72,7 +72,7 @@ def filling(room: int) -> Iterator[Disk]:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("mkdir", "rename", "replace"):
             patch.setattr(os, name, disk.taking(getattr(os, name)))
-        patch.setattr(results, "_exchange", disk.taking(results._exchange))
+        patch.setattr(replacing, "_exchange", disk.taking(replacing._exchange))
         for module in (io, builtins):
             patch.setattr(module, "open", open_file)
         yield disk

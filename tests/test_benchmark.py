@@ -13,7 +13,7 @@ from filtering.estimate import Mode
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.odometry_fit import OdometryFit
+from sequences.odometry_fit.result import OdometryFit
 from tests.checks import no_checks
 from vapor.benchmark import recordings, trials, windows
 from vapor.benchmark.summary import failed, summarise

@@ -7,7 +7,7 @@ import torch
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
-from sequences.odometry_fit import OdometryFit
+from sequences.odometry_fit.result import OdometryFit
 from vapor.checkpoints import checkpoint as checkpoint_module
 from vapor.checkpoints.checkpoint import (
     Calibration,

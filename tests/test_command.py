@@ -14,14 +14,13 @@ import torch
 from filtering.se3 import Poses
 from sequences import route
 from sequences.frame import Trajectory
+from sequences.outputs.results import results_folder
 from sequences.reader import SequenceReader
-from sequences.results import results_folder
 from sequences.synthesize import synthesize
-from sequences.tum import read_tum, write_tum
+from sequences.trajectories.tum import read_tum, write_tum
 from tests import sequence_files
+from tests.data_sets import make_7scenes, make_colmap, make_tum, truth_at
 from tests.sequence_files import BEGIN_NS, Walk, rewrite
-from tests.test_datasets import make_7scenes, make_tum, truth_at
-from tests.test_layouts import make_colmap
 from tests.tiny_model import SMALL, altered
 from vapor.checkpoints import checkpoint as checkpoint_module
 from vapor.track import COMMANDS, main

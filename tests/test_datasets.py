@@ -5,61 +5,21 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from filtering.se3 import Poses
-from sequences.convert import convert
-from sequences.datasets import count_frames, list_images, posed_frames
+from sequences.datasets.convert import convert
+from sequences.datasets.frames import count_frames, posed_frames
+from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
-from sequences.tum import format_time, write_tum
+from sequences.trajectories.tum import write_tum
+from tests.data_sets import STEP_NS, make_7scenes, make_tum, same, truth_at
 from tests.sequence_files import BEGIN_NS, FORMS, Walk, rewrite, world_from_camera
-
-STEP_NS = 33_333_333
-
-
-def write_image(path: Path, index: int, width: int = 32, height: int = 24) -> None:
-    image = np.full((height, width, 3), 10 * index + 5, np.uint8)
-    cv2.imwrite(str(path), image)
-
-
-def truth_at(times_ns: list[int]) -> Trajectory:
-    return Trajectory(np.array(times_ns), Poses.stack([world_from_camera(t) for t in times_ns]))
-
-
-def make_tum(folder: Path, *, num_images: int = 10) -> Path:
-    """A TUM RGB-D folder: true poses at 100 Hz, off the images' stamps."""
-    folder.mkdir()
-    (folder / "rgb").mkdir()
-    lines = ["# color images", "# timestamp filename"]
-    for i in range(num_images):
-        time = format_time(BEGIN_NS + i * STEP_NS)
-        write_image(folder / "rgb" / f"{time}.png", i)
-        lines.append(f"{time} rgb/{time}.png")
-    (folder / "rgb.txt").write_text("\n".join(lines) + "\n")
-    write_tum(folder / "groundtruth.txt", truth_at([BEGIN_NS - 3_000_000 + 10_000_000 * i for i in range(40)]))
-    return folder
-
-
-def make_7scenes(folder: Path, *, num_images: int = 10, sequences: tuple[str, ...] = ("seq-01",)) -> Path:
-    """A 7-Scenes scene: 30 Hz from the first frame's number on, without stamps."""
-    for sequence in sequences:
-        (folder / sequence).mkdir(parents=True)
-        for i in range(num_images):
-            write_image(folder / sequence / f"frame-{i:06d}.color.png", i)
-            matrix = world_from_camera(BEGIN_NS + i * STEP_NS).as_matrix()
-            np.savetxt(folder / sequence / f"frame-{i:06d}.pose.txt", matrix)
-    return folder
-
-
-def same(a: Poses | None, b: Poses, tolerance: float) -> bool:
-    return a is not None and bool(np.abs(a.as_matrix() - b.as_matrix()).max() < tolerance)
-
 
 # --- training --------------------------------------------------------------------------------------
 
@@ -249,7 +209,7 @@ def test_images_are_copied_as_they_are(tmp_path: Path) -> None:
 
 
 def _images(path: Path) -> list:
-    from sequences.bag import Bag
+    from sequences.recordings.bag import Bag
 
     return list(Bag(path).messages(["/camera/image/compressed"]))
 

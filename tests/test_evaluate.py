@@ -7,7 +7,7 @@ from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
-from sequences.tum import write_tum
+from sequences.trajectories.tum import write_tum
 from tests.simulated_run import true_walk
 from vapor.evaluation.consistency import evaluate_consistency
 from vapor.evaluation.run_directory import evaluate_directory

@@ -8,8 +8,8 @@ import cv2
 import pytest
 
 from filtering.errors import VaporTrackError
+from tests.data_sets import make_7scenes
 from tests.sequence_files import Walk
-from tests.test_datasets import make_7scenes
 from vapor.checkpoints.checkpoint import Calibration
 from vapor.commands import experiment as experiment_command
 from vapor.evaluation.posterior import posterior_metrics

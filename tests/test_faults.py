@@ -14,7 +14,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.reader import SequenceReader
-from sequences.tum import write_tum
+from sequences.trajectories.tum import write_tum
 from vapor.benchmark import fault_runs as fault_benchmark
 from vapor.benchmark import fault_walks, faults
 from vapor.benchmark.fault_walks import RecordedWalk, SyntheticWalk

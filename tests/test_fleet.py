@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.data_sets import make_7scenes
 from tests.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
-from tests.test_datasets import make_7scenes
 from tests.tiny_model import SMALL
 from vapor.commands.run import _show_outcomes
 from vapor.pipeline import fleet as fleet_module

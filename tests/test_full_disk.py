@@ -13,7 +13,7 @@ import pytest
 from filtering.errors import MAX_MESSAGE
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
-from sequences.tum import write_tum
+from sequences.trajectories.tum import write_tum
 from tests.full_disk import ENOUGH, filling
 from tests.sequence_files import Walk
 from tests.test_kills import CALLS, Call, Killing

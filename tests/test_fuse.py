@@ -13,10 +13,11 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.estimates import EstimateOptions, EstimateSequence
+from sequences.estimates.options import EstimateOptions
+from sequences.estimates.sequence import EstimateSequence
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
-from sequences.tum import read_tum, write_tum
+from sequences.trajectories.tum import read_tum, write_tum
 from tests.pose_text import FRAMES, moved, noisy, walk, write_named
 from tests.simulation import ERRORS
 from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of

@@ -13,16 +13,16 @@ from filtering.error_model import ErrorModel
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.counts import OUTSIDE
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.pairing import interpolate
+from sequences.reading.counts import OUTSIDE
 from sequences.scenes.paths import walk_stairs
+from sequences.trajectories.interpolation import interpolate
 from sequences.writer import SequenceWriter
+from tests.data_sets import make_tum
 from tests.sequence_files import BEGIN_NS as BEGIN_NS_OF_WALK
 from tests.sequence_files import rewrite
-from tests.test_datasets import make_tum
 from tests.test_holding_out import corridor, recorded, stairwell
 from vapor.evaluation.floors import find_floors
 from vapor.inspection import odometry as odometry_module

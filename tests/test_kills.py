@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from sequences.atomic import is_workspace
-from sequences.results import MANIFEST, read_manifest
+from sequences.outputs.manifest import MANIFEST, read_manifest
 from tests.sequence_files import Walk
 from tests.tiny_model import SMALL, write_tiny_model
 from vapor.tensor_files import CHECKSUM, read_safetensors

@@ -1,47 +1,44 @@
 """Layouts of data sets, each as a small copy from known poses -> images, poses, order, and what is wrong with them."""
 
 import json
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from filtering.se3 import Poses
-from sequences.convert import convert
-from sequences.datasets import count_frames, list_images, posed_frames
+from sequences.datasets import layouts
+from sequences.datasets.convert import convert
+from sequences.datasets.frames import count_frames, posed_frames
+from sequences.datasets.listing import files_read, find_layouts, is_recording, list_images
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.messages import decode_image_bytes
+from sequences.images.decoding import decode_image_bytes
+from sequences.images.undistortion import Lens, pinhole_of, undistorted
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
-from sequences.undistortion import Lens, pinhole_of, undistorted
-from tests.test_datasets import make_7scenes, make_tum, same, write_image
+from tests.data_sets import (
+    COLMAP_NAMES,
+    HEADER,
+    INTRINSICS,
+    cambridge_row,
+    colmap_row,
+    make_7scenes,
+    make_ambiguous,
+    make_cambridge,
+    make_ceiling,
+    make_colmap,
+    make_tum,
+    same,
+    true_pose,
+    write_image,
+    write_images,
+)
 
 THIRTIETH_NS = 1_000_000_000 / 30
-INTRINSICS = {"width": 64, "height": 48, "fx": 58.5, "fy": 57.0, "cx": 31.5, "cy": 23.5}
-
-
-def true_pose(index: int) -> Poses:
-    """World from camera, far from any symmetry that would forgive a wrong convention."""
-    return Poses.exp(np.array([3.0 + index, -2.0, 1.0 + 0.5 * index, 0.3, 1.1 - 0.2 * index, -0.7]))
-
-
-def numbers(translation: np.ndarray, quat_xyzw: np.ndarray, order: str) -> list[str]:
-    """Values by the names of an order such as `qw qx qy qz tx ty tz`."""
-    values = dict(zip(("tx", "ty", "tz", "qx", "qy", "qz", "qw"), (*translation, *quat_xyzw), strict=True))
-    return [f"{values[name]:.9f}" for name in order.split()]
-
-
-def pose_numbers(pose: Poses, order: str) -> list[str]:
-    return numbers(pose.translation, pose.as_quat_xyzw(), order)
-
-
-def write_images(folder: Path, names: dict[int, str]) -> None:
-    """Images by what is to be seen in them."""
-    for index, name in names.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        write_image(folder / name, index)
 
 
 def check(path: Path, indices: list[int], times_ns: list[float] | None = None) -> None:
@@ -56,40 +53,6 @@ def check(path: Path, indices: list[int], times_ns: list[float] | None = None) -
 
 
 # --- sequences with numbered frames ----------------------------------------------------------------
-
-
-def make_ambiguous(scene: Path) -> Path:
-    """Two sequences to train with, frames 3, 4 and 17, then 0 and 1, and one to test with; rows in any order."""
-    for split, sequence, frames in (
-        ("train", 0, {0: 3, 1: 4, 2: 17}),
-        ("train", 10, {3: 0, 4: 1}),
-        ("test", 1, {5: 0}),
-    ):
-        folder = scene / split / f"seq{sequence:02d}"
-        write_images(folder / "rgb_matched", {i: f"frame-color-{frame:04d}.png" for i, frame in frames.items()})
-        rows = [
-            ", ".join([str(sequence), str(frame), *pose_numbers(true_pose(i), "qw qx qy qz tx ty tz")])
-            for i, frame in frames.items()
-        ]
-        (folder / f"poses_{folder.name}.txt").write_text("\n".join(reversed(rows)) + "\n")
-    return scene
-
-
-def make_ceiling(scene: Path) -> Path:
-    """The same with the Ceiling's names, columns and blanks."""
-    for split, sequence, frames in (
-        ("train", 0, {0: 3, 1: 4, 2: 17}),
-        ("train", 10, {3: 0, 4: 1}),
-        ("test", 1, {5: 0}),
-    ):
-        folder = scene / split / str(sequence)
-        write_images(folder / "images", {i: f"{frame:06d}.jpg" for i, frame in frames.items()})
-        rows = [
-            " ".join([str(sequence), str(frame), *pose_numbers(true_pose(i), "tx ty tz qw qx qy qz")])
-            for i, frame in frames.items()
-        ]
-        (folder / "poses.txt").write_text("\n".join(reversed(rows)) + "\n")
-    return scene
 
 
 NUMBERED = pytest.mark.parametrize(
@@ -284,24 +247,6 @@ def test_a_7_scenes_pose_left_handed_stretched_or_transposed_is_refused(
 
 # --- Cambridge Landmarks ---------------------------------------------------------------------------
 
-HEADER = "Visual Landmark Dataset V1\nImageFile, Camera Position [X Y Z W P Q R]\n\n"
-
-
-def cambridge_row(name: str, pose: Poses) -> str:
-    """Centre of the camera in the world, and the quaternion from world to camera."""
-    return " ".join([name, *numbers(pose.translation, pose.inverse().as_quat_xyzw(), "tx ty tz qw qx qy qz")])
-
-
-def make_cambridge(scene: Path) -> Path:
-    """Sequences 2 and 10 to train with, listed out of order, and 1 to test with."""
-    train = {0: "seq2/frame00009.png", 1: "seq2/frame00010.png", 2: "seq10/frame00001.png", 3: "seq10/frame00002.png"}
-    test = {4: "seq1/frame00001.png"}
-    for split, names in (("train", train), ("test", test)):
-        write_images(scene, names)
-        rows = [cambridge_row(name, true_pose(i)) for i, name in reversed(names.items())]
-        (scene / f"dataset_{split}.txt").write_text(HEADER + "\n".join(rows) + "\n")
-    return scene
-
 
 def test_a_cambridge_list_gives_its_images_by_sequence_and_frame(tmp_path: Path) -> None:
     scene = make_cambridge(tmp_path / "scene")
@@ -367,26 +312,6 @@ def test_a_cambridge_list_that_is_wrong_is_named(content: str, said: str, tmp_pa
 
 
 # --- COLMAP ----------------------------------------------------------------------------------------
-
-CAMERAS = "# Camera list\n1 PINHOLE 64 48 60 58 32 24\n2 SIMPLE_RADIAL 32 24 30 16 12 0\n"
-COLMAP_NAMES = {0: "a/frame9.png", 1: "a/frame10.png", 2: "b/view 1.png"}
-
-
-def colmap_row(number: int, pose: Poses, camera: int, name: str) -> str:
-    """World-to-camera, as COLMAP writes it."""
-    return " ".join([str(number), *pose_numbers(pose.inverse(), "qw qx qy qz tx ty tz"), str(camera), name])
-
-
-def make_colmap(root: Path, model: str, images: str) -> Path:
-    """A model in one folder and its images in another, out of order; the images of camera 1 at half its size."""
-    write_images(root / images, COLMAP_NAMES)
-    (root / model).mkdir(parents=True, exist_ok=True)
-    (root / model / "cameras.txt").write_text(CAMERAS)
-    rows = ["# Image list with two lines of data per image:"]
-    for index, camera, points in ((1, 1, "2362.39 248.498 58396 1784.7 268.254 -1"), (2, 2, ""), (0, 1, "")):
-        rows += [colmap_row(index + 5, true_pose(index), camera, COLMAP_NAMES[index]), points]
-    (root / model / "images.txt").write_text("\n".join(rows) + "\n")
-    return root
 
 
 @pytest.mark.parametrize(
@@ -539,3 +464,61 @@ def test_stamped_data_says_that_its_stamps_are_not_assumed(tmp_path: Path) -> No
     some = images[2:8:3]
     assert [file.name for file in some.files] == [images.files[2].name, images.files[5].name]
     assert same(some.world_from_camera, images.world_from_camera[[2, 5]], 1e-12)
+
+
+def test_layouts_are_asked_in_an_order_that_each_of_them_states() -> None:
+    found = find_layouts()
+    assert [layout.name for layout in found] == [
+        *("TUM RGB-D", "EuRoC MAV", "7-Scenes", "Ambiguous Relocalization", "Ceiling", "Cambridge Landmarks"),
+        *("Stray Scanner", "Record3D", "nerfstudio", "COLMAP"),
+    ]
+    assert len({layout.order for layout in found}) == len(found)
+
+
+NEW_LAYOUT = """
+import numpy as np
+from filtering.se3 import Poses
+from sequences.datasets.layout import Layout
+from sequences.datasets.posed_images import PosedImages
+
+
+def list_images(path):
+    if not (path / "phone.txt").is_file():
+        return None
+    return PosedImages("Phone", [path / "0.png"], np.array([7]), Poses.identity(1), [None])
+
+
+LAYOUT = Layout("Phone", looked_for="phone.txt", order=85, list_images=list_images, list_suffixes=(".phone",))
+"""
+
+
+@pytest.fixture
+def new_layout(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """One more file among the layouts."""
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "phone.py").write_text(NEW_LAYOUT)
+    monkeypatch.setattr(layouts, "__path__", [*layouts.__path__, str(tmp_path / "more")])
+    find_layouts.cache_clear()
+    yield
+    find_layouts.cache_clear()
+
+
+@pytest.mark.usefixtures("new_layout")
+def test_a_new_layout_is_one_new_file(tmp_path: Path) -> None:
+    scan = tmp_path / "scan"
+    scan.mkdir()
+    write_image(scan / "0.png", 0)
+    with pytest.raises(SequenceError, match=r"odometry\.csv, \.r3d, phone\.txt, transforms\.json, images\.bin$"):
+        list_images(scan)
+    (scan / "phone.txt").write_text("")
+    (frame,) = posed_frames(scan)
+    assert (frame.time_ns, frame.image.shape) == (7, (24, 32, 3))
+    (scan / "list.phone").write_text("")
+    assert not is_recording(scan / "list.phone")
+    assert scan in files_read(scan / "list.phone")
+
+
+def test_layouts_are_not_imported_before_a_data_set_is_read() -> None:
+    imported = "[name for name in sys.modules if name.startswith('sequences.datasets.layouts.')]"
+    program = f"import sys; from sequences.datasets import frames; assert not {imported}"
+    subprocess.run([sys.executable, "-c", program], check=True)

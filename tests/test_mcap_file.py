@@ -15,13 +15,14 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, IndexType
 
-from sequences.bag import Bag
-from sequences.counts import OUTSIDE
-from sequences.datasets import list_images, posed_frames
+from sequences.datasets.frames import posed_frames
+from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
-from sequences.images import Stills
+from sequences.images.streams import Stills
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
+from sequences.reading.counts import OUTSIDE
+from sequences.recordings.bag import Bag
 from tests.sequence_files import BEGIN_NS, Walk, as_file_without_index, as_split_folder, rewrite, write_listing
 
 IMAGES = "/camera/image/compressed"
@@ -212,7 +213,7 @@ def test_chunks_that_all_claim_the_same_time_are_not_held_without_limit(
 
     path = damaged(walk_file, tmp_path / "heap.mcap", at_once, chunk_size=1000)
     assert len(list(Bag(path).messages([IMAGES]))) == 12
-    monkeypatch.setattr("sequences.mcap_file._MAX_HELD_BYTES", 3000)
+    monkeypatch.setattr("sequences.recordings.mcap_file._MAX_HELD_BYTES", 3000)
     with pytest.raises(SequenceError, match=r"chunks overlap in time by more than 3000 bytes"):
         list(Bag(path).messages([IMAGES]))
 
@@ -382,13 +383,13 @@ FORMS_OF_FILES = [{}, {"index_types": IndexType.NONE, "repeat_channels": True}, 
 
 
 @pytest.mark.parametrize("options", FORMS_OF_FILES)
-def test_images_lost_within_the_stretch_are_missed_where_reading_ends_behind_it(
+def test_images_lost_within_the_segment_are_missed_where_reading_ends_behind_it(
     options: dict[str, object], long_walk_file: Path, tmp_path: Path
 ) -> None:
-    """The lost ones are not taken for images behind the stretch."""
+    """The lost ones are not taken for images behind the segment."""
     path = long_walk(long_walk_file, tmp_path, **options)
-    for stretch in (SequenceOptions(duration_s=1.0), SequenceOptions(start_s=2.0, duration_s=1.0)):
-        reader = SequenceReader(path, replace(stretch, ground_truth_topic=""), odometry="unread")
+    for segment in (SequenceOptions(duration_s=1.0), SequenceOptions(start_s=2.0, duration_s=1.0)):
+        reader = SequenceReader(path, replace(segment, ground_truth_topic=""), odometry="unread")
         assert len(list(reader)) == 11
         assert reader.counts.skipped == {OUTSIDE: 180 - 11}
         assert reader.counts.read < 180
@@ -406,7 +407,7 @@ def test_images_lost_within_the_stretch_are_missed_where_reading_ends_behind_it(
         list(frames)
 
 
-def test_what_lies_behind_the_stretch_is_counted_without_being_opened(long_walk_file: Path, tmp_path: Path) -> None:
+def test_what_lies_behind_the_segment_is_counted_without_being_opened(long_walk_file: Path, tmp_path: Path) -> None:
     path = long_walk(long_walk_file, tmp_path)
     data = bytearray(path.read_bytes())
     for _, begin, end in chunks(data)[-5:]:
@@ -419,7 +420,7 @@ def test_what_lies_behind_the_stretch_is_counted_without_being_opened(long_walk_
         list(SequenceReader(path, SequenceOptions(ground_truth_topic=""), odometry="unread"))
 
 
-def test_each_file_of_a_folder_is_read_up_to_the_end_of_the_stretch(long_walk_file: Path, tmp_path: Path) -> None:
+def test_each_file_of_a_folder_is_read_up_to_the_end_of_the_segment(long_walk_file: Path, tmp_path: Path) -> None:
     """Files that run side by side: that the first is over says nothing of the second."""
     source = long_walk_file
     bag = tmp_path / "bag"

@@ -12,33 +12,11 @@ import pytest
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.image_headers import DamagedImageError
-from sequences.message_definitions import DEFINITIONS, decoder, schema_text
-from sequences.messages import (
-    covariance_from_ros,
-    covariance_to_ros,
-    decode_compressed_image,
-    decode_image,
-    decode_image_bytes,
-    frame_name,
-    odometry_from_message,
-)
-
-
-def image_message(pixels: np.ndarray, encoding: str, *, padding: int = 0, big_endian: bool = False) -> SimpleNamespace:
-    """A sensor_msgs/Image whose rows end in `padding` bytes of rubbish."""
-    rows = pixels.astype(pixels.dtype.newbyteorder(">" if big_endian else "<"), copy=False)
-    rows = np.frombuffer(np.ascontiguousarray(rows).tobytes(), np.uint8).reshape(len(pixels), -1)
-    rows = np.concatenate([rows, np.full((len(rows), padding), 123, np.uint8)], axis=1)
-    return SimpleNamespace(
-        height=pixels.shape[0],
-        width=pixels.shape[1],
-        encoding=encoding,
-        is_bigendian=int(big_endian),
-        step=rows.shape[1],
-        data=rows.tobytes(),
-    )
-
+from sequences.images.decoding import decode_compressed_image, decode_image, decode_image_bytes
+from sequences.images.headers import DamagedImageError
+from sequences.recordings.message_definitions import DEFINITIONS, decoder, schema_text
+from sequences.recordings.messages import covariance_from_ros, covariance_to_ros, frame_name, odometry_from_message
+from tests.image_messages import image_message
 
 RGB = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 GREY = np.repeat(RGB[..., :1], 3, axis=2)

@@ -12,9 +12,11 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.odometry_fit import OdometryFit, OdometryStretch, fit_odometry
-from sequences.pairing import interpolate
-from sequences.tum import read_tum
+from sequences.odometry_fit.fit import fit_odometry
+from sequences.odometry_fit.result import OdometryFit
+from sequences.odometry_fit.segment import OdometrySegment
+from sequences.trajectories.interpolation import interpolate
+from sequences.trajectories.tum import read_tum
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -39,7 +41,7 @@ def walk(times_ns: np.ndarray, seed: int) -> Poses:
     return Poses.stack(poses)
 
 
-def stretch(
+def segment(
     seed: int,
     noise: OdometryNoise = NOISE,
     *,
@@ -47,7 +49,7 @@ def stretch(
     seconds: int = 30,
     jitter: tuple[float, float] = (0.0, 0.0),
     recording: int = 0,
-) -> OdometryStretch:
+) -> OdometrySegment:
     """Simulated odometry at 50 Hz, of which every so many messages are taken; true poses with independent noise."""
     times_ns = 20_000_000 * np.arange(seconds * 50 + 1)
     true, rng = walk(times_ns, seed), np.random.default_rng(seed + 1000)
@@ -57,20 +59,20 @@ def stretch(
     return of_poses(odometry[at], measured, 0.02 * every, recording)
 
 
-def of_poses(odometry: Poses, truth: Poses, step_s: float, recording: int = 0) -> OdometryStretch:
+def of_poses(odometry: Poses, truth: Poses, step_s: float, recording: int = 0) -> OdometrySegment:
     steps = odometry[:-1].inverse() @ odometry[1:]
-    return OdometryStretch([Odometry(step, np.zeros((6, 6)), step_s) for step in steps], truth, recording)
+    return OdometrySegment([Odometry(step, np.zeros((6, 6)), step_s) for step in steps], truth, recording)
 
 
 def scale_drawn(seed: int) -> float:
-    """The scale error of `stretch`, the first number that the simulation draws."""
+    """The scale error of `segment`, the first number that the simulation draws."""
     return NOISE.scale * np.random.default_rng(seed + 1000).standard_normal()
 
 
 @cache
 def fitted(first_seed: int) -> OdometryFit:
     """Of four recordings, with seeds from this one on."""
-    return fit_odometry([stretch(s, seconds=40, jitter=MOCAP, recording=s) for s in range(first_seed, first_seed + 4)])
+    return fit_odometry([segment(s, seconds=40, jitter=MOCAP, recording=s) for s in range(first_seed, first_seed + 4)])
 
 
 @pytest.fixture
@@ -98,7 +100,7 @@ def test_white_noise_drift_and_scale_of_simulated_odometry_are_found(seed: int) 
 
 
 def test_true_poses_that_jitter_do_not_pass_for_white_noise() -> None:
-    jittering = stretch(3, every=2, jitter=MOCAP)
+    jittering = segment(3, every=2, jitter=MOCAP)
     reported = Poses.stack([step.previous_from_current for step in jittering.odometry])
     errors = ((jittering.truth[:-1].inverse() @ jittering.truth[1:]).inverse() @ reported).log()
     naive = errors.std(axis=0) / np.sqrt(0.04)
@@ -120,7 +122,7 @@ def test_white_noise_that_grows_with_distance_is_told_from_that_which_grows_with
     poses = [Poses.identity()]
     for step in twist:
         poses.append(poses[-1] @ Poses.exp(step))
-    fit = fit_odometry([OdometryStretch(odometry, Poses.stack(poses))])
+    fit = fit_odometry([OdometrySegment(odometry, Poses.stack(poses))])
     np.testing.assert_allclose(np.sqrt(fit.white_per_m), per_sqrt_m, rtol=0.25)
     at_rest = fit.along(np.zeros(6), np.array(1.0))
     assert (np.sqrt(at_rest) < 0.008).all()
@@ -129,17 +131,17 @@ def test_white_noise_that_grows_with_distance_is_told_from_that_which_grows_with
 def test_scale_errors_are_not_blurred_by_true_poses_that_jitter() -> None:
     """Errors and true motion share the noise of the true poses: plain regression finds 1.5 % too little here."""
     scaled = OdometryNoise(0.0, 0.0, 0.0, 30.0, 0.001, 0.001)
-    stretches = [stretch(s, scaled, every=2, jitter=(0.003, 0.0)) for s in range(3)]
-    v = np.concatenate([(s.truth[:-1].inverse() @ s.truth[1:]).log()[:, 0] for s in stretches])
-    odometry = np.concatenate([[o.previous_from_current.log()[0] for o in s.odometry] for s in stretches])
+    segments = [segment(s, scaled, every=2, jitter=(0.003, 0.0)) for s in range(3)]
+    v = np.concatenate([(s.truth[:-1].inverse() @ s.truth[1:]).log()[:, 0] for s in segments])
+    odometry = np.concatenate([[o.previous_from_current.log()[0] for o in s.odometry] for s in segments])
     assert ((odometry - v) @ v) / (v @ v) < -0.01  # precondition
-    fit = fit_odometry(stretches)
+    fit = fit_odometry(segments)
     assert abs(fit.scale) < 0.005
     assert fit.scale_error < 0.005
 
 
 def test_a_jump_is_cut_and_counted() -> None:
-    usual = stretch(5)
+    usual = segment(5)
     jumping = list(usual.odometry)
     jumping[77] = replace(jumping[77], previous_from_current=Poses.exp(np.array([1.0, 0.5, 0, 0, 0, 1.0])))
     fit, without = fit_odometry([replace(usual, odometry=jumping)]), fit_odometry([usual])
@@ -149,14 +151,14 @@ def test_a_jump_is_cut_and_counted() -> None:
 
 
 def test_odometry_without_errors_is_found_to_have_hardly_any() -> None:
-    fit = fit_odometry([stretch(6, SILENT)])
+    fit = fit_odometry([segment(6, SILENT)])
     assert np.sqrt(max(fit.white_per_s)) < 1e-5
     assert max(fit.drift) < 1e-5
     assert abs(fit.scale) < 1e-6
 
 
 def test_increments_that_take_no_time_are_put_together_with_the_next() -> None:
-    usual = stretch(7, seconds=15)
+    usual = segment(7, seconds=15)
     split, truth = [], [0]
     for i, step in enumerate(usual.odometry):
         if i == 50:
@@ -164,7 +166,7 @@ def test_increments_that_take_no_time_are_put_together_with_the_next() -> None:
             truth.append(i)
         split.append(step)
         truth.append(i + 1)
-    fit = fit_odometry([OdometryStretch(split, usual.truth[truth])])
+    fit = fit_odometry([OdometrySegment(split, usual.truth[truth])])
     np.testing.assert_allclose(fit.white_per_s, fit_odometry([usual]).white_per_s, rtol=1e-6)
     assert fit.increments == 151
 
@@ -203,10 +205,10 @@ def test_the_filter_takes_drift_and_scale_and_restated_increments_compose(fit: O
 
 
 def test_too_little_and_what_does_not_match_is_refused() -> None:
-    usual = stretch(8)
+    usual = segment(8)
     with pytest.raises(SequenceError, match="99 increments of odometry, expected at least 100"):
-        fit_odometry([OdometryStretch(usual.odometry[:99], usual.truth[:100])])
-    with pytest.raises(SequenceError, match="stretch 0: 300 true poses of 300 increments"):
+        fit_odometry([OdometrySegment(usual.odometry[:99], usual.truth[:100])])
+    with pytest.raises(SequenceError, match="segment 0: 300 true poses of 300 increments"):
         fit_odometry([replace(usual, truth=usual.truth[:300])])
 
 
@@ -218,7 +220,7 @@ def test_a_real_camera_tracker_errs_by_distance(shared_data: Path) -> None:
     at = at[at > at[np.argmax(np.diff(at))]] if np.diff(at).max() > 1 else at
     steps, seconds = odometry.poses[at[:-1]].inverse() @ odometry.poses[at[1:]], np.diff(odometry.times_ns[at]) * 1e-9
     increments = [Odometry(step, np.zeros((6, 6)), float(s)) for step, s in zip(steps, seconds, strict=True)]
-    fit = fit_odometry([OdometryStretch(increments, real[at])], max_increments=400)
+    fit = fit_odometry([OdometrySegment(increments, real[at])], max_increments=400)
     white_m = np.sqrt(fit.along(np.array([0.3, 0, 0, 0, 0, 0]), np.array(1.0)))  # at the speed of the hand
     assert (white_m[:3] > 0.005).all(), fit
     assert (white_m[:3] < 0.03).all(), fit

@@ -10,7 +10,10 @@ from hypothesis import strategies as st
 from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.pairing import Motion, PoseWindow, interpolate, is_jump, odometry_between
+from sequences.trajectories.increments import odometry_between
+from sequences.trajectories.interpolation import interpolate
+from sequences.trajectories.jumps import Motion, is_jump
+from sequences.trajectories.pose_window import PoseWindow
 
 SECOND = 1_000_000_000
 

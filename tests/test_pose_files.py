@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+from sequences.estimates.pose_files import FrameName, natural_order, read_poses
 from sequences.frame import Trajectory
-from sequences.pose_files import FrameName, natural_order, read_poses
-from sequences.tum import write_tum
+from sequences.trajectories.tum import write_tum
 from tests.pose_text import walk, write_named
 
 GOOD = "seq-01/frame-000001.color.png 1 0 0 0 0 0 0"

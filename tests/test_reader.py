@@ -16,14 +16,14 @@ from mcap_ros2.writer import Writer
 
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
-from sequences.bag import Bag
-from sequences.counts import OUTSIDE
 from sequences.errors import SequenceError
-from sequences.message_definitions import decoder, schema_name, schema_text
-from sequences.messages import odometry_from_message
 from sequences.options import OdometryUse, SequenceOptions
-from sequences.pairing import odometry_between
 from sequences.reader import SequenceReader
+from sequences.reading.counts import OUTSIDE
+from sequences.recordings.bag import Bag
+from sequences.recordings.message_definitions import decoder, schema_name, schema_text
+from sequences.recordings.messages import odometry_from_message
+from sequences.trajectories.increments import odometry_between
 from tests.sequence_files import (
     BASE_FROM_CAMERA,
     BEGIN_NS,
@@ -99,7 +99,7 @@ def test_without_odometry_every_image_is_read(tmp_path: Path) -> None:
         SequenceReader(path)
 
 
-def test_a_stretch_of_a_sequence_is_read(walk_file: Path) -> None:
+def test_a_segment_of_a_sequence_is_read(walk_file: Path) -> None:
     reader = SequenceReader(walk_file, SequenceOptions(start_s=0.25, duration_s=0.5))
     assert [f.time_ns for f in reader] == [BEGIN_NS + 100_000_000 * i for i in range(3, 8)]
     assert reader.skipped == {OUTSIDE: 7}
@@ -713,7 +713,7 @@ def test_odometry_of_a_real_robot_gets_the_motion_noise(shared_data: Path) -> No
 
 
 def test_images_of_a_real_camera_decode(shared_data: Path) -> None:
-    from sequences.messages import decode_image_bytes
+    from sequences.images.decoding import decode_image_bytes
 
     file = next((shared_data / "tum_fr1").rglob("*.jpg"))
     image = decode_image_bytes(file.read_bytes())

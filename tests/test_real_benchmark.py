@@ -8,8 +8,8 @@ import pytest
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from sequences.odometry import OdometryNoise
+from tests.data_sets import make_7scenes
 from tests.pose_text import noisy, walk, write_named
-from tests.test_datasets import make_7scenes
 from vapor.benchmark import real as real_benchmark
 from vapor.benchmark import real_rows
 from vapor.benchmark.real_rows import ROWS, Place, Trained, simulated_motions

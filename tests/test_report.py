@@ -169,7 +169,7 @@ def test_a_file_that_is_too_large_to_be_a_report_is_none(tmp_path, monkeypatch):
     path.write_text('{"frames": 1, "more": "' + "x" * 1000 + '"}')
     assert is_report(path, "frames")
     assert not is_report(path, "frames", "images")
-    monkeypatch.setattr("sequences.values._MAX_JSON", 1000)
+    monkeypatch.setattr("sequences.files.structured._MAX_JSON", 1000)
     assert not is_report(path, "frames")
     assert not is_report(tmp_path / "nowhere.json")
 

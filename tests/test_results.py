@@ -15,10 +15,12 @@ from pathlib import Path
 
 import pytest
 
-from sequences import results
 from sequences.atomic import NEW, atomic_output, clear_leftovers, move_in, workspace
 from sequences.errors import SequenceError
-from sequences.results import MANIFEST, claim_folder, read_manifest, refuse_other, results_folder, verify
+from sequences.outputs import replacing
+from sequences.outputs.claims import claim_folder, refuse_other
+from sequences.outputs.manifest import MANIFEST, read_manifest, verify
+from sequences.outputs.results import results_folder
 from tests.full_disk import ENOUGH, filling
 
 WRITES = ("a.tum", "b.json", "sometimes.png")
@@ -68,7 +70,7 @@ def one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(one: Path, other: Path) -> None:
         raise OSError(errno.EBUSY, "Device or resource busy")
 
-    monkeypatch.setattr(results, "_exchange", fails)
+    monkeypatch.setattr(replacing, "_exchange", fails)
 
 
 # --- which folders are written to ----------------------------------------------------------------------
@@ -372,14 +374,15 @@ WRITER = """
 import sys
 sys.path[:] = eval(sys.argv.pop(1))
 from pathlib import Path
-from sequences import results
 from sequences.atomic import atomic_output
+from sequences.outputs import replacing
+from sequences.outputs.results import results_folder
 if sys.argv[2] == "one by one":
     def fails(one, other):
         raise OSError(16, "busy")
-    results._exchange = fails
+    replacing._exchange = fails
 for number in range(10**6):
-    with results.results_folder(Path(sys.argv[1]), "run", writes=("a.tum", "b.json", "sometimes.png")) as new:
+    with results_folder(Path(sys.argv[1]), "run", writes=("a.tum", "b.json", "sometimes.png")) as new:
         for name in ("a.tum", "b.json") + ("sometimes.png",) * (number % 2):
             with atomic_output(new / name) as partial:
                 partial.write_text(f"{number}\\n" * 500)

@@ -24,10 +24,10 @@ from filtering.motion import Odometry
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
-from sequences.odometry_fit import OdometryFit
+from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
 from sequences.synthesize import synthesize, write_synthetic
-from sequences.tum import read_tum, write_tum
+from sequences.trajectories.tum import read_tum, write_tum
 from tests.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.simulation import ERRORS, lifted, seen_at
 from tests.tf_files import robot, stamps

@@ -12,12 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
-from sequences.bag import bag_files
-from sequences.datasets import list_images, posed_frames
+from sequences.datasets.frames import posed_frames
+from sequences.datasets.layout_helpers.packed import Archive
+from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
-from sequences.image_headers import DamagedImageError, stated_size
-from sequences.layouts.packed import Archive
-from sequences.messages import decode_image_bytes
+from sequences.images.decoding import decode_image_bytes
+from sequences.images.headers import DamagedImageError, stated_size
+from sequences.recordings.bag import bag_files
 
 ROOT = Path(__file__).resolve().parents[1]
 POSE = np.eye(4).tolist()

@@ -15,7 +15,7 @@ from rich.table import Table
 from filtering.errors import MAX_MESSAGE, shortened
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
-from sequences.tum import write_tum
+from sequences.trajectories.tum import write_tum
 from tests.simulated_run import simulated_steps
 from vapor.commands import console
 from vapor.commands.signals import Signals

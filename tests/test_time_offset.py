@@ -9,9 +9,9 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.pairing import interpolate
 from sequences.scenes.paths import roll_through_hall, walk_corridor, walk_stairs
-from sequences.time_offset import find_time_offset
+from sequences.trajectories.interpolation import interpolate
+from sequences.trajectories.time_offset import find_time_offset
 
 Walk = Callable[[float, np.random.Generator], Poses]
 WALKS: list[Walk] = [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
-from sequences.datasets import posed_frames
+from sequences.datasets.frames import posed_frames
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.options import SequenceOptions

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
-from sequences.tum import format_time, parse_time_ns, read_tum, write_tum
+from sequences.trajectories.tum import format_time, read_tum, write_tum
+from sequences.values import parse_time_ns
 
 GOOD = "1.0 0 0 0 0 0 0 1"
 

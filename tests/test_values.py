@@ -11,24 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from filtering.errors import MAX_MESSAGE, VaporTrackError, quoted
-from sequences import values
-from sequences.encodings import decoder
+from sequences.datasets.layout_helpers.intrinsics import find_camera
 from sequences.errors import SequenceError
+from sequences.estimates.pose_files import read_poses
+from sequences.files import structured
+from sequences.files import text as text_files
+from sequences.files.structured import parse_json, read_arrays
+from sequences.files.text import read_lines
 from sequences.frame import Camera
-from sequences.layouts.intrinsics import find_camera
-from sequences.pose_files import read_poses
-from sequences.pose_tables import read_pose_table
-from sequences.tum import read_tum
-from sequences.values import (
-    is_number,
-    natural,
-    parse_json,
-    parse_number,
-    parse_numbers,
-    parse_time_ns,
-    read_arrays,
-    read_lines,
-)
+from sequences.recordings.encodings import decoder
+from sequences.trajectories.pose_tables import read_pose_table
+from sequences.trajectories.tum import read_tum
+from sequences.values import is_number, natural, parse_number, parse_numbers, parse_time_ns
 from vapor.checkpoints.checkpoint import CheckpointError, parse_metadata
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
@@ -211,10 +205,10 @@ def test_json_of_64_levels_is_read_and_of_a_message_gives_fields() -> None:
 def test_files_and_lines_that_are_too_large_are_refused_before_they_are_read(monkeypatch, tmp_path: Path) -> None:
     path = tmp_path / "a.tum"
     with open(path, "wb") as file:
-        file.truncate(values._MAX_TEXT + 1)  # takes no room on the disk
+        file.truncate(text_files._MAX_TEXT + 1)  # takes no room on the disk
     refused(lambda: read_tum(path), "a.tum: more than 268,435,456 bytes")
     path.write_text(f"1 {REST}\n" + "2 " * 100)
-    monkeypatch.setattr(values, "_MAX_LINE", 100)
+    monkeypatch.setattr(text_files, "_MAX_LINE", 100)
     refused(lambda: read_tum(path), "a.tum:2: more than 100 bytes, expected a shorter line")
 
 
@@ -227,7 +221,7 @@ def test_arrays_of_objects_and_damaged_ones_are_refused(monkeypatch, tmp_path: P
     np.savez(tmp_path / "objects.npz", a=np.array([{}], object))
     refused(lambda: read_arrays(tmp_path / "objects.npz"), "objects.npz: cannot be read", "allow_pickle")
     np.savez_compressed(tmp_path / "zeros.npz", a=np.zeros(100_000))
-    monkeypatch.setattr(values, "_MAX_ARRAYS", 100_000)
+    monkeypatch.setattr(structured, "_MAX_ARRAYS", 100_000)
     refused(lambda: read_arrays(tmp_path / "zeros.npz"), "zeros.npz: arrays of 800,")
     (tmp_path / "cut.npz").write_bytes((tmp_path / "zeros.npz").read_bytes()[:-30])
     refused(lambda: read_arrays(tmp_path / "cut.npz"), "cut.npz: cannot be read")

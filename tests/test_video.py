@@ -2,89 +2,25 @@
 
 import sys
 from collections.abc import Callable
-from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import av
-import cv2
 import numpy as np
 import pytest
 
-from sequences.counts import OUTSIDE
 from sequences.errors import SequenceError
 from sequences.frame import Frame
-from sequences.messages import decode_image
+from sequences.images.decoding import decode_image
+from sequences.images.video import BEFORE_KEY_FRAME, DAMAGED
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
-from sequences.video import BEFORE_KEY_FRAME, DAMAGED
+from sequences.reading.counts import OUTSIDE
 from tests import foxglove_files, tf_files
-from tests.foxglove_files import Told
-from tests.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, rewrite, world_from_camera
-from tests.test_messages import image_message
-from tests.tf_files import MS, Event, header
-
-NUM, GROUP, TOPIC = 14, 6, "/camera/image"  # images, and how many there are from one key frame to the next
-Packet = tuple[int, bytes]  # which image, and its bytes, in the order in which a decoder needs them
-
-
-def stamp(index: int) -> int:
-    return BEGIN_NS + 100 * MS * index
-
-
-def pictures(num: int = NUM, width: int = 96, height: int = 64) -> np.ndarray:
-    """Images of a camera that pans along a soft pattern, each unlike the next."""
-    rng = np.random.default_rng(0)
-    wall = cv2.GaussianBlur(rng.integers(0, 256, (height, width + 6 * num, 3), dtype=np.uint8), (0, 0), 3.0)
-    wall = cv2.normalize(wall, None, 0, 255, cv2.NORM_MINMAX)  # pyright: ignore[reportCallIssue, reportArgumentType]
-    return np.stack([wall[:, 6 * i : 6 * i + width] for i in range(num)])
-
-
-def encode(
-    images: np.ndarray, encoder: str = "libx264", *, b_frames: int = 0, pixels: str = "yuv420p", **options: str
-) -> list[Packet]:
-    """Packets of images of one size, a key frame every six."""
-    codec = av.CodecContext.create(encoder, "w")
-    assert isinstance(codec, av.VideoCodecContext)
-    codec.height, codec.width = images.shape[1:3]
-    codec.pix_fmt, codec.time_base, codec.framerate = pixels, Fraction(1, 10), Fraction(10)
-    codec.gop_size, codec.max_b_frames = GROUP, b_frames
-    quiet = {"libx264": {"sc_threshold": "0"}, "libx265": {"x265-params": "log-level=none:scenecut=0"}}
-    codec.options = {"crf": "16", **quiet.get(encoder, {}), **options}
-    packets = []
-    for i, image in enumerate(images):
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24" if image.ndim == 3 else "gray")
-        frame.pts = i
-        packets += codec.encode(frame)
-    packets += codec.encode(None)
-    assert [p.pts for p in packets if p.is_keyframe] == list(range(0, len(images), GROUP))
-    return [(int(p.pts or 0), bytes(p)) for p in packets]
-
-
-def video(packets: list[Packet], video_format: str = "h264") -> list[Told]:
-    """As recorded: in the order of the packets, a little after their images were taken."""
-    return [
-        Told(
-            stamp(n) + 20 * MS,
-            TOPIC,
-            "CompressedVideo",
-            {"timestamp": stamp(i), "frame_id": "camera", "data": data, "format": video_format},
-        )
-        for n, (i, data) in enumerate(packets)
-    ]
-
-
-def ffmpeg_packets(packets: list[Packet], encoding: str) -> list[Event]:
-    return [
-        Event(
-            stamp(n) + 20 * MS,
-            "/camera/image/ffmpeg",
-            "ffmpeg_image_transport_msgs/FFMPEGPacket",
-            {"header": header(stamp(i), "camera"), "encoding": encoding, "pts": i, "data": data},
-        )
-        for n, (i, data) in enumerate(packets)
-    ]
+from tests.image_messages import image_message
+from tests.sequence_files import BASE_FROM_CAMERA, rewrite, world_from_camera
+from tests.tf_files import MS
+from tests.video_files import GROUP, NUM, TOPIC, Packet, encode, ffmpeg_packets, pictures, stamp, video
 
 
 def read(path: Path, **options: Any) -> tuple[list[Frame], dict[str, int]]:
@@ -165,7 +101,7 @@ def test_odometry_and_true_poses_belong_to_the_images(reordered: bool, request: 
         assert max(frame.world_from_camera.distance(world_from_camera(frame.time_ns))) < 1e-9
 
 
-def test_a_stretch_may_begin_between_key_frames(h264_reordered: list[Packet], tmp_path: Path) -> None:
+def test_a_segment_may_begin_between_key_frames(h264_reordered: list[Packet], tmp_path: Path) -> None:
     path = foxglove_files.write(tmp_path / "a.mcap", "protobuf", video(h264_reordered))
     frames, skipped = read(path, start_s=0.25, duration_s=0.6)
     require(frames, list(range(3, 9)))
@@ -251,9 +187,9 @@ def test_video_of_more_pixels_than_allowed_is_not_decoded(
     encoder: str, video_format: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = foxglove_files.write(tmp_path / "a.mcap", "protobuf", video(encode(pictures(3), encoder), video_format))
-    monkeypatch.setattr("sequences.video.MAX_PIXELS", 4 * 96 * 64)  # the decoder counts rows as it aligns them
+    monkeypatch.setattr("sequences.images.video.MAX_PIXELS", 4 * 96 * 64)  # the decoder counts rows as it aligns them
     assert len(list(SequenceReader(path, odometry="unread"))) == 3
-    monkeypatch.setattr("sequences.video.MAX_PIXELS", 96 * 64 - 1)
+    monkeypatch.setattr("sequences.images.video.MAX_PIXELS", 96 * 64 - 1)
     with pytest.raises(SequenceError, match="no image left of 3"):
         list(SequenceReader(path, odometry="unread"))
 

@@ -12,9 +12,10 @@ from filtering.motion import accumulated
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.messages import covariance_from_ros
 from sequences.reader import SequenceReader
-from sequences.writer import EstimateWriter, SequenceWriter
+from sequences.recordings.estimate_writer import EstimateWriter
+from sequences.recordings.messages import covariance_from_ros
+from sequences.writer import SequenceWriter
 
 CAMERA = Camera(64, 48, 50.0, 51.0, 31.5, 23.5)
 BEGIN_NS = 1_700_000_000_987_654_321

@@ -8,7 +8,7 @@ import numpy as np
 from mcap_ros2.writer import Writer
 
 from filtering.se3 import Poses
-from sequences.message_definitions import schema_name, schema_text
+from sequences.recordings.message_definitions import schema_name, schema_text
 from tests.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, world_from_base
 
 MS = 1_000_000

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from sequences.frame import Camera
-from sequences.undistortion import undistorted
+from sequences.images.undistortion import undistorted
 from vapor.images import cover_size
 
 _SAME_PX = 0.5  # of the images that a network sees: so little no network notices

@@ -17,14 +17,15 @@ from torch import Tensor
 
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.datasets import posed_frames
-from sequences.estimates import EstimateOptions, EstimateSequence
+from sequences.datasets.frames import posed_frames
+from sequences.estimates.options import EstimateOptions
+from sequences.estimates.sequence import EstimateSequence
 from sequences.frame import Camera, Frame, Trajectory
 from sequences.options import OdometryUse, SequenceOptions
-from sequences.pose_tables import read_pose_table
 from sequences.reader import SequenceReader
-from sequences.tum import read_tum, write_tum
-from tests import foxglove_files, pose_text, test_datasets, test_layouts, test_phone_layouts, tf_files
+from sequences.trajectories.pose_tables import read_pose_table
+from sequences.trajectories.tum import read_tum, write_tum
+from tests import data_sets, foxglove_files, phone_data_sets, pose_table_files, pose_text, tf_files
 from tests.fuzz.damage import in_order, zipped
 from tests.fuzz.mcap_damage import stated_images
 from tests.sequence_files import BEGIN_NS, CAMERA, Walk, as_split_folder, picture, rewrite
@@ -218,13 +219,13 @@ def _camera_info() -> tf_files.Event:
 
 
 def _video(folder: Path, *, of_ros: bool) -> Path:
-    from tests import test_video  # PyAV is an extra
+    from tests import video_files  # PyAV is an extra
 
-    packets = test_video.encode(test_video.pictures(2 * _IMAGES, 48, 32))
+    packets = video_files.encode(video_files.pictures(2 * _IMAGES, 48, 32))
     file = folder / "walk.mcap"
     if of_ros:
-        return tf_files.record(file, test_video.ffmpeg_packets(packets, "libx264"))
-    return foxglove_files.write(file, "protobuf", test_video.video(packets))
+        return tf_files.record(file, video_files.ffmpeg_packets(packets, "libx264"))
+    return foxglove_files.write(file, "protobuf", video_files.video(packets))
 
 
 def _split(folder: Path) -> Path:
@@ -244,14 +245,14 @@ def _data_set(path: Path) -> Reading:
 
 
 def _with_intrinsics(folder: Path) -> Path:
-    sequence = test_layouts.make_ambiguous(folder / "scene") / "train" / "seq00"
-    (sequence / "intrinsics.json").write_text(json.dumps(test_layouts.INTRINSICS))
+    sequence = data_sets.make_ambiguous(folder / "scene") / "train" / "seq00"
+    (sequence / "intrinsics.json").write_text(json.dumps(data_sets.INTRINSICS))
     return sequence
 
 
 def _r3d(folder: Path) -> Path:
-    members = {"metadata": json.dumps(test_phone_layouts.r3d_metadata()).encode()}
-    members |= {f"rgbd/{i}.jpg": data for i, data in enumerate(test_phone_layouts.r3d_images())}
+    members = {"metadata": json.dumps(phone_data_sets.r3d_metadata()).encode()}
+    members |= {f"rgbd/{i}.jpg": data for i, data in enumerate(phone_data_sets.r3d_images())}
     (folder / "walk.r3d").write_bytes(zipped(members))
     return folder / "walk.r3d"
 
@@ -270,15 +271,11 @@ def _tum(folder: Path) -> Path:
 
 
 def _euroc_table(folder: Path) -> Path:
-    from tests import test_pose_tables
-
-    return test_pose_tables.as_euroc(folder)
+    return pose_table_files.as_euroc(folder)
 
 
 def _kitti_table(folder: Path) -> Path:
-    from tests import test_pose_tables
-
-    return test_pose_tables.as_kitti(folder)
+    return pose_table_files.as_kitti(folder)
 
 
 def _estimates(folder: Path, *, named: bool) -> Path:
@@ -434,22 +431,22 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "mcap-video": _mcap(partial(_video, of_ros=False), "/camera/image", "unread"),
         "mcap-ffmpeg": _mcap(partial(_video, of_ros=True), "/camera/image/ffmpeg", "unread"),
         "rosbag2": _mcap(_split),
-        "tum-rgbd": _layout(lambda folder: test_datasets.make_tum(folder / "rgbd_dataset_freiburg1_x", num_images=5)),
-        "seven-scenes": _layout(lambda folder: test_datasets.make_7scenes(folder / "scene", num_images=5)),
-        "ambiguous": _layout(lambda folder: test_layouts.make_ambiguous(folder / "scene") / "train"),
+        "tum-rgbd": _layout(lambda folder: data_sets.make_tum(folder / "rgbd_dataset_freiburg1_x", num_images=5)),
+        "seven-scenes": _layout(lambda folder: data_sets.make_7scenes(folder / "scene", num_images=5)),
+        "ambiguous": _layout(lambda folder: data_sets.make_ambiguous(folder / "scene") / "train"),
         "intrinsics": _layout(_with_intrinsics),
-        "ceiling": _layout(lambda folder: test_layouts.make_ceiling(folder / "scene") / "train"),
-        "cambridge": _layout(lambda folder: test_layouts.make_cambridge(folder / "scene") / "dataset_train.txt"),
-        "colmap": _layout(lambda folder: test_layouts.make_colmap(folder / "scene", "sparse/0", "images")),
-        "colmap-binary": _layout(lambda folder: test_phone_layouts.make_colmap_binary(folder / "scene")),
-        "euroc": _layout(lambda folder: test_phone_layouts.make_euroc(folder / "MH_01", distorted=True)),
-        "stray-scanner": _layout(lambda folder: test_phone_layouts.make_stray(folder / "scan")),
-        "stray-scanner-images": _layout(lambda folder: test_phone_layouts.make_stray(folder / "scan", video=False)),
+        "ceiling": _layout(lambda folder: data_sets.make_ceiling(folder / "scene") / "train"),
+        "cambridge": _layout(lambda folder: data_sets.make_cambridge(folder / "scene") / "dataset_train.txt"),
+        "colmap": _layout(lambda folder: data_sets.make_colmap(folder / "scene", "sparse/0", "images")),
+        "colmap-binary": _layout(lambda folder: phone_data_sets.make_colmap_binary(folder / "scene")),
+        "euroc": _layout(lambda folder: phone_data_sets.make_euroc(folder / "MH_01", distorted=True)),
+        "stray-scanner": _layout(lambda folder: phone_data_sets.make_stray(folder / "scan")),
+        "stray-scanner-images": _layout(lambda folder: phone_data_sets.make_stray(folder / "scan", video=False)),
         "record3d": _layout(_r3d),
         "record3d-export": _layout(
-            lambda folder: test_phone_layouts.make_record3d_export(folder / "scan", test_phone_layouts.r3d_metadata())
+            lambda folder: phone_data_sets.make_record3d_export(folder / "scan", phone_data_sets.r3d_metadata())
         ),
-        "nerfstudio": _layout(lambda folder: test_phone_layouts.make_nerfstudio(folder / "scene")),
+        "nerfstudio": _layout(lambda folder: phone_data_sets.make_nerfstudio(folder / "scene")),
         "tum": Reader(_tum, lambda path: _of_trajectory(read_tum(path))),
         "euroc-table": Reader(_euroc_table, lambda path: _of_trajectory(read_pose_table(path))),
         "kitti-table": Reader(_kitti_table, lambda path: _of_trajectory(read_pose_table(path))),

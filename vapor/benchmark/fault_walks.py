@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from filtering.errors import VaporTrackError
-from sequences import datasets
+from sequences.datasets import listing
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.synthesize import camera_of
@@ -171,7 +171,7 @@ class RecordedWalk:
         """
         asked = replace(self.reading, poses=None, poses_times=None).told | {"package": version("vapor-track")}
         made = hashlib.sha256(json.dumps(asked).encode())
-        for path in (*datasets.files_read(self.file), *self.reading.files_read):
+        for path in (*listing.files_read(self.file), *self.reading.files_read):
             for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
                 if part.is_file():
                     made.update(_digest(part))

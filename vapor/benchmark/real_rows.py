@@ -19,12 +19,15 @@ from filtering.errors import VaporTrackError
 from filtering.motion import MotionNoise, Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.convert import BASE_FROM_CAMERA, convert
-from sequences.estimates import EstimateOptions, EstimateSequence
+from sequences.datasets.convert import convert
+from sequences.estimates.options import EstimateOptions
+from sequences.estimates.sequence import EstimateSequence
+from sequences.files.structured import read_arrays
+from sequences.frame import BASE_FROM_CAMERA
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.odometry_fit import OdometryStretch, fit_odometry
-from sequences.pairing import odometry_between
-from sequences.values import read_arrays
+from sequences.odometry_fit.fit import fit_odometry
+from sequences.odometry_fit.segment import OdometrySegment
+from sequences.trajectories.increments import odometry_between
 from vapor.benchmark.recordings import FileSettings, load_recording, record_file
 from vapor.cache import code_digest, digest
 from vapor.calibration.calibrate import calibrate
@@ -326,7 +329,7 @@ class Stored:
             rng = np.random.default_rng(self.own_seed + seed)
             odometry = simulated_motions(times_ns, truth, OdometryNoise(), rng=rng)
         first = np.arange(n) < n // 2
-        fit = fit_odometry([OdometryStretch(odometry[1 : n // 2], truth[first])])
+        fit = fit_odometry([OdometrySegment(odometry[1 : n // 2], truth[first])])
         (unseen,) = np.nonzero(first & ~trained_on)
         way = Way.along(truth[unseen], np.cumsum(np.diff(unseen, prepend=unseen[:1]) > 1))
         scene = truth[trained_on]  # the places that the network knows

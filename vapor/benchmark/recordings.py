@@ -17,6 +17,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.atomic import workspace
 from sequences.errors import SequenceError
+from sequences.files.structured import read_arrays, read_json
 from sequences.frame import Camera, Frame
 from sequences.options import SequenceOptions
 from sequences.place import find_place
@@ -24,7 +25,6 @@ from sequences.reader import SequenceReader
 from sequences.render import sees_cue
 from sequences.route import Cues
 from sequences.synthesize import SYNTHESIS, Stand, SyntheticSequence, synthesize, write_synthetic
-from sequences.values import read_arrays, read_json
 from vapor.benchmark.foreign_images import FOREIGN, Image
 from vapor.cache import digest
 from vapor.checkpoints.checkpoint import Checkpoint

@@ -14,7 +14,7 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.messages import decode_image_bytes
+from sequences.images.decoding import decode_image_bytes
 from vapor.checkpoints.checkpoint import Calibration, Checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.network_config import NetworkConfig

@@ -14,7 +14,9 @@ from jaxtyping import Bool, Int64
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.odometry_fit import LEAST_INCREMENTS, OdometryFit, fit_odometry
+from sequences.odometry_fit.fit import fit_odometry
+from sequences.odometry_fit.pieces import LEAST_INCREMENTS
+from sequences.odometry_fit.result import OdometryFit
 from sequences.options import SequenceOptions
 from vapor.calibration.familiarity import EXEMPLARS, describe, learn_familiarity
 from vapor.calibration.images import LEAST_IMAGES, Change, Seen, Way, fit_errors, fit_widths, ordinary_score

@@ -19,9 +19,9 @@ from filtering.density import KernelDensity
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, quoted, require_within
 from filtering.se3 import Poses
+from sequences.files.structured import parse_json
 from sequences.frame import Camera
-from sequences.odometry_fit import OdometryFit
-from sequences.values import parse_json
+from sequences.odometry_fit.result import OdometryFit
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity, description_size

@@ -13,10 +13,10 @@ from rich.table import Table
 
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
-from sequences import datasets
+from sequences.datasets import listing
 from sequences.options import SequenceOptions
+from sequences.outputs.claims import claim_folder
 from sequences.place import is_place
-from sequences.results import claim_folder
 from vapor.benchmark import real as real_benchmark
 from vapor.benchmark.fault_runs import FaultBenchmark, FaultsConfig
 from vapor.benchmark.faults import summarise_faults
@@ -175,7 +175,7 @@ class FaultsOptions(SceneOptions):
         """Files of the models, and what is read of recordings."""
         if not self.recordings:
             return super().files_read
-        read = [file for recording in self.recordings for file in datasets.files_read(recording)]
+        read = [file for recording in self.recordings for file in listing.files_read(recording)]
         return [find_model(self.models[0]), *read, *self.reading.files_read]
 
     @property

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from filtering.error_model import Six
 from sequences.options import SequenceOptions
-from sequences.results import refuse_other
+from sequences.outputs.claims import refuse_other
 from vapor.calibration.calibrate import CalibrationResult, calibrate_model
 from vapor.calibration.images import REGIONS
 from vapor.checkpoints.checkpoint import find_model, is_model

@@ -11,10 +11,10 @@ from typing import Annotated
 
 import tyro
 
-from sequences.convert import convert
-from sequences.datasets import files_read
+from sequences.datasets.convert import convert
+from sequences.datasets.listing import files_read
 from sequences.odometry import OdometryNoise
-from sequences.results import refuse_other
+from sequences.outputs.claims import refuse_other
 from sequences.writer import is_own_sequence
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_skipped, usage_error
 

@@ -10,7 +10,7 @@ from typing import Literal
 import tyro
 
 from sequences.errors import SequenceError
-from sequences.results import results_folder
+from sequences.outputs.results import results_folder
 from sequences.synthesize import synthesize, write_synthetic
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_files, usage_error
 from vapor.pipeline.config import RunConfig

@@ -9,7 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from sequences.results import MANIFEST, UNCHECKED, refuse_other
+from sequences.outputs.claims import refuse_other
+from sequences.outputs.manifest import MANIFEST, UNCHECKED
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
 from vapor.evaluation.run_directory import evaluate_directory, files_read
 from vapor.reporting.report import format_table, is_report, write_report

@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from sequences.atomic import atomic_output
-from sequences.results import claim_folder
+from sequences.outputs.claims import claim_folder
 from vapor.commands.console import OutputPath, Overwrite, bar, show, usage_error
 from vapor.commands.experiment_progress import render, settings_of, trained
 from vapor.commands.experiment_sweeps import AlphaOptions, DecayOptions, run_alpha, run_decay

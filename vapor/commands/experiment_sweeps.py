@@ -13,7 +13,7 @@ from rich.table import Table
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from sequences.results import claim_folder
+from sequences.outputs.claims import claim_folder
 from vapor.commands.console import OutputPath, Overwrite, parse, show
 from vapor.commands.experiment_progress import settings_of, trained
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS

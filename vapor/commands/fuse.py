@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from sequences.estimates import EstimateOptions
+from sequences.estimates.options import EstimateOptions
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, usage_error
 from vapor.commands.run import show_run
 from vapor.pipeline.config import FilteringConfig

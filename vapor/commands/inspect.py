@@ -16,9 +16,9 @@ import tyro
 from rich.table import Table
 
 from filtering.errors import VaporTrackError
-from sequences.counts import ImageCounts
 from sequences.options import SequenceOptions
-from sequences.results import results_folder
+from sequences.outputs.results import results_folder
+from sequences.reading.counts import ImageCounts
 from vapor.checkpoints.checkpoint import find_model
 from vapor.commands.console import (
     OutputPath,

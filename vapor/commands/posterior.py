@@ -13,8 +13,9 @@ import tyro
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from sequences.datasets import files_read, posed_frames
-from sequences.results import refuse_other
+from sequences.datasets.frames import posed_frames
+from sequences.datasets.listing import files_read
+from sequences.outputs.claims import refuse_other
 from vapor.checkpoints.checkpoint import find_model, load_checkpoint
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
 from vapor.evaluation.posterior import posterior_metrics

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import tyro
 
 from sequences.errors import SequenceError
+from sequences.outputs.claims import refuse_other
 from sequences.place import SCENES
-from sequences.results import refuse_other
 from sequences.route import Cues
 from sequences.synthesize import synthesize, write_synthetic
 from sequences.writer import is_own_sequence

@@ -11,7 +11,7 @@ from filtering.config import LocalizerConfig
 from filtering.estimate import Mode
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.odometry_fit import OdometryFit
+from sequences.odometry_fit.result import OdometryFit
 from vapor.checkpoints.checkpoint import Calibration
 from vapor.tracking.belief import Belief
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from filtering.errors import VaporTrackError
-from sequences.results import MANIFEST, verify
-from sequences.tum import read_tum
+from sequences.outputs.manifest import MANIFEST, verify
+from sequences.trajectories.tum import read_tum
 from vapor.evaluation.trajectory import associate, evaluate_methods
 from vapor.tracking.methods import FILES
 

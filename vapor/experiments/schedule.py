@@ -16,7 +16,7 @@ from typing import Any
 
 from filtering.errors import VaporTrackError, require_within
 from sequences.atomic import atomic_output, workspace
-from sequences.values import read_json
+from sequences.files.structured import read_json
 from vapor.cache import digest
 from vapor.experiments.scenes import Scene, identities, render_scenes, rendered_height
 from vapor.experiments.training_runs import trained_from

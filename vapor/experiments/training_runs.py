@@ -13,7 +13,7 @@ import numpy as np
 
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output, workspace
-from sequences.values import read_arrays, read_json
+from sequences.files.structured import read_arrays, read_json
 from vapor.benchmark.recordings import from_rows, to_rows
 from vapor.cache import digest
 from vapor.checkpoints.checkpoint import load_checkpoint, spaced

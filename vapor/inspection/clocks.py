@@ -10,7 +10,7 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
-from sequences.time_offset import find_time_offset
+from sequences.trajectories.time_offset import find_time_offset
 from vapor.inspection.odometry import chained
 from vapor.inspection.walks import Walk
 from vapor.training_data.ground import runs

@@ -14,8 +14,10 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses, nearest_rotation
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
-from sequences.odometry_fit import OdometryFit, OdometryStretch, fit_odometry
-from sequences.time_offset import find_time_offset
+from sequences.odometry_fit.fit import fit_odometry
+from sequences.odometry_fit.result import OdometryFit
+from sequences.odometry_fit.segment import OdometrySegment
+from sequences.trajectories.time_offset import find_time_offset
 from vapor.training_data.passes import odometry_stretches
 from vapor.training_data.training_set import TrainingSet
 
@@ -156,7 +158,7 @@ def _late_s(odometry: Trajectory, truth: Trajectory) -> float:
         return find_time_offset(odometry, truth, within_s=_USUAL_OFFSET_S)
 
 
-def _track(stretch: OdometryStretch) -> tuple[Trajectory, Trajectory]:
+def _track(stretch: OdometrySegment) -> tuple[Trajectory, Trajectory]:
     """Odometry from its first image on, and the true poses, at the same times."""
     poses = chained([step.previous_from_current for step in stretch.odometry])
     seconds = np.concatenate([[0.0], np.cumsum([step.duration_s for step in stretch.odometry])])
@@ -170,7 +172,7 @@ def chained(steps: Sequence[Poses]) -> Poses:
     return Poses.stack(list(accumulate(steps, Poses.__matmul__, initial=Poses.identity())))
 
 
-def _turned(stretch: OdometryStretch, turn: Float64[np.ndarray, "3 3"]) -> OdometryStretch:
+def _turned(stretch: OdometrySegment, turn: Float64[np.ndarray, "3 3"]) -> OdometrySegment:
     """The same with the axes of odometry turned."""
     about = Poses(turn, np.zeros(3))
     carry = about.adjoint()
@@ -180,7 +182,7 @@ def _turned(stretch: OdometryStretch, turn: Float64[np.ndarray, "3 3"]) -> Odome
         )
         for step in stretch.odometry
     ]
-    return OdometryStretch(steps, stretch.truth, stretch.recording)
+    return OdometrySegment(steps, stretch.truth, stretch.recording)
 
 
 def _axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None:

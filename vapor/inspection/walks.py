@@ -13,13 +13,13 @@ from jaxtyping import Bool, Float64, Int64
 
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.counts import ImageCounts
-from sequences.datasets import is_recording, list_images, posed_frames
+from sequences.datasets.frames import posed_frames
+from sequences.datasets.listing import is_recording, list_images
 from sequences.errors import SequenceError
 from sequences.frame import Frame
-from sequences.options import OdometryUse, SequenceOptions
+from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
-from sequences.roles import TruePoseUse
+from sequences.reading.counts import ImageCounts
 from vapor.inspection.looks import Look, Looks, look_at
 from vapor.inspection.turns import outline, turn_between
 from vapor.training_data.training_set import TrainingError, TrainingSet, name_entries

@@ -11,7 +11,7 @@ from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.estimates import EstimateSequence
+from sequences.estimates.sequence import EstimateSequence
 
 
 @dataclass(frozen=True)

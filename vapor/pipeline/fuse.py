@@ -7,8 +7,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from filtering.config import LocalizerConfig
-from sequences.estimates import EstimateOptions, EstimateSequence
-from sequences.results import results_folder
+from sequences.estimates.options import EstimateOptions
+from sequences.estimates.sequence import EstimateSequence
+from sequences.outputs.results import results_folder
 from vapor.pipeline.config import FilteringConfig
 from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of
 from vapor.pipeline.localize import localize

@@ -18,10 +18,10 @@ from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import ObservationModel
 from filtering.smoothing import agreement
-from sequences.estimates import EstimateSequence
-from sequences.odometry_fit import OdometryFit
+from sequences.estimates.sequence import EstimateSequence
+from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
-from sequences.writer import EstimateWriter
+from sequences.recordings.estimate_writer import EstimateWriter
 from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.record import RunRecord
 from vapor.reporting.recorder import RunRecorder

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sequences.atomic import atomic_output
-from sequences.tum import write_tum
+from sequences.trajectories.tum import write_tum
 from vapor.reporting.pictures import write_pictures
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import build_report, doubtful_notice, write_report, write_status

@@ -10,8 +10,8 @@ from jaxtyping import Float64, Int64
 
 from filtering.estimate import Status
 from filtering.se3 import Poses
-from sequences.counts import ImageCounts
 from sequences.frame import Trajectory
+from sequences.reading.counts import ImageCounts
 from vapor.reporting.keyframes import Keyframe
 from vapor.tracking.methods import in_order
 

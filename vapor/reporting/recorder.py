@@ -10,8 +10,8 @@ import numpy as np
 from filtering.errors import VaporTrackError
 from filtering.estimate import Status
 from filtering.se3 import Poses
-from sequences.counts import ImageCounts
 from sequences.frame import Frame, Trajectory
+from sequences.reading.counts import ImageCounts
 from vapor.reporting.keyframes import Keyframe, choose_keyframes, make_keyframe
 from vapor.reporting.record import RunRecord
 from vapor.tracking.loop import Step

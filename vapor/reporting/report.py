@@ -13,8 +13,8 @@ from jaxtyping import Bool
 
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
-from sequences.tum import format_time
-from sequences.values import read_json
+from sequences.files.structured import read_json
+from sequences.trajectories.tum import format_time
 from vapor.evaluation.consistency import evaluate_consistency
 from vapor.evaluation.trajectory import TAIL_M, THRESHOLDS, associate, evaluate_methods
 from vapor.reporting.record import RunRecord

@@ -13,7 +13,7 @@ from filtering.error_model import ErrorModel
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from sequences.odometry_fit import OdometryFit
+from sequences.odometry_fit.result import OdometryFit
 from vapor.tracking.dead_reckoning import dead_reckoning
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Int64
 
-from sequences.odometry_fit import OdometryStretch
+from sequences.odometry_fit.segment import OdometrySegment
 from vapor.training_data.training_set import TrainingSet
 
 RUN_IMAGES = 10
@@ -38,13 +38,13 @@ def some_runs(count: int, limit: int) -> Int64[np.ndarray, " k"]:
     return np.unique(starts[:, None] + np.arange(min(RUN_IMAGES, limit)))
 
 
-def odometry_stretches(images: TrainingSet) -> list[OdometryStretch]:
+def odometry_stretches(images: TrainingSet) -> list[OdometrySegment]:
     """Consecutive images with odometry from each to the next, and their true poses."""
-    stretches: list[OdometryStretch] = []
+    stretches: list[OdometrySegment] = []
     begins = [i for i, step in enumerate(images.odometry) if step is None]
     for begin, end in zip(begins, [*begins[1:], len(images)][: len(begins)], strict=True):
         steps = [step for step in images.odometry[begin + 1 : end] if step is not None]
         if steps:
             truth = images.poses[np.arange(begin, end)]
-            stretches.append(OdometryStretch(steps, truth, int(images.sequence[begin])))
+            stretches.append(OdometrySegment(steps, truth, int(images.sequence[begin])))
     return stretches

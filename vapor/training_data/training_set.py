@@ -20,12 +20,13 @@ from jaxtyping import Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences import datasets
-from sequences.bag import bag_files
-from sequences.datasets import PosedFrames, is_recording, list_images, posed_frames
+from sequences.datasets import listing
+from sequences.datasets.frames import PosedFrames, posed_frames
+from sequences.datasets.layout_helpers.packed import ImageFile
+from sequences.datasets.listing import is_recording, list_images
 from sequences.frame import Camera, Frame
-from sequences.layouts.packed import ImageFile
 from sequences.options import OdometryUse, SequenceOptions
+from sequences.recordings.bag import bag_files
 from vapor.cameras import AsTakenBy, described
 from vapor.images import centre_crop, scale_to_cover
 
@@ -148,7 +149,7 @@ def files_read(data: Sequence[Path | str], reading: SequenceOptions | None = Non
         TrainingError: what follows an @ is no range.
     """
     for entry in data:
-        yield from datasets.files_read(parse_entry(entry)[0])
+        yield from listing.files_read(parse_entry(entry)[0])
     yield from () if reading is None else reading.files_read
 
 

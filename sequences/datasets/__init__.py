@@ -1,0 +1,1 @@
+"""Images with true poses, as data sets lie on disk: the one entry for training; conversion to MCAP."""

@@ -1,0 +1,174 @@
+"""Data sets on disk -> MCAP sequences, with recorded or simulated odometry."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from filtering.se3 import Poses
+from sequences.datasets.layout_helpers.image_files import read_image_bytes
+from sequences.datasets.listing import list_images
+from sequences.datasets.posed_images import PosedImages
+from sequences.errors import SequenceError
+from sequences.frame import BASE_FROM_CAMERA, Camera
+from sequences.images.decoding import decode_image_bytes
+from sequences.images.headers import why_left_out
+from sequences.images.undistortion import Lens
+from sequences.odometry import OdometryNoise, simulate_odometry
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, interpolate
+from sequences.trajectories.tum import read_tum
+from sequences.writer import SequenceWriter
+
+
+@dataclass(frozen=True)
+class ConversionSummary:
+    """What a conversion did.
+
+    Attributes:
+        num_images: Images written.
+        skipped: Images left out, by reason.
+        odometry: Where the odometry comes from, as the file says it too.
+    """
+
+    num_images: int
+    skipped: dict[str, int]
+    odometry: str
+
+
+@dataclass(frozen=True)
+class _OdometryTrack:
+    """Odometry of the body: stamps (k,), poses (k,) in any frame, twist covariances (k, 6, 6), and its origin."""
+
+    times_ns: np.ndarray
+    odom_from_base: Poses
+    twist_covariances: np.ndarray
+    description: str
+
+
+def convert(
+    dataset: Path,
+    output: Path,
+    *,
+    odometry: Path | None = None,
+    odometry_noise: OdometryNoise | None = None,
+    frames: slice = slice(None),
+    seed: int = 0,
+) -> ConversionSummary:
+    """Write a data set as an MCAP sequence; images are copied, not encoded again.
+
+    Base and camera are one body, in the axes of a robot and of a camera. Where a data set has no time stamps they are
+    made up at 30 Hz.
+
+    Args:
+        dataset: What `sequences.datasets.listing.list_images` takes.
+        output: File to write.
+        odometry: Recorded odometry, a TUM trajectory of the camera in any frame: only its relative motion counts.
+        odometry_noise: How to simulate odometry from the true poses, instead; None for no odometry at all where there
+            is no recorded one either.
+        frames: Which of the images.
+        seed: Of the simulated odometry.
+
+    Raises:
+        SequenceError: a file is missing, damaged or of an unknown layout, intrinsics are unknown or differ between
+            images, or no image is left.
+    """
+    if seed < 0:
+        raise SequenceError(f"seed {seed}, expected at least 0")
+    images = list_images(dataset)
+    skipped = Counter(images.skipped)
+    images = images[frames]
+    if not len(images):
+        raise SequenceError(f"{dataset}: no images in frames {frames.start}:{frames.stop}:{frames.step}")
+    track = _odometry(images, odometry, odometry_noise, seed)
+    images = _covered(images, track, skipped)
+    description = track.description if track else "none"
+    metadata = {"odometry": description, "dataset": f"{images.layout} {Path(dataset).resolve().name}"}
+    if images.assumed_hz is not None:
+        metadata["time_stamps"] = f"assumed, {images.assumed_hz} Hz"
+    camera = _one_camera(images, dataset)
+    num_images = 0
+    with SequenceWriter(output, camera=camera, base_from_camera=BASE_FROM_CAMERA, metadata=metadata) as writer:
+        next_odometry = 0
+        for i, file in enumerate(images.files):
+            time_ns = int(images.times_ns[i])
+            try:
+                data = read_image_bytes(file)
+                decode_image_bytes(data)
+            except SequenceError as error:
+                skipped[why_left_out(error)] += 1
+                continue
+            if track is not None:
+                next_odometry = _write_odometry(writer, track, next_odometry, time_ns)
+            writer.write_true_pose(time_ns, images.world_from_camera[i])
+            writer.write_encoded_image(time_ns, data, "png" if data[:4] == b"\x89PNG" else "jpeg")
+            num_images += 1
+        if num_images == 0:
+            raise SequenceError(f"{dataset}: no image left: {dict(skipped)}; expected at least one that can be used")
+    return ConversionSummary(num_images, dict(skipped), description)
+
+
+def _odometry(
+    images: PosedImages, recorded: Path | None, noise: OdometryNoise | None, seed: int
+) -> _OdometryTrack | None:
+    """Recorded odometry where there is some, else simulated, else none."""
+    camera_from_base = BASE_FROM_CAMERA.inverse()
+    if recorded is not None:
+        trajectory = read_tum(recorded)
+        # The last pose before the images to the first one after them: what their increments need.
+        begin = max(int(np.searchsorted(trajectory.times_ns, images.times_ns[0], side="right")) - 1, 0)
+        end = int(np.searchsorted(trajectory.times_ns, images.times_ns[-1], side="left")) + 1
+        times_ns = trajectory.times_ns[begin:end]
+        unknown = np.zeros((len(times_ns), 6, 6))
+        return _OdometryTrack(
+            times_ns, trajectory.poses[begin:end] @ camera_from_base, unknown, f"recorded: {Path(recorded).name}"
+        )
+    if noise is None:
+        return None
+    rng = np.random.default_rng(seed)
+    poses, covariances = simulate_odometry(images.times_ns, images.world_from_camera @ camera_from_base, noise, rng=rng)
+    settings = noise.settings
+    return _OdometryTrack(images.times_ns, poses, covariances, f"simulated: {settings}, seed {seed}")
+
+
+def _covered(images: PosedImages, track: _OdometryTrack | None, skipped: Counter[str]) -> PosedImages:
+    """The images that odometry covers; those that it does not are counted."""
+    if track is None:
+        return images
+    if not len(track.times_ns):
+        raise SequenceError(f"odometry ({track.description}) does not overlap the images in time")
+    _, covered = interpolate(track.times_ns, track.odom_from_base, images.times_ns, max_gap_s=MAX_ODOMETRY_GAP_S)
+    if not covered.any():
+        raise SequenceError(
+            f"odometry ({track.description}) from {track.times_ns[0]} to {track.times_ns[-1]} ns covers no image from"
+            f" {images.times_ns[0]} to {images.times_ns[-1]} ns, expected it to overlap"
+        )
+    if not covered.all():
+        skipped["odometry does not cover"] += int((~covered).sum())
+    return images.select(np.flatnonzero(covered))
+
+
+def _one_camera(images: PosedImages, dataset: Path) -> Camera | Lens:
+    cameras = set(images.cameras)
+    if len(cameras) > 1:
+        raise SequenceError(f"{dataset}: images of {len(cameras)} cameras, expected one: a sequence has one")
+    camera = cameras.pop()
+    if camera is None:
+        raise SequenceError(
+            f"{dataset}: {images.layout} does not state intrinsics, expected intrinsics.json beside the images with"
+            " width, height, fx, fy, cx and cy in pixels"
+        )
+    return camera
+
+
+def _write_odometry(writer: SequenceWriter, track: _OdometryTrack, begin: int, until_ns: int) -> int:
+    """Write odometry up to the first message that reaches a time; gives the next one to write."""
+    while begin < len(track.times_ns):
+        time_ns = int(track.times_ns[begin])
+        writer.write_odometry(time_ns, track.odom_from_base[begin], track.twist_covariances[begin])
+        begin += 1
+        if time_ns >= until_ns:
+            break
+    return begin

@@ -1,0 +1,172 @@
+"""Frames with true poses, of a recording or of a data set: the one entry for training."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+from sequences.datasets.layout_helpers.image_files import read_image_bytes
+from sequences.datasets.listing import is_recording, list_images
+from sequences.datasets.posed_images import PosedImages
+from sequences.errors import SequenceError
+from sequences.frame import Camera, Frame
+from sequences.images.decoding import decode_image_bytes
+from sequences.images.headers import why_left_out
+from sequences.images.undistortion import Lens, pinhole_of, undistorted
+from sequences.options import OdometryUse, SequenceOptions
+from sequences.reader import SequenceReader
+
+
+class PosedFrames(Iterator[Frame]):
+    """Frames with true poses, from `posed_frames`.
+
+    Attributes:
+        skipped: Images and poses of the data that were left out, by reason; complete once all frames were yielded.
+        notices: What a person should know of the true poses, likewise.
+    """
+
+    def __init__(self, path: Path, frames: slice, options: SequenceOptions | None, odometry: OdometryUse) -> None:
+        self.skipped: Counter[str] = Counter()
+        self.notices: list[str] = []
+        self._path, self._slice, self._options = path, frames, options
+        self._odometry: OdometryUse = odometry
+        self._source: SequenceReader | PosedImages | None = None
+        self._frames = _posed_frames(path, frames, options, self._open, self.skipped, self.notices)
+
+    def __next__(self) -> Frame:
+        return next(self._frames)
+
+    def _open(self) -> SequenceReader | PosedImages:
+        if self._source is None and is_recording(self._path):
+            self._source = SequenceReader(self._path, self._options, odometry=self._odometry, true_poses="required")
+        elif self._source is None:
+            self._source = list_images(self._path)
+        return self._source
+
+    def cameras(self) -> Counter[Camera]:
+        """How many images are of which camera, undistorted; of a recording all of its images, whether used or not.
+
+        Raises:
+            SequenceError: as the first frame would.
+        """
+        source = self._open()
+        if isinstance(source, SequenceReader):
+            return Counter({source.camera: source.num_images} if source.camera is not None else {})
+        undistort = self._options is None or self._options.undistort
+        known = [_used(camera, undistort) for camera in source[self._slice].cameras]
+        return Counter(pinhole_of(camera) for camera in known if camera is not None)
+
+
+def posed_frames(
+    path: Path,
+    *,
+    frames: slice = slice(None),
+    options: SequenceOptions | None = None,
+    odometry: OdometryUse = "optional",
+) -> PosedFrames:
+    """Frames with true poses, in order of time; MCAP sequences with their odometry, where there is any to be found.
+
+    Args:
+        path: MCAP file, rosbag2 folder, or a data set as `list_images` takes it.
+        frames: Which of them; for MCAP, of those with a true pose, and not counted from the end.
+        options: What to read of an MCAP sequence, and where its true poses are; of that, folders of images heed
+            `undistort` only.
+        odometry: Whether that of an MCAP sequence is read; without it reading takes a quarter of the time.
+
+    Raises:
+        SequenceError: the layout is unknown, a file is missing or damaged, or no frame is left; with the first frame.
+    """
+    return PosedFrames(Path(path), frames, options, odometry)
+
+
+def _posed_frames(
+    path: Path,
+    frames: slice,
+    options: SequenceOptions | None,
+    opened: Callable[[], SequenceReader | PosedImages],
+    skipped: Counter[str],
+    notices: list[str],
+) -> Iterator[Frame]:
+    number = 0
+    if is_recording(path):
+        if any(bound is not None and bound < 0 for bound in (frames.start, frames.stop, frames.step)):
+            raise SequenceError(
+                f"{path}: frames {frames.start}:{frames.stop}:{frames.step} count from the end, which"
+                " a stream does not know; expected numbers from 0 on"
+            )
+        reader = opened()
+        assert isinstance(reader, SequenceReader)
+        posed = _posed(reader, skipped)
+        for number, frame in enumerate(islice(posed, frames.start, frames.stop, frames.step), start=1):
+            follows = number > 1 and frames.step in (None, 1)
+            yield frame if follows else replace(frame, odometry=None)
+        reader.stop()
+        for _ in posed:  # none comes any more
+            pass
+        skipped.update(reader.skipped)
+        if reader.across_jumps:
+            skipped["true pose jumps"] = reader.across_jumps
+            skipped["no true pose"] -= reader.across_jumps
+            if not skipped["no true pose"]:
+                del skipped["no true pose"]
+        few = [reader.counts.warning] if reader.counts.warning else []
+        notices += [f"{path}: {notice}" for notice in [*reader.notices, *few]]
+    else:
+        images = opened()
+        assert isinstance(images, PosedImages)
+        skipped.update(images.skipped)
+        for frame in _load(images[frames], skipped, undistort=options is None or options.undistort):
+            number += 1
+            yield frame
+    if number == 0:
+        raise SequenceError(
+            f"{path}: no image with a true pose in frames {frames.start}:{frames.stop}:{frames.step},"
+            " expected at least one"
+        )
+
+
+def count_frames(path: Path) -> int:
+    """How many frames `posed_frames` yields at most: for progress."""
+    path = Path(path)
+    return SequenceReader(path, odometry="unread").num_images if is_recording(path) else len(list_images(path))
+
+
+def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:
+    """Those with a true pose; without odometry where the frame before was left out."""
+    follows = True
+    for frame in frames:
+        if frame.world_from_camera is not None:
+            yield frame if follows else replace(frame, odometry=None)
+        else:
+            skipped["no true pose"] += 1
+        follows = frame.world_from_camera is not None
+
+
+def _used(camera: Camera | Lens | None, undistort: bool) -> Camera | Lens | None:
+    """The camera, without its distortion where that is to be left alone."""
+    return camera.camera if isinstance(camera, Lens) and not undistort else camera
+
+
+def _load(images: PosedImages, skipped: Counter[str], *, undistort: bool) -> Iterator[Frame]:
+    """Decode and undistort images; those that cannot be are left out, unless it is all of them."""
+    problem = None
+    num_loaded = 0
+    for i, file in enumerate(images.files):
+        try:
+            image = decode_image_bytes(read_image_bytes(file))
+        except SequenceError as error:
+            problem = problem or f"{file}: {error}"
+            skipped[why_left_out(error)] += 1
+            continue
+        num_loaded += 1
+        try:
+            image, camera = undistorted(image, _used(images.cameras[i], undistort))
+        except SequenceError as error:
+            raise SequenceError(f"{file}: {error}") from error
+        sequence = 0 if images.sequence is None else int(images.sequence[i])
+        yield Frame(int(images.times_ns[i]), image, None, images.world_from_camera[i], camera, sequence)
+    if problem and not num_loaded:
+        raise SequenceError(f"no image left: {problem}")

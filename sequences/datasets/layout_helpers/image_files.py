@@ -1,0 +1,77 @@
+"""Image files of a layout: which there are, and what they hold."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from sequences.datasets.layout_helpers.packed import ImageFile, PackedImage
+from sequences.errors import SequenceError
+from sequences.files.text import read_bytes
+from sequences.images.decoding import decode_image_bytes
+from sequences.images.headers import is_jpeg, is_png, stated_size
+from sequences.values import parse_frame_number
+
+_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+def read_image_bytes(file: ImageFile) -> bytes:
+    """Bytes of a JPEG or PNG. Raises SequenceError where it cannot be read, or is none."""
+    data = file.read_bytes() if isinstance(file, PackedImage) else read_bytes(file)
+    if stated_size(data) is None or not (is_jpeg(data) or is_png(data)):
+        raise SequenceError(f"{len(data)} bytes are no image with the header of a JPEG or PNG, expected one")
+    return data
+
+
+def size_of_first(files: Iterable[ImageFile]) -> tuple[int, int] | None:
+    """Width and height of the first of the images that can be read; None where none can."""
+    for file in files:
+        try:
+            height, width = decode_image_bytes(read_image_bytes(file)).shape[:2]
+        except SequenceError:
+            continue  # counted when it is its turn
+        return width, height
+    return None
+
+
+def images_in(folder: Path) -> list[Path]:
+    """PNG and JPEG files directly in a folder, in the order of their names; none where there is no such folder."""
+    if not os.path.isdir(folder):  # Path.is_dir raises where a name is too long
+        return []
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())
+
+
+def images_in_first(folder: Path, subfolders: tuple[str, ...]) -> list[Path]:
+    """Images of the first of the subfolders that holds any, or else of the folder; none where there are none."""
+    places = [*(folder / name for name in subfolders), folder]
+    return next((files for place in places if (files := images_in(place))), [])
+
+
+def images_by_number(folder: Path, subfolders: tuple[str, ...]) -> dict[int, Path]:
+    """Images by the last number in their names, from the first of the subfolders that holds any, or else the folder.
+
+    Raises:
+        SequenceError: two images have the same number, or none has one.
+    """
+    numbered: dict[int, Path] = {}
+    for file in images_in_first(folder, subfolders):
+        match = re.search(r"(\d+)\D*$", file.stem, flags=re.ASCII)
+        if match is None:
+            continue
+        number = parse_frame_number(match[1], str(file))
+        if number in numbered:
+            raise SequenceError(f"{file}: frame {number} is {numbered[number].name} too, expected one image a frame")
+        numbered[number] = file
+    if not numbered:
+        wanted = ", ".join(f"{name}/" for name in subfolders)
+        raise SequenceError(f"{folder}: no images, expected PNG or JPEG files with a frame number in {wanted} or in it")
+    return numbered
+
+
+def num_beside(files: Iterable[Path], folders: Iterable[Path] = ()) -> int:
+    """How many other images lie in the folders of these, and in further folders."""
+    wanted = set(files)
+    places = {file.parent for file in wanted}.union(folders)
+    return sum(file not in wanted for folder in places for file in images_in(folder))

@@ -1,0 +1,146 @@
+"""Images that are no files of their own: members of a zip archive, frames of a video."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import cv2
+
+from filtering.errors import quoted
+from sequences.errors import SequenceError
+from sequences.images.headers import require_pixels
+
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # heeded at the first video: what is wrong is said here
+
+_MAX_MEMBER = 64 << 20  # bytes, unpacked
+_JPEG_QUALITY = 95  # of frames of a video, which were compressed more than that
+
+
+@runtime_checkable
+class Container(Protocol):
+    """What images are packed into; it stays open while something refers to it."""
+
+    path: Path
+
+    def read(self, key: str, /) -> bytes:
+        """Bytes of one image. Raises SequenceError where it cannot be read."""
+        ...
+
+
+@dataclass(frozen=True)
+class PackedImage:
+    """One image in a container, in place of its path.
+
+    Attributes:
+        path: Of the container.
+        key: Which image of it: name of a member, number of a frame.
+        container: What reads it.
+    """
+
+    path: Path
+    key: str
+    container: Container = field(compare=False)
+
+    @property
+    def name(self) -> str:
+        """Name of the container and of the image in it."""
+        return f"{self.path.name}:{self.key}"
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.key}"
+
+    def read_bytes(self) -> bytes:
+        """Bytes of a JPEG or PNG. Raises SequenceError where it cannot be read."""
+        return self.container.read(self.key)
+
+    def resolve(self) -> PackedImage:
+        """The same with the path of the container resolved: equal where it is the same image."""
+        return replace(self, path=self.path.resolve())
+
+
+ImageFile = Path | PackedImage
+
+
+class Archive:
+    """A zip archive.
+
+    Attributes:
+        path: Where it lies.
+        names: Names of its members.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open an archive. Raises SequenceError where it is none."""
+        self.path = path
+        try:
+            self._file = zipfile.ZipFile(path)
+        except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:  # of version, and of names
+            raise SequenceError(f"{path}: cannot be read as a zip archive: {error}; expected a complete one") from error
+        self._sizes = {member.filename: member.file_size for member in self._file.infolist()}
+        self.names = frozenset(self._sizes)
+
+    def read(self, key: str, /) -> bytes:
+        """Bytes of a member. Raises SequenceError where it is missing, damaged, or too large for what it may hold."""
+        if (size := self._sizes.get(key, 0)) > _MAX_MEMBER:
+            raise SequenceError(f"{self.path}: {quoted(key)} has {size:,} bytes, expected at most {_MAX_MEMBER:,}")
+        try:
+            return self._file.read(key)
+        except Exception as error:  # the library lets zlib, key and runtime errors of damaged archives through
+            raise SequenceError(f"{self.path}: member {quoted(key)} cannot be read: {error}") from error
+
+
+class VideoFile:
+    """Frames of a video by their numbers from 0 on; one after the other is fast, and all are as they were stored.
+
+    Attributes:
+        path: Where it lies.
+        num_frames: How many it says it has; None where it does not say.
+        width: Of its frames, pixels.
+        height: Of its frames, pixels.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a video. Raises SequenceError where it cannot be read."""
+        self.path = path
+        self._open()
+        self.width = int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+        self.height = int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        require_pixels(self.width, self.height, str(path))
+        stated = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        self.num_frames = int(stated) if 0 < stated < 1e9 else None
+
+    def _open(self) -> None:
+        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        try:
+            self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        finally:
+            cv2.utils.logging.setLogLevel(level)
+        # Intrinsics are of the pixels as they are stored, however the phone was held.
+        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        self._next = 0
+        if not self._capture.isOpened():
+            raise SequenceError(f"{self.path}: cannot be opened as a video, expected a complete file (H.264 or HEVC)")
+
+    def frame(self, number: int) -> PackedImage:
+        """The image of a frame."""
+        return PackedImage(self.path, str(number), self)
+
+    def read(self, key: str, /) -> bytes:
+        """A frame as JPEG. Raises SequenceError where the video has no such frame, or it is damaged."""
+        number = int(key)
+        if number < self._next:
+            self._open()
+        while self._next < number and self._capture.grab():  # exact, unlike seeking
+            self._next += 1
+        found, image = self._capture.read() if self._next == number else (False, None)
+        if not found or image is None:
+            raise SequenceError(f"{self.path}: frame {number} cannot be read, {self._next} before it could")
+        self._next += 1
+        encoded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        if not encoded:
+            raise SequenceError(f"{self.path}: frame {number} cannot be encoded as an image")
+        return data.tobytes()

@@ -1,0 +1,89 @@
+"""Cambridge Landmarks: `dataset_train.txt` and `dataset_test.txt` of a scene list its images with their poses.
+
+Kendall, Grimes and Cipolla, "PoseNet: A Convolutional Network for Real-Time 6-DOF Camera Relocalization", ICCV 2015.
+Three lines of header are followed by `seq1/frame00001.png X Y Z W P Q R`. X Y Z is the camera's centre C in the world,
+and W P Q R the quaternion (w, x, y, z) of the rotation R from world to camera, as in an NVM reconstruction: published
+loaders compute the translation from world to camera as -R C. So R is inverted here, and C is not.
+
+One published centre is thousands of kilometres away (Great Court, seq5/frame00297.png). Whatever is beyond 10 km is
+left out and counted. The lists have no time stamps: the images of a sequence are taken to follow each other at the
+assumed rate, although they are a video's at a lower one. Nor have they intrinsics: these come from an
+`intrinsics.json` in the scene or the folder above, and are unknown without one.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from filtering.errors import quoted
+from filtering.se3 import Poses
+from sequences.datasets.layout import Layout
+from sequences.datasets.layout_helpers.intrinsics import find_camera
+from sequences.datasets.layout_helpers.named import list_named
+from sequences.datasets.layout_helpers.pose_rows import NOT_FINITE, read_pose_row
+from sequences.datasets.posed_images import PosedImages
+from sequences.errors import SequenceError
+from sequences.files.text import read_lines
+from sequences.values import is_number
+
+_NAME = "Cambridge Landmarks"
+_COLUMNS = "file tx ty tz qw qx qy qz"  # X Y Z W P Q R
+_NUM_HEADER_LINES = 3
+_FARTHEST_M = 10_000.0
+
+
+def list_images(path: Path) -> PosedImages | None:
+    """Images of a split, given as the file that lists them; None where it is another file or a folder.
+
+    Raises:
+        SequenceError: a line is damaged, an image is listed twice, or the header is missing.
+    """
+    if re.fullmatch(r"dataset_\w+\.txt", path.name) is None or not path.is_file():
+        return None
+    poses: dict[str, Poses | str] = {}
+    lines: dict[str, int] = {}
+    for number, line in read_lines(path):
+        where, fields = f"{path}:{number}", line.split()
+        if number <= _NUM_HEADER_LINES:
+            if len(fields) == len(_COLUMNS.split()) and is_number(fields[-1]):
+                raise SequenceError(
+                    f"{where}: {quoted(line)} among the first three lines, expected them to be a header"
+                )
+            continue
+        if not fields:
+            continue
+        pose, name = read_pose_row(fields, _COLUMNS, where), fields[0]
+        if name in lines:
+            raise SequenceError(f"{where}: {quoted(name)} is on line {lines[name]} too, expected it once")
+        lines[name] = number
+        if pose is None:
+            poses[name] = NOT_FINITE
+        elif np.linalg.norm(pose.translation) > _FARTHEST_M:
+            poses[name] = "true pose more than 10 km away"
+        else:
+            poses[name] = Poses(np.ascontiguousarray(pose.rotation.T), pose.translation)
+    scene = path.absolute().parent
+    images = list_named(_NAME, path.parent, path.parent, poses, _in_no_list(path.parent))
+    camera = find_camera((scene, scene.parent), images.files)
+    return replace(images, cameras=[camera] * len(images))
+
+
+def _in_no_list(scene: Path) -> list[Path]:
+    """Folders of a scene that none of its lists names."""
+    lists = [file for file in scene.glob("dataset_*.txt") if file.is_file()]
+    named = {line.strip().partition("/")[0] for file in lists for _, line in read_lines(file)}
+    return [folder for folder in scene.iterdir() if folder.is_dir() and folder.name not in named]
+
+
+LAYOUT = Layout(
+    _NAME,
+    looked_for="dataset_train.txt",
+    order=60,
+    list_images=list_images,
+    list_suffixes=(".txt",),
+    splits=("dataset_train.txt", "dataset_test.txt"),
+)

@@ -1,0 +1,164 @@
+"""COLMAP's model, binary or text: `images`, `cameras` and usually `points3D`, which is not read.
+
+Where both are, the binary one is read, as by COLMAP itself. In `images.txt` two lines are an image: `IMAGE_ID QW QX QY
+QZ TX TY TZ CAMERA_ID NAME`, the pose world-to-camera, and its keypoints, which may be none. Names are relative to a
+folder of images that the model does not name: `images/` or the folder itself is tried, of the model's folder and of the
+two above it. The unit is that of the reconstruction and taken to be metres. There are no time stamps: images follow
+each other in the order of their names at the assumed rate, those of each folder as a sequence.
+
+Of COLMAP's camera models FOV and THIN_PRISM_FISHEYE, which OpenCV does not undistort, are refused. COLMAP has the first
+pixel's centre at (0.5, 0.5), here it is at (0, 0).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from filtering.errors import quoted
+from filtering.se3 import Poses
+from sequences.datasets.layout import Layout
+from sequences.datasets.layout_helpers.colmap_binary import camera_rows, image_rows
+from sequences.datasets.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
+from sequences.datasets.layout_helpers.named import list_named
+from sequences.datasets.layout_helpers.packed import ImageFile
+from sequences.datasets.layout_helpers.pose_rows import NOT_FINITE, read_pose_row
+from sequences.datasets.posed_images import PosedImages
+from sequences.errors import SequenceError
+from sequences.files.text import read_lines, read_rows
+from sequences.frame import Camera
+from sequences.images.undistortion import DistortionModel, Lens
+from sequences.values import parse_numbers
+
+_NAME = "COLMAP"
+_IMAGE_COLUMNS = "id qw qx qy qz tx ty tz camera name"
+_CAMERA_COLUMNS = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
+# Of each model: focal lengths among its parameters, which are followed by cx and cy; how it distorts, and the number of
+# coefficients of that, in OpenCV's order: those that it lacks are zero.
+_MODELS: dict[str, tuple[int, DistortionModel, int]] = {
+    "SIMPLE_PINHOLE": (1, "plumb_bob", 0),
+    "PINHOLE": (2, "plumb_bob", 0),
+    "SIMPLE_RADIAL": (1, "plumb_bob", 1),
+    "RADIAL": (1, "plumb_bob", 2),
+    "OPENCV": (2, "plumb_bob", 4),
+    "FULL_OPENCV": (2, "rational_polynomial", 8),
+    "SIMPLE_RADIAL_FISHEYE": (1, "equidistant", 1),
+    "RADIAL_FISHEYE": (1, "equidistant", 2),
+    "OPENCV_FISHEYE": (2, "equidistant", 4),
+}
+
+
+def list_images(path: Path) -> PosedImages | None:
+    """Images of a model; None where there is none.
+
+    Raises:
+        SequenceError: a file is cut off, a line is damaged, an image or a camera is there twice, a camera is missing
+            or of another kind, or no image is found.
+    """
+    models = [path, path / "sparse" / "0", path / "sparse"]
+    files = [(m / f"cameras{suffix}", m / f"images{suffix}") for m in models for suffix in (".bin", ".txt")]
+    found = next((both for both in files if all(file.is_file() for file in both)), None)
+    if found is None:
+        return None
+    cameras = _read_cameras(found[0])
+    poses, camera_ids = _read_images(found[1], cameras)
+    base, root = _image_folder(found[1], camera_ids)
+    folders = [Path(each) for each, _, _ in os.walk(root)] if root != base else ()  # which may hold what not
+    images = list_named(_NAME, base, root, poses, folders)
+    ids: dict[ImageFile, str] = {root / name: camera_id for name, camera_id in camera_ids.items()}
+    used = [ids[file] for file in images.files]
+    scaled = {
+        camera_id: scaled_to(cameras[camera_id], (f for f, i in zip(images.files, used, strict=True) if i == camera_id))
+        for camera_id in set(used)
+    }
+    return replace(images, cameras=[scaled[camera_id] for camera_id in used])
+
+
+def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
+    """Cameras by their ids."""
+    cameras: dict[str, Camera | Lens] = {}
+    for number, fields in camera_rows(file) if file.suffix == ".bin" else _text_cameras(file):
+        where = f"{file}:{number}"
+        if len(fields) < 4:
+            raise SequenceError(f"{where}: {len(fields)} columns, expected `{_CAMERA_COLUMNS}`")
+        camera_id, model = fields[:2]
+        if camera_id in cameras:
+            raise SequenceError(f"{where}: camera {quoted(camera_id)} for the second time, expected it once")
+        if model not in _MODELS:
+            raise SequenceError(
+                f"{where}: camera model {quoted(model)}, expected one of {', '.join(_MODELS)} (colmap"
+                " image_undistorter makes PINHOLE of any)"
+            )
+        num_focal, distortion, num_coefficients = _MODELS[model]
+        num_parameters = num_focal + 2 + num_coefficients
+        parameters = parse_numbers(fields[4:], where, f"those of `{_CAMERA_COLUMNS}`")
+        if len(parameters) != num_parameters:
+            raise SequenceError(f"{where}: {len(parameters)} parameters, expected the {num_parameters} of {model}")
+        centre = [value - 0.5 for value in parameters[num_focal : num_focal + 2]]
+        camera = camera_of(where, fields[2:4], (parameters[0], parameters[num_focal - 1]), centre)
+        coefficients = (*parameters[num_focal + 2 :], 0.0, 0.0, 0.0, 0.0)[: max(num_coefficients, 4)]
+        cameras[camera_id] = lens_of(where, camera, distortion, coefficients)
+    return cameras
+
+
+def _read_images(file: Path, cameras: dict[str, Camera | Lens]) -> tuple[dict[str, Poses | str], dict[str, str]]:
+    """Poses, or why there is none, and the ids of the cameras, both by the name of the image."""
+    poses: dict[str, Poses | str] = {}
+    camera_ids: dict[str, str] = {}
+    seen: dict[str, int] = {}
+    binary = file.suffix == ".bin"
+    for number, fields in image_rows(file) if binary else _text_images(file):
+        where = f"{file}:{number}"
+        camera_from_world = read_pose_row(fields, _IMAGE_COLUMNS, where)
+        camera_id, name = fields[8:]
+        if name in seen:
+            place = f"image {seen[name]}" if binary else f"on line {seen[name]}"
+            raise SequenceError(f"{where}: {quoted(name)} is {place} too, expected it once")
+        if camera_id not in cameras:
+            raise SequenceError(
+                f"{where}: camera {quoted(camera_id)}, expected one of those in {file.with_stem('cameras').name}"
+            )
+        seen[name] = number
+        camera_ids[name] = camera_id
+        poses[name] = NOT_FINITE if camera_from_world is None else camera_from_world.inverse()
+    return poses, camera_ids
+
+
+def _text_cameras(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Line and fields of each camera."""
+    for number, line in read_rows(file):
+        yield number, line.split()
+
+
+def _text_images(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Line and fields of each image; names may hold blanks."""
+    lines = (row for row in read_lines(file, most=None) if not row[1].startswith("#"))  # keypoints make it large
+    for number, line in lines:
+        if not line.strip():
+            continue
+        fields = [field.strip() for field in line.split(maxsplit=9)]
+        yield number, fields
+        next_number, keypoints = next(lines, (number + 1, ""))
+        if (num_columns := len(keypoints.split())) % 3:
+            raise SequenceError(
+                f"{file}:{next_number}: {num_columns} columns, expected keypoints of {quoted(fields[-1])}: `X Y"
+                " POINT3D_ID`, none or more of them"
+            )
+
+
+def _image_folder(file: Path, names: dict[str, str]) -> tuple[Path, Path]:
+    """The folder that holds all, and the one that names are relative to."""
+    model = file.absolute().parent
+    bases = [model, *model.parents[:2]]
+    folders = [(base, folder) for base in bases for folder in (base / "images", base)]
+    for base, folder in folders:
+        if any(os.path.isfile(folder / name) for name in names):
+            return base, folder
+    raise SequenceError(
+        f"{file}: none of its images found, looked in {', '.join(str(folder) for _, folder in folders)}"
+    )
+
+
+LAYOUT = Layout(_NAME, looked_for="images.bin", order=100, list_images=list_images)

@@ -1,0 +1,82 @@
+"""What lies at a path: a recording, or a data set of which layout, with which images."""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+
+from sequences.datasets import layouts
+from sequences.datasets.layout import INTRINSICS_LEVELS, Layout
+from sequences.datasets.layout_helpers.packed import PackedImage
+from sequences.datasets.posed_images import PosedImages
+from sequences.errors import SequenceError
+
+
+@cache
+def find_layouts() -> tuple[Layout, ...]:
+    """All layouts, in their order; they are imported by the first call."""
+    names = [f"{layouts.__name__}.{module.name}" for module in pkgutil.iter_modules(layouts.__path__)]
+    return tuple(sorted((import_module(name).LAYOUT for name in names), key=lambda layout: layout.order))
+
+
+def list_images(path: Path) -> PosedImages:
+    """Images and true poses of a data set, none of them read yet.
+
+    Args:
+        path: A folder of any of the `sequences.datasets.layouts`; or a file: by which 7-Scenes or Cambridge Landmarks
+            list a split, such as `chess/TrainSplit.txt` or `ShopFacade/dataset_test.txt`, an `.r3d`, or nerfstudio's
+            `transforms_train.json`.
+
+    Raises:
+        SequenceError: the layout is unknown, a file is missing or damaged, or no image has a true pose.
+    """
+    path = Path(path)
+    images = next((images for layout in find_layouts() if (images := layout.list_images(path)) is not None), None)
+    if images is None:
+        raise SequenceError(f"{path}: {_what_is_there(path)}")
+    if not len(images):
+        raise SequenceError(f"{path}: no image with a true pose: {dict(images.skipped)}; expected at least one")
+    return images
+
+
+def files_read(path: Path) -> Iterator[Path]:
+    """Files and folders that a recording or data set is read from, for outputs: they must be none of these.
+
+    Of a data set these are its folder, or that of the list, images that lie elsewhere, and `intrinsics.json` above it.
+    Of what cannot be read, what is known of it.
+    """
+    path = Path(path)
+    yield path
+    if is_recording(path):
+        return
+    folder = path.parent if any(path.suffix in layout.list_suffixes for layout in find_layouts()) else path
+    yield folder
+    yield from (above / "intrinsics.json" for above in folder.absolute().parents[:INTRINSICS_LEVELS])
+    with suppress(SequenceError):
+        yield from (image.path if isinstance(image, PackedImage) else image for image in list_images(path).files)
+
+
+def _what_is_there(path: Path) -> str:
+    if path.is_file():
+        return "is a file, expected the folder of a data set or the list of a split"
+    if any(path.glob("*.mcap")):
+        return "has .mcap files and no metadata.yaml, expected them one by one (`ros2 bag reindex` writes one)"
+    names = dict.fromkeys(name for layout in find_layouts() for name in layout.splits)
+    folders_first = sorted(names, key=lambda name: "." in name)
+    if splits := [name for name in folders_first if (path / name).exists()]:
+        return f"no sequence or data set, perhaps its {' or '.join(splits)} is meant"
+    looked_for = f"looked for an .mcap file, metadata.yaml, {', '.join(layout.looked_for for layout in find_layouts())}"
+    return f"{'no sequence or data set' if path.exists() else 'no such folder or file'}; {looked_for}"
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a path is taken for an MCAP file or rosbag2 folder, rather than images on disk or the list of a split."""
+    if not path.is_file():
+        return (path / "metadata.yaml").is_file()
+    if path.suffix == ".mcap":  # no layout needs to be asked
+        return True
+    return not any(path.suffix in (*layout.list_suffixes, *layout.archive_suffixes) for layout in find_layouts())

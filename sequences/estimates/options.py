@@ -1,0 +1,35 @@
+"""How to read files of estimates, as a person states it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from filtering.motion import MotionNoise
+from sequences.errors import SequenceError
+from sequences.estimates.pose_files import Direction
+from sequences.frame import ASSUMED_HZ
+from sequences.odometry import OdometryNoise
+
+
+@dataclass(frozen=True)
+class EstimateOptions:
+    """How to read estimates."""
+
+    direction: Direction | None = None
+    """Which way the poses of named frames map, in all files. TUM trajectories are camera-to-world."""
+    unit_m: float = 1.0
+    """The unit of length of all files, in metres: 0.001 where they are in millimetres."""
+    rate_hz: float = float(ASSUMED_HZ)
+    """Named frames have no stamps: how many there are in a second."""
+    noise: OdometryNoise = field(default_factory=OdometryNoise)
+    """Of simulated odometry."""
+    motion_noise: MotionNoise = field(default_factory=MotionNoise)
+    """Of recorded odometry, whose text states none."""
+    allow_few_images: bool = False
+    """Localize also where odometry covers fewer than one in ten of the estimated frames."""
+
+    def __post_init__(self) -> None:
+        if not 1e-3 <= self.rate_hz <= 1e6:
+            raise SequenceError(f"rate_hz is {self.rate_hz}, expected between 0.001 and 1e6")
+        if not 1e-6 <= self.unit_m <= 1e6:
+            raise SequenceError(f"unit_m is {self.unit_m}, expected between 1e-6 and 1e6")

@@ -1,0 +1,173 @@
+"""Sequences without images: per frame the pose estimates of others, with odometry and true poses."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.estimates.options import EstimateOptions
+from sequences.estimates.pose_files import PoseFile, natural_order, read_poses
+from sequences.estimates.tracks import OdometryTrack, frame_stamps
+from sequences.frame import BASE_FROM_CAMERA, Frame
+from sequences.odometry import simulate_odometry
+from sequences.reading.counts import NO_ESTIMATE, ImageCounts
+from sequences.trajectories.interpolation import MAX_TRUE_POSE_GAP_S, interpolate
+
+_NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
+
+
+@dataclass(frozen=True)
+class EstimatedFrame(Frame):
+    """A frame of which estimates are known instead of the image, which is empty.
+
+    Attributes:
+        estimates: world_from_camera by each of the files, homogeneous matrices; NaN where a file has none.
+    """
+
+    estimates: Float64[np.ndarray, "files 4 4"] = field(kw_only=True)
+
+
+class EstimateSequence:
+    """Frames that at least one file has an estimate of, in order of time.
+
+    Frames whose names begin differently are of different sequences. These follow each other with a second between, and
+    the first frame of each has no odometry: what is localized starts anew. A frame without any estimate is left out;
+    the odometry of the next one reaches across it, so a filter predicts over it.
+
+    Args:
+        estimates: Files of estimates, one for each method.
+        odometry: Poses of the camera in any frame: only their relative motion counts.
+        simulate_odometry_from: True poses to simulate odometry from, where there is none.
+        ground_truth: True poses; None for those that the odometry is simulated from.
+        options: How to read them.
+        seed: Of simulated odometry.
+
+    Raises:
+        SequenceError: a file cannot be used, some have names and some have stamps, odometry is given twice or not at
+            all, or no frame is left.
+    """
+
+    def __init__(
+        self,
+        estimates: Sequence[Path],
+        *,
+        odometry: Path | None = None,
+        simulate_odometry_from: Path | None = None,
+        ground_truth: Path | None = None,
+        options: EstimateOptions | None = None,
+        seed: int = 0,
+    ) -> None:
+        if not estimates:
+            raise SequenceError("no file of estimates, expected at least one")
+        if (odometry is None) == (simulate_odometry_from is None):
+            raise SequenceError(
+                "a filter needs odometry: expected either a file of it, or true poses to simulate it from"
+            )
+        self._options = options or EstimateOptions()
+        self.files = [self._read(path) for path in estimates]
+        source = self._read(simulate_odometry_from or odometry or Path())
+        truth_path = ground_truth or simulate_odometry_from
+        truth = None if truth_path is None else self._read(truth_path)
+        given = [*self.files, source, *([] if truth is None else [truth])]
+        for file in given:
+            if file.timed != given[0].timed:
+                raise SequenceError(
+                    f"{file.path}: frames by {'stamps' if file.timed else 'names'}, but those of {given[0].path} by"
+                    f" {'stamps' if given[0].timed else 'names'}, expected all alike"
+                )
+        self.path = self.files[0].path
+        self.counts = ImageCounts(0)
+        self._times_ns = frame_stamps(given, self._options.rate_hz)
+        self._frames = sorted({frame for file in self.files for frame in file.frames}, key=natural_order)
+        self._rows = [{frame: i for i, frame in enumerate(file.frames)} for file in self.files]
+        self._truth = truth
+        self._all = source if truth is None else truth  # the frames that there could be estimates of
+        self._tracks = self._odometry(source, None if simulate_odometry_from is None else seed)
+        self.odometry_description = f"recorded: {source.path.name}"
+        if simulate_odometry_from is not None:
+            settings = self._options.noise.settings
+            self.odometry_description = f"simulated from {source.path.name}: {settings}, seed {seed}"
+        self.num_images = len(self._frames)
+
+    @property
+    def skipped(self) -> Counter[str]:
+        """How many frames of the latest iteration were left out, by reason."""
+        return self.counts.skipped
+
+    def __iter__(self) -> Iterator[EstimatedFrame]:
+        unseen = 0 if self._all.timed else len(set(self._all.frames) - set(self._frames))
+        self.counts = ImageCounts(self.num_images + unseen, self.num_images + unseen)
+        self.counts.skipped += Counter({NO_ESTIMATE: unseen})
+        true_poses, known = self._true_poses()
+        previous: tuple[str, int] | None = None
+        for i, frame in enumerate(self._frames):
+            time_ns, track = self._times_ns[frame], self._tracks.get(frame.sequence)
+            if track is None or not track.covers(time_ns):
+                self.counts.skipped["odometry does not cover"] += 1
+                continue
+            motion = None
+            if previous is not None and previous[0] == frame.sequence:
+                motion = track.between(previous[1], time_ns, self._options.motion_noise)
+            previous = frame.sequence, time_ns
+            self.counts.used += 1
+            matrices = np.full((len(self.files), 4, 4), np.nan)
+            for file, rows, matrix in zip(self.files, self._rows, matrices, strict=True):
+                if frame in rows:
+                    matrix[:] = file.poses[rows[frame]].as_matrix()
+            truth = true_poses[i] if true_poses is not None and known[i] else None
+            yield EstimatedFrame(time_ns, _NO_IMAGE, motion, truth, estimates=matrices)
+        if previous is None:
+            raise SequenceError(f"{self.path}: no frame is left: {dict(self.skipped)}, expected odometry for some")
+
+    @property
+    def interval_s(self) -> float:
+        """Median time between frames of a sequence, in seconds; infinite where no sequence has two."""
+        times_ns = np.array([self._times_ns[frame] for frame in self._frames], np.int64)
+        sequence = np.array([frame.sequence for frame in self._frames])
+        steps = np.diff(times_ns)[sequence[1:] == sequence[:-1]]
+        return float(np.median(steps)) * 1e-9 if len(steps) else np.inf
+
+    @property
+    def speed_m_per_s(self) -> float:
+        """Median speed of the camera by odometry, m/s; 0 where no sequence has two poses."""
+        speeds = [
+            np.linalg.norm(np.diff(track.odom_from_base.translation, axis=0), axis=1) / (np.diff(track.times_ns) * 1e-9)
+            for track in self._tracks.values()
+            if len(track.times_ns) > 1
+        ]
+        return float(np.median(np.concatenate(speeds))) if speeds else 0.0
+
+    def _read(self, path: Path) -> PoseFile:
+        file = read_poses(path, self._options.direction)
+        return replace(file, poses=Poses(file.poses.rotation, file.poses.translation * self._options.unit_m))
+
+    def _odometry(self, source: PoseFile, seed: int | None) -> dict[str, OdometryTrack]:
+        """One track for each sequence, of the body, in whose axes noise is stated; simulated with a seed."""
+        rng = None if seed is None else np.random.default_rng(seed)
+        tracks = {}
+        for sequence in dict.fromkeys(frame.sequence for frame in source.frames):
+            rows = [i for i, frame in enumerate(source.frames) if frame.sequence == sequence]
+            times_ns = np.array([self._times_ns[source.frames[i]] for i in rows], np.int64)
+            poses = source.poses[rows] @ BASE_FROM_CAMERA.inverse()
+            covariances = np.zeros((len(rows), 6, 6))  # unknown: the motion noise speaks
+            if rng is not None:
+                poses, covariances = simulate_odometry(times_ns, poses, self._options.noise, rng=rng)
+            tracks[sequence] = OdometryTrack(times_ns, poses, covariances)
+        return tracks
+
+    def _true_poses(self) -> tuple[Poses | None, np.ndarray]:
+        """True poses of all frames, and which of them are known."""
+        if self._truth is None:
+            return None, np.zeros(len(self._frames), bool)
+        known_ns = np.array([self._times_ns[frame] for frame in self._truth.frames], np.int64)
+        times_ns = np.array([self._times_ns[frame] for frame in self._frames], np.int64)
+        # Stamps of true poses may lie between those of frames; names are the same or they are not.
+        max_gap_s = MAX_TRUE_POSE_GAP_S if self._truth.timed else 0.0
+        return interpolate(known_ns, self._truth.poses, times_ns, max_gap_s=max_gap_s)

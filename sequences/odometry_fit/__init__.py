@@ -1,0 +1,1 @@
+"""How wrong odometry is, from recordings that have true poses as well: white noise, drift and scale error."""

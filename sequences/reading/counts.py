@@ -1,0 +1,75 @@
+"""How many images a recording states, and what became of each."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+OUTSIDE = "outside the stretch asked for"
+NO_ESTIMATE = "no estimate"
+"""Frames that others' estimates leave out, as those of a part of a walk do: they were not asked for either."""
+_NOT_ASKED = (OUTSIDE, NO_ESTIMATE)
+_FEW, _VERY_FEW = 0.5, 0.1  # fractions of the images asked for
+
+
+@dataclass
+class ImageCounts:
+    """Images of one reading; once it is complete, `stated` = `used` + all of `skipped`: a reader sees to that.
+
+    Attributes:
+        stated: How many there are, as the file states it, or as counted where it does not.
+        read: How many came: fewer where reading ended behind the segment asked for.
+        used: How many became frames.
+        skipped: How many did not, by reason.
+    """
+
+    stated: int
+    read: int = 0
+    used: int = 0
+    skipped: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def are_complete(self) -> bool:
+        """Whether all images are accounted for: who takes frames may have stopped before."""
+        return self.stated == self.used + self.skipped.total()
+
+    @property
+    def are_very_few(self) -> bool:
+        """Whether fewer than one in ten of the images asked for were used."""
+        return self.are_complete and self.used < _VERY_FEW * self._asked
+
+    @property
+    def warning(self) -> str | None:
+        """A sentence where fewer than half of the images asked for were used, with the main reason; None elsewhere."""
+        if not self.are_complete or self.used >= _FEW * self._asked:
+            return None
+        ((reason, number),) = self._lost.most_common(1)
+        return f"Only {self.used} of {self._asked} images were used: {number} were skipped, {reason}."
+
+    def taken(self, number: int) -> ImageCounts:
+        """The same where only so many frames were taken, and no others asked for."""
+        others = self.stated - number - self.skipped.total()
+        return replace(self, used=number, skipped=self.skipped + Counter({OUTSIDE: others}))
+
+    def __add__(self, other: ImageCounts) -> ImageCounts:
+        return ImageCounts(
+            self.stated + other.stated, self.read + other.read, self.used + other.used, self.skipped + other.skipped
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """For a report."""
+        return {
+            "stated": self.stated,
+            "read": self.read,
+            "used": self.used,
+            "skipped": dict(sorted(self.skipped.items())),
+        }
+
+    @property
+    def _asked(self) -> int:
+        return self.stated - sum(self.skipped[reason] for reason in _NOT_ASKED)
+
+    @property
+    def _lost(self) -> Counter[str]:
+        return Counter({reason: number for reason, number in self.skipped.items() if reason not in _NOT_ASKED})

@@ -1,0 +1,159 @@
+"""The state of one reading: images wait, still encoded, until odometry and true poses have come as far."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+from sequences.errors import SequenceError
+from sequences.frame import Frame
+from sequences.images.headers import why_left_out
+from sequences.images.streams import Picture
+from sequences.options import SequenceOptions
+from sequences.reading.camera_info import ImageCamera
+from sequences.reading.counts import OUTSIDE
+from sequences.reading.left_out import LeftOut
+from sequences.reading.motion import MotionOfCamera
+from sequences.reading.requested_segment import RequestedSegment
+from sequences.reading.roles import Roles
+from sequences.reading.stamps import Clocks, Stamps, odometry_apart
+from sequences.recordings.bag import RawMessage
+from sequences.recordings.messages import stamp_ns
+
+_MAX_WAITING = 64  # images held, still encoded, until odometry and true poses reach them
+_SORTED_WITHIN_S = 0.5  # images are held until one so much later has come, and so put in the order of their stamps
+
+
+class FramePairing:
+    """Messages in, in the order of a recording; frames out, in the order of their stamps.
+
+    Attributes:
+        left_out: What becomes of the images, and what is left out.
+        segment: Which images are asked for.
+        motion: Odometry and true poses.
+    """
+
+    def __init__(
+        self, path: Path, roles: Roles, options: SequenceOptions, camera: ImageCamera, num_images: int
+    ) -> None:
+        """Set up a reading that no message was taken into yet."""
+        clocks = Clocks()
+        self.left_out = LeftOut(num_images)
+        self.segment = RequestedSegment(options.start_s, options.duration_s)
+        self.motion = MotionOfCamera(path, roles, options, self.left_out, clocks)
+        self._path, self._roles, self._camera, self._clocks = path, roles, camera, clocks
+        self._counts = self.left_out.counts
+        self._images = roles.open_images()
+        # A heap: what they are ordered by, how many came before, stamps, and messages, None for lost ones.
+        self._waiting: list[tuple[int, int, int, SimpleNamespace | None]] = []
+        self._image_stamps = Stamps()
+        self._previous_ns: int | None = None  # stamp of the last frame
+        self._previous_covered = False  # by odometry
+        self._span_ns: tuple[int, int] | None = None  # stamps of the first and the last frame
+
+    def take(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+        """Take one message in, of whichever topic; None for bytes that are no message.
+
+        Raises:
+            SequenceError: a camera that should be fixed moves, or a message says no pose.
+        """
+        if raw.topic == self._roles.image.name:
+            self._counts.read += 1
+            self._take_image(raw, message)
+        elif message is None:
+            self.left_out.message("unusable odometry", raw.log_time_ns)
+        else:
+            before_images = self._previous_ns is None and not self._waiting
+            self.motion.take(raw, message, before_images=before_images)
+
+    def _take_image(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+        time_ns = stamp_ns(message.header) if message is not None else 0
+        is_ahead = message is not None and self._clocks.jump_ahead(time_ns, raw.log_time_ns, raw.topic)
+        if message is None or is_ahead:
+            self.left_out.image("time stamp far ahead" if is_ahead else "undecodable image", raw.log_time_ns)
+            if self._images.remembers:  # those after it build on it
+                self._wait(self._image_stamps.end_ns, None)
+            return
+        self._image_stamps.take(time_ns, raw.log_time_ns)
+        self.segment.take_image(time_ns, raw.log_time_ns)
+        if self._images.remembers or self.segment.has(time_ns):
+            self._wait(time_ns, message)
+        else:
+            self._counts.skipped[OUTSIDE] += 1
+
+    def _wait(self, time_ns: int, message: SimpleNamespace | None) -> None:
+        """Have an image wait: in the order of stamps, or as it came where those after it build on it."""
+        order = 0 if self._images.remembers else time_ns
+        heapq.heappush(self._waiting, (order, self._counts.read, time_ns, message))
+
+    def ready_frames(self, *, at_end: bool = False) -> Iterator[Frame]:
+        """Frames of the images that need to wait no longer."""
+        while self._waiting and (at_end or len(self._waiting) > _MAX_WAITING or self._is_due(self._waiting[0][2])):
+            _, _, time_ns, message = heapq.heappop(self._waiting)
+            yield from self._frames(self._images.take(time_ns, message))
+        if at_end:
+            yield from self._frames(self._images.finish())
+
+    def _is_due(self, time_ns: int) -> bool:
+        """Whether no image before this one is to be expected any more, and odometry and true poses have come as far."""
+        in_order = self._images.remembers or self._image_stamps.end_ns - time_ns >= _SORTED_WITHIN_S * 1e9
+        return in_order and self.motion.reaches(time_ns)
+
+    def _frames(self, pictures: Iterable[Picture]) -> Iterator[Frame]:
+        for picture in pictures:
+            if not self.segment.has(picture.time_ns):
+                self._counts.skipped[OUTSIDE] += 1
+            elif (frame := self._frame(picture)) is not None:
+                self._counts.used += 1
+                yield frame
+
+    def _frame(self, picture: Picture) -> Frame | None:
+        """The frame of an image; None, and a count of why, where it is skipped."""
+        time_ns, previous_ns = picture.time_ns, self._previous_ns
+        if picture.skipped:
+            return self.left_out.image(picture.skipped, time_ns)
+        if previous_ns is not None and time_ns <= previous_ns:
+            return self.left_out.image("time stamp not increasing", time_ns)
+        covered = self.motion.covers(time_ns)
+        if self._roles.odometry_required and not covered:
+            return self.left_out.image("odometry does not cover", time_ns)
+        try:
+            image = picture.decode()
+        except SequenceError as error:
+            return self.left_out.image(why_left_out(error), time_ns, error)
+        odometry = None
+        if previous_ns is not None and covered and self._previous_covered:
+            odometry = self.motion.odometry_between(previous_ns, time_ns)
+        truth = self.motion.true_pose(time_ns)
+        self.motion.forget_before(time_ns)
+        self._previous_ns, self._previous_covered = time_ns, covered
+        self._span_ns = (self._span_ns[0] if self._span_ns else time_ns, time_ns)
+        image, camera = self._camera.seen(image)
+        return Frame(time_ns, image, odometry, truth, camera)
+
+    def account_for_the_rest(self) -> None:
+        """Count the images that were not read as outside the segment; raise SequenceError where one is missing."""
+        counts = self._counts
+        if unread := counts.stated - counts.read:
+            counts.skipped[OUTSIDE] += unread
+        if not counts.are_complete:
+            raise SequenceError(
+                f"{self._path}: {self._roles.image.name}: {counts.used} images used and"
+                f" {counts.skipped.total()} skipped, expected the {counts.stated} that are stated"
+            )
+
+    def require_stamps(self) -> None:
+        """Raise SequenceError where all images, or all messages of odometry, have one and the same stamp."""
+        self._image_stamps.require_differing(self._path, "images")
+        if self._roles.odometry_required:
+            self.motion.odometry_stamps.require_differing(self._path, "messages of odometry")
+
+    def odometry_apart(self) -> str | None:
+        """What to say where odometry is of another time than all images: by another clock. None elsewhere."""
+        return odometry_apart(self._image_stamps, self.motion.odometry_span_ns)
+
+    def true_poses_apart(self) -> str | None:
+        """What to say where there are true poses, but none of the time of an image; None elsewhere."""
+        return self.motion.true_poses_apart(self._span_ns)

@@ -1,0 +1,187 @@
+"""Odometry and true poses of one reading: taken in message by message, asked for image by image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from filtering.errors import VaporTrackError
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.options import SequenceOptions
+from sequences.reading.left_out import LeftOut
+from sequences.reading.pose_source import PoseSource
+from sequences.reading.roles import Roles
+from sequences.reading.stamps import (
+    MAX_LATENESS_S,
+    Clocks,
+    Stamps,
+    jumps_of_true_poses,
+    true_poses_apart,
+)
+from sequences.recordings.bag import RawMessage
+from sequences.recordings.messages import odometry_from_message, stamp_ns
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
+from sequences.trajectories.pose_window import PoseWindow
+
+
+class MotionOfCamera:
+    """How the camera moved, by odometry and by true poses, as far as a recording was read.
+
+    Attributes:
+        across_jumps: How many frames have no true pose as it jumps about them.
+        odometry_stamps: Stamps of the messages of odometry.
+    """
+
+    def __init__(self, path: Path, roles: Roles, options: SequenceOptions, left_out: LeftOut, clocks: Clocks) -> None:
+        """Set up what no message was taken into yet."""
+        self.across_jumps = 0
+        self.odometry_stamps = Stamps()
+        self._path, self._roles, self._left_out, self._clocks = path, roles, left_out, clocks
+        self._motion_noise = options.motion_noise
+        self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
+        self._moves_from_ns: int | None = None  # where the camera began to move on the base
+        self._odometry = PoseWindow(MAX_ODOMETRY_GAP_S)
+        self._odometry_source = roles.tree_odometry.open() if roles.tree_odometry is not None else None
+        self._truth = roles.truth.open() if roles.truth is not None else None
+        self._origin = np.array(options.ground_truth_origin or (0.0, 0.0, 0.0))
+        self._num_true = 0
+
+    def take(self, raw: RawMessage, message: SimpleNamespace, *, before_images: bool) -> None:
+        """Take one message in that is no image.
+
+        Args:
+            raw: The message.
+            message: Its fields.
+            before_images: Whether no image came so far: there is nothing to remember but what a late one may ask for.
+
+        Raises:
+            SequenceError: a camera that should be fixed moves, or a message says no pose.
+        """
+        self._check_extrinsics(raw, message)
+        if self._roles.odometry is not None and raw.topic == self._roles.odometry.name:
+            self._take_odometry(raw, message, before_images)
+        for source, what in ((self._odometry_source, "odometry"), (self._truth, "true pose")):
+            if source is not None and source.topic == raw.topic:
+                self._take_poses(raw, message, source, what, before_images)
+
+    def _check_extrinsics(self, raw: RawMessage, message: SimpleNamespace) -> None:
+        """Take a message of tf: a camera that moves on its base has no odometry, where it can do without."""
+        roles = self._roles
+        for extrinsics in (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None):
+            if extrinsics is None or raw.topic not in extrinsics.told_on:
+                continue
+            try:
+                extrinsics.require_fixed(raw, message)
+            except SequenceError as error:
+                if extrinsics is not roles.extrinsics or roles.odometry_required:
+                    raise SequenceError(f"{self._path}: {error}") from error
+                if self._moves_from_ns is None:
+                    reason = "odometry from where the camera moved on its base"
+                    self._left_out.message(reason, raw.log_time_ns, error)
+                    self._moves_from_ns = min(stamp_ns(stamped.header) for stamped in message.transforms)
+
+    def _take_odometry(self, raw: RawMessage, message: SimpleNamespace, before_images: bool) -> None:
+        time_ns = stamp_ns(message.header)
+        if self._clocks.jump_ahead(time_ns, raw.log_time_ns, raw.topic):
+            self._left_out.message("odometry time stamp far ahead", raw.log_time_ns)
+            return
+        self.odometry_stamps.take(time_ns, raw.log_time_ns)
+        try:
+            sample = odometry_from_message(message)
+        except VaporTrackError as error:
+            if not self._roles.odometry_required:
+                self._left_out.message("unusable odometry", time_ns, error)
+                return
+            raise SequenceError(f"{self._path}: {raw.topic} at {time_ns} ns: odometry: {error}") from error
+        if not self._odometry.append(time_ns, sample.odom_from_base, sample.twist_covariance):
+            self._left_out.message("odometry time stamp not increasing", time_ns)
+        if before_images:
+            self._odometry.forget_before(time_ns - int(MAX_LATENESS_S * 1e9))
+
+    def _take_poses(
+        self, raw: RawMessage, message: SimpleNamespace, source: PoseSource, what: str, before_images: bool
+    ) -> None:
+        try:
+            samples = source.samples(message)
+        except VaporTrackError as error:
+            stamp = f"{stamp_ns(message.header)} ns" if hasattr(message, "header") else f"{raw.log_time_ns} ns (logged)"
+            raise SequenceError(f"{self._path}: {raw.topic} at {stamp}: {what}: {error}") from error
+        for sample in samples:
+            if self._clocks.jump_ahead(sample.time_ns, raw.log_time_ns, (what, sample.link)):
+                self._left_out.message(f"{what} time stamp far ahead", raw.log_time_ns)
+                continue
+            if not source.append(sample):
+                self._left_out.message(f"{what} time stamp not increasing", sample.time_ns)
+            if before_images:
+                source.forget_before(sample.time_ns - int(MAX_LATENESS_S * 1e9))
+
+    def reaches(self, time_ns: int) -> bool:
+        """Whether odometry and true poses have come as far as a time."""
+        return (
+            (self._roles.odometry is None or self._odometry.reaches(time_ns))
+            and (self._odometry_source is None or self._odometry_source.reaches(time_ns))
+            and (self._truth is None or self._truth.reaches(time_ns))
+        )
+
+    def forget_before(self, time_ns: int) -> None:
+        """Learn that no earlier time will be asked for."""
+        self._odometry.forget_before(time_ns)
+        for source in (self._odometry_source, self._truth):
+            if source is not None:
+                source.forget_before(time_ns)
+
+    def covers(self, time_ns: int) -> bool:
+        """Whether odometry tells where the base was; of a tree it becomes a pose like those of a topic."""
+        if self._odometry_source is None:
+            return self._roles.odometry is not None and self._odometry.at(time_ns) is not None
+        pose = self._odometry_source.at(time_ns)
+        return pose is not None and (self._odometry.append(time_ns, pose) or self._odometry.at(time_ns) is not None)
+
+    def odometry_between(self, start_ns: int, end_ns: int) -> Odometry | None:
+        """Odometry of the camera between two covered times; None where it had begun to move on the base."""
+        moves = self._moves_from_ns is not None and end_ns >= self._moves_from_ns
+        if self._base_from_camera is None or moves:
+            return None
+        return self._odometry.odometry_between(
+            start_ns, end_ns, base_from_camera=self._base_from_camera, motion_noise=self._motion_noise
+        )
+
+    def true_pose(self, time_ns: int) -> Poses | None:
+        """True pose of the camera at one time, one pose; None, and counted where it jumps, where there is none."""
+        if self._truth is None:
+            return None
+        if self._truth.jumps_at(time_ns):
+            self.across_jumps += 1
+            return None
+        pose = self._truth.at(time_ns)
+        if pose is None:
+            return None
+        self._num_true += 1
+        return Poses(pose.rotation, pose.translation - self._origin)
+
+    @property
+    def odometry_span_ns(self) -> tuple[int, int] | None:
+        """First and last stamp of the odometry; None where there is none."""
+        if self._odometry_source is not None:
+            return self._odometry_source.span_ns
+        stamps = self.odometry_stamps
+        return (stamps.begin_ns, stamps.end_ns) if stamps.number else None
+
+    def true_poses_apart(self, frames_ns: tuple[int, int] | None) -> str | None:
+        """What to say where there are true poses, but none of the time of a frame; None elsewhere."""
+        if self._truth is None or self._roles.truth is None or self._num_true or frames_ns is None:
+            return None
+        return true_poses_apart(self._roles.truth.said, self._truth.span_ns, frames_ns)
+
+    def jumps(self) -> list[str]:
+        """What to say of jumps of the true poses, once all were read."""
+        if self._truth is None or self._roles.truth is None:
+            return []
+        number, first_ns = self._truth.finish()
+        if first_ns is None:
+            return []
+        return [jumps_of_true_poses(self._roles.truth.said, number, first_ns, self.across_jumps)]

@@ -1,0 +1,70 @@
+"""What gives poses of the camera over time, asked for one time after the other."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from types import SimpleNamespace
+from typing import NamedTuple
+
+from filtering.se3 import Poses
+
+MAX_GAP_S = 0.25
+MAX_STILL_GAP_S = 2.0
+
+
+class Sample(NamedTuple):
+    """One pose out of a message: of which link it is, its stamp, and itself."""
+
+    link: tuple[str, str]
+    time_ns: int
+    pose: Poses
+
+
+class Jumps(NamedTuple):
+    """How many jumps there are, and when the first was over, integer nanoseconds."""
+
+    number: int
+    first_ns: int | None
+
+
+class PoseSource(ABC):
+    """Poses of the camera in one frame over time, taken in as a recording is read.
+
+    Attributes:
+        topic: Where its messages are; empty where all poses are known before, and none is taken in.
+    """
+
+    topic: str = ""
+
+    def samples(self, message: SimpleNamespace) -> list[Sample]:
+        """What a message says. Raises VaporTrackError where that is no pose."""
+        return []
+
+    def append(self, sample: Sample) -> bool:
+        """Take it in; False where it is earlier than the one before, or a second one of its time."""
+        return True
+
+    def reaches(self, time_ns: int) -> bool:
+        """Whether everything there is to know about this time has been read."""
+        return True
+
+    def forget_before(self, time_ns: int) -> None:
+        """Learn that no earlier time will be asked for."""
+        return
+
+    @abstractmethod
+    def at(self, time_ns: int) -> Poses | None:
+        """The camera's pose, one pose; None where it is not covered."""
+
+    @abstractmethod
+    def jumps_at(self, time_ns: int) -> bool:
+        """Whether the pose at this time would be interpolated across a jump."""
+
+    @abstractmethod
+    def finish(self) -> Jumps:
+        """All jumps, once no message comes any more."""
+
+    @property
+    @abstractmethod
+    def span_ns(self) -> tuple[int, int] | None:
+        """Stamps between which there are poses; None before any came."""

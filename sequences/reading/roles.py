@@ -1,0 +1,150 @@
+"""Which topic, frame or file of a recording gives images, odometry, true poses and intrinsics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.frame import Trajectory
+from sequences.images.decoding import decode_compressed_image, decode_image
+from sequences.images.streams import ImageStream, Stills
+from sequences.images.video import Video
+from sequences.options import OdometryUse, SequenceOptions, TruePoseUse, pose_of_numbers
+from sequences.reading.extrinsics import Extrinsics, find_extrinsics
+from sequences.reading.linked_poses import poses_of_topic
+from sequences.reading.odometry_track import odometry_track
+from sequences.reading.pose_routes import PoseRoute, tree_odometry
+from sequences.reading.pose_source import PoseSource
+from sequences.reading.rig import Rig
+from sequences.reading.true_poses import find_true_poses
+from sequences.recordings.bag import Bag, Topic
+from sequences.recordings.messages import frame_name
+from sequences.recordings.topics import choose, first
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
+
+_IMAGE_STREAMS: dict[str, Callable[[], ImageStream]] = {
+    "sensor_msgs/Image": partial(Stills, decode_image),
+    "sensor_msgs/CompressedImage": partial(Stills, decode_compressed_image),
+    "foxglove_msgs/CompressedVideo": partial(Video, "format"),
+    "ffmpeg_image_transport_msgs/FFMPEGPacket": partial(Video, "encoding"),
+}
+_TRANSPORTS = ("compressed", "ffmpeg", "foxglove")  # by the habit of image_transport, the last part of a topic's name
+
+
+class Roles:
+    """Which topic, frame or file plays which role: the one named by an option, or the only one of its kind."""
+
+    def __init__(self, bag: Bag, options: SequenceOptions, odometry: OdometryUse, true_poses: TruePoseUse):
+        image = choose(bag, "image", tuple(_IMAGE_STREAMS), options.image_topic, required=True)
+        assert image is not None
+        self.image = image
+        self._bag, self._options = bag, options
+        self.open_images()  # what it needs may not be installed
+        self.odometry_required = odometry == "required"
+        self.truth_required = true_poses == "required"
+        self.odometry: Topic | None = None
+        self.tree_odometry: PoseRoute | None = None
+        self.extrinsics: Extrinsics | None = None
+        given = options.base_from_camera
+        rig = Rig(self._camera_frame(), base_from_camera=None if given is None else pose_of_numbers(given))
+        if odometry != "unread":
+            try:
+                rig = self._find_odometry(rig)
+            except SequenceError:
+                if self.odometry_required:
+                    raise
+                self.odometry = self.tree_odometry = self.extrinsics = None
+        # Where nothing is to be found by itself, an empty name says so.
+        needed = self.truth_required and options.ground_truth_topic != ""
+        self.truth = find_true_poses(bag, options, rig, required=needed, odometry=self._odometry_track)
+        info_name = options.camera_info_topic
+        if info_name is None:
+            # By the habit of ROS and of Foxglove, the intrinsics lie beside the image topic.
+            parts = image.name.split("/")
+            folder = "/".join(parts[: -2 if parts[-1] in _TRANSPORTS else -1])
+            beside = (f"{folder}/{name}" for name in ("camera_info", "calibration"))
+            info_name = next((name for name in beside if name in bag.topics), None)
+        self.camera_info = choose(bag, "camera-info", ("sensor_msgs/CameraInfo",), info_name)
+
+    def open_images(self) -> ImageStream:
+        """A stream of the images that no message was taken into yet. Raises SequenceError where PyAV is wanting."""
+        try:
+            return _IMAGE_STREAMS[self.image.read_as]()
+        except SequenceError as error:
+            raise SequenceError(f"{self._bag.path}: {self.image.name} ({self.image.type}): {error}") from error
+
+    def _camera_frame(self) -> str:
+        """Frame of the camera; '' where nothing says it."""
+        if self._options.camera_frame:
+            return frame_name(self._options.camera_frame)
+        try:
+            return frame_name(first(self._bag, self.image).header.frame_id)
+        except SequenceError:  # told when the images are read
+            return ""
+
+    def _find_odometry(self, rig: Rig) -> Rig:
+        """Find odometry, of a topic or else of tf, and extrinsics; the rig with what that tells."""
+        bag, options = self._bag, self._options
+        if options.odometry_frame is not None:
+            return self._take_tree(rig)
+        try:
+            topic = choose(
+                bag,
+                "odometry",
+                ("nav_msgs/Odometry",),
+                options.odometry_topic,
+                required=True,
+                besides=options.ground_truth_topic,
+            )
+        except SequenceError as error:
+            if options.odometry_topic is not None or any(t.type == "nav_msgs/Odometry" for t in bag.topics.values()):
+                raise
+            try:
+                return self._take_tree(rig)
+            except SequenceError as without:
+                raise SequenceError(f"{error}; {str(without).removeprefix(f'{bag.path}: ')}") from error
+        assert topic is not None
+        self.odometry = topic
+        message = first(bag, topic)
+        base, frame = frame_name(message.child_frame_id), frame_name(message.header.frame_id)
+        rig = replace(rig, base=base, odometry_topic=topic.name, odometry_frame=frame)
+        if rig.base_from_camera is not None:
+            self.extrinsics = Extrinsics(rig.base_from_camera)
+        else:
+            self.extrinsics = find_extrinsics(
+                bag, base, rig.camera, body_is=f" ({topic.name}, child frame)", camera_is=f" ({self.image.name})"
+            )
+        return rig
+
+    def _take_tree(self, rig: Rig) -> Rig:
+        self.tree_odometry, rig = tree_odometry(self._bag, self._options, rig)
+        self.extrinsics = self.tree_odometry.extrinsics
+        return rig
+
+    def _odometry_track(self) -> Trajectory:
+        """The odometry alone, to find a time offset by."""
+        if self.tree_odometry is not None:
+            source: PoseSource = self.tree_odometry.open()
+        elif self.odometry is not None:
+            source = poses_of_topic(self.odometry, Poses.identity(), max_gap_s=MAX_ODOMETRY_GAP_S)
+        else:
+            raise SequenceError(f"{self._bag.path}: no odometry found, expected it for --time-offset-s auto")
+        return odometry_track(self._bag, source)
+
+    def may_be_damaged(self, name: str) -> bool:
+        """Whether messages of a topic that cannot be decoded are left out, rather than an error."""
+        return name == self.image.name or (
+            self.odometry is not None and name == self.odometry.name and not self.odometry_required
+        )
+
+    @property
+    def streamed(self) -> list[str]:
+        """Names of the topics that are read from front to back."""
+        routes = [route for route in (self.tree_odometry, self.truth) if route is not None]
+        names = [self.image.name, self.odometry.name if self.odometry is not None else ""]
+        names += [name for route in routes for name in (route.topic, *route.extrinsics.told_on)]
+        names += self.extrinsics.told_on if self.extrinsics is not None else ()
+        return [name for name in dict.fromkeys(names) if name in self._bag]

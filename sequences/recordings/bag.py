@@ -1,0 +1,251 @@
+"""MCAP files and rosbag2 folders: their topics, and a stream of raw messages in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Literal
+
+from mcap.records import Schema
+
+from filtering.errors import quoted
+from sequences.errors import SequenceError
+from sequences.recordings import encodings, foxglove
+from sequences.recordings.mcap_file import McapFile
+from sequences.recordings.messages import frame_name
+from sequences.recordings.rosbag2 import read_listing
+
+Stamps = Literal["header", "log"]
+TF_STATIC, TF = "/tf_static", "/tf"
+METADATA_NAME = "vapor-track"
+"""Of the metadata record in which a file says where its odometry comes from."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic of a bag.
+
+    Attributes:
+        name: Name of the topic.
+        type: Message type as the file names it, without `/msg`: `nav_msgs/Odometry`, `foxglove.PoseInFrame`.
+        num_messages: How many messages it has, all files of the bag together.
+        encoding: How messages are serialized; ROS 2 has "cdr".
+    """
+
+    name: str
+    type: str
+    num_messages: int
+    encoding: str
+
+    @property
+    def read_as(self) -> str:
+        """The ROS 2 type whose fields its messages get."""
+        return foxglove.read_as(self.type)
+
+    @property
+    def encodings(self) -> tuple[str, ...]:
+        """The encodings in which its type is read."""
+        return foxglove.encodings(self.type)
+
+    @property
+    def is_misnamed(self) -> bool:
+        """Whether it is called /tf or /tf_static and has no transforms."""
+        is_transforms = self.type in ("tf2_msgs/TFMessage", "tf/tfMessage") or foxglove.is_transforms(self.type)
+        return self.name in (TF_STATIC, TF) and not is_transforms
+
+    @property
+    def is_foxglove_tf(self) -> bool:
+        """Whether it has transforms of Foxglove's, which may have any name, and stand for /tf and /tf_static."""
+        return foxglove.is_transforms(self.type) and self.encoding in self.encodings
+
+
+@dataclass(frozen=True)
+class RawMessage:
+    """One message, not yet decoded.
+
+    Attributes:
+        topic: The topic that was asked for: of Foxglove's transforms /tf or /tf_static.
+        log_time_ns: The time it was logged.
+        data: Its bytes.
+        type: Its type, as of `Topic`.
+        encoding: How it is serialized.
+        definition: What the file says of its type.
+        restamped: Whether its headers get the time it was logged, in place of their own stamps.
+    """
+
+    topic: str
+    log_time_ns: int
+    data: bytes
+    type: str
+    encoding: str
+    definition: bytes
+    restamped: bool = False
+
+    def decode(self) -> SimpleNamespace:
+        """Its fields, named as in ROS 2. What it raises where it is damaged depends on the encoding."""
+        message = encodings.decoder(self.type, self.encoding, self.definition)(self.data)
+        if self.restamped:
+            sec, nanosec = divmod(self.log_time_ns, 1_000_000_000)
+            for stamped in getattr(message, "transforms", [message]):
+                if hasattr(stamped, "header"):
+                    stamped.header.stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
+        return message
+
+
+class Bag:
+    """One MCAP file, or a rosbag2 folder of one or several: opened, checked and listed.
+
+    Attributes:
+        path: What was opened.
+        topics: Topics by name; without those that are misnamed, which nobody could ask for.
+        metadata: Metadata records by name, later ones over earlier ones; empty for files without an index.
+    """
+
+    def __init__(self, path: Path, *, stamps: Stamps = "header"):
+        """Open a bag.
+
+        Args:
+            path: File or folder.
+            stamps: Whether messages keep the stamps of their headers, or get the times at which they were logged.
+
+        Raises:
+            SequenceError: a file is missing, truncated, garbage or of another format, or metadata.yaml is damaged.
+        """
+        self.path = Path(path)
+        self._restamped = stamps == "log"
+        self.topics: dict[str, Topic] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self._listing = None if self.path.is_file() else read_listing(self.path)
+        self._files = [McapFile(file) for file in (self._listing.files if self._listing else [self.path])]
+        for file in self._files:
+            self.metadata |= file.metadata
+            for channel in file.channels.values():
+                type_name = _type_name(file.schemas.get(channel.schema_id))
+                known = self.topics.get(channel.topic)
+                count = file.counts[channel.id] + (known.num_messages if known else 0)
+                topic = Topic(channel.topic, type_name, count, channel.message_encoding)
+                if not topic.is_misnamed:
+                    self.topics[topic.name] = topic
+
+    def __contains__(self, topic: str) -> bool:
+        """Whether messages of a topic can be asked for."""
+        return any(topic in self._stands_for(known) for known in self.topics.values())
+
+    def account_for(self, topic: str) -> list[str]:
+        """Compare how many messages of a topic there are with how many metadata.yaml states.
+
+        Where it does not name the topic, those of all topics are compared. Files are compared with what they state
+        themselves as they are read.
+
+        Returns:
+            What a person should know: where lost messages cannot be told, as nothing states how many there were, and
+            which files are not read.
+
+        Raises:
+            SequenceError: there are more or fewer.
+        """
+        uncounted = [
+            f"{file.path.name} states no number of messages: images that it lost cannot be told"
+            for file in self._files
+            if not file.states_counts
+        ]
+        listing = self._listing
+        if listing is None:
+            return uncounted
+        if topic in listing.of_topics:
+            what, stated, found = quoted(topic), listing.of_topics[topic], self.topics[topic].num_messages
+        else:
+            what, stated = "all topics", listing.num_messages
+            found = sum(file.counts.total() for file in self._files)
+        if stated is None:
+            lost = "metadata.yaml states no number of messages: images of files that it lost cannot be told"
+            return [lost, *uncounted, *listing.notices]
+        if stated != found:
+            beside = f"; beside them lies {listing.unlisted_said}" if listing.unlisted else ""
+            raise SequenceError(
+                f"{listing.path}: {what}: the files that it lists have {found} messages, expected the {stated} that it"
+                f" states{beside} (`ros2 bag reindex` writes it anew)"
+            )
+        return listing.notices
+
+    def messages(
+        self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
+    ) -> Iterator[RawMessage]:
+        """Messages of some topics: by log time within an indexed file, as written otherwise; file after file.
+
+        Those of Foxglove's transforms come once as /tf_static and once as /tf, where both are asked for.
+
+        Args:
+            topics: Names of topics.
+            until: Whether messages from a log time on are not wanted; they are counted all the same.
+
+        Raises:
+            SequenceError: a file is damaged, or at its end has other numbers of messages than it states, or a topic has
+                messages of several types.
+        """
+        asked = {t.name: [name for name in self._stands_for(t) if name in topics] for t in self.topics.values()}
+        names = [name for name, stands_for in asked.items() if stands_for]
+        for file in self._files:
+            for record in file.messages(names, until=until):
+                channel = file.channels[record.channel_id]
+                schema = file.schemas.get(channel.schema_id)
+                definition = schema.data if schema is not None else b""
+                topic, type_name = self.topics[channel.topic], _type_name(schema)
+                if (type_name, channel.message_encoding) != (topic.type, topic.encoding):
+                    raise SequenceError(
+                        f"{file.path}: {quoted(topic.name)} has messages of {quoted(type_name)}"
+                        f" ({quoted(channel.message_encoding)}) and of {quoted(topic.type)} ({quoted(topic.encoding)}),"
+                        " expected one type a topic"
+                    )
+                for name in asked[channel.topic]:
+                    yield RawMessage(
+                        name,
+                        record.log_time_ns,
+                        record.data,
+                        type_name,
+                        channel.message_encoding,
+                        definition,
+                        self._restamped,
+                    )
+
+    @cached_property
+    def fixed_links(self) -> frozenset[tuple[str, str]]:
+        """Parent and child of those of Foxglove's transforms that say the same from the first message to the last.
+
+        Foxglove has no topic for what never changes; a transform that is told only once holds throughout.
+        """
+        first: dict[tuple[str, str], SimpleNamespace] = {}
+        moving: set[tuple[str, str]] = set()
+        if not any(topic.is_foxglove_tf for topic in self.topics.values()):
+            return frozenset()
+        for raw in self.messages([TF]):
+            try:
+                message = raw.decode()
+            except Exception:  # said where it is used
+                continue
+            for stamped in message.transforms:
+                link = link_of(stamped)
+                if first.setdefault(link, stamped.transform) != stamped.transform:
+                    moving.add(link)
+        return frozenset(first.keys() - moving)
+
+    @staticmethod
+    def _stands_for(topic: Topic) -> tuple[str, ...]:
+        return (TF_STATIC, TF) if topic.is_foxglove_tf else (topic.name,)
+
+
+def link_of(stamped: SimpleNamespace) -> tuple[str, str]:
+    """Names of parent and child of geometry_msgs/TransformStamped."""
+    return frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
+
+
+def bag_files(path: Path) -> list[Path]:
+    """The MCAP files of a file or rosbag2 folder, in their order. Raises SequenceError as `Bag` does."""
+    return [path] if path.is_file() else read_listing(path).files
+
+
+def _type_name(schema: Schema | None) -> str:
+    return "" if schema is None else schema.name.replace("/msg/", "/")

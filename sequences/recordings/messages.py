@@ -1,0 +1,159 @@
+"""One decoded ROS 2 message -> numpy and the types of this project, without side effects.
+
+The conventions of ROS end here: pose covariances about the axes of the parent frame, twist covariances in the child
+frame, quaternions in x, y, z, w order, frame names with or without a leading slash.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+
+_MAX_DISTANCE_M = 1e8  # further than from any frame on Earth
+_MAX_VARIANCE = 1e12
+# (3.2 m/s)², (3.2 rad/s)²: who knows no more about how a camera moves has not measured it. Drivers write 100, 500, 999,
+# 99999 or 1e6 for such axes; what wheels, inertia or vision do measure is known a hundred times better.
+_UNKNOWN_VARIANCE = 10.0
+
+
+@dataclass(frozen=True)
+class OdometrySample:
+    """One odometry message.
+
+    Attributes:
+        time_ns: Header stamp.
+        odom_from_base: Pose of the child frame in the odometry frame.
+        twist_covariance: Covariance of the velocity (v, ω) in the child frame, per second squared; zero if unknown,
+            infinite on the diagonal, and zero beside it, for an axis that is not measured.
+    """
+
+    time_ns: int
+    odom_from_base: Poses
+    twist_covariance: Float64[np.ndarray, "6 6"]
+
+
+@dataclass(frozen=True)
+class FrameTransform:
+    """One transform of a tf message: `parent_from_child`, with the names of both frames and its stamp."""
+
+    parent: str
+    child: str
+    parent_from_child: Poses
+    time_ns: int
+
+
+def stamp_ns(header: SimpleNamespace) -> int:
+    """Header stamp in integer nanoseconds."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def frame_name(frame_id: str) -> str:
+    """Name of a frame without the leading slash that older recordings carry."""
+    return frame_id.lstrip("/")
+
+
+def pose_from_message(message: SimpleNamespace) -> Poses:
+    """geometry_msgs/Pose -> one pose.
+
+    Raises:
+        VaporTrackError: it is not finite, is absurdly far away, or its quaternion is not of unit length.
+    """
+    p, q = message.position, message.orientation
+    return _pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+
+
+def pose_from_transform(message: SimpleNamespace) -> Poses:
+    """geometry_msgs/Transform -> one pose. Raises VaporTrackError as `pose_from_message`."""
+    t, q = message.translation, message.rotation
+    return _pose(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]))
+
+
+def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
+    """nav_msgs/Odometry -> a sample.
+
+    The pose covariance is left: it accumulates from the start, or is a constant placeholder, and says nothing about
+    the motion between two images. The twist covariance speaks about just that. −1 in its first element, the mark of an
+    unknown covariance, becomes zeros. A variance of 10 or more says that its axis is not measured.
+
+    Raises:
+        VaporTrackError: the pose or the twist covariance is not finite, or no covariance.
+    """
+    pose = pose_from_message(message.pose.pose)
+    covariance = np.array(message.twist.covariance, np.float64).reshape(6, 6)
+    if not (np.abs(covariance) < _MAX_VARIANCE).all():  # NaN compares as false
+        raise VaporTrackError(f"twist covariance is not finite or above {_MAX_VARIANCE:g}: {covariance.tolist()}")
+    if covariance[0, 0] == -1.0:
+        covariance = np.zeros((6, 6))
+    unmeasured = np.diag(covariance) >= _UNKNOWN_VARIANCE
+    covariance[unmeasured] = covariance[:, unmeasured] = 0.0
+    if covariance.any():
+        covariance = (covariance + covariance.T) / 2
+        eigenvalue = float(np.linalg.eigvalsh(covariance)[0])
+        if eigenvalue < -1e-9 * np.abs(covariance).max():
+            raise VaporTrackError(f"twist covariance has the negative eigenvalue {eigenvalue:.3g}")
+    covariance[unmeasured, unmeasured] = np.inf
+    return OdometrySample(stamp_ns(message.header), pose, covariance)
+
+
+def transforms_from_message(
+    message: SimpleNamespace, links: Collection[tuple[str, str]] | None = None
+) -> list[FrameTransform]:
+    """tf2_msgs/TFMessage -> its transforms.
+
+    Args:
+        message: The message.
+        links: Names of parent and child of those that are asked for; None for all.
+
+    Raises:
+        SequenceError: one of them is not finite; it names the frames.
+    """
+    transforms = []
+    for stamped in message.transforms:
+        parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
+        if links is not None and (parent, child) not in links:
+            continue
+        try:
+            pose = pose_from_transform(stamped.transform)
+        except VaporTrackError as error:
+            raise SequenceError(f"transform {parent} -> {child}: {error}") from error
+        transforms.append(FrameTransform(parent, child, pose, stamp_ns(stamped.header)))
+    return transforms
+
+
+def covariance_to_ros(covariance: Float64[np.ndarray, "6 6"], pose: Poses) -> Float64[np.ndarray, "6 6"]:
+    """Covariance in the tangent at a pose (axes of its child frame) -> as ROS has it, about the parent's axes."""
+    turn = _turn(pose)
+    return turn @ covariance @ turn.T
+
+
+def covariance_from_ros(covariance: Float64[np.ndarray, "6 6"], pose: Poses) -> Float64[np.ndarray, "6 6"]:
+    """Covariance of a pose as ROS has it, about the parent's axes -> in the tangent at the pose."""
+    turn = _turn(pose)
+    return turn.T @ covariance @ turn
+
+
+def _pose(translation: np.ndarray, quat_xyzw: np.ndarray) -> Poses:
+    """A pose whose numbers can be those of one: a damaged message may hold any."""
+    if np.isfinite(translation).all() and np.isfinite(quat_xyzw).all():
+        norm = np.hypot.reduce(quat_xyzw)
+        if np.abs(translation).max() > _MAX_DISTANCE_M or not 0.9 < norm < 1.1:
+            raise VaporTrackError(
+                f"pose with translation {translation.tolist()} and quaternion of length {norm:.3g},"
+                f" expected one within {_MAX_DISTANCE_M:g} m and a unit quaternion"
+            )
+    return Poses.from_quat_xyzw(translation, quat_xyzw)
+
+
+def _turn(pose: Poses) -> np.ndarray:
+    """Both halves of a tangent vector turned from the child's axes to the parent's."""
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = pose.rotation
+    return turn

@@ -1,0 +1,74 @@
+"""Poses of odometry -> the motion of the camera between two times. Arrays in, arrays out."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from filtering.motion import MotionNoise, Odometry, accumulated
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.trajectories.interpolation import interpolate
+
+
+def odometry_between(
+    times_ns: Int64[np.ndarray, " n"],
+    odom_from_base: Poses,
+    twist_covariances: Float64[np.ndarray, "n 6 6"],
+    start_ns: int,
+    end_ns: int,
+    *,
+    base_from_camera: Poses,
+    motion_noise: MotionNoise,
+) -> Odometry:
+    """Motion of the camera between two times that the odometry covers.
+
+    A message's twist covariance says how wrong the velocity was on the way to it: over the interval of dt seconds that
+    it ends, the increment errs with covariance twist · dt². That error is taken as white noise along the interval, so a
+    part of an interval has that fraction of it, and increments compose: wherever the images fall, the covariances of
+    consecutive ones add up to that of the whole. For axes that were not measured all the way, and for all where the
+    others are zero, `motion_noise` speaks instead, about the motion of the base. Each part between two messages errs as
+    one of constant twist (`filtering.motion.accumulated`); the adjoint carries its covariance to the current frame.
+
+    Stamps do not run backwards: who collects the messages leaves out those that do (`PoseWindow.append`). Between a
+    time and itself nothing moves and nothing errs.
+
+    Args:
+        times_ns: Strictly increasing stamps of the odometry.
+        odom_from_base: Batch (n,).
+        twist_covariances: Of the velocity (v, ω) in the base frame; infinite on the diagonal where it is not measured.
+        start_ns: Time of the previous image, `times_ns[0] <= start_ns <= end_ns`.
+        end_ns: Time of the current image, `end_ns <= times_ns[-1]`.
+        base_from_camera: Extrinsics, one pose.
+        motion_noise: Stated noise of odometry that has no covariance.
+
+    Raises:
+        SequenceError: the current image is before the previous one.
+    """
+    if end_ns < start_ns:
+        raise SequenceError(f"odometry from {start_ns} ns to {end_ns} ns, expected the end not to be before the start")
+    if end_ns == start_ns:
+        return Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
+    inner = times_ns[(times_ns > start_ns) & (times_ns < end_ns)]
+    knots_ns = np.concatenate([[start_ns], inner, [end_ns]]).astype(np.int64)
+    odom_from_knots, _ = interpolate(times_ns, odom_from_base, knots_ns, max_gap_s=np.inf)
+    previous_from_current = odom_from_knots[0].inverse() @ odom_from_knots[-1]
+
+    message = np.searchsorted(times_ns, knots_ns[1:], side="left")
+    interval_s = (times_ns[message] - times_ns[message - 1]) * 1e-9
+    stated = twist_covariances[message]
+    unknown = np.isinf(np.diagonal(stated, axis1=1, axis2=2)).sum(axis=0) > 0
+    stated = np.where(unknown[:, None] | unknown, 0.0, stated)
+    unknown |= not stated.any()
+    part_s = np.diff(knots_ns) * 1e-9
+    tangents = (odom_from_knots[:-1].inverse() @ odom_from_knots[1:]).log()
+    noise = stated * (interval_s * part_s)[:, None, None]
+    noise += np.where(unknown, motion_noise.along(tangents, part_s), 0.0)[:, :, None] * np.eye(6)
+    camera_from_base = base_from_camera.inverse()
+    carry = (camera_from_base @ odom_from_knots[-1].inverse() @ odom_from_knots[1:]).adjoint()
+    covariance = (carry @ accumulated(tangents, noise) @ np.swapaxes(carry, -1, -2)).sum(axis=0)
+    return Odometry(
+        camera_from_base @ previous_from_current @ base_from_camera,
+        (covariance + covariance.T) / 2,
+        (end_ns - start_ns) * 1e-9,
+    )

@@ -1,0 +1,129 @@
+"""The end of a stream of time-stamped poses, asked for one time after the other."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.motion import MotionNoise, Odometry
+from filtering.se3 import Poses
+from sequences.trajectories.increments import odometry_between
+from sequences.trajectories.interpolation import pose_at
+from sequences.trajectories.jumps import JUMP_CONTEXT, Motion, is_jump
+
+
+@dataclass
+class PoseWindow:
+    """The end of a stream of time-stamped poses: what is no longer asked for is forgotten.
+
+    Poses may come in another order than that of their stamps, as long as nothing later was asked for.
+
+    Attributes:
+        max_gap_s: Neighbours further apart than this do not cover what lies between them.
+        still_gap_s: The same of neighbours that hardly differ, where it is longer: see `pose_at`.
+        watch_jumps: Whether to find jumps (`is_jump`), so that `jumps_at` can say where they are.
+        num_jumps: How many were found so far.
+        first_jump_ns: When the first of them was over.
+        begin_ns: Earliest stamp of all poses that ever came; None before.
+        end_ns: The latest one.
+    """
+
+    max_gap_s: float
+    still_gap_s: float = 0.0
+    watch_jumps: bool = False
+    num_jumps: int = field(default=0, init=False)
+    first_jump_ns: int | None = field(default=None, init=False)
+    begin_ns: int | None = field(default=None, init=False)
+    end_ns: int | None = field(default=None, init=False)
+    _times_ns: list[int] = field(default_factory=list)
+    _poses: list[Poses] = field(default_factory=list)
+    _covariances: list[np.ndarray] = field(default_factory=list)
+    _steps: list[Motion] = field(default_factory=list)  # to each pose from the one before
+    _settled_ns: int | None = None  # up to here nothing is taken any more
+
+    def append(self, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"] | None = None) -> bool:
+        """Take a pose; False, and nothing taken, where there is one of its stamp, or it comes too late."""
+        at = bisect_left(self._times_ns, time_ns)
+        is_known = at < len(self._times_ns) and self._times_ns[at] == time_ns
+        if is_known or (self._settled_ns is not None and time_ns <= self._settled_ns):
+            return False
+        self._times_ns.insert(at, time_ns)
+        self._poses.insert(at, pose)
+        self._covariances.insert(at, np.zeros((6, 6)) if covariance is None else covariance)
+        if self.watch_jumps:
+            self._steps.insert(at, self._step(at))
+            if at + 1 < len(self._steps):
+                self._steps[at + 1] = self._step(at + 1)
+        self.begin_ns = time_ns if self.begin_ns is None else min(self.begin_ns, time_ns)
+        if self.end_ns is None or time_ns > self.end_ns:
+            self.end_ns = time_ns
+            self._count_jump(len(self._steps) - 1 - JUMP_CONTEXT)
+        return True
+
+    def _step(self, index: int) -> Motion:
+        before = max(index - 1, 0)
+        metres, radians = self._poses[before].distance(self._poses[index])
+        return Motion(float(metres), float(radians), (self._times_ns[index] - self._times_ns[before]) * 1e-9)
+
+    def finish(self) -> None:
+        """No pose comes any more: look for jumps among the last steps as well."""
+        for index in range(max(len(self._steps) - JUMP_CONTEXT, 0), len(self._steps)):
+            self._count_jump(index)
+
+    def reaches(self, time_ns: int) -> bool:
+        """Whether a pose at or after this time has come, and, where that may be behind a jump, what tells it."""
+        if not self._times_ns or self._times_ns[-1] < time_ns:
+            return False
+        after = bisect_left(self._times_ns, time_ns)
+        undecided = self.watch_jumps and self._times_ns[after] != time_ns and self._steps[after].is_large
+        return not undecided or after + JUMP_CONTEXT < len(self._times_ns)
+
+    def forget_before(self, time_ns: int) -> None:
+        """Drop what lies before the last pose that is at or before this time, but for what tells jumps.
+
+        What comes later and lies before the pose after this time would change what was said about it: it is not taken.
+        """
+        after = bisect_left(self._times_ns, time_ns)
+        settled_ns = self._times_ns[after] if after < len(self._times_ns) else time_ns
+        self._settled_ns = settled_ns if self._settled_ns is None else max(self._settled_ns, settled_ns)
+        keep = bisect_right(self._times_ns, time_ns) - 1 - (2 * JUMP_CONTEXT + 1 if self.watch_jumps else 0)
+        if keep > 0:
+            del self._times_ns[:keep], self._poses[:keep], self._covariances[:keep], self._steps[:keep]
+
+    def at(self, time_ns: int) -> Poses | None:
+        """The pose at one time; None where it is not covered."""
+        if not self._times_ns:
+            return None
+        after = min(bisect_left(self._times_ns, time_ns), len(self._times_ns) - 1)
+        near = slice(max(after - 1, 0), after + 1)
+        times_ns, poses = np.array(self._times_ns[near], np.int64), Poses.stack(self._poses[near])
+        return pose_at(times_ns, poses, time_ns, max_gap_s=self.max_gap_s, still_gap_s=self.still_gap_s)
+
+    def jumps_at(self, time_ns: int) -> bool:
+        """Whether a time lies between two poses with a jump between them."""
+        after = bisect_left(self._times_ns, time_ns)
+        if not self._steps or not 0 < after < len(self._times_ns) or self._times_ns[after] == time_ns:
+            return False
+        return is_jump(self._steps, after)
+
+    def _count_jump(self, index: int) -> None:
+        if index > 0 and is_jump(self._steps, index):
+            self.num_jumps += 1
+            self.first_jump_ns = self._times_ns[index] if self.first_jump_ns is None else self.first_jump_ns
+
+    def odometry_between(
+        self, start_ns: int, end_ns: int, *, base_from_camera: Poses, motion_noise: MotionNoise
+    ) -> Odometry:
+        """`odometry_between` two covered times, the first of which was not yet forgotten."""
+        return odometry_between(
+            np.array(self._times_ns, np.int64),
+            Poses.stack(self._poses),
+            np.stack(self._covariances),
+            start_ns,
+            end_ns,
+            base_from_camera=base_from_camera,
+            motion_noise=motion_noise,
+        )

@@ -1,0 +1,117 @@
+"""Two recordings of one motion, by two clocks -> how far the clocks are apart, from how fast it turned.
+
+How fast a rigid body turns is the same in every frame of the world and at every place on the body, so that neither
+needs to be known.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import correlate, find_peaks
+
+from sequences.errors import SequenceError
+from sequences.frame import Trajectory
+from sequences.trajectories.interpolation import interpolate
+
+_STEP_S = 0.02
+_SPAN = 20  # steps over which a turn is measured: noise of single poses counts little
+_LEAST_OVERLAP_S = 10.0
+_MAX_GAP_S = 0.5
+_MAX_STEPS = 1 << 21  # half a day
+_LEAST_CORRELATION = 0.6
+_RIVAL_FRACTION = 0.9  # another offset must correlate by less than this fraction of the best
+_LEAST_TURN_RAD_PER_S = 0.02  # standard deviation of how fast it turns
+
+
+def find_time_offset(
+    odometry: Trajectory, poses: Trajectory, *, within_s: float = np.inf, certain_s: float = 0.004
+) -> float:
+    """Seconds to add to the stamps of poses for those of odometry, to a fraction of their intervals.
+
+    Turn rates, over 0.4 s, are correlated at every offset with ten seconds
+    and half of the shorter recording in common; a parabola through the largest correlation and its neighbours tells
+    more than the grid of 20 ms.
+
+    Args:
+        odometry: One recording of the motion.
+        poses: The other.
+        within_s: Only offsets up to this are possible, either way: a motion that repeats itself tells them, too.
+        certain_s: Standard deviation of the offset, as the correlation tells it, at most.
+
+    Raises:
+        SequenceError: too short, too little or too regular a rotation, or rotations that do not agree.
+    """
+    rates, covered = _turn_rate(odometry, "odometry")
+    its_rates, its_covered = _turn_rate(poses, "poses")
+    for rate, known, what in ((rates, covered, "odometry"), (its_rates, its_covered, "poses")):
+        spread = float(np.std(rate[known])) if known.any() else 0.0
+        if spread < _LEAST_TURN_RAD_PER_S:
+            raise SequenceError(
+                f"rotation says too little about the time offset: that of the {what} varies by {spread:.2g} rad/s,"
+                f" expected at least {_LEAST_TURN_RAD_PER_S:g}; give --time-offset-s a number"
+            )
+    correlation, seconds = _correlation(rates, covered, its_rates, its_covered)
+    begin_s = (int(odometry.times_ns[0]) - int(poses.times_ns[0])) * 1e-9
+    offsets_s = begin_s + (np.arange(len(correlation)) - (len(its_rates) - 1)) * _STEP_S
+    correlation = np.where(np.abs(offsets_s) <= within_s, correlation, 0.0)
+    best = int(np.argmax(correlation))
+    peak = float(correlation[best])
+    others = find_peaks(correlation)[0]
+    rival = float(correlation[others[others != best]].max(initial=0.0))
+    left, right = (float(correlation[min(max(best + side, 0), len(correlation) - 1)]) for side in (-1, 1))
+    bend = max(2 * peak - left - right, 1e-12)
+    # Errors of the turn rate are independent where it is measured over other times; a sharp peak makes them small.
+    independent = max(float(seconds[best]) / (_SPAN * _STEP_S), 1.0)
+    deviation_s = _STEP_S * np.sqrt(max(1 - peak**2, 0.0) / (independent * bend))
+    if peak < _LEAST_CORRELATION or rival > _RIVAL_FRACTION * peak or deviation_s > certain_s:
+        raise SequenceError(
+            f"rotation says too little about the time offset: that of odometry and poses correlates by {peak:.2f} at"
+            f" best, to {1e3 * deviation_s:.1f} ms, and by {rival:.2f} at another offset, expected at least"
+            f" {_LEAST_CORRELATION:g}, {1e3 * certain_s:g} ms and a clear best; give --time-offset-s a number"
+        )
+    return float(offsets_s[best]) + 0.5 * (right - left) / bend * _STEP_S
+
+
+def _turn_rate(track: Trajectory, what: str) -> tuple[Float64[np.ndarray, " n"], np.ndarray]:
+    """How fast a track turns, rad/s, on a grid that begins with it; and where it is known."""
+    span_ns = int(track.times_ns[-1] - track.times_ns[0])
+    if not _LEAST_OVERLAP_S <= span_ns * 1e-9 <= _MAX_STEPS * _STEP_S:
+        raise SequenceError(
+            f"{span_ns * 1e-9:.3g} s of {what}, expected {_LEAST_OVERLAP_S:g} to {_MAX_STEPS * _STEP_S:.3g} s to find"
+            " a time offset in; give --time-offset-s a number"
+        )
+    apart_s = float(np.median(np.diff(track.times_ns))) * 1e-9
+    if apart_s > _MAX_GAP_S:
+        raise SequenceError(
+            f"{what} {apart_s:.3g} s apart, expected at most {_MAX_GAP_S:g} s to find a time offset in;"
+            " give --time-offset-s a number"
+        )
+    half_ns = round(_SPAN / 2 * _STEP_S * 1e9)
+    grid = track.times_ns[0] + np.arange(int(span_ns * 1e-9 / _STEP_S) + 1) * round(_STEP_S * 1e9)
+    begins, begun = interpolate(track.times_ns, track.poses, grid - half_ns, max_gap_s=_MAX_GAP_S)
+    ends, ended = interpolate(track.times_ns, track.poses, grid + half_ns, max_gap_s=_MAX_GAP_S)
+    _, radians = begins.distance(ends)
+    known = begun & ended
+    # Twice a mean over 60 ms: corners where poses are interpolated are no turn of their own.
+    rate = uniform_filter1d(uniform_filter1d(np.where(known, radians / (_SPAN * _STEP_S), 0.0), 3), 3)
+    return rate, known
+
+
+def _correlation(a: np.ndarray, in_a: np.ndarray, b: np.ndarray, in_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pearson's correlation at every lag, over what both know, 0 where that is too little; and how long that is, s."""
+    known_a, known_b = in_a.astype(np.float64), in_b.astype(np.float64)
+    a, b = (a - a[in_a].mean()) * known_a, (b - b[in_b].mean()) * known_b
+    count = np.maximum(np.round(correlate(known_a, known_b, method="fft")), 1.0)
+    mean_a = correlate(a, known_b, method="fft") / count
+    mean_b = correlate(known_a, b, method="fft") / count
+    product = correlate(a, b, method="fft") / count - mean_a * mean_b
+    variance_a = correlate(a**2, known_b, method="fft") / count - mean_a**2
+    variance_b = correlate(known_a, b**2, method="fft") / count - mean_b**2
+    least = max(_LEAST_OVERLAP_S / _STEP_S, min(known_a.sum(), known_b.sum()) / 2)
+    enough = (
+        (count >= least) & (variance_a > _LEAST_TURN_RAD_PER_S**2 / 4) & (variance_b > _LEAST_TURN_RAD_PER_S**2 / 4)
+    )
+    scale = np.sqrt(np.where(enough, variance_a * variance_b, 1.0))
+    return np.where(enough, product / scale, 0.0), count * _STEP_S
