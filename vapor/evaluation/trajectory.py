@@ -12,8 +12,6 @@ from jaxtyping import Bool, Float64, Int64
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
-from sequences.outputs.manifest import MANIFEST, verify
-from sequences.trajectories.tum import read_tum
 from vapor.tracking.methods import METHODS, in_order
 
 THRESHOLDS: Mapping[str, tuple[float, float]] = MappingProxyType(

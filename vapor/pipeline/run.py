@@ -7,13 +7,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from filtering.se3 import Poses
-from sequences.estimates.sequence import EstimateSequence
-from sequences.odometry_fit.result import OdometryFit
 from sequences.options import SequenceOptions
 from sequences.outputs.results import results_folder
 from sequences.reader import SequenceReader
-from sequences.recordings.estimate_writer import EstimateWriter
-from sequences.trajectories.tum import write_tum
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
