@@ -1,0 +1,34 @@
+"""The tracking methods as the benchmarks report them: which, in which order, and what tables call them."""
+
+from __future__ import annotations
+
+from vapor.evaluation.trajectory import FILES
+
+METHODS = tuple(FILES)
+"""All of them, in the order of a report."""
+
+LOCALIZING = tuple(method for method in METHODS if method != "dead_reckoning")
+"""Those that find the camera by themselves: dead reckoning is told where it starts."""
+
+BELIEVING = ("kalman", "gaussian_sum", "filter")
+"""Those that say how confident they are, after every image."""
+
+OURS = "filter"
+"""The one that the benchmarks are about."""
+
+_SHORT = {"kalman": "Kalman", "gaussian_sum": "Gauss."}
+
+
+def ours_first() -> list[str]:
+    """Those that say how confident they are, the particle filter first."""
+    return [OURS, *(method for method in BELIEVING if method != OURS)]
+
+
+def label(method: str) -> str:
+    """What a table calls a method."""
+    return method.replace("_", " ")
+
+
+def short_label(method: str) -> str:
+    """What a narrow column calls a method."""
+    return _SHORT.get(method, label(method))
