@@ -16,7 +16,7 @@ from filtering.localizer import LocalizerConfig
 from vapor.tracking.methods import Passage
 
 Advance = Callable[[str, int, int | None], None]
-"""Told what is done, how much of it, and how much there is."""
+"""Called with what is being done, how much of it is done, and how much there is."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class RowContext:
         data: Folder with the recordings of others.
         output: Folder for models, sequences, recordings and results.
         num_samples: Posterior samples per image.
-        advance: Told what is being done.
+        advance: Called with the progress.
     """
 
     data: Path

@@ -47,8 +47,8 @@ def _summary(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         }
 
     def coverage(parts: Sequence[Mapping[str, Any]]) -> dict[str, Figure]:
-        told = [part["coverage"] for part in parts if part["coverage"] is not None]
-        return {region: _figure([each[region] for each in told]) for region in REGIONS}
+        known = [part["coverage"] for part in parts if part["coverage"] is not None]
+        return {region: _figure([each[region] for each in known]) for region in REGIONS}
 
     return {
         "group": first["group"],

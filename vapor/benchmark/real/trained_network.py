@@ -94,7 +94,7 @@ class TrainedNetwork:
         if not (recordings / settings.name).is_dir():
             context.advance("asking the network", seed, None)
             record_file(settings, file, checkpoint, recordings)
-        return {"recording": settings.told, "calibration": asdict(checkpoint.calibration)}
+        return {"recording": settings.stored, "calibration": asdict(checkpoint.calibration)}
 
     def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
         """The posteriors of the network, and the odometry of the converted file."""

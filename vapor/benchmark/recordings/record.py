@@ -128,7 +128,7 @@ def _store(settings: RecordingSettings | FileSettings, directory: Path, record: 
             partial.mkdir()
             with limited_threads(1):
                 record(partial)
-            (partial / SETTINGS).write_text(json.dumps(settings.told, indent=2) + "\n", encoding="utf-8")
+            (partial / SETTINGS).write_text(json.dumps(settings.stored, indent=2) + "\n", encoding="utf-8")
             if not folder.is_dir():  # another process may have been faster
                 partial.rename(folder)
     except OSError as error:

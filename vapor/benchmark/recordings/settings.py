@@ -54,10 +54,10 @@ class RecordingSettings:
     @property
     def name(self) -> str:
         """Name of its folder: recordings with other settings have other names."""
-        return f"{self.scene}-{self.cues}-{self.seed}-{digest(self.told)}"
+        return f"{self.scene}-{self.cues}-{self.seed}-{digest(self.stored)}"
 
     @property
-    def told(self) -> dict[str, Any]:
+    def stored(self) -> dict[str, Any]:
         """All settings by name, without those that have their usual value: names of older recordings stay valid."""
         content = asdict(self)
         unusual = ("stand", "part", "change", "odometry_scale", "camera")
@@ -92,10 +92,10 @@ class FileSettings:
     @property
     def name(self) -> str:
         """Name of its folder: recordings with other settings have other names."""
-        return f"{self.sequence}-{digest(self.told)}"
+        return f"{self.sequence}-{digest(self.stored)}"
 
     @property
-    def told(self) -> dict[str, Any]:
+    def stored(self) -> dict[str, Any]:
         """All settings by name, without those that have their usual value: names of older recordings stay valid."""
         unusual = ("images", "change")
         return {name: value for name, value in asdict(self).items() if name not in unusual or value is not None}

@@ -124,7 +124,7 @@ def _checked(settings: RecordingSettings | FileSettings, folder: Path) -> Mappin
         raise VaporTrackError(
             f"{folder}: cannot be read ({error}), expected a recording; remove it to make it anew"
         ) from error
-    expected = settings.told
+    expected = settings.stored
     if not isinstance(found, dict):
         raise VaporTrackError(
             f"{folder / SETTINGS}: {quoted(found)}, expected a JSON object; remove it to make it anew"

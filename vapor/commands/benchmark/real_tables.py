@@ -54,17 +54,19 @@ def _consistency(summary: Summary) -> Table:
     table = _table("what the filter says of itself, %", "converged", "of these\nwrong", *regions, "median\nNEES (5.3)")
     table.caption = "regions: of all images evaluated, and in brackets of those called converged"
     for name, row in summary.items():
-        told = row["filter"]
+        figures = row["filter"]
         cells = []
         for region in REGIONS:
-            once = told["coverage_converged"][region]
-            cells.append(_cell(told["coverage"][region], _percent, f" ({'–' if once is None else _percent(once[0])})"))
+            once = figures["coverage_converged"][region]
+            cells.append(
+                _cell(figures["coverage"][region], _percent, f" ({'–' if once is None else _percent(once[0])})")
+            )
         table.add_row(
             _named(name, row),
-            _cell(told["converged"], _percent),
-            _cell(told["wrong"], _percent),
+            _cell(figures["converged"], _percent),
+            _cell(figures["wrong"], _percent),
             *cells,
-            _cell(told["median_nees"], lambda nees: f"{nees:.1f}"),
+            _cell(figures["median_nees"], lambda nees: f"{nees:.1f}"),
         )
     return table
 

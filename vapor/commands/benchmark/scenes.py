@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, make_dataclass
+from dataclasses import asdict, dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
@@ -76,9 +76,9 @@ class SceneOptions:
 
 def with_help(config: type[Config], **texts: str) -> type[Config]:
     """The same settings with help texts for some options, given by the names of their fields."""
-    hints, defaults = get_type_hints(config, include_extras=True), {each.name: each.default for each in fields(config)}
+    hints = get_type_hints(config, include_extras=True)
     documented = [
-        (name, Annotated[hints[name], tyro.conf.arg(help=text)], defaults[name]) for name, text in texts.items()
+        (name, Annotated[hints[name], tyro.conf.arg(help=text)], getattr(config, name)) for name, text in texts.items()
     ]
     namespace = {"__doc__": config.__doc__}
     return make_dataclass(config.__name__, documented, bases=(config,), frozen=True, namespace=namespace)
