@@ -23,8 +23,9 @@ def main() -> None:
     result = vapor.run(options.sequence, options.model, options.output, overwrite=True)
 
     record = result.record
+    positions = record.methods["filter"].poses.translation  # of world_from_camera, metres, (n, 3)
     for i in np.linspace(0, len(record.status) - 1, 5).astype(int):
-        x, y, z = record.filter.translation[i]  # of world_from_camera, metres
+        x, y, z = positions[i]
         print(f"image {i:4d}: {record.status[i]:9s} at {x:6.2f} {y:6.2f} {z:6.2f} m")
     for notice in result.notices:
         print(notice)

@@ -15,12 +15,14 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 from tests.checks import no_checks
-from vapor.benchmark import recordings, trials, windows
-from vapor.benchmark.summary import failed, summarise
-from vapor.benchmark.windows import Piece, Trial
+from vapor.benchmark.localization.summary import failed, summarise
+from vapor.benchmark.recordings import record
+from vapor.benchmark.trials import kinds, setup
+from vapor.benchmark.trials import run as trial_run
+from vapor.benchmark.trials.trial import Segment, Trial
 from vapor.checkpoints.checkpoint import Calibration, load_checkpoint
 from vapor.commands import console
-from vapor.commands.benchmark_tables import tables
+from vapor.commands.benchmark.localization_tables import tables
 from vapor.commands.console import show
 from vapor.evaluation.comparison import Comparison
 from vapor.evaluation.floors import FLOOR_HEIGHT_M
@@ -62,7 +64,7 @@ def calls(monkeypatch):
 
         return call
 
-    for module, name in ((recordings, "_record"), (trials, "_localize")):
+    for module, name in ((record, "record_synthetic"), (trial_run, "localize")):
         monkeypatch.setattr(module, name, counted(name, getattr(module, name)))
     counter.interrupt_at = interrupt_at  # pyright: ignore[reportAttributeAccessIssue]
     return counter
@@ -74,23 +76,23 @@ def run(folder, tiny_model, *more: str) -> int:
 
 
 def test_an_interrupted_benchmark_goes_on_and_a_finished_one_computes_nothing(tmp_path, tiny_model, calls, capsys):
-    kinds = ["--kinds", "cue", "no-cue"]
-    calls.interrupt_at.update(_record=2)
-    assert run(tmp_path, tiny_model, *kinds) == 130
-    assert calls == {"_record": 2}  # one of them done
+    asked = ["--kinds", "cue", "no-cue"]
+    calls.interrupt_at.update(record_synthetic=2)
+    assert run(tmp_path, tiny_model, *asked) == 130
+    assert calls == {"record_synthetic": 2}  # one of them done
     calls.interrupt_at.clear()
-    calls.interrupt_at.update(_localize=2)
-    assert run(tmp_path, tiny_model, *kinds) == 130
+    calls.interrupt_at.update(localize=2)
+    assert run(tmp_path, tiny_model, *asked) == 130
     needed = len(list((tmp_path / "recordings").iterdir()))
-    assert calls == {"_record": 1 + needed, "_localize": 2}
+    assert calls == {"record_synthetic": 1 + needed, "localize": 2}
     assert not (tmp_path / "summary.json").exists()
     calls.interrupt_at.clear()
     capsys.readouterr()
-    assert run(tmp_path, tiny_model, *kinds) == 0
-    assert calls == {"_record": 1 + needed, "_localize": 2 + 2 - 1}
+    assert run(tmp_path, tiny_model, *asked) == 0
+    assert calls == {"record_synthetic": 1 + needed, "localize": 2 + 2 - 1}
     printed, summary = capsys.readouterr().out, (tmp_path / "summary.json").read_bytes()
-    assert run(tmp_path, tiny_model, *kinds) == 0
-    assert calls == {"_record": 1 + needed, "_localize": 2 + 2 - 1}
+    assert run(tmp_path, tiny_model, *asked) == 0
+    assert calls == {"record_synthetic": 1 + needed, "localize": 2 + 2 - 1}
     assert (capsys.readouterr().out, (tmp_path / "summary.json").read_bytes()) == (printed, summary)
 
 
@@ -116,20 +118,20 @@ def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model,
 @pytest.mark.parametrize(
     ("more", "again"),
     [
-        (("--errors.tail", "30"), "_localize"),
-        (("--localizer.switch-ratio", "2"), "_localize"),
-        (("--num-samples", "41"), "_record"),
+        (("--errors.tail", "30"), "localize"),
+        (("--localizer.switch-ratio", "2"), "localize"),
+        (("--num-samples", "41"), "record_synthetic"),
     ],
 )
 def test_other_settings_use_no_result_of_these(more, again, folder, tiny_model, calls, tmp_path):
     assert run(folder, tiny_model, "--kinds", "no-cue", *more) == 0
     assert calls[again] == 1
-    assert calls["_record"] == (again == "_record")
+    assert calls["record_synthetic"] == (again == "record_synthetic")
 
 
-def test_variants_are_compared_in_a_table_of_their_own(folder, tiny_model, calls, capsys):
-    assert run(folder, tiny_model, "--kinds", "no-cue", "--variants", "full", "no-tails") == 0
-    assert calls == {"_localize": 1}  # the full one is there
+def test_ablations_are_compared_in_a_table_of_their_own(folder, tiny_model, calls, capsys):
+    assert run(folder, tiny_model, "--kinds", "no-cue", "--ablations", "full", "no-tails") == 0
+    assert calls == {"localize": 1}  # the full one is there
     out = capsys.readouterr().out
     assert len([line for line in out.splitlines() if line.split()[:1] in (["full"], ["no-tails"])]) == 2
     summary = json.loads((folder / "summary.json").read_text())["summary"]["ceiling"]["no-cue"]
@@ -145,7 +147,7 @@ def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_m
         return update(localizer, posterior, odometry, **timing)
 
     monkeypatch.setattr(ParticleLocalizer, "update", watched)
-    monkeypatch.setattr(trials, "_code", lambda: "of errors")
+    monkeypatch.setattr(setup, "results_code", lambda: "of errors")
     floor = ["0.01", "0.02", "0.03", "0.04", "0.05", "0.06"]
     more = ["--kinds", "no-cue", "--errors.outlier-share", "0.25", "--errors.floor", *floor]
     assert run(folder, tiny_model, *more) == 0
@@ -159,14 +161,14 @@ def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_m
 
 def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, calls, capsys):
     assert run(tmp_path, tiny_model, "--kinds", "rate-3", "rate-10", "rate-30") == 0
-    assert calls == {"_record": 1, "_localize": 3}
+    assert calls == {"record_synthetic": 1, "localize": 3}
     assert "ceiling, 3 images a second: 1 runs" in capsys.readouterr().out
     runs = json.loads((tmp_path / "summary.json").read_text())["runs"]
     assert {each["kind"]: each["images"] for each in runs} == {"rate-3": 15, "rate-10": 50, "rate-30": 150}
 
 
 @pytest.mark.usefixtures("rough_light")
-def test_walks_where_floors_look_alike_are_judged_but_for_the_floor_and_once_on_it(tiny_model, tmp_path, capsys):
+def test_walks_where_floors_look_alike_are_evaluated_but_for_the_floor_and_once_on_it(tiny_model, tmp_path, capsys):
     words = ["benchmark", "localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
     assert main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "0.02"]) == 0
     out = capsys.readouterr().out
@@ -174,10 +176,10 @@ def test_walks_where_floors_look_alike_are_judged_but_for_the_floor_and_once_on_
     assert "once on its" in out
     (each,) = json.loads((tmp_path / "summary.json").read_text())["runs"]
     assert each["images"] == 50
-    for name, judged in each["methods"].items():
-        assert judged["floor"]["settled_images"] <= 50
+    for name, method in each["methods"].items():
+        assert method["floor"]["settled_images"] <= 50
         if name in each["belief"]:
-            assert each["belief"][name]["on_floor"]["images"] == judged["floor"]["settled_images"]
+            assert each["belief"][name]["on_floor"]["images"] == method["floor"]["settled_images"]
     (settings,) = (tmp_path / "recordings").glob("*/settings.json")
     assert json.loads(settings.read_text())["odometry_scale"] == 0.02
     with pytest.raises(SystemExit):
@@ -186,10 +188,9 @@ def test_walks_where_floors_look_alike_are_judged_but_for_the_floor_and_once_on_
 
 
 def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path, monkeypatch, capsys):
-    for module in (windows, trials):
-        monkeypatch.setattr(module, "STAND_S", 3.0)
-    monkeypatch.setattr(windows, "STAND_AFTER", 10)
-    assert run(tmp_path, tiny_model, "--kinds", "standing", "standing-cue", "--variants", "full", "no-tails") == 0
+    monkeypatch.setattr(kinds, "STAND_S", 3.0)
+    monkeypatch.setattr(kinds, "STAND_AFTER", 10)
+    assert run(tmp_path, tiny_model, "--kinds", "standing", "standing-cue", "--ablations", "full", "no-tails") == 0
     out = capsys.readouterr().out
     assert "ceiling, standing where nothing is unique: 1 runs" in out
     assert "ceiling, standing before something unique: 1 runs" in out
@@ -205,7 +206,7 @@ def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path
 def test_a_run_at_another_scale_has_the_results_of_the_unscaled_one(folder, tiny_model, calls, capsys):
     scaled = ("scale-0.1", "scale-30")
     assert run(folder, tiny_model, "--kinds", "cue", *scaled) == 0
-    assert calls == {"_localize": 2}  # no recording is made
+    assert calls == {"localize": 2}  # no recording is made
     assert "the filter by kind of run" in capsys.readouterr().out
     runs = {each["kind"]: each for each in json.loads((folder / "summary.json").read_text())["runs"]}
     assert load_checkpoint(tiny_model).calibration.odometry is None
@@ -264,23 +265,23 @@ def test_only_a_filter_that_is_told_of_a_kidnap_starts_anew_there(folder, tiny_m
         return update(localizer, posterior, odometry, **timing)
 
     monkeypatch.setattr(ParticleLocalizer, "update", watched)
-    monkeypatch.setattr(trials, "_code", lambda: "watched")
-    assert run(folder, tiny_model, "--kinds", "kidnap", "--variants", "full", "told-of-kidnap") == 0
+    monkeypatch.setattr(setup, "results_code", lambda: "watched")
+    assert run(folder, tiny_model, "--kinds", "kidnap", "--ablations", "full", "told-of-kidnap") == 0
     assert len(anew) == 100  # two runs of 50 images, of which the last third is elsewhere
     assert [i for i, told in enumerate(anew) if told] == [50 + 33]
 
 
 def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, monkeypatch):
-    monkeypatch.setattr(trials, "_code", lambda: "another")
+    monkeypatch.setattr(setup, "results_code", lambda: "another")
     assert run(folder, tiny_model, "--kinds", "cue") == 0
-    assert calls == {"_localize": 1}
+    assert calls == {"localize": 1}
 
 
 def test_processes_give_the_results_of_one(folder, tiny_model, tmp_path):
-    kinds = ("--kinds", "cue", "no-cue")
-    assert run(folder, tiny_model, *kinds) == 0
+    asked = ("--kinds", "cue", "no-cue")
+    assert run(folder, tiny_model, *asked) == 0
     alone = json.loads((folder / "summary.json").read_text())["runs"]
-    assert run(tmp_path, tiny_model, *kinds, "--workers", "2") == 0
+    assert run(tmp_path, tiny_model, *asked, "--workers", "2") == 0
     together = json.loads((tmp_path / "summary.json").read_text())["runs"]
     assert len(together) == 2
     for ours, theirs in zip(alone, together, strict=True):
@@ -341,7 +342,7 @@ def result(
     }  # fmt: skip
 
 
-def test_shares_of_images_are_weighed_by_how_many_images_there_were():
+def test_fractions_of_images_are_weighed_by_how_many_images_there_were():
     both = [
         result("cue", converged=0.9, wrong=0.0),
         result("cue", converged=0.1, wrong=1.0, success=False),
@@ -433,7 +434,7 @@ def test_floors_are_summed_up_over_the_images_on_them_with_intervals():
 
 
 @pytest.mark.parametrize("scale", [1.0, 30.0])
-def test_floors_are_judged_in_the_lengths_of_the_scene(scale, monkeypatch):
+def test_floors_are_evaluated_in_the_lengths_of_the_scene(scale, monkeypatch):
     """At another scale the poses are scaled back before whole floors are counted."""
     height = FLOOR_HEIGHT_M["corridor"]
     truth = Poses(np.tile(np.eye(3), (4, 1, 1)), np.array([[x, 0.0, 0.0] for x in range(4)]))
@@ -441,12 +442,12 @@ def test_floors_are_judged_in_the_lengths_of_the_scene(scale, monkeypatch):
     modes = tuple((Mode(off[i], 0.01 * np.eye(6), 1.0),) for i in range(4))
     beliefs = dict.fromkeys(("kalman", "gaussian_sum", "filter"), Belief(modes, ["ambiguous"] * 4))
     compared = Comparison(10**8 * np.arange(4), truth, dict.fromkeys(METHODS, off), beliefs, modes, 1, 1.0)
-    monkeypatch.setattr(trials, "follow_trial", lambda trial, setup, replay: None)
-    monkeypatch.setattr(trials, "compare", lambda followed: compared.scaled(scale))
-    given = SimpleNamespace(variant="full", cue_images=0)
+    monkeypatch.setattr(trial_run, "follow_trial", lambda trial, setup, replay: None)
+    monkeypatch.setattr(trial_run, "compare", lambda followed: compared.scaled(scale))
+    given = SimpleNamespace(ablation="full", cue_images=0)
     for scene in ("corridor", "ceiling"):
-        trial = Trial(scene, "walk", (Piece(0, 0, 4),), scale=scale)
-        found = trials._localize(trial, given, given)  # pyright: ignore[reportArgumentType]
+        trial = Trial(scene, "walk", (Segment(0, 0, 4),), scale=scale)
+        found = trial_run.localize(trial, given, given)  # pyright: ignore[reportArgumentType]
         told, belief = found["methods"]["smoothed"], found["belief"]["filter"]
         if scene == "corridor":
             assert told["floor"] == {"but_for_it": 1.0, "settled_images": 2, "settled_right": 1.0}

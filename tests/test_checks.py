@@ -6,7 +6,7 @@ from jaxtyping import Float64, TypeCheckError
 
 from filtering.se3 import Poses
 from tests.checks import checked, no_checks
-from vapor.benchmark.recordings import from_rows
+from vapor.benchmark.recordings.storage import from_rows
 from vapor.evaluation.consistency import longest_s
 
 WRONG = {

@@ -602,9 +602,9 @@ WRONG = {
     ),
     "no scene": (["benchmark", "localization", "--output", "o"], "expected each at most once, and one"),
     "a scene twice": (["benchmark", "localization", *["ceiling"] * 2, "--output", "o"], "scenes are ceiling, ceiling"),
-    "unknown variant": (
-        ["benchmark", "localization", "ceiling", "--output", "o", "--variants", "best"],
-        "unknown variant 'best', expected one of full,",
+    "unknown ablation": (
+        ["benchmark", "localization", "ceiling", "--output", "o", "--ablations", "best"],
+        "unknown ablation 'best', expected one of full,",
     ),
     "no kinds": (["benchmark", "localization", "ceiling", "--output", "o", "--kinds"], "kinds are none"),
     "more models than scenes": (

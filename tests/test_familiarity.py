@@ -11,7 +11,7 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.sequence_files import Walk
 from tests.tiny_model import NETWORK, altered
-from vapor.benchmark.foreign_images import CHANGED, FOREIGN, judge
+from vapor.benchmark.foreign_images import CHANGED, FOREIGN, evaluate_flags
 from vapor.calibration.calibrate import calibrate_model
 from vapor.calibration.familiarity import describe, fit_familiarity, learn_familiarity
 from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
@@ -202,12 +202,12 @@ def test_calibrate_learns_what_is_familiar_from_training_data_and_else_from_half
 
 def test_the_benchmark_counts_what_is_flagged_of_every_kind(model, walks, capsys):
     observer = VaporObservationModel.from_checkpoint(str(model), num_samples=1)
-    rows = judge(observer, [walks[0]], [walks[1]], every=4)
+    rows = evaluate_flags(observer, [walks[0]], [walks[1]], every=4)
     assert [row.kind for row in rows] == ["familiar", *FOREIGN, *CHANGED, "b.mcap"]
     assert {row.images for row in rows} == {15}
     by_kind = {row.kind: row for row in rows}
-    assert by_kind["uniform noise"].share == by_kind["uniform noise"].share_in_a_row == 1.0
-    assert by_kind["familiar"].share == by_kind["b.mcap"].share  # the walks are alike
+    assert by_kind["uniform noise"].fraction == by_kind["uniform noise"].fraction_in_a_row == 1.0
+    assert by_kind["familiar"].fraction == by_kind["b.mcap"].fraction  # the walks are alike
     assert main(["benchmark", "familiarity", str(model), "--familiar", walks[0], "--every", "20"]) == 0
     assert "upside down" in capsys.readouterr().out
 

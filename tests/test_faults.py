@@ -1,4 +1,4 @@
-"""Faults of camera and odometry: what each changes, how it is judged, and the command."""
+"""Faults of camera and odometry: what each changes, how it is evaluated, and the command."""
 
 import json
 from dataclasses import astuple
@@ -15,28 +15,27 @@ from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.reader import SequenceReader
 from sequences.trajectories.tum import write_tum
-from vapor.benchmark import fault_runs as fault_benchmark
-from vapor.benchmark import fault_walks, faults
-from vapor.benchmark.fault_walks import RecordedWalk, SyntheticWalk
-from vapor.benchmark.faults import (
-    FAULTS,
-    NONE,
+from vapor.benchmark.faults import benchmark as fault_benchmark
+from vapor.benchmark.faults import recorded_walks, timing
+from vapor.benchmark.faults.effects import (
     a_third,
     ahead,
-    find_moment,
     frozen,
-    judge,
     late,
-    longest_stretch,
     no_images,
     set_back,
     shown,
     standing_still,
-    summarise_faults,
     too_long,
     tripled,
 )
-from vapor.benchmark.trials import Replay
+from vapor.benchmark.faults.metrics import evaluate_fault, longest_run
+from vapor.benchmark.faults.recorded_walks import RecordedWalk
+from vapor.benchmark.faults.summary import summarise_faults
+from vapor.benchmark.faults.table import FAULTS, NONE, impossible
+from vapor.benchmark.faults.timing import find_moment, image_after
+from vapor.benchmark.faults.walks import SyntheticWalk
+from vapor.benchmark.trials.replay import Replay
 from vapor.track import main
 from vapor.tracking.belief import Belief
 from vapor.tracking.dead_reckoning import dead_reckoning
@@ -196,7 +195,7 @@ def test_a_fault_begins_once_the_filter_was_converged_for_a_while_and_never_too_
     assert find_moment(["lost"] * 300, times_ns) is None
 
 
-def test_the_longest_stretch_is_found_at_both_ends_and_between():
+def test_the_longest_run_is_found_at_both_ends_and_between():
     for said, expected in (
         ("..xx.x", (2, 2)),
         ("xxx.xx", (0, 3)),
@@ -204,10 +203,10 @@ def test_the_longest_stretch_is_found_at_both_ends_and_between():
         ("xx.xx", (0, 2)),
         ("...", (0, 0)),
     ):
-        assert longest_stretch(np.array([each == "x" for each in said])) == expected
+        assert longest_run(np.array([each == "x" for each in said])) == expected
 
 
-def test_a_fault_is_judged_by_the_images_from_its_beginning_on():
+def test_a_fault_is_evaluated_on_the_images_from_its_beginning_on():
     n, begin = 200, 40
     times_ns, truth = 100_000_000 * np.arange(n, dtype=np.int64), Poses.identity(n)
     off_m = np.zeros(n)
@@ -216,8 +215,8 @@ def test_a_fault_is_judged_by_the_images_from_its_beginning_on():
     status[begin:75] = "converged"
     status[75:90] = "lost"
     modes = [(Mode(translated([[x, 0.0, 0.0]])[0], np.eye(6), 1.0),) for x in off_m]
-    judged = judge(Belief(modes, status.tolist()), times_ns, truth, begin, range(begin, begin + 50))
-    assert judged == {
+    found = evaluate_fault(Belief(modes, status.tolist()), times_ns, truth, begin, range(begin, begin + 50))
+    assert found == {
         "success": True,
         "right": 140 / 160,
         "right_after": 1.0,
@@ -231,19 +230,21 @@ def test_a_fault_is_judged_by_the_images_from_its_beginning_on():
     }
 
 
-def judged(**more) -> dict:
-    shares = dict.fromkeys(("right", "right_after", "converged", "lost", "noticed", "lost_ever", "sure_and_wrong"), 0.5)
-    return {"success": True, **shares, "longest_s": 0.0, "longest_at_s": None, **more}
+def evaluated(**more) -> dict:
+    fractions = dict.fromkeys(
+        ("right", "right_after", "converged", "lost", "noticed", "lost_ever", "sure_and_wrong"), 0.5
+    )
+    return {"success": True, **fractions, "longest_s": 0.0, "longest_at_s": None, **more}
 
 
-def test_a_summary_averages_shares_and_names_the_walks_that_failed():
+def test_a_summary_averages_fractions_and_names_the_walks_that_failed():
     results = [
         {"name": name, "scene": "ceiling", "fault": fault, "begin": 50, "methods": {"filter": found}}
         for name, fault, found in (
-            ("b", "black", judged(right=1.0, noticed=None, longest_s=1.2, longest_at_s=7.0)),
-            ("a", "black", judged(right=0.0, success=False, longest_s=0.9, longest_at_s=3.0)),
-            ("a", NONE, judged()),
-            ("b", NONE, judged()),
+            ("b", "black", evaluated(right=1.0, noticed=None, longest_s=1.2, longest_at_s=7.0)),
+            ("a", "black", evaluated(right=0.0, success=False, longest_s=0.9, longest_at_s=3.0)),
+            ("a", NONE, evaluated()),
+            ("b", NONE, evaluated()),
         )
     ]
     summary = summarise_faults(results)
@@ -281,7 +282,7 @@ def folder(tmp_path_factory):
 @pytest.fixture
 def short(monkeypatch) -> None:
     for name, duration_s in (("CONVERGED_S", 1.0), ("FAULT_S", 1.0), ("SETTLED_S", 1.0), ("REMAINING_S", 2.0)):
-        monkeypatch.setattr(faults, name, duration_s)
+        monkeypatch.setattr(timing, name, duration_s)
 
 
 @pytest.mark.usefixtures("short")
@@ -351,7 +352,7 @@ def run_recorded(folder, tiny_model, *recordings: Path, more: tuple[str, ...] = 
 
 @pytest.mark.usefixtures("short")
 def test_faults_befall_recordings_as_they_do_synthetic_walks(recording, tiny_model, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(fault_walks, "_OTHER_IMAGES", 3)
+    monkeypatch.setattr(recorded_walks, "_OTHER_IMAGES", 3)
     followed = []
     follow = RecordedWalk.beliefs
     monkeypatch.setattr(RecordedWalk, "beliefs", lambda walk, replay: followed.append(replay) or follow(walk, replay))
@@ -438,8 +439,8 @@ def test_a_recording_without_true_poses_is_refused_and_one_of_which_a_part_has_t
 def test_images_are_counted_by_stamps_where_some_are_missing():
     times_ns = np.delete(TIMES_NS, range(12, 20))  # 0.8 s
     assert FAULTS["black"].during(2, np.append(times_ns, times_ns[-1] + 10**10)) == range(2, 22)
-    assert faults.image_after(1.0, 5, times_ns) == 12
-    assert faults.image_after(-0.5, 12, times_ns) == 12
-    assert faults.impossible(TIMES_NS) == []
-    assert faults.impossible(5 * TIMES_NS) == ["late"]
+    assert image_after(1.0, 5, times_ns) == 12
+    assert image_after(-0.5, 12, times_ns) == 12
+    assert impossible(TIMES_NS) == []
+    assert impossible(5 * TIMES_NS) == ["late"]
     assert find_moment(["converged"], TIMES_NS[:1]) is None

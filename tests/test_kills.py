@@ -29,7 +29,7 @@ KILLS = int(os.environ.get("KILLS", "1"))
 LOADED = [
     *("tests.test_kills", "vapor.track", "vapor.commands.signals", "vapor.reporting.pictures", "torch._dynamo"),
     *("rerun", "pandas", "pyarrow.compute", "matplotlib.backends.backend_agg", "tyro._backends._argparse_formatter"),
-    *(f"vapor.commands.{name}" for name in ("run", "train", "calibrate", "benchmark", "experiment")),
+    *(f"vapor.commands.{name}" for name in ("run", "train", "calibrate", "benchmark.localization", "experiment")),
 ]
 TINY = [
     *("--network.image-width", "32", "--network.image-height", "32", "--network.shortest-edge", "34"),

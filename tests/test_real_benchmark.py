@@ -10,15 +10,18 @@ from filtering.errors import VaporTrackError
 from sequences.odometry import OdometryNoise
 from tests.data_sets import make_7scenes
 from tests.pose_text import noisy, walk, write_named
-from vapor.benchmark import real as real_benchmark
-from vapor.benchmark import real_rows
-from vapor.benchmark.real_rows import ROWS, Place, Trained, simulated_motions
+from vapor.benchmark.real import benchmark as real_benchmark
+from vapor.benchmark.real import trained_network
+from vapor.benchmark.real.row import RowContext
+from vapor.benchmark.real.rows import ROWS
+from vapor.benchmark.real.stored_posteriors import poses_of, simulated_motions
+from vapor.benchmark.real.trained_network import TrainedNetwork
 from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.track import main
 from vapor.training.config import TrainConfig
 
-TINY = Trained(
+TINY = TrainedNetwork(
     "tiny",
     ("scene/seq-01@0:8",),
     ("scene/seq-01@8:10",),
@@ -33,7 +36,7 @@ TINY = Trained(
     ),
     "scene/seq-01",
     (2, None),
-    judged={"": lambda n: np.arange(n) % 2 == 1, "all": lambda n: np.ones(n, bool)},
+    evaluated={"": lambda n: np.arange(n) % 2 == 1, "all": lambda n: np.ones(n, bool)},
 )
 
 
@@ -95,7 +98,7 @@ def test_what_is_done_is_not_done_again_but_where_settings_or_code_changed(stair
     assert (tmp_path / "summary.json").read_bytes() == before
     assert run(stairs, tmp_path, *only, "--localizer.switch-ratio", "2") == 0
     assert len(done) == 1
-    monkeypatch.setattr(real_benchmark, "_code", lambda: "another filter")
+    monkeypatch.setattr(real_benchmark, "results_code", lambda row: "another filter")
     assert run(stairs, tmp_path, *only) == 0
     assert len(done) == 2
 
@@ -113,8 +116,8 @@ def test_a_network_is_trained_once_and_calibrated_anew_where_that_code_changed(t
     }
     models, recordings = ({file.name for file in (output / name).iterdir()} for name in ("models", "recordings"))
     assert (len(models), len(recordings)) == (2, 2)
-    monkeypatch.setattr(real_rows, "train", lambda *_, **__: pytest.fail("trained again"))
-    monkeypatch.setattr(real_rows, "_calibration_code", lambda: "another")
+    monkeypatch.setattr(trained_network, "train", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(trained_network, "calibration_code", lambda: "another")
     assert run(tmp_path, output, "--seeds", "2") == 0
     assert {file.name for file in (output / "models").iterdir()} > models
     assert {file.name for file in (output / "recordings").iterdir()} == recordings  # the network says the same
@@ -135,7 +138,7 @@ def test_unusable_data_and_names_are_refused(stairs, tmp_path, capsys):
     assert "seeds is 0" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     with pytest.raises(VaporTrackError, match="expected a directory that can be written to"):
-        Place(stairs, tmp_path / "file").folder("results")
+        RowContext(stairs, tmp_path / "file").folder("results")
 
 
 # --- recorded data -------------------------------------------------------------------------------------
@@ -151,8 +154,8 @@ def test_the_shared_data_have_every_row(shared_data):
 def test_the_corridors_own_odometry_is_one_of_ours(shared_data):
     """It is that of seed 4."""
     with np.load(shared_data / "corridor_posteriors" / "floor.npz") as stored:
-        times_ns, truth = stored["time_ns"], real_rows._poses(stored["truth"])
-        steps, covariance = real_rows._poses(stored["previous_from_current"]), stored["odometry_covariance"]
+        times_ns, truth = stored["time_ns"], poses_of(stored["truth"])
+        steps, covariance = poses_of(stored["previous_from_current"]), stored["odometry_covariance"]
     motions = simulated_motions(times_ns, truth, OdometryNoise(), rng=np.random.default_rng(4))
     for i, motion in enumerate(motions):
         np.testing.assert_allclose(motion.previous_from_current.as_matrix(), steps[i].as_matrix(), atol=1e-9)
@@ -165,9 +168,9 @@ def test_hlocs_estimates_of_the_stairs_are_as_good_as_published(shared_data, tmp
     """5.1 cm; in the unit of the scaled row the same."""
     for name in ("stairs_hloc", "stairs_x30_hloc"):
         row = next(row for row in ROWS if row.name == name)
-        draw = row.draw(Place(shared_data, tmp_path), 0, LocalizerConfig())
+        draw = row.draw(RowContext(shared_data, tmp_path), 0, LocalizerConfig())
         places = [draw.passage.posterior(i).means for i in range(0, 1000, 4)]
         error_m = [place.distance(draw.passage.truth[4 * i])[0].max() for i, place in enumerate(places)]
         assert np.median(error_m) / draw.unit_m == pytest.approx(0.051, abs=0.003)
-        assert len(draw.passage.times_ns) == draw.judged[""].sum() == 1000
+        assert len(draw.passage.times_ns) == draw.evaluated[""].sum() == 1000
         assert sum(motion is None for motion in draw.passage.odometry) == 2  # of two sequences the first

@@ -1,4 +1,4 @@
-"""Recordings of a benchmark: the user's own path through a file, kept exactly, once, and for nothing else."""
+"""Recordings of a benchmark: the user's own path through a file, stored exactly, once, and for nothing else."""
 
 import json
 import shutil
@@ -11,10 +11,12 @@ import pytest
 from filtering.errors import VaporTrackError
 from sequences.reader import SequenceReader
 from sequences.synthesize import synthesize, write_synthetic
-from vapor.benchmark import recordings
-from vapor.benchmark.recordings import RecordingSettings, camera_path, load_recording, make_recording
-from vapor.benchmark.trials import assemble
-from vapor.benchmark.windows import Piece, Trial
+from vapor.benchmark.recordings import record
+from vapor.benchmark.recordings.record import camera_path, make_recording
+from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
+from vapor.benchmark.recordings.storage import load_recording
+from vapor.benchmark.trials.replay import assemble
+from vapor.benchmark.trials.trial import Segment, Trial
 from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint
 from vapor.observation import VaporObservationModel
 
@@ -66,7 +68,7 @@ def test_the_path_is_the_same_before_and_after_recording(directory, tmp_path):
 
 
 def test_what_is_recorded_is_not_recorded_again(directory, checkpoint, monkeypatch):
-    monkeypatch.setattr(recordings, "_record", lambda *_: pytest.fail("recorded again"))
+    monkeypatch.setattr(record, "record_synthetic", lambda *_: pytest.fail("recorded again"))
     make_recording(SETTINGS, checkpoint, directory)
 
 
@@ -75,7 +77,7 @@ def test_an_interrupted_recording_leaves_nothing(checkpoint, tmp_path, monkeypat
         (folder / "samples.npy").write_bytes(b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(recordings, "_record", interrupted)
+    monkeypatch.setattr(record, "record_synthetic", interrupted)
     with pytest.raises(KeyboardInterrupt):
         make_recording(SETTINGS, checkpoint, tmp_path)
     assert list(tmp_path.iterdir()) == []
@@ -108,16 +110,25 @@ def test_a_recording_is_used_for_its_own_settings_only(name, directory, tmp_path
 def test_an_ordinary_recording_is_none_of_another_kind(name, directory, tmp_path):
     target = tmp_path / SETTINGS.name
     shutil.copytree(directory / SETTINGS.name, target)
-    told = replace(SETTINGS, **{name: OTHER[name]}).told
-    (target / "settings.json").write_text(json.dumps(told))
+    other = replace(SETTINGS, **{name: OTHER[name]}).stored
+    (target / "settings.json").write_text(json.dumps(other))
     with pytest.raises(VaporTrackError, match=f"recorded with {name} .*, expected None"):
         load_recording(SETTINGS, tmp_path)
 
 
 def test_what_is_as_in_most_recordings_changes_no_name():
-    assert not {"rate_hz", "stand", "part", "change", "odometry_scale", "camera"} & SETTINGS.told.keys()
+    assert not {"rate_hz", "stand", "part", "change", "odometry_scale", "camera"} & SETTINGS.stored.keys()
     assert replace(SETTINGS, rate_hz=10.0, stand=None, odometry_scale=None).name == SETTINGS.name
     assert replace(SETTINGS, rate_hz=30.0).name != SETTINGS.name != replace(SETTINGS, stand=(3, 1.0)).name
+
+
+def test_recordings_of_earlier_versions_are_found_by_their_names():
+    """Rendering them takes hours: these names are on users' disks."""
+    of_then = replace(SETTINGS, synthesis=3, package="0.1.0")
+    assert of_then.name == "ceiling-early-5-5c0d76a75d"
+    assert replace(of_then, **{**OTHER, "synthesis": 3, "package": "0.1.0"}).name == "staircase-none-4-da5502c67f"
+    assert FileSettings("walk", "x", "y", 1, 100).name == "walk-5f3900d157"
+    assert FileSettings("walk", "x", "y", 1, 100, 3, "black").name == "walk-df5174c707"
 
 
 def test_every_setting_of_a_recording_is_checked():
@@ -126,8 +137,8 @@ def test_every_setting_of_a_recording_is_checked():
 
 def test_a_kidnap_jumps_in_what_is_seen_but_not_in_time_or_odometry(directory):
     first, second = (load_recording(replace(SETTINGS, seed=seed), directory) for seed in (5, 6))
-    trial = Trial("ceiling", "kidnap", (Piece(5, 2, 6), Piece(6, 3, 4)))
-    replay = assemble(trial, lambda piece: {5: first, 6: second}[piece.seed])
+    trial = Trial("ceiling", "kidnap", (Segment(5, 2, 6), Segment(6, 3, 4)))
+    replay = assemble(trial, lambda segment: {5: first, 6: second}[segment.seed])
     assert len(replay.odometry) == len(replay.truth) == len(replay.times_ns) == 10
     assert set(np.diff(replay.times_ns)) == {100_000_000}
     for i in range(10):
@@ -147,7 +158,7 @@ def test_of_a_faster_recording_every_third_image_is_seen_and_the_motions_between
     make_recording(fast, checkpoint, tmp_path)
     recording = load_recording(fast, tmp_path)
     assert np.diff(recording.times_ns) == pytest.approx([1e9 / 30] * 12, abs=2)
-    replay = assemble(Trial("ceiling", "rate-10", (Piece(5, 0, 13),), 3), lambda piece: recording)
+    replay = assemble(Trial("ceiling", "rate-10", (Segment(5, 0, 13),), 3), lambda segment: recording)
     assert len(replay.odometry) == len(replay.truth) == len(replay.times_ns) == len(replay.unfamiliarity) == 5
     assert replay.times_ns[0] == recording.times_ns[0]
     np.testing.assert_allclose(np.diff(replay.times_ns), 1e8, atol=10)
@@ -206,7 +217,7 @@ def test_how_unfamiliar_images_are_is_recorded(checkpoint, tmp_path, monkeypatch
     make_recording(SETTINGS, checkpoint, tmp_path)
     recording = load_recording(SETTINGS, tmp_path)
     np.testing.assert_array_equal(recording.unfamiliarity, np.linspace(0.0, 2.2, 12))
-    replay = assemble(Trial("ceiling", "cue", (Piece(5, 2, 6),)), lambda piece: recording)
+    replay = assemble(Trial("ceiling", "cue", (Segment(5, 2, 6),)), lambda segment: recording)
     np.testing.assert_array_equal(replay.unfamiliarity, recording.unfamiliarity[2:8])
 
 

@@ -1,4 +1,4 @@
-"""Results kept in files named by the settings they depend on, the code among them: done once, found again."""
+"""Results cached in files named by the settings they depend on, the code among them: computed once, found again."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from vapor.threads import limited_threads
 
 
 def digest(settings: Mapping[str, Any]) -> str:
-    """Ten characters that other settings hardly share."""
+    """Ten characters that other settings almost certainly do not have."""
     text = json.dumps(settings, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:10]
 
 
 def cached(path: Path, settings: Mapping[str, Any], compute: Callable[[], Any]) -> Any:
-    """A result, or the one that is there of the same settings.
+    """A result, or the cached one if there is one with the same settings.
 
     Args:
-        path: Of the file, without the digest of the settings and `.json`.
+        path: The file, without the digest of the settings and `.json`.
         settings: Everything that the result depends on, as JSON.
-        compute: Gives the result, as JSON; with one thread.
+        compute: Returns the result, as JSON; called with one thread.
     """
     file = path.with_name(f"{path.name}-{digest(settings)}.json")
     try:
         return read_json(file)["result"]
-    except (SequenceError, KeyError, TypeError):  # none, or a damaged one
+    except (SequenceError, KeyError, TypeError):  # none, or damaged
         pass
     with limited_threads(1):
         result = compute()
@@ -45,7 +45,7 @@ def cached(path: Path, settings: Mapping[str, Any], compute: Callable[[], Any]) 
 
 @cache
 def code_digest(*names: str) -> str:
-    """Digest of the filter's code and that of modules and packages by name: what was changed is run again."""
+    """Digest of the code of the filter, and of modules and packages by name: what was changed is run again."""
     files = [file for name in ("filtering", *names) for file in _files(name)]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
@@ -55,4 +55,4 @@ def _files(name: str) -> list[Path]:
     if spec is None or spec.origin is None:
         raise ModuleNotFoundError(name)
     origin = Path(spec.origin)
-    return sorted(origin.parent.glob("*.py")) if spec.submodule_search_locations else [origin]
+    return sorted(origin.parent.rglob("*.py")) if spec.submodule_search_locations else [origin]

@@ -1,4 +1,4 @@
-"""The same function over many jobs, in several processes of one thread each."""
+"""One function over many jobs, in several processes of one thread each."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Result = TypeVar("Result")
 
 
 def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers: int) -> Iterator[Result]:
-    """The result of `function(*job)` for every job, in no order, as each is done.
+    """The result of `function(*job)` for every job, as each finishes, in no order.
 
-    A process takes seconds to start: no more are started than there are jobs, and for a single one none.
+    A process takes seconds to start: no more are started than there are jobs, and none for a single job.
     """
     jobs = list(jobs)
     workers = max(1, min(workers, len(jobs)))
-    # Processes start with the signals blocked that are blocked here: a terminal sends its own to all of them, but it is
-    # this process that answers and ends the others, which would die with a traceback each.
-    warnings.filterwarnings("ignore", r"\d+ tasks (which|have) ", UserWarning)  # of those left when it is interrupted
-    resource_tracker.ensure_running()  # which unblocks SIGINT when it starts
+    # Processes start with the signals blocked that are blocked here. A terminal sends its signals to all of them, but
+    # this process answers and ends the others, each of which would die with a traceback.
+    warnings.filterwarnings("ignore", r"\d+ tasks (which|have) ", UserWarning)  # left when it is interrupted
+    resource_tracker.ensure_running()  # it unblocks SIGINT when it starts
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         try:
@@ -35,5 +35,5 @@ def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         yield from results  # pyright: ignore[reportReturnType]
     except KeyboardInterrupt:
-        threading.excepthook = lambda _: None  # loky's thread may miss a worker that was still starting
+        threading.excepthook = lambda _: None  # loky's thread may miss a worker that is starting
         raise

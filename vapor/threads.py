@@ -1,4 +1,4 @@
-"""How many processor threads the arithmetic may take."""
+"""How many processor threads the arithmetic may use."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits
 def limited_threads(network: int) -> Iterator[None]:
     """Limit the network to `network` threads, and linear algebra to one, inside a `with` block.
 
-    The filter's matrix products take well under a millisecond: threads that wait for each other gain nothing there, and
-    where the processor is shared they made a step ten times slower.
+    The filter's matrix products take well under a millisecond: threads that wait for each other gain nothing, and on
+    a shared processor they made a step ten times slower.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(network)

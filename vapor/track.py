@@ -1,4 +1,4 @@
-"""The command `vapor-track`: finds the command asked for, and turns errors into one line and an exit status."""
+"""The command `vapor-track`: it finds the command asked for, and turns errors into one line and an exit status."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COMMANDS = {
     "posterior": "draw the posterior of one image",
     "evaluate": "measure the trajectories of a run against true poses",
     "experiment": "train many networks: methods side by side, recall over α, weight decay, schedules",
-    "benchmark": "time the parts of a step, localize many synthetic sequences, or count foreign images noticed",
+    "benchmark": "time a step, localize many sequences, synthetic or real, with or without faults, and count successes",
 }
 """Name -> what it does; each is a module of `vapor.commands`, imported only when it is called."""
 
@@ -91,7 +91,7 @@ def _run(words: list[str], signals: Signals) -> int:
 
 
 def _failure(error: BaseException) -> str | None:
-    """What to say of an error that is no defect of the program; None for any other."""
+    """What to say about an error that is not a defect of the program; None for any other."""
     from filtering.errors import VaporTrackError
 
     if isinstance(error, VaporTrackError):
@@ -102,7 +102,7 @@ def _failure(error: BaseException) -> str | None:
 
 
 def _shortage(error: Exception) -> str | None:
-    """What to say where the machine is too small; None for any other error. By names: torch may not be loaded."""
+    """What to say if the machine is too small; None for any other error. By names, as torch may not be loaded."""
     kind, text = type(error).__name__, str(error).lower()
     if kind in ("BrokenProcessPool", "TerminatedWorkerError"):
         return "a worker process ended unexpectedly, perhaps for lack of memory; fewer --workers need less"

@@ -1,4 +1,4 @@
-"""How often images of a place are called foreign, and foreign ones are not: counts over sequences."""
+"""How often images of a place are flagged as foreign, and foreign images are not: counts over sequences."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Image = UInt8[np.ndarray, "h w 3"]
 Change = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 IN_A_ROW = 10
-"""Images whose middle score decides, where it is not a single image that does."""
+"""Number of images whose median score decides, where a single image does not."""
 
 
 def _gains(red: float, green: float, blue: float) -> Change:
@@ -41,7 +41,7 @@ FOREIGN: Mapping[str, Change] = {
     "white": lambda image, rng: np.full_like(image, 255),
     "blurred by 1/30 of the width": lambda image, rng: cv2.GaussianBlur(image, (0, 0), image.shape[1] / 30),
 }
-"""What makes a foreign image of a familiar one."""
+"""Changes that turn a familiar image into a foreign one."""
 
 CHANGED: Mapping[str, Change] = {
     "30 % darker": _gains(0.7, 0.7, 0.7),
@@ -56,24 +56,25 @@ CHANGED: Mapping[str, Change] = {
 
 @dataclass(frozen=True)
 class Flagged:
-    """How often images of a kind were called foreign.
+    """How often images of a kind were flagged as foreign.
 
     Attributes:
         kind: Name of the data, or of what was done to the familiar images.
         images: How many.
         median: Median score.
-        share: Share of the images above 1.
-        share_in_a_row: Share of the images with nine before them whose ten have a median above 1; NaN without such.
+        fraction: Fraction of the images with a score above 1.
+        fraction_in_a_row: Of the images with nine before them, the fraction where the median of the ten is above 1; NaN
+            if there are none.
     """
 
     kind: str
     images: int
     median: float
-    share: float
-    share_in_a_row: float
+    fraction: float
+    fraction_in_a_row: float
 
 
-def judge(
+def evaluate_flags(
     model: VaporObservationModel,
     familiar: Sequence[Path | str],
     foreign: Sequence[Path | str],
@@ -82,15 +83,15 @@ def judge(
     seed: int = 0,
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Flagged]:
-    """Scores of familiar data, of the same made foreign or changed, and of each of the foreign data.
+    """Score familiar data, the same data made foreign or changed, and each of the foreign data.
 
     Args:
-        model: With a familiarity; how many samples it draws makes no difference.
-        familiar: Files and folders of images of its place that it was not trained on, or `PATH@START:STOP`.
-        foreign: The same of other places.
-        every: Take every so many images of each.
+        model: One with a familiarity; how many samples it draws makes no difference.
+        familiar: Files and folders with images of its place that it was not trained on, or `PATH@START:STOP`.
+        foreign: Likewise, of other places.
+        every: Take only every so many images of each.
         seed: Of noise.
-        advance: Called with the number of files and folders judged and of all.
+        advance: Called with the number of files and folders evaluated and that of all.
 
     Raises:
         VaporTrackError: the model says nothing about familiarity, or data cannot be read.
@@ -123,7 +124,7 @@ def _images(data: Sequence[Path | str], every: int) -> Iterator[Iterable[np.ndar
 def _scores(
     model: VaporObservationModel, images: Iterable[np.ndarray], changes: Mapping[str, Change], seed: int
 ) -> Float64[np.ndarray, "n k"]:
-    """Of each image after each of the changes, each with random numbers of its own."""
+    """Score of each image after each of the changes, each change with random numbers of its own."""
     streams = [np.random.default_rng([seed, number]) for number in range(len(changes))]
     scores = [
         [
@@ -139,7 +140,7 @@ def _count(kind: str, sequences: Sequence[Float64[np.ndarray, " n"]]) -> Flagged
     scores = np.concatenate(sequences)
     if not len(scores):
         raise VaporTrackError(f"{kind}: no images with true poses, expected at least one")
-    windows = [np.lib.stride_tricks.sliding_window_view(s, IN_A_ROW) for s in sequences if len(s) >= IN_A_ROW]
-    middle = np.concatenate([np.median(w, axis=1) for w in windows]) if windows else np.array([])
-    in_a_row = float((middle > 1.0).mean()) if len(middle) else float("nan")
+    rows = [np.lib.stride_tricks.sliding_window_view(s, IN_A_ROW) for s in sequences if len(s) >= IN_A_ROW]
+    medians = np.concatenate([np.median(row, axis=1) for row in rows]) if rows else np.array([])
+    in_a_row = float((medians > 1.0).mean()) if len(medians) else float("nan")
     return Flagged(kind, len(scores), float(np.median(scores)), float((scores > 1.0).mean()), in_a_row)

@@ -40,12 +40,12 @@ class Timing:
 
 
 def time_step(model: VaporObservationModel, *, repetitions: int, hypotheses: Sequence[int], seed: int) -> list[Timing]:
-    """Time decoding, network and filter one by one, on an image of noise and odometry at walking pace.
+    """Time decoding, network and filter separately, on an image of noise and with odometry at walking pace.
 
     Args:
         model: The network and its number of posterior samples.
-        repetitions: Of every part, after three that do not count.
-        hypotheses: Sizes of the filter to time; finding the places among the samples is a part of its step.
+        repetitions: Of every part, after three that are not counted.
+        hypotheses: Sizes of the filter to time; finding the places among the samples is part of its step.
         seed: Of the image and all draws.
     """
     rng = np.random.default_rng(seed)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 RENAMED: Mapping[str, str] = MappingProxyType(
     {
         "--average": "--ema-decay",
+        "--variants": "--ablations",
         "--evolve": "--ewta-fraction",
         "--half": "--store-float16",
         "--validation-share": "--validation-fraction",

@@ -1,4 +1,4 @@
-"""SIGINT, SIGTERM and SIGHUP end the command alike: what it began is undone, one line, exit status 128 + number."""
+"""SIGINT, SIGTERM and SIGHUP all end the command the same way: undo what it began, one line, exit status 128 + n."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _SOON_S = 0.02
 class Signals:
     """The signals that ask a command to end.
 
-    While the command works they raise KeyboardInterrupt. Before, while it is imported, and after it has nothing to
-    undo: then they end the process at once, as a KeyboardInterrupt within an import leaves a traceback.
+    While the command works, they raise KeyboardInterrupt. Before that, while it is imported, and afterwards there is
+    nothing to undo: they end the process at once, as a KeyboardInterrupt within an import leaves a traceback.
 
     Attributes:
-        prefix: What the line begins with that tells of a signal.
+        prefix: Beginning of the line that reports a signal.
         received: The first signal that came; None before.
         working: Whether there is something to undo.
         silent: Whether the command has said its last line.
@@ -38,14 +38,14 @@ class Signals:
         self._next_s = 0.0
 
     def take(self) -> None:
-        """Handle the signals of this process from now on, but for those that are ignored, as SIGHUP is by nohup."""
+        """Handle the signals of this process from now on, except those that are ignored, as nohup does with SIGHUP."""
         for number in _ENDING:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._handle)
         sys.unraisablehook = self._unraisable
 
     def tell(self) -> int:
-        """Say in a line that a signal ended the command; gives its exit status."""
+        """Say in one line that a signal ended the command; returns the exit status."""
         number = self.received or signal.SIGINT
         if not self.silent:
             self.silent = True
@@ -53,7 +53,7 @@ class Signals:
         return 128 + number
 
     def _handle(self, number: int, _: FrameType | None) -> None:
-        # A terminal that closes, and most that end services, send several: the first is being answered.
+        # A closing terminal, and most service managers, send several: the first one is being answered.
         if self.working and time.monotonic() < self._next_s:
             return
         self.received, self._next_s = self.received or number, time.monotonic() + _ONE_S
@@ -62,9 +62,9 @@ class Signals:
         os._exit(self.tell())
 
     def _unraisable(self, lost: Any) -> None:
-        """Where an exception cannot go on, as in a destructor: a signal comes again, others are printed as always."""
+        """If an exception cannot propagate, as in a destructor: repeat a signal, and print others as usual."""
         if self.received is None or not isinstance(lost.exc_value, KeyboardInterrupt):
             sys.__unraisablehook__(lost)
         else:
             self._next_s = 0.0
-            threading.Timer(_SOON_S, _thread.interrupt_main, (self.received,)).start()  # within this it would be lost
+            threading.Timer(_SOON_S, _thread.interrupt_main, (self.received,)).start()  # raised here it would be lost

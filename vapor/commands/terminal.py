@@ -1,4 +1,4 @@
-"""What the command prints, whatever standard output and error are: a full device, a terminal of another encoding."""
+"""Printing that works whatever standard output and error are: a full device, a terminal with another encoding."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from filtering.errors import shortened
 
 
 def encode_anything() -> None:
-    """From now on, characters that standard output or error cannot encode are printed as question marks."""
+    """From now on, print characters that standard output or error cannot encode as question marks."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
 
 
 def say(message: str) -> None:
-    """One line on standard error, of at most `MAX_MESSAGE` characters; nothing where it cannot be written to."""
+    """Print one line on standard error, of at most `MAX_MESSAGE` characters; nothing if it cannot be written to."""
     if sys.stderr is None:  # closed by the shell
         return
     try:
@@ -30,7 +30,7 @@ def say(message: str) -> None:
 
 
 def write(text: str) -> None:
-    """Text and the end of its line on standard output.
+    """Print text and a line end on standard output.
 
     Raises:
         OSError: It cannot be written to.
@@ -43,10 +43,10 @@ def write(text: str) -> None:
 
 
 def flush_output() -> None:
-    """Print what still waits to be.
+    """Print what is still buffered.
 
     Raises:
-        OSError: Standard output cannot be written to. What waited is dropped, so that nothing fails again at the end.
+        OSError: Standard output cannot be written to. What was buffered is dropped, so that exit does not fail.
     """
     try:
         if sys.stdout is not None:
@@ -56,13 +56,13 @@ def flush_output() -> None:
 
 
 def raise_of_output(error: OSError) -> NoReturn:
-    """Raise an error in writing to standard output as one that says so; what waits to be printed is dropped."""
+    """Raise an error in writing to standard output as one that says so; what is still buffered is dropped."""
     _abandon(sys.stdout)
     error.filename = error.filename or "standard output"
     raise error
 
 
 def _abandon(stream: TextIO) -> None:
-    """Let all that waits in a stream, and all that follows, go nowhere."""
-    with contextlib.suppress(OSError):  # of a stream that is no file
+    """Discard what is buffered in a stream, and all that follows."""
+    with contextlib.suppress(OSError):  # a stream that is not a file
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -14,7 +14,7 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output, workspace
 from sequences.files.structured import read_arrays, read_json
-from vapor.benchmark.recordings import from_rows, to_rows
+from vapor.benchmark.recordings.storage import from_rows, to_rows
 from vapor.cache import digest
 from vapor.checkpoints.checkpoint import load_checkpoint, spaced
 from vapor.evaluation.posterior import posterior_metrics

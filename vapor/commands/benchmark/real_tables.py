@@ -8,7 +8,8 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from vapor.benchmark.real import METHODS, Figure
+from vapor.benchmark.methods import LOCALIZING, label
+from vapor.benchmark.real.summary import Figure
 from vapor.evaluation.consistency import REGIONS
 
 Summary = Mapping[str, Mapping[str, Any]]
@@ -17,18 +18,18 @@ _RANGE = "where odometry is simulated: median of the draws, and below it the low
 
 
 def tables(summary: Summary) -> Iterator[Table]:
-    """Errors of every method, how many images are right, and how honest the filter is."""
+    """Errors of every method, how many images are right, and how consistent the filter is."""
     yield _errors(summary)
     yield _right(summary)
-    yield _honesty(summary)
+    yield _consistency(summary)
 
 
 def _errors(summary: Summary) -> Table:
-    table = _table("median error", *(name.replace("_", " ") for name in METHODS))
+    table = _table("median error", *map(label, LOCALIZING))
     table.caption = _RANGE
     for name, row in summary.items():
         cells = []
-        for method in METHODS:
+        for method in LOCALIZING:
             each = row["methods"][method]
             turned = each["median_rotation_deg"][0]
             cells.append(_cell(each["median_translation_m"], _metres, f" m {turned:4.1f}°"))
@@ -37,33 +38,35 @@ def _errors(summary: Summary) -> Table:
 
 
 def _right(summary: Summary) -> Table:
-    table = _table("right, within 0.3 m and 20°, %", *(name.replace("_", " ") for name in METHODS))
+    table = _table("right, within 0.3 m and 20°, %", *map(label, LOCALIZING))
     table.caption = "in brackets: off by more than 0.25 m. Both lengths times 30 in rows that are 30 times as large"
     for name, row in summary.items():
         cells = []
-        for method in METHODS:
+        for method in LOCALIZING:
             each = row["methods"][method]
             cells.append(_cell(each["right"], _percent, f" ({_percent(each['worse_than_0.25m'][0])})"))
         table.add_row(_named(name, row), *cells)
     return table
 
 
-def _honesty(summary: Summary) -> Table:
+def _consistency(summary: Summary) -> Table:
     regions = [f"in {region.replace('%', ' %')}" for region in REGIONS]
     table = _table("what the filter says of itself, %", "converged", "of these\nwrong", *regions, "median\nNEES (5.3)")
-    table.caption = "regions: of all images judged, and in brackets of those called converged"
+    table.caption = "regions: of all images evaluated, and in brackets of those called converged"
     for name, row in summary.items():
-        told = row["filter"]
+        figures = row["filter"]
         cells = []
         for region in REGIONS:
-            once = told["coverage_converged"][region]
-            cells.append(_cell(told["coverage"][region], _percent, f" ({'–' if once is None else _percent(once[0])})"))
+            once = figures["coverage_converged"][region]
+            cells.append(
+                _cell(figures["coverage"][region], _percent, f" ({'–' if once is None else _percent(once[0])})")
+            )
         table.add_row(
             _named(name, row),
-            _cell(told["converged"], _percent),
-            _cell(told["wrong"], _percent),
+            _cell(figures["converged"], _percent),
+            _cell(figures["wrong"], _percent),
             *cells,
-            _cell(told["median_nees"], lambda nees: f"{nees:.1f}"),
+            _cell(figures["median_nees"], lambda nees: f"{nees:.1f}"),
         )
     return table
 
@@ -92,6 +95,6 @@ def _metres(metres: float) -> str:
     return f"{metres:.{3 if metres < 1.0 else 2}f}"
 
 
-def _percent(share: float) -> str:
-    percent = 100.0 * share
+def _percent(fraction: float) -> str:
+    percent = 100.0 * fraction
     return f"{percent:.1f}" if 0.0 < percent < 9.95 or 90.05 < percent < 100.0 else f"{percent:.0f}"

@@ -1,4 +1,4 @@
-"""What many trials add up to, per scene, kind of run and variant of the filter."""
+"""What many trials add up to, per scene, kind of trial and ablation of the filter."""
 
 from __future__ import annotations
 
@@ -7,42 +7,42 @@ from typing import Any
 
 import numpy as np
 
-from vapor.benchmark.windows import KINDS
+from vapor.benchmark.methods import BELIEVING, METHODS
+from vapor.benchmark.trials.kinds import KINDS
 from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.intervals import Walks
 from vapor.evaluation.trajectory import THRESHOLDS
-from vapor.tracking.methods import BASELINES, METHODS
 
 WITHIN_IMAGES = 50
-"""A kidnapped filter should be right again after no more images than this."""
+"""A kidnapped filter should be right again after at most this many images."""
 
 OFTEN = 0.05
-"""Share of a run's images from which on being sure of a wrong place is more than a moment's."""
+"""Fraction of a run's images from which on being confident of a wrong place is more than momentary."""
 
 Results = Sequence[Mapping[str, Any]]
 
 
 def summarise(results: Results) -> dict[str, dict[str, dict[str, Any]]]:
-    """Aggregates of all results, by scene, kind and variant."""
+    """Aggregates of all results, by scene, kind and ablation."""
     groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
     for result in sorted(results, key=lambda each: each["name"]):
         groups.setdefault((result["scene"], result["kind"], result["variant"]), []).append(result)
     summary: dict[str, dict[str, dict[str, Any]]] = {}
-    for (scene, kind, variant), group in groups.items():
-        summary.setdefault(scene, {}).setdefault(kind, {})[variant] = _aggregate(group)
+    for (scene, kind, ablation), group in groups.items():
+        summary.setdefault(scene, {}).setdefault(kind, {})[ablation] = _aggregate(group)
     return summary
 
 
 def failed(result: Mapping[str, Any]) -> bool:
     """Whether a run is one to look at.
 
-    With something unique on its way: it did not find itself. Without, or standing: it was sure of a wrong place in at
-    least 5 % of its images. Carried off: it did not recover within 50 images.
+    With something unique on its way: it did not find itself. Without, or standing: it was confident of a wrong place in
+    at least 5 % of its images. Carried off: it did not recover within 50 images.
     """
     like, belief = KINDS[result["kind"]].like, result["belief"]["filter"]
     if like == "cue":
         return not result["methods"]["filter"]["success"]
-    return _wrong_share(belief) >= OFTEN if like == "no-cue" else not _recovered(belief)
+    return _wrong_fraction(belief) >= OFTEN if like == "no-cue" else not _recovered(belief)
 
 
 def _aggregate(results: Results) -> dict[str, Any]:
@@ -53,10 +53,7 @@ def _aggregate(results: Results) -> dict[str, Any]:
         "walks": walks.count,
         "images": sum(images),
         "methods": {name: _method([result["methods"][name] for result in results], walks) for name in METHODS},
-        "belief": {
-            name: _belief([result["belief"][name] for result in results], images, walks)
-            for name in (*BASELINES, "filter")
-        },
+        "belief": {name: _belief([result["belief"][name] for result in results], images, walks) for name in BELIEVING},
         "image_truth_among_modes": _mean([result["image_truth_among_modes"] for result in results]),
         "particles": float(np.median([result["particles"] for result in results])),
         "step_ms": float(np.median([result["step_ms"] for result in results])),
@@ -65,17 +62,17 @@ def _aggregate(results: Results) -> dict[str, Any]:
 
 
 def _method(metrics: Results, walks: Walks) -> dict[str, Any]:
-    """Recalls are over all images of all runs, which are equally long; errors and times are medians over runs."""
+    """Recalls are over all images of all runs, which have the same length; errors and times are medians over runs."""
     errors_m = [each["median_translation_m"] for each in metrics]
     recall = {name: [each["recall"][name] for each in metrics] for name in THRESHOLDS}
     intervals: dict[str, Any] = {
         "median_translation_m": walks.median(errors_m),
-        "recall": {name: walks.mean(shares) for name, shares in recall.items()},
+        "recall": {name: walks.mean(fractions) for name, fractions in recall.items()},
     }
     total: dict[str, Any] = {
         "median_translation_m": float(np.median(errors_m)),
         "median_rotation_deg": float(np.median([each["median_rotation_deg"] for each in metrics])),
-        "recall": {name: _mean(shares) for name, shares in recall.items()},
+        "recall": {name: _mean(fractions) for name, fractions in recall.items()},
         "intervals": intervals,
     }
     if "success" in metrics[0]:
@@ -93,7 +90,7 @@ def _method(metrics: Results, walks: Walks) -> dict[str, Any]:
 
 
 def _floor(floors: Results, walks: Walks) -> dict[str, Any]:
-    """Right but for the floor, of all images; and right of those from when on the floor is."""
+    """How many of all images are right but for the floor, and how many are right once the floor is."""
     but_for_it = [floor["but_for_it"] for floor in floors]
     right, images = [floor["settled_right"] for floor in floors], [floor["settled_images"] for floor in floors]
     return {
@@ -106,8 +103,8 @@ def _floor(floors: Results, walks: Walks) -> dict[str, Any]:
 
 def _belief(beliefs: Results, images: Sequence[int], walks: Walks) -> dict[str, Any]:
     false_recoveries = [belief["false_recoveries"] for belief in beliefs]
-    wrong = [_wrong_share(belief) for belief in beliefs]
-    right = [belief["status"]["converged"] - share for belief, share in zip(beliefs, wrong, strict=True)]
+    wrong = [_wrong_fraction(belief) for belief in beliefs]
+    right = [belief["status"]["converged"] - fraction for belief, fraction in zip(beliefs, wrong, strict=True)]
     total: dict[str, Any] = {
         "status": {
             name: _mean([belief["status"][name] for belief in beliefs], images) for name in beliefs[0]["status"]
@@ -118,12 +115,12 @@ def _belief(beliefs: Results, images: Sequence[int], walks: Walks) -> dict[str, 
         "truth_among_modes": _mean([belief["truth_among_modes"] for belief in beliefs], images),
         "false_recoveries": sum(false_recoveries),
         "runs_with_false_recovery": sum(number > 0 for number in false_recoveries),
-        "runs_wrongly_converged": sum(share > 0 for share in wrong),
-        "runs_wrongly_converged_often": sum(share >= OFTEN for share in wrong),
+        "runs_wrongly_converged": sum(fraction > 0 for fraction in wrong),
+        "runs_wrongly_converged_often": sum(fraction >= OFTEN for fraction in wrong),
         "longest_wrong_s": max(belief["longest_wrong_s"] for belief in beliefs),
         "intervals": {
             "rightly_converged": walks.mean(right, images),
-            "runs_wrongly_converged": walks.number([share > 0 for share in wrong]),
+            "runs_wrongly_converged": walks.number([fraction > 0 for fraction in wrong]),
         },
     }
     if "on_floor" in beliefs[0]:
@@ -143,25 +140,25 @@ def _belief(beliefs: Results, images: Sequence[int], walks: Walks) -> dict[str, 
 
 
 def _consistency(parts: Results, walks: Walks) -> dict[str, Any]:
-    """Shares are over all images; the NEES is the median of the runs' medians."""
+    """Fractions are over all images; the NEES is the median of the runs' medians."""
     images = [part["images"] for part in parts]
     wrong, nees = [part["wrong"] for part in parts], [part["median_nees"] for part in parts]
     coverage = {region: [part["coverage"] and part["coverage"][region] for part in parts] for region in REGIONS}
     return {
         "images": sum(images),
         "wrong": _mean(wrong, images),
-        "coverage": {region: _mean(shares, images) for region, shares in coverage.items()},
+        "coverage": {region: _mean(fractions, images) for region, fractions in coverage.items()},
         "median_nees": _median(nees),
         "intervals": {
             "wrong": walks.mean(wrong, images),
-            "coverage": {region: walks.mean(shares, images) for region, shares in coverage.items()},
+            "coverage": {region: walks.mean(fractions, images) for region, fractions in coverage.items()},
             "median_nees": walks.median(nees),
         },
     }
 
 
-def _wrong_share(belief: Mapping[str, Any]) -> float:
-    """Share of all images of a run that say `converged` and are wrong."""
+def _wrong_fraction(belief: Mapping[str, Any]) -> float:
+    """Fraction of all images of a run that say `converged` and are wrong."""
     return belief["status"]["converged"] * (belief["said_converged"]["wrong"] or 0.0)
 
 
@@ -171,7 +168,7 @@ def _recovered(belief: Mapping[str, Any]) -> bool:
 
 
 def _mean(values: Sequence[int | float | None], weights: Sequence[int | float] | None = None) -> float | None:
-    """Of the values that there are; None of none."""
+    """Of the values that are known; None if none is."""
     weights = [1] * len(values) if weights is None else weights
     known = [(value, weight) for value, weight in zip(values, weights, strict=True) if value is not None]
     total = sum(weight for _, weight in known)
@@ -179,6 +176,6 @@ def _mean(values: Sequence[int | float | None], weights: Sequence[int | float] |
 
 
 def _median(values: Sequence[int | float | None]) -> float | None:
-    """Of the values that there are; None of none."""
+    """Of the values that are known; None if none is."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None

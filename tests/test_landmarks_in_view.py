@@ -1,4 +1,4 @@
-"""Which runs a benchmark consists of: decided by what the camera comes by, and by nothing else."""
+"""Which trials a benchmark consists of: decided by where a landmark is in view, and by nothing else."""
 
 from dataclasses import replace
 from typing import get_args
@@ -8,18 +8,10 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from vapor.benchmark.recordings import CameraPath
-from vapor.benchmark.windows import (
-    KINDS,
-    Kind,
-    Piece,
-    Trial,
-    choose_trials,
-    cue_starts,
-    recorded_images,
-    spread_starts,
-    walk_frames,
-)
+from vapor.benchmark.recordings.storage import CameraPath
+from vapor.benchmark.trials.kinds import KINDS, Kind, recorded_images, walk_frames
+from vapor.benchmark.trials.landmarks_in_view import choose_trials, cue_starts, spread_starts
+from vapor.benchmark.trials.trial import Segment, Trial
 
 FRAMES = 60
 
@@ -40,7 +32,7 @@ def chosen(kind, *, runs: int, path=wide_apart, first_seed: int = 7) -> list[Tri
     return choose_trials("ceiling", kind, runs=runs, first_seed=first_seed, frames=FRAMES, path=path)
 
 
-def test_a_stretch_counts_from_five_images_with_something_unique_on():
+def test_a_segment_counts_from_five_images_with_something_unique_on():
     seen = np.zeros(40, bool)
     seen[20:25] = True
     assert cue_starts(seen, length=20, within=10).tolist() == [15, 16, 17, 18, 19, 20]
@@ -63,12 +55,12 @@ def test_windows_of_a_recording_begin_by_chance_but_apart():
 def test_every_cue_run_sees_something_unique_in_its_first_half():
     trials = chosen("cue", runs=5)
     for trial in trials:
-        (piece,) = trial.pieces
-        assert piece.length == FRAMES
-        assert wide_apart(piece.seed).sees_cue[piece.start : piece.start + FRAMES // 2].sum() >= 5
-        assert piece.start + FRAMES <= walk_frames("cue", FRAMES)
+        (segment,) = trial.segments
+        assert segment.length == FRAMES
+        assert wide_apart(segment.seed).sees_cue[segment.start : segment.start + FRAMES // 2].sum() >= 5
+        assert segment.start + FRAMES <= walk_frames("cue", FRAMES)
     assert len({trial.name for trial in trials}) == 5
-    assert trials[0].name == f"ceiling-cue-7-{trials[0].pieces[0].start}"
+    assert trials[0].name == f"ceiling-cue-7-{trials[0].segments[0].start}"
 
 
 def test_every_kind_has_a_name_that_can_be_asked_for():
@@ -83,18 +75,18 @@ def test_fewer_runs_are_the_first_of_more_and_the_same_every_time(kind):
 
 def test_seeds_without_anything_unique_are_passed_over_and_in_the_end_given_up():
     trials = chosen("cue", runs=2, path=lambda seed: wide_apart(seed) if seed > 20 else path_seeing([]))
-    assert min(trial.pieces[0].seed for trial in trials) == 21
+    assert min(trial.segments[0].seed for trial in trials) == 21
     with pytest.raises(VaporTrackError, match="ceiling: 0 cue trials of 60 images in seeds 7 to 57, expected 2"):
         chosen("cue", runs=2, path=lambda seed: path_seeing([]))
 
 
 def test_runs_without_anything_unique_are_whole_recordings():
-    assert chosen("no-cue", runs=2) == [Trial("ceiling", "no-cue", (Piece(s, 0, FRAMES),)) for s in (7, 8)]
+    assert chosen("no-cue", runs=2) == [Trial("ceiling", "no-cue", (Segment(s, 0, FRAMES),)) for s in (7, 8)]
     assert walk_frames("no-cue", FRAMES) == FRAMES
 
 
 def test_walks_are_whole_recordings_that_pass_something_unique_early():
-    assert chosen("walk", runs=2) == [Trial("ceiling", "walk", (Piece(s, 0, FRAMES),)) for s in (7, 8)]
+    assert chosen("walk", runs=2) == [Trial("ceiling", "walk", (Segment(s, 0, FRAMES),)) for s in (7, 8)]
     assert walk_frames("walk", FRAMES) == recorded_images("walk", FRAMES) == FRAMES
     assert KINDS["walk"].cues == "early"
 
@@ -102,7 +94,7 @@ def test_walks_are_whole_recordings_that_pass_something_unique_early():
 def test_runs_at_a_rate_are_the_same_recordings_of_which_some_images_are_seen():
     for kind, stride in (("rate-3", 10), ("rate-10", 3), ("rate-30", 1)):
         assert recorded_images(kind, walk_frames(kind, FRAMES)) == 3 * FRAMES
-        assert chosen(kind, runs=2) == [Trial("ceiling", kind, (Piece(s, 0, 3 * FRAMES),), stride) for s in (7, 8)]
+        assert chosen(kind, runs=2) == [Trial("ceiling", kind, (Segment(s, 0, 3 * FRAMES),), stride) for s in (7, 8)]
 
 
 @pytest.mark.parametrize("kind", ["scale-0.1", "scale-30"])
@@ -114,7 +106,7 @@ def test_runs_at_another_scale_are_those_of_cue(kind):
 
 @pytest.mark.parametrize(("kind", "rate"), [("standing", 1), ("standing-30", 3)])
 def test_a_standing_camera_walks_for_five_seconds_and_stands_for_five_minutes(kind, rate):
-    assert chosen(kind, runs=1) == [Trial("ceiling", kind, (Piece(7, 0, rate * 3050, rate * 50),))]
+    assert chosen(kind, runs=1) == [Trial("ceiling", kind, (Segment(7, 0, rate * 3050, rate * 50),))]
     assert walk_frames(kind, FRAMES) == 51  # while it stands, the path does not go on
 
 
@@ -122,7 +114,7 @@ def test_a_standing_camera_walks_for_five_seconds_and_stands_for_five_minutes(ki
 def test_a_camera_stops_before_something_unique_where_there_is_any_after_five_seconds(kind, rate):
     seen = [*range(20, 30), *range(60, 64), *range(70, 90)]  # too early, and too short
     (trial,) = chosen(kind, runs=1, path=lambda seed: path_seeing(seen if seed > 8 else range(50)))
-    assert trial.pieces == (Piece(9, 0, rate * 3074, rate * 74),)
+    assert trial.segments == (Segment(9, 0, rate * 3074, rate * 74),)
 
 
 def test_where_nothing_unique_is_ever_seen_no_camera_can_stand_before_it():
@@ -138,10 +130,10 @@ def test_a_kidnap_goes_far_and_lands_where_something_unique_is_soon_seen():
     trials = chosen("kidnap", runs=20, path=near)
     jumps = []
     for trial in trials:
-        before, after = trial.pieces
-        assert (before.length, after.length, trial.seam) == (40, 20, 40)
+        before, after = trial.segments
+        assert (before.length, after.length, trial.kidnap_index) == (40, 20, 40)
         assert after.seed == before.seed + 1
-        assert before.start + before.length < 2 * FRAMES  # one more image, for the odometry at the seam
+        assert before.start + before.length < 2 * FRAMES  # one more image, for the odometry at the kidnap
         assert near(before.seed).sees_cue[before.start : before.start + 20].sum() >= 5
         assert near(after.seed).sees_cue[after.start : after.start + FRAMES // 10].sum() >= 5
         left = near(before.seed).world_from_camera.translation[before.start + before.length - 1, 0]

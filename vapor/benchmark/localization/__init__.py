@@ -1,0 +1,1 @@
+"""`benchmark localization`: many trials on synthetic scenes, and what they add up to."""

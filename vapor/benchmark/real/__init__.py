@@ -1,0 +1,1 @@
+"""`benchmark real`: recordings, posteriors and pose estimates published by others."""

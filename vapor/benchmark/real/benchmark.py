@@ -1,0 +1,115 @@
+"""Recordings made by others: each row is prepared once, and evaluated again when the filter has changed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from filtering.config import LocalizerConfig
+from filtering.errors import VaporTrackError, require_within
+from vapor.benchmark.real.row import Row, RowContext
+from vapor.benchmark.real.rows import ROWS
+from vapor.cache import cached, code_digest
+from vapor.evaluation.comparison import compare
+from vapor.threads import limited_threads
+from vapor.tracking.follow import follow
+
+_CODE = (
+    "sequences.estimates",
+    "sequences.odometry",
+    "sequences.odometry_fit",
+    "vapor.benchmark.real.row",
+    "vapor.benchmark.real.rows",
+    "vapor.benchmark.recordings",
+    "vapor.calibration",
+    "vapor.checkpoints",
+    "vapor.evaluation",
+    "vapor.pipeline.estimate_model",
+    "vapor.pipeline.fuse",
+    "vapor.tracking",
+)
+
+
+@dataclass(frozen=True)
+class RealConfig:
+    """Settings of a benchmark on real recordings."""
+
+    seeds: int = 3
+    """Draws of simulated odometry; recorded odometry has one."""
+    num_samples: int = 1000
+    """Posterior samples per image."""
+    localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
+    """The particle filter."""
+
+    def __post_init__(self) -> None:
+        require_within(self, seeds=(1, 10**6), num_samples=(1, 10**6))
+
+
+def choose(data: Path, only: Sequence[str]) -> tuple[list[Row], dict[str, list[str]]]:
+    """The rows asked for whose data are all there, and what is missing for the others, by their names.
+
+    Args:
+        data: Folder with the recordings.
+        only: Names of rows or of their groups; empty for all.
+
+    Raises:
+        VaporTrackError: no such folder, an unknown name, or nothing is left.
+    """
+    if not data.is_dir():
+        raise VaporTrackError(f"{data}: no such folder, expected one with recordings such as {ROWS[0].needs[0]}")
+    known = dict.fromkeys([*(row.group for row in ROWS), *(row.name for row in ROWS)])
+    for name in only:
+        if name not in known:
+            raise VaporTrackError(f"unknown row {name!r}, expected one of {', '.join(known)}")
+    asked = [row for row in ROWS if not only or row.name in only or row.group in only]
+    missing = {row.name: [need for need in row.needs if not (data / need).exists()] for row in asked}
+    rows = [row for row in asked if not missing[row.name]]
+    if not rows:
+        lacking = dict.fromkeys(need for needs in missing.values() for need in needs)
+        raise VaporTrackError(f"{data}: nothing to measure, expected any of {', '.join(lacking)} in it")
+    return rows, {name: needs for name, needs in missing.items() if needs}
+
+
+def measure(rows: Sequence[Row], context: RowContext, config: RealConfig) -> Iterator[list[dict[str, Any]]]:
+    """The results of every row and draw, in order; cached ones of the same settings and code are not computed again.
+
+    Yields:
+        For each set of images of a draw that is evaluated: `row`, `group`, `of` (which images), `seed`, `unit_m`, and
+        what `Comparison.figures` gives, lengths in units of `unit_m` metres.
+
+    Raises:
+        VaporTrackError: unusable data, or an output that cannot be written to.
+    """
+    for row in rows:
+        for seed in range(config.seeds if row.simulated else 1):
+            with limited_threads(1):
+                yield _evaluated(row, seed, context, config)
+
+
+def _evaluated(row: Row, seed: int, context: RowContext, config: RealConfig) -> list[dict[str, Any]]:
+    prepared = row.prepare(context, seed)
+    settings = {"prepared": prepared, "localizer": asdict(config.localizer), "code": results_code(row)}
+    settings = json.loads(json.dumps(settings))
+
+    def compute() -> list[dict[str, Any]]:
+        context.advance("localizing", seed, None)
+        draw = row.draw(context, seed, config.localizer)
+        followed = follow(draw.passage, draw.errors, draw.localizer, rng=np.random.default_rng(seed))
+        compared = compare(followed).scaled(1.0 / draw.unit_m)
+        return [
+            {"row": row.name, "group": row.group, "of": what, "seed": seed, "unit_m": draw.unit_m}
+            | compared.figures(images)
+            for what, images in draw.evaluated.items()
+        ]
+
+    return cached(context.folder("results") / f"{row.name}-{seed}", settings, compute)
+
+
+def results_code(row: Row) -> str:
+    """Digest of the code that the results of a row depend on."""
+    return code_digest(*_CODE, type(row).__module__)

@@ -1,0 +1,104 @@
+"""What a row of `benchmark real` must offer, and what it is given and returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool
+
+from filtering.config import LocalizerConfig
+from filtering.error_model import ErrorModel
+from filtering.errors import VaporTrackError
+from vapor.tracking.passage import Passage
+
+Advance = Callable[[str, int, int | None], None]
+"""Called with what is being done, how much of it is done, and how much there is."""
+
+
+@dataclass(frozen=True)
+class RowContext:
+    """Where a row finds its data and stores what it makes.
+
+    Attributes:
+        data: Folder with the recordings of others.
+        output: Folder for models, sequences, recordings and results.
+        num_samples: Posterior samples per image.
+        advance: Called with the progress.
+    """
+
+    data: Path
+    output: Path
+    num_samples: int = 1000
+    advance: Advance = field(default=lambda what, done, total: None, compare=False)
+
+    def folder(self, name: str) -> Path:
+        """A folder in the output, made if absent."""
+        folder = self.output / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise VaporTrackError(
+                f"{folder}: cannot write: {error.strerror or error}, expected a directory that can be written to"
+            ) from error
+        return folder
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One draw of a row, ready to be localized.
+
+    Attributes:
+        passage: n images.
+        errors: How they err.
+        localizer: Settings of the filter.
+        evaluated: Which images are evaluated, (n,), by a name for them; the empty name is the row itself.
+        unit_m: Lengths are evaluated in units of so many metres.
+    """
+
+    passage: Passage
+    errors: ErrorModel
+    localizer: LocalizerConfig
+    evaluated: Mapping[str, Bool[np.ndarray, " n"]]
+    unit_m: float = 1.0
+
+
+@runtime_checkable
+class Row(Protocol):
+    """A recording that methods are evaluated on."""
+
+    @property
+    def name(self) -> str:
+        """Its own name."""
+        ...
+
+    @property
+    def group(self) -> str:
+        """Name of the rows that differ from it in one thing only."""
+        ...
+
+    @property
+    def simulated(self) -> bool:
+        """Whether there are several draws of its odometry."""
+        ...
+
+    @property
+    def unit_m(self) -> float:
+        """Lengths are evaluated in units of so many metres."""
+        ...
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Files and folders of the data that must be there."""
+        ...
+
+    def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
+        """Make what a draw needs, unless it is there; returns all that its result depends on besides code, as JSON."""
+        ...
+
+    def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
+        """A draw that has been prepared."""
+        ...

@@ -1,0 +1,87 @@
+"""The rows of `benchmark real`: recordings made by others, and which part of each is used for what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from vapor.benchmark.real.pose_estimates import PoseEstimates
+from vapor.benchmark.real.row import Row
+from vapor.benchmark.real.stored_posteriors import StoredPosteriors
+from vapor.benchmark.real.trained_network import TrainedNetwork
+from vapor.training.config import TrainConfig
+from vapor.training.presets import PRESETS
+
+
+def _config(preset: str, epochs: int, width: int, height: int, shortest: int) -> TrainConfig:
+    chosen = PRESETS[preset]
+    network = replace(chosen.network, image_width=width, image_height=height, shortest_edge=shortest)
+    return replace(chosen, network=network, epochs=epochs, calibrate=False)
+
+
+def _tum_fr1() -> TrainedNetwork:
+    """Two sequences of one desk: one of them and half of the other are trained on, the rest is localized."""
+    rpy, xyz = (f"tum_fr1/rgbd_dataset_freiburg1_{name}" for name in ("rpy", "xyz"))
+    return TrainedNetwork(
+        "tum_fr1",
+        (f"{rpy}@0:651", f"{xyz}@0:359"),
+        (f"{rpy}@651:", f"{xyz}@359:399"),
+        _config("demo", 20, 128, 128, 146),
+        xyz,
+        (399, None),
+        f"{xyz}/rgbdslam_drift.txt",
+    )
+
+
+def _redkitchen() -> TrainedNetwork:
+    """One sequence: its end is trained on, its beginning localized."""
+    folder = "7scenes_redkitchen/seq-01"
+    config = _config("efficientnet-lite0", 20, 96, 72, 80)
+    return TrainedNetwork("redkitchen", (f"{folder}@300:930",), (f"{folder}@930:1000",), config, folder, (0, 300))
+
+
+def _hololens_rooms() -> TrainedNetwork:
+    """One walk: of every 30 images 18 are trained on and 2 held out; all are localized, the other 10 evaluated."""
+    folder, images, trained, block = "hololens_rooms/seq-01", 373, 20, 30
+    spans = [(start, min(start + trained, images)) for start in range(0, images, block)]
+    tails = [(stop - round(0.1 * (stop - start)), stop) for start, stop in spans]
+    return TrainedNetwork(
+        "hololens_rooms",
+        tuple(f"{folder}@{start}:{tail}" for (start, _), (tail, _) in zip(spans, tails, strict=True)),
+        tuple(f"{folder}@{tail}:{stop}" for tail, stop in tails),
+        _config("efficientnet-lite0", 40, 120, 80, 88),
+        folder,
+        evaluated={"": lambda n: np.arange(n) % block >= trained, "all": lambda n: np.ones(n, bool)},
+    )
+
+
+SCALE = 30.0
+"""How much larger the scaled rows are: a car park instead of a room."""
+
+
+def _stairs(scale: float = 1.0) -> Sequence[PoseEstimates]:
+    """Six methods' estimates in a repetitive staircase, each alone and all together."""
+    folder, group = "7scenes_stairs", "stairs" if scale == 1.0 else f"stairs_x{scale:g}"
+    methods = {
+        name: f"{folder}/estimates/stairs_{name}.txt"
+        for name in ("hloc", "r2d2_rgb", "r2d2_rgbd", "as", "dsac_rgb", "dsac_rgbd")
+    }
+    inputs = {name: (file,) for name, file in methods.items()} | {
+        "all": tuple(methods[name] for name in sorted(methods))
+    }
+    truth = f"{folder}/stairs_test.txt"
+    return [PoseEstimates(f"{group}_{name}", group, files, truth, scale) for name, files in inputs.items()]
+
+
+# To add a row: one of these kinds, or a class of your own with what `Row` asks for.
+ROWS: tuple[Row, ...] = (
+    _tum_fr1(),
+    _redkitchen(),
+    _hololens_rooms(),
+    StoredPosteriors("corridor_posteriors", "corridor_posteriors/floor.npz", own_seed=4),
+    *_stairs(),
+    *_stairs(SCALE),
+)
+"""All of them, in the order of the tables."""

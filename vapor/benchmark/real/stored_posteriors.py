@@ -1,0 +1,117 @@
+"""Rows of posterior samples that a network of others gave, stored in a file with odometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.config import LocalizerConfig
+from filtering.motion import MotionNoise, Odometry
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from sequences.files.structured import read_arrays
+from sequences.frame import BASE_FROM_CAMERA
+from sequences.odometry import OdometryNoise, simulate_odometry
+from sequences.odometry_fit.fit import fit_odometry
+from sequences.odometry_fit.segment import OdometrySegment
+from sequences.trajectories.increments import odometry_between
+from vapor.benchmark.real.row import Draw, RowContext
+from vapor.calibration.images import Seen, Way, fit_errors
+from vapor.checkpoints.scene_scale import default_errors
+from vapor.tracking.passage import Passage
+
+
+@dataclass(frozen=True)
+class StoredPosteriors:
+    """Posterior samples of a network that others trained, with one draw of simulated odometry.
+
+    How images err and how wrong the odometry is are fitted on the first half, the former on images that the network was
+    not trained on; the second half is evaluated.
+
+    Attributes:
+        name: Name of the row.
+        file: File of the data.
+        own_seed: Seed of the draw in the file; those of further draws count up from it.
+        unit_m: Lengths are evaluated in units of so many metres.
+        simulated: Whether there are several draws of its odometry.
+    """
+
+    name: str
+    file: str
+    own_seed: int
+    unit_m: float = 1.0
+    simulated: bool = True
+
+    @property
+    def group(self) -> str:
+        """A group of its own."""
+        return self.name
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Files and folders of the data that must be there."""
+        return (self.file,)
+
+    def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
+        """Nothing to make."""
+        return {"file": self.file, "seed": seed}
+
+    def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
+        """The odometry of the file, or another draw of it; everything is fitted on the first half."""
+        stored = read_arrays(context.data / self.file)
+        times_ns, previous_from_current = stored["time_ns"], poses_of(stored["previous_from_current"])
+        covariance, trained_on = stored["odometry_covariance"], stored["trained_on"]
+        samples, truth = [poses_of(each) for each in stored["samples"]], poses_of(stored["truth"])
+        n = len(times_ns)
+        steps_s = np.diff(times_ns, prepend=times_ns[:1]) * 1e-9
+        odometry = tuple(Odometry(previous_from_current[i], covariance[i], float(steps_s[i])) for i in range(n))
+        if seed > 0:
+            rng = np.random.default_rng(self.own_seed + seed)
+            odometry = simulated_motions(times_ns, truth, OdometryNoise(), rng=rng)
+        first = np.arange(n) < n // 2
+        fit = fit_odometry([OdometrySegment(odometry[1 : n // 2], truth[first])])
+        (unseen,) = np.nonzero(first & ~trained_on)
+        way = Way.along(truth[unseen], np.cumsum(np.diff(unseen, prepend=unseen[:1]) > 1))
+        scene = truth[trained_on]  # the places that the network knows
+        seen = Seen([samples[i] for i in unseen], truth[unseen])
+        errors = fit_errors(seen, way, scene, default_errors(scene)).errors
+        passage = Passage(times_ns, odometry, truth, lambda image: PosePosterior.from_samples(samples[image], errors))
+        localizer = replace(config, slow_errors=fit.slow_errors)
+        return Draw(passage.restated(fit), errors, localizer, {"": ~first})
+
+
+def simulated_motions(
+    times_ns: np.ndarray, truth: Poses, noise: OdometryNoise, *, rng: np.random.Generator
+) -> tuple[Odometry, ...]:
+    """Motion of a camera since the previous image, (n,), as a reader finds it in a sequence that `convert` wrote.
+
+    Args:
+        times_ns: Stamps of the images, strictly increasing, (n,).
+        truth: world_from_camera, batch (n,).
+        noise: Of the odometry.
+        rng: For its errors.
+    """
+    odom_from_base, twist = simulate_odometry(times_ns, truth @ BASE_FROM_CAMERA.inverse(), noise, rng=rng)
+    spans = pairwise([times_ns[0], *times_ns])
+    return tuple(
+        odometry_between(
+            times_ns,
+            odom_from_base,
+            twist,
+            int(start),
+            int(end),
+            base_from_camera=BASE_FROM_CAMERA,
+            motion_noise=MotionNoise(),
+        )
+        for start, end in spans
+    )
+
+
+def poses_of(rows: Float64[np.ndarray, "n 7"]) -> Poses:
+    """Poses (n,) from rows of tx ty tz qx qy qz qw."""
+    rows = np.asarray(rows, np.float64)
+    return Poses.from_quat_xyzw(rows[:, :3], rows[:, 3:])

@@ -1,0 +1,187 @@
+"""Rows for which a network is trained and calibrated on a part of the images, and localizes in the rest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from filtering.config import LocalizerConfig
+from filtering.posterior import PosePosterior
+from sequences.datasets.convert import convert
+from sequences.odometry import OdometryNoise
+from vapor.benchmark.real.row import Draw, RowContext
+from vapor.benchmark.recordings.record import record_file
+from vapor.benchmark.recordings.settings import FileSettings
+from vapor.benchmark.recordings.storage import load_recording
+from vapor.cache import code_digest, digest
+from vapor.calibration.calibrate import calibrate
+from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
+from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, spaced
+from vapor.tracking.passage import Passage, posterior_of
+from vapor.training.config import TrainConfig
+from vapor.training.progress import Progress
+from vapor.training.train import train
+from vapor.training_data.training_set import load_training_set, open_sequences
+
+
+@dataclass(frozen=True)
+class TrainedNetwork:
+    """A network trained on some images of a place, calibrated on others, and localizing in the rest.
+
+    Attributes:
+        name: Name of the row.
+        training: Folders of the data, `PATH@START:STOP`.
+        held_out: Likewise, for the calibration.
+        config: How to train.
+        dataset: Folder of the data with the images that are localized.
+        frames: The first of them, and the one after the last; None: to the end.
+        odometry: File of the data with recorded odometry; None: it is simulated.
+        evaluated: Which of n images are evaluated, by a name for them.
+        unit_m: Lengths are evaluated in units of so many metres.
+    """
+
+    name: str
+    training: tuple[str, ...]
+    held_out: tuple[str, ...]
+    config: TrainConfig
+    dataset: str
+    frames: tuple[int, int | None] = (0, None)
+    odometry: str | None = None
+    evaluated: Mapping[str, Callable[[int], Bool[np.ndarray, " n"]]] = field(
+        default_factory=lambda: {"": lambda n: np.ones(n, bool)}
+    )
+    unit_m: float = 1.0
+
+    @property
+    def group(self) -> str:
+        """A group of its own."""
+        return self.name
+
+    @property
+    def simulated(self) -> bool:
+        """Whether there are several draws of its odometry."""
+        return self.odometry is None
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Files and folders of the data that must be there."""
+        folders = [entry.split("@")[0] for entry in (*self.training, *self.held_out)]
+        return tuple(dict.fromkeys([*folders, self.dataset, *([self.odometry] if self.odometry else [])]))
+
+    def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
+        """Convert, train, calibrate, and ask the network about every image."""
+        file, _ = self._sequence(context, seed)
+        if not file.is_file():
+            context.advance("converting", seed, None)
+            recorded = None if self.odometry is None else context.data / self.odometry
+            noise = OdometryNoise() if recorded is None else None
+            convert(
+                context.data / self.dataset,
+                file,
+                odometry=recorded,
+                odometry_noise=noise,
+                frames=slice(*self.frames),
+                seed=seed,
+            )
+        model = self._calibrated(context)
+        checkpoint = load_checkpoint(model)
+        settings, recordings = self._recording(context, seed, checkpoint), context.folder("recordings")
+        if not (recordings / settings.name).is_dir():
+            context.advance("asking the network", seed, None)
+            record_file(settings, file, checkpoint, recordings)
+        return {"recording": settings.stored, "calibration": asdict(checkpoint.calibration)}
+
+    def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
+        """The posteriors of the network, and the odometry of the converted file."""
+        checkpoint = load_checkpoint(self._calibrated(context))
+        recording = load_recording(self._recording(context, seed, checkpoint), context.folder("recordings"))
+        errors, fit = checkpoint.calibration.errors, checkpoint.calibration.odometry
+
+        def posterior(image: int) -> PosePosterior:
+            return posterior_of(recording.posterior_poses(image), errors, float(recording.unfamiliarity[image]))
+
+        n = len(recording.times_ns)
+        truth, odometry = recording.path.world_from_camera, tuple(recording.motion(i) for i in range(n))
+        return Draw(
+            Passage(recording.times_ns, odometry, truth, posterior).restated(fit),
+            errors,
+            config if fit is None else replace(config, slow_errors=fit.slow_errors),
+            {what: of(n) for what, of in self.evaluated.items()},
+        )
+
+    @cached_property
+    def _training_settings(self) -> dict[str, Any]:
+        content = {"training": self.training, "held_out": self.held_out, "config": self.config.settings()}
+        return json.loads(json.dumps(content))
+
+    def _trained(self, context: RowContext) -> Path:
+        """The model file, trained if it is not there; an interrupted training run continues."""
+        file = context.folder("models") / f"{self.name}-{digest(self._training_settings)}.safetensors"
+        if not file.is_file():
+
+            def report(progress: Progress) -> None:
+                context.advance(progress.stage, progress.done, progress.total)
+
+            training, held_out = ([context.data / entry for entry in part] for part in (self.training, self.held_out))
+            train(training, file, self.config, validation=held_out, progress=report)
+        return file
+
+    def _calibrated(self, context: RowContext) -> Path:
+        """The model as calibrated by the current code: calibrated anew if that code has changed."""
+        trained = self._trained(context)
+        file = trained.with_name(f"{trained.stem}-calibrated-{calibration_code()}.safetensors")
+        if file.is_file():
+            return file
+        context.advance("calibrating", 0, None)
+        checkpoint = load_checkpoint(trained)
+        training, held_out = (
+            load_training_set(
+                open_sequences([context.data / entry for entry in part]), checkpoint.network.frame_size, central=True
+            )
+            for part in (self.training, self.held_out)
+        )
+        network, most = checkpoint.build_network(), self.config.validation_images
+        checked = held_out.select(spaced(len(held_out), most))
+        familiar = learn_familiarity(network, training.select(spaced(len(training), EXEMPLARS)), checked)
+        result = calibrate(
+            network,
+            held_out,
+            checkpoint.prior_poses,
+            checkpoint.calibration,
+            training=training,
+            familiarity=familiar,
+            max_images=most,
+            seed=self.config.seed,
+            advance=lambda done, total: context.advance("calibrating", done, total),
+        )
+        provenance = {**checkpoint.training, "calibration": result.provenance}
+        calibrated = replace(
+            checkpoint,
+            calibration=result.calibration,
+            familiarity=familiar,
+            training=json.loads(json.dumps(provenance)),
+        )
+        save_checkpoint(file, calibrated, half=self.config.store_float16)
+        return file
+
+    def _sequence(self, context: RowContext, seed: int) -> tuple[Path, str]:
+        """The converted file, and a digest of what it is made from."""
+        noise = asdict(OdometryNoise()) if self.odometry is None else self.odometry
+        made = digest({"dataset": self.dataset, "frames": self.frames, "odometry": noise, "seed": seed})
+        return context.folder("sequences") / f"{self.name}-{seed}-{made}.mcap", made
+
+    def _recording(self, context: RowContext, seed: int, checkpoint: Checkpoint) -> FileSettings:
+        file, made = self._sequence(context, seed)
+        return FileSettings(file.stem, made, checkpoint.seen_sha256(), seed, context.num_samples)
+
+
+def calibration_code() -> str:
+    """Digest of the code that calibration depends on."""
+    return code_digest("sequences.odometry_fit", "vapor.calibration", "vapor.checkpoints", "vapor.training_data")

@@ -1,0 +1,210 @@
+"""Recordings as they are made: a sequence is rendered or read, and the network is asked about every image, once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from filtering.errors import VaporTrackError
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+from sequences.atomic import workspace
+from sequences.frame import Camera, Frame
+from sequences.options import SequenceOptions
+from sequences.place import find_place
+from sequences.reader import SequenceReader
+from sequences.render import sees_cue
+from sequences.synthesize import Stand, SyntheticSequence, synthesize, write_synthetic
+from vapor.benchmark.foreign_images import FOREIGN, Image
+from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
+from vapor.benchmark.recordings.storage import (
+    PATH,
+    SAMPLES,
+    SETTINGS,
+    CameraPath,
+    load_path,
+    to_rows,
+    write_samples_header,
+)
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.observation import VaporObservationModel
+from vapor.threads import limited_threads
+
+_NO_MOTION = Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
+
+
+def make_recording(settings: RecordingSettings, checkpoint: Checkpoint, directory: Path) -> None:
+    """Render a sequence to a file, read it as a user's would be, ask the network, and store the answers; once.
+
+    The folder appears in `directory` when it is complete.
+
+    Raises:
+        VaporTrackError: there is no such sequence, or the directory cannot be written to.
+    """
+    _store(settings, directory, lambda folder: record_synthetic(settings, checkpoint, folder))
+
+
+def record_file(
+    settings: FileSettings, file: Path, checkpoint: Checkpoint, directory: Path, reading: SequenceOptions | None = None
+) -> None:
+    """Read a sequence in which every image has a true pose and odometry, and continue as `make_recording` does.
+
+    Images before the first one with a true pose, and after the last one, are left out.
+
+    Raises:
+        VaporTrackError: the file cannot be read or lacks some of it, or the directory cannot be written to.
+    """
+    rng = np.random.default_rng([settings.seed, settings.num_samples])
+    asked = _Asked(settings.num_samples, rng, settings.images, _change(settings))
+    _store(settings, directory, lambda folder: _observe(file, checkpoint, asked, folder, reading=reading))
+
+
+def record_synthetic(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -> None:
+    """Render a sequence to a file in a folder, and record that; the file is removed."""
+    sequence = _sequence(settings)
+    seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
+    file = folder / "sequence.mcap"
+    write_synthetic(sequence, file)
+    rng = np.random.default_rng([settings.seed, settings.num_samples])
+    asked = _Asked(settings.num_samples, rng, len(seen), _change(settings))
+    found = _observe(file, checkpoint, asked, folder, seen=seen)
+    if found != len(seen):
+        raise VaporTrackError(f"{file}: {found} images read, expected the {len(seen)} that were written")
+    file.unlink()
+
+
+def camera_path(settings: RecordingSettings, directory: Path) -> CameraPath:
+    """Where the camera of a recording goes: as recorded, or as it will be if there is no recording yet.
+
+    Raises:
+        VaporTrackError: there is no such sequence, or what is there was made with other settings.
+    """
+    if (directory / settings.name).is_dir():
+        return load_path(settings, directory)
+    sequence = _sequence(settings)
+    seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
+    return CameraPath(sequence.world_from_camera, seen)
+
+
+def _sequence(settings: RecordingSettings) -> SyntheticSequence:
+    sequence = synthesize(
+        settings.scene,
+        seed=settings.seed,
+        num_frames=settings.frames,
+        cues=settings.cues,
+        width=settings.width,
+        height=settings.height,
+        noise=replace(find_place(settings.scene).noise, fixed_scale=settings.odometry_scale),
+        rate_hz=settings.rate_hz,
+        stand=None if settings.stand is None else Stand(*settings.stand),
+    )
+    if settings.camera is not None:
+        sequence = replace(sequence, camera=Camera(*settings.camera))
+    if settings.part is None:
+        return sequence
+    first, count = settings.part
+    part = slice(first, first + count)
+    return replace(
+        sequence,
+        image_times_ns=sequence.image_times_ns[part],
+        world_from_camera=sequence.world_from_camera[part],
+    )
+
+
+def _store(settings: RecordingSettings | FileSettings, directory: Path, record: Callable[[Path], object]) -> None:
+    """Let a recording be made in a hidden folder, then give that folder its name; nothing to do if it exists."""
+    folder = directory / settings.name
+    if folder.is_dir():
+        return
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with workspace(directory, settings.name) as work:
+            partial = work / settings.name
+            partial.mkdir()
+            with limited_threads(1):
+                record(partial)
+            (partial / SETTINGS).write_text(json.dumps(settings.stored, indent=2) + "\n", encoding="utf-8")
+            if not folder.is_dir():  # another process may have been faster
+                partial.rename(folder)
+    except OSError as error:
+        raise VaporTrackError(
+            f"{folder}: cannot write: {error.strerror or error}, expected a directory that can be written to"
+        ) from error
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What the network is asked for: how many samples, of at most how many images, each changed how."""
+
+    num_samples: int
+    rng: np.random.Generator
+    images: int | None
+    changed: Callable[[Image], Image]
+
+
+def _change(settings: RecordingSettings | FileSettings) -> Callable[[Image], Image]:
+    """What is done to every image before the network sees it."""
+    name, rng = settings.change, np.random.default_rng([settings.seed, settings.num_samples, 1])
+    return lambda image: image if name is None else np.ascontiguousarray(FOREIGN[name](image, rng))
+
+
+def _observe(
+    file: Path,
+    checkpoint: Checkpoint,
+    asked: _Asked,
+    folder: Path,
+    *,
+    seen: Bool[np.ndarray, " n"] | None = None,
+    reading: SequenceOptions | None = None,
+) -> int:
+    """Ask the network about the images of a file, and write the answers with the true poses and the odometry.
+
+    Returns:
+        Number of images.
+    """
+    reader = SequenceReader(file, reading, true_poses="required")
+    model = VaporObservationModel(checkpoint, num_samples=asked.num_samples, device="cpu", camera=reader.camera)
+    times_ns, odometry, covariance, truth, unfamiliarity = [], [], [], [], []
+    ended: Frame | None = None
+    shape = (asked.num_samples, 12)
+    with (folder / SAMPLES).open("wb") as samples:
+        write_samples_header(samples, (reader.num_images, *shape))
+        for frame in reader:
+            if frame.world_from_camera is None:
+                ended = ended or (frame if truth else None)
+                continue
+            if ended is not None or (truth and frame.odometry is None):
+                lacking, what = (ended, "true pose") if ended is not None else (frame, "odometry")
+                raise VaporTrackError(
+                    f"{file}: the image at {lacking.time_ns} ns has no {what}, expected one of every image between the"
+                    " first and the last that have a true pose"
+                )
+            posterior = model.observe(asked.changed(frame.image), rng=asked.rng)
+            samples.write(to_rows(posterior.samples).astype(np.float32).tobytes())
+            motion = frame.odometry if truth and frame.odometry is not None else _NO_MOTION
+            times_ns.append(frame.time_ns)
+            truth.append(frame.world_from_camera)
+            odometry.append(motion.previous_from_current)
+            covariance.append(motion.covariance)
+            unfamiliarity.append(posterior.unfamiliarity)
+            if len(truth) == asked.images:
+                break
+        if not truth:
+            raise VaporTrackError(f"{file}: no image has a true pose, expected all to have one")
+        samples.seek(0)
+        write_samples_header(samples, (len(truth), *shape))
+    np.savez(
+        folder / PATH,
+        times_ns=np.array(times_ns, np.int64),
+        truth=to_rows(Poses.stack(truth)),
+        sees_cue=np.zeros(len(truth), bool) if seen is None else seen,
+        odometry=to_rows(Poses.stack(odometry)),
+        odometry_covariance=np.stack(covariance),
+        unfamiliarity=np.array(unfamiliarity),
+    )
+    return len(truth)

@@ -1,0 +1,138 @@
+"""What the methods of a trial are given, cut from its recordings; and the methods run over it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from filtering.motion import Odometry
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from vapor.benchmark.recordings.storage import Recording, load_recording
+from vapor.benchmark.trials.setup import Setup, setup_settings
+from vapor.benchmark.trials.trial import Segment, Trial
+from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry, scaled_poses
+from vapor.tracking.ablations import ABLATIONS
+from vapor.tracking.follow import Followed, follow
+from vapor.tracking.passage import Passage, posterior_of
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What the methods of a trial are given of n images.
+
+    Attributes:
+        times_ns: Stamps (n,), without a break.
+        odometry: Camera motion since the previous image, (n,).
+        truth: True poses, batch (n,).
+        posterior_poses: Posterior samples of an image, by its number; none for one that says nothing.
+        unfamiliarity: Of each image, (n,).
+        cue_images: Number of images that show something unique.
+    """
+
+    times_ns: Int64[np.ndarray, " n"]
+    odometry: tuple[Odometry, ...]
+    truth: Poses
+    posterior_poses: Callable[[int], Poses]
+    unfamiliarity: Float64[np.ndarray, " n"]
+    cue_images: int
+
+    def scaled(self, factor: float) -> Replay:
+        """The same where all lengths are multiplied by a factor."""
+        return replace(
+            self,
+            odometry=tuple(scaled_odometry(motion, factor) for motion in self.odometry),
+            truth=scaled_poses(self.truth, factor),
+            posterior_poses=lambda image: scaled_poses(self.posterior_poses(image), factor),
+        )
+
+
+def assemble(trial: Trial, recording: Callable[[Segment], Recording]) -> Replay:
+    """Cut a trial from its recordings, segment by segment.
+
+    Where the camera is carried off, stamps and odometry continue as if it had not been.
+    """
+    sources = [(recording(segment), segment) for segment in trial.segments]
+    first, begin = sources[0][0], trial.segments[0].start
+    images = [(source, segment.start + i, i) for source, segment in sources for i in range(segment.length)]
+    odometry = []
+    for position, (source, image, since_start) in enumerate(images):
+        carried = position > 0 and since_start == 0
+        odometry.append(first.motion(begin + position) if carried else source.motion(image))
+    step_ns = int(first.times_ns[1] - first.times_ns[0]) if len(first.times_ns) > 1 else 0
+    seen = range(0, len(images), trial.stride)
+    parts = [[odometry[k] for k in range(max(position - trial.stride, 0) + 1, position + 1)] for position in seen]
+    parts[0] = [odometry[0]]
+    truth = Poses.concatenate([s.path.world_from_camera[p.start : p.start + p.length] for s, p in sources])
+    unfamiliarity = np.concatenate([s.unfamiliarity[p.start : p.start + p.length] for s, p in sources])
+    sees_cue = np.concatenate([s.path.sees_cue[p.start : p.start + p.length] for s, p in sources])
+    return Replay(
+        first.times_ns[begin] + step_ns * np.array(seen, dtype=np.int64),
+        tuple(reduce(Odometry.then, part) for part in parts),
+        truth[np.array(seen)],
+        lambda position: images[seen[position]][0].posterior_poses(images[seen[position]][1]),
+        unfamiliarity[np.array(seen)],
+        int(sees_cue[np.array(seen)].sum()),
+    )
+
+
+def load_replay(trial: Trial, setup: Setup, directory: Path) -> Replay:
+    """A trial as its recordings in `directory / "recordings"` have it.
+
+    Raises:
+        VaporTrackError: a recording is missing or was made with other settings.
+    """
+    return assemble(
+        trial,
+        lambda segment: load_recording(setup.recording(trial.scene, trial.kind, segment), directory / "recordings"),
+    )
+
+
+def follow_trial(trial: Trial, setup: Setup, replay: Replay) -> Followed:
+    """Let filter and baselines follow a trial's replay, all lengths multiplied by the trial's scale."""
+    first = trial.segments[0]
+    return follow_replay(
+        replay, setup, seed=(first.seed, first.start), scale=trial.scale, kidnap_index=trial.kidnap_index
+    )
+
+
+def follow_replay(
+    replay: Replay, setup: Setup, *, seed: Sequence[int], scale: float = 1.0, kidnap_index: int | None = None
+) -> Followed:
+    """Let filter and baselines follow a replay.
+
+    Args:
+        replay: What they are given.
+        setup: Model and filter.
+        seed: Of the filters' draws.
+        scale: Factor on all lengths.
+        kidnap_index: First image after the camera was carried off; None if it was not.
+    """
+    replay = replay.scaled(scale)
+    calibration = scaled_calibration(setup.checkpoint().calibration, scale)
+    ablation = ABLATIONS[setup.ablation]
+    errors, fit = ablation.errors(calibration.errors), calibration.odometry
+    config = scaled_localizer(ablation.localizer(setup.localizer), scale)
+    if fit is not None:
+        config = replace(config, slow_errors=fit.slow_errors)
+
+    def posterior(image: int) -> PosePosterior:
+        return posterior_of(replay.posterior_poses(image), errors, float(replay.unfamiliarity[image]))
+
+    passage = Passage(replay.times_ns, replay.odometry, replay.truth, posterior).restated(fit)
+    return follow(
+        passage, errors, config, rng=np.random.default_rng(seed), ablation=ablation, kidnap_index=kidnap_index
+    )
+
+
+def trial_settings(trial: Trial, setup: Setup) -> dict[str, Any]:
+    """Everything that a trial's result depends on, as JSON."""
+    recordings = [setup.recording(trial.scene, trial.kind, segment).name for segment in trial.segments]
+    return json.loads(json.dumps(asdict(trial) | setup_settings(setup) | {"recordings": recordings}))

@@ -1,0 +1,50 @@
+"""One trial of a benchmark: every method over the same recorded posteriors, and how well each did."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from vapor.benchmark.trials.replay import Replay, follow_trial, load_replay, trial_settings
+from vapor.benchmark.trials.setup import Setup
+from vapor.benchmark.trials.trial import Trial
+from vapor.cache import cached
+from vapor.evaluation.comparison import compare
+from vapor.evaluation.floors import FLOOR_HEIGHT_M
+
+
+def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
+    """Run a trial, or take the cached result of a run with the same settings and the same code.
+
+    Args:
+        trial: Which.
+        setup: With which model and filter.
+        directory: With `recordings`; results are cached in `trials`.
+
+    Returns:
+        JSON: `name`, `scene`, `kind`, `walk` (the seed of the first segment), `variant` (the ablation), `cue_images`,
+        and what `Comparison.figures` gives.
+
+    Raises:
+        VaporTrackError: a recording is missing or was made with other settings.
+    """
+    return cached(
+        directory / "trials" / f"{trial.name}-{setup.ablation}",
+        trial_settings(trial, setup),
+        lambda: localize(trial, setup, load_replay(trial, setup, directory)),
+    )
+
+
+def localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
+    """The result of a trial, see `run_trial`, from what the methods are given of it."""
+    # Evaluated in the lengths of the scene: what is right is so at any scale.
+    compared = compare(follow_trial(trial, setup, replay)).scaled(1.0 / trial.scale)
+    return {
+        "name": trial.name,
+        "scene": trial.scene,
+        "kind": trial.kind,
+        "walk": trial.segments[0].seed,
+        "variant": setup.ablation,
+        "cue_images": replay.cue_images,
+        **compared.figures(floor_height_m=FLOOR_HEIGHT_M.get(trial.scene)),
+    }

@@ -1,0 +1,174 @@
+"""What trials depend on besides which they are: model, image size, filter; and the recordings that follow from it."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from filtering.config import LocalizerConfig
+from filtering.errors import VaporTrackError, require_within
+from vapor.benchmark.recordings.settings import RecordingSettings
+from vapor.benchmark.trials import kinds
+from vapor.benchmark.trials.kinds import KINDS, Kind, recorded_images, walk_frames
+from vapor.benchmark.trials.trial import Segment
+from vapor.cache import code_digest
+from vapor.checkpoints.checkpoint import Checkpoint, find_model, load_checkpoint
+
+_MAX_SEED = 2**62
+_CODE = (
+    "sequences.odometry_fit",
+    "vapor.benchmark.recordings",
+    "vapor.benchmark.trials",
+    "vapor.checkpoints",
+    "vapor.evaluation",
+    "vapor.tracking",
+)
+
+
+@dataclass(frozen=True)
+class TrialsConfig:
+    """Settings of a benchmark that replays recordings, the same for all its scenes."""
+
+    first_seed: int = 2000
+    """Seeds of the sequences count up from here."""
+    frames: int = 300
+    """Images of each run."""
+    width: int = 240
+    """Image width in pixels."""
+    height: int = 180
+    """Image height in pixels."""
+    odometry_scale: float | None = None
+    """Error of the odometry's distances, as a fraction of them, instead of a random one for each recording: at 0.02
+    they are 2 % too long."""
+    num_samples: int = 1000
+    """Posterior samples per image."""
+    workers: int = 2
+    """Processes at a time, each with one thread."""
+    localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
+    """The particle filter."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self,
+            **dict.fromkeys(("frames", "workers", "num_samples"), (1, 10**6)),
+            **dict.fromkeys(("width", "height"), (8, 10**5)),
+            first_seed=(0, _MAX_SEED),
+        )
+        if self.odometry_scale is not None:
+            require_within(self, odometry_scale=(-1.0, 10.0))
+        if self.frames < 50:
+            raise VaporTrackError(f"frames is {self.frames}, expected at least 50: half a second is a tenth of them")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What trials depend on besides which they are.
+
+    Attributes:
+        model: Model file.
+        model_sha256: Of its content.
+        network_sha256: Of what it says of an image: samples, and how unlike the training images it is.
+        frames: Images of a trial.
+        width, height: Image size in pixels.
+        num_samples: Posterior samples per image.
+        localizer: Settings of the filter.
+        errors: What replaces numbers of the model's own error model, by name.
+        ablation: Name of the filter's ablation.
+        odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
+    """
+
+    model: Path
+    model_sha256: str
+    network_sha256: str
+    frames: int
+    width: int
+    height: int
+    num_samples: int
+    localizer: LocalizerConfig
+    errors: Mapping[str, Any]
+    ablation: str = "full"
+    odometry_scale: float | None = None
+
+    def walk(self, scene: str, kind: Kind, seed: int) -> RecordingSettings:
+        """The walk with a seed that trials of a kind are cut from, at ten images a second."""
+        return RecordingSettings(
+            scene,
+            seed,
+            KINDS[kind].cues,
+            walk_frames(kind, self.frames),
+            self.width,
+            self.height,
+            self.network_sha256,
+            self.num_samples,
+            odometry_scale=self.odometry_scale,
+        )
+
+    def recording(self, scene: str, kind: Kind, segment: Segment) -> RecordingSettings:
+        """The recording of that walk that a trial's segment is cut from."""
+        walk = self.walk(scene, kind, segment.seed)
+        return replace(
+            walk,
+            frames=recorded_images(kind, walk.frames),
+            rate_hz=KINDS[kind].recorded_hz,
+            stand=None if segment.stop is None else (segment.stop, kinds.STAND_S),
+        )
+
+    def checkpoint(self) -> Checkpoint:
+        """The model with the error model asked for."""
+        loaded = _load(self.model, self.model_sha256)
+        errors = replace(loaded.calibration.errors, **self.errors)
+        return replace(loaded, calibration=replace(loaded.calibration, errors=errors))
+
+
+def make_setups(scenes: Mapping[str, str], config: TrialsConfig, errors: Mapping[str, Any]) -> dict[str, Setup]:
+    """What the runs of each scene depend on.
+
+    Args:
+        scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.
+        config: Settings.
+        errors: What replaces numbers of the models' own error models, by name.
+
+    Raises:
+        VaporTrackError: a model or an error model that cannot be used.
+    """
+    images = config.frames, config.width, config.height
+    setups = {}
+    for scene, name in scenes.items():
+        model = find_model(name)
+        sha256 = hashlib.sha256(model.read_bytes()).hexdigest()
+        network_sha256 = load_checkpoint(model).seen_sha256()
+        setups[scene] = Setup(
+            model,
+            sha256,
+            network_sha256,
+            *images,
+            config.num_samples,
+            config.localizer,
+            errors,
+            odometry_scale=config.odometry_scale,
+        )
+        setups[scene].checkpoint()  # refuses an unusable error model before anything is rendered
+    return setups
+
+
+def setup_settings(setup: Setup) -> dict[str, Any]:
+    """Everything besides the images that a result depends on."""
+    calibration = asdict(setup.checkpoint().calibration)
+    package = importlib.metadata.version("vapor-track")
+    more = {"calibration": calibration, "code": results_code(), "package": package, "model": setup.model.name}
+    return asdict(setup) | more
+
+
+def results_code() -> str:
+    """Digest of the code that a result comes from: a filter that was changed is run again."""
+    return code_digest(*_CODE)
+
+
+@cache
+def _load(model: Path, sha256: str) -> Checkpoint:
+    return load_checkpoint(model)

@@ -1,0 +1,23 @@
+"""`vapor-track benchmark`: a module for each thing that can be measured, imported only when it is called."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+
+from vapor.commands.console import show, usage_error
+
+BENCHMARKS = ("step", "localization", "faults", "familiarity", "real")
+"""Names of the modules here that each have `Options`, with a docstring that says what is measured, and `main`."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command."""
+    if arguments[:1] in (["-h"], ["--help"]):
+        show(f"usage: vapor-track benchmark {'|'.join(BENCHMARKS)} ...\n\nMeasure; each has its own --help.\n")
+        meanings = {name: import_module(f"{__name__}.{name}").Options.__doc__ for name in BENCHMARKS}
+        show("\n".join(f"  {name:<13} {meaning}" for name, meaning in meanings.items()))
+        return
+    if not arguments or arguments[0] not in BENCHMARKS:
+        usage_error("benchmark", f"expected one of {', '.join(BENCHMARKS)} first")
+    import_module(f"{__name__}.{arguments[0]}").main(arguments[1:])

@@ -1,0 +1,97 @@
+"""Options and output of the benchmarks that replay walks through scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, make_dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_type_hints
+
+import tyro
+
+from filtering.error_model import ErrorModel
+from filtering.errors import VaporTrackError
+from sequences.place import is_place
+from vapor.checkpoints.checkpoint import find_model
+from vapor.commands.console import OutputPath, Overwrite
+from vapor.reporting.report import write_report
+
+Config = TypeVar("Config")
+
+_Override = make_dataclass(
+    "ErrorsOverride",
+    [
+        (name, Annotated[kind | None, tyro.conf.arg(help="As the model says if not given.")], None)
+        for name, kind in get_type_hints(ErrorModel).items()
+    ],
+    frozen=True,
+)
+"""An error model; what is not given is taken from the model file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """Options of the benchmarks that replay walks."""
+
+    scenes: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="{staircase,ceiling,corridor,building-N} ..."),
+    ]
+    """What the camera moves through; the number N of a building is the seed that it is drawn from."""
+    output: OutputPath
+    """Directory for recordings, results and summary.json; an interrupted benchmark with the same output continues."""
+    overwrite: Overwrite = False
+    models: tuple[str, ...] = ()
+    """Model file, or name of a model that ships, for each scene. Default: the scenes' names; none ships for the
+    corridor or for a building."""
+    errors: Annotated[Any, tyro.conf.arg(constructor=_Override)] = field(default_factory=_Override)
+    """What replaces numbers of the models' own error models."""
+
+    def __post_init__(self) -> None:
+        if not self.scenes or len(set(self.scenes)) < len(self.scenes):
+            raise VaporTrackError(f"scenes are {', '.join(self.scenes) or 'none'}, expected each at most once, and one")
+        for scene in self.scenes:
+            if not is_place(scene) or scene.endswith("-table"):
+                raise VaporTrackError(
+                    f"unknown scene {scene!r}, expected one of staircase, ceiling, corridor, building-N"
+                )
+        if len(self.models) not in (0, len(self.scenes)):
+            raise VaporTrackError(f"{len(self.models)} models for {len(self.scenes)} scenes, expected one for each")
+
+    @property
+    def model_of(self) -> dict[str, str]:
+        """The model by scene."""
+        return dict(zip(self.scenes, self.models or self.scenes, strict=True))
+
+    @property
+    def files_read(self) -> list[Path]:
+        """The model files."""
+        return [find_model(model) for model in self.model_of.values()]
+
+    @property
+    def replaced(self) -> dict[str, Any]:
+        """Numbers of the error model that are given, by name."""
+        return {name: value for name, value in asdict(self.errors).items() if value is not None}
+
+
+def with_help(config: type[Config], **texts: str) -> type[Config]:
+    """The same settings with help texts for some options, given by the names of their fields."""
+    hints = get_type_hints(config, include_extras=True)
+    documented = [
+        (name, Annotated[hints[name], tyro.conf.arg(help=text)], getattr(config, name)) for name, text in texts.items()
+    ]
+    namespace = {"__doc__": config.__doc__}
+    return make_dataclass(config.__name__, documented, bases=(config,), frozen=True, namespace=namespace)
+
+
+def listed(meanings: Mapping[str, str]) -> str:
+    """The entries of a table, as a help text has them."""
+    return "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items())
+
+
+def write_summary(
+    o: SceneOptions, settings: Mapping[str, Any], summary: Mapping[str, Any], results: Sequence[Any], **more: Any
+) -> None:
+    """Write summary.json."""
+    settings = {**settings, "models": o.model_of or o.models, "errors": o.replaced}
+    write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "runs": results, **more})
