@@ -6,7 +6,7 @@ import numpy as np
 
 from filtering.config import LocalizerConfig
 from filtering.estimate import Mode
-from filtering.kalman import KalmanConfig, KalmanLocalizer
+
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.rivals import GaussianSumLocalizer
@@ -21,6 +21,8 @@ class KalmanTracker:
     """
 
     def __init__(self, config: LocalizerConfig, rng: np.random.Generator) -> None:
+        from filtering.kalman import KalmanConfig, KalmanLocalizer  # loads FilterPy, which takes a while
+
         self._localizer = KalmanLocalizer(KalmanConfig(slow_errors=config.slow_errors, gap=config.gap))
 
     def update(self, posterior: PosePosterior, odometry: Odometry | None, *, elapsed_s: float) -> tuple[Mode, ...]:

@@ -19,7 +19,7 @@ def smooth_history(history: History, errors: ErrorModel, config: LocalizerConfig
     Returns:
         world_from_camera, batch (n,).
     """
-    from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth  # loads GTSAM
+    from filtering.smoothing import SMOOTHED_MODES, SmoothingConfig, smooth  # loads GTSAM, which takes a while
 
     return smooth(
         [modes[:SMOOTHED_MODES] for modes in history.evidence],
