@@ -12,9 +12,9 @@ import torch
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from tests.test_observation import make_checkpoint, observe
-from tests.test_train import TINY
 from tests.test_undistortion import taken_by
 from tests.tiny_model import Metadata, Tensors, altered
+from tests.tiny_training import TINY
 from vapor.cameras import AsTakenBy, resampled, share_seen
 from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
