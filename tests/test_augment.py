@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.test_train import STILL
+from tests.tiny_training import STILL
 from vapor.training.augment import jitter_and_normalise, random_crops
 
 

@@ -10,7 +10,7 @@ from scipy.stats import ks_2samp
 from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from tests.test_train import STILL, TINY, make_frames, pose
+from tests.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.checkpoint import load_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.loss import LossConfig

@@ -11,7 +11,7 @@ from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
-from tests.test_train import STILL, TINY, make_frames
+from tests.tiny_training import STILL, TINY, make_frames
 from vapor.checkpoints.checkpoint import Calibration, Checkpoint, load_checkpoint, save_checkpoint
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import LOG_FLOOR, exact_log_density

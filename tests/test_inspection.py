@@ -21,9 +21,10 @@ from sequences.scenes.paths import walk_stairs
 from sequences.trajectories.interpolation import interpolate
 from sequences.writer import SequenceWriter
 from tests.data_sets import make_tum
+from tests.recorded_walks import corridor, recorded, stairwell
 from tests.sequence_files import BEGIN_NS as BEGIN_NS_OF_WALK
 from tests.sequence_files import rewrite
-from tests.test_holding_out import corridor, recorded, stairwell
+
 from vapor.evaluation.floors import find_floors
 from vapor.inspection import odometry as odometry_module
 from vapor.inspection.coverage import Coverage, Plan

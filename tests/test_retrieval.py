@@ -10,7 +10,7 @@ import torch
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.checks import no_checks
-from tests.test_train import STILL, TINY, make_frames, pose
+from tests.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint
 from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel

@@ -11,11 +11,11 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.checks import no_checks
+from tests.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.checkpoint import Calibration, CheckpointError, load_checkpoint
 from vapor.evaluation.validation import validate
 from vapor.observation import VaporObservationModel
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.augment import AugmentConfig
@@ -29,40 +29,7 @@ from vapor.training.state import state_path
 from vapor.training.train import train, train_on, train_on_images
 from vapor.training_data.training_set import TrainingError, load_training_set
 
-STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0)
-TINY = TrainConfig(
-    network=NetworkConfig(
-        "resnet18-quarter",
-        image_width=32,
-        image_height=32,
-        shortest_edge=36,
-        feature_dim=64,
-        latent_dim=4,
-        hidden_width=64,
-        hidden_layers=2,
-    ),
-    aspect="network",
-    loss=LossConfig(num_samples=64, position_unit="metre"),
-    bandwidth_translation_m=1.0,
-    bandwidth_rotation_rad=1.0,  # wide, so that a few steps move the held-out density
-    learning_rate=1e-3,
-    select_by="log_density",  # moves from the first epoch on, when no sample is near yet
-    epochs=4,
-    batch_size=8,
-    validation_fraction=0.25,
-    precision="float32",
-    store_float16=False,
-    device="cpu",
-)
 DESK = Path(__file__).parents[2] / "shared/data/tum_fr1/rgbd_dataset_freiburg1_xyz"
-
-
-def make_frames(count: int, seed: int = 0, places: int | None = None) -> list[Frame]:
-    """Noise images with random poses within ±2 m; image i is that of place i modulo `places`."""
-    rng = np.random.default_rng(seed)
-    images = rng.integers(0, 256, (places or count, 36, 48, 3), dtype=np.uint8)
-    tangents = rng.uniform(-1, 1, (count, 6)) * [2, 2, 2, 1, 1, 1]
-    return [Frame(i, images[i % len(images)], None, Poses.exp(t)) for i, t in enumerate(tangents)]
 
 
 def train_on_most(frames: list[Frame], output: Path, config: TrainConfig, **more):
@@ -72,11 +39,6 @@ def train_on_most(frames: list[Frame], output: Path, config: TrainConfig, **more
         replace(late, world_from_camera=pose(early)) for late, early in zip(frames[count:], frames, strict=False)
     ]
     return train_on({"a": frames[:count]}, output, config, validation={"b": held_out}, **more)
-
-
-def pose(frame: Frame) -> Poses:
-    assert frame.world_from_camera is not None
-    return frame.world_from_camera
 
 
 # --- the story -------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.data_sets import make_7scenes
 from tests.sequence_files import Walk, as_split_folder
-from tests.test_train import TINY, make_frames, pose
+from tests.tiny_training import TINY, make_frames, pose
 from vapor.evaluation.validation import predict
 from vapor.regressors.registry import make_regressor
 from vapor.regressors.scene_box import SceneBox
