@@ -17,11 +17,11 @@ from filtering.localizer import LocalizerConfig
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.scenes import find_scene
 from vapor.benchmark.recordings import Recording, RecordingSettings, load_recording
 from vapor.benchmark.windows import KINDS, STAND_S, Kind, Piece, Trial, recorded_images, walk_frames
 from vapor.cache import cached, code_digest
 from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint
-from vapor.evaluation.floors import FLOOR_HEIGHT_M
 from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry, scaled_poses
 from vapor.tracking.ablations import VARIANTS
 from vapor.tracking.methods import Followed, Passage, follow, posterior_of
@@ -231,7 +231,7 @@ def _localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
         "walk": trial.pieces[0].seed,
         "variant": setup.variant,
         "cue_images": replay.cue_images,
-        **compared.figures(floor_height_m=FLOOR_HEIGHT_M.get(trial.scene)),
+        **compared.figures(floor_height_m=find_scene(trial.scene).floor_height_m),
     }
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from filtering.errors import VaporTrackError
-from sequences.route import Cues
+from sequences.paths.choose import Cues
 from sequences.synthesize import IMAGE_RATE_HZ
 from vapor.benchmark.recordings import CameraPath
 

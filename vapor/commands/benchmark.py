@@ -15,8 +15,8 @@ from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from sequences import datasets
 from sequences.options import SequenceOptions
-from sequences.place import is_place
 from sequences.results import claim_folder
+from sequences.scenes import find_scene, is_scene, scene_names
 from vapor.benchmark import real as real_benchmark
 from vapor.benchmark.fault_runs import FaultBenchmark, FaultsConfig
 from vapor.benchmark.faults import summarise_faults
@@ -37,6 +37,7 @@ from vapor.threads import limited_threads
 from vapor.training.presets import PRESETS
 
 _MAX_SEED = 2**63
+_SCENES = scene_names(with_cues=True)  # others show nothing by which the filter could find itself
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class SceneOptions:
 
     scenes: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
-        tyro.conf.arg(metavar="{staircase,ceiling,corridor,building-N} ..."),
+        tyro.conf.arg(metavar=f"{{{','.join(_SCENES)}}} ..."),
     ]
     """What the camera moves through; of buildings, N is the number that draws one."""
     output: OutputPath
@@ -101,10 +102,8 @@ class SceneOptions:
         if not self.scenes or len(set(self.scenes)) < len(self.scenes):
             raise VaporTrackError(f"scenes are {', '.join(self.scenes) or 'none'}, expected each at most once, and one")
         for scene in self.scenes:
-            if not is_place(scene) or scene.endswith("-table"):
-                raise VaporTrackError(
-                    f"unknown scene {scene!r}, expected one of staircase, ceiling, corridor, building-N"
-                )
+            if not is_scene(scene) or not find_scene(scene).has_cues:
+                raise VaporTrackError(f"unknown scene {scene!r}, expected one of {', '.join(_SCENES)}")
         if len(self.models) not in (0, len(self.scenes)):
             raise VaporTrackError(f"{len(self.models)} models for {len(self.scenes)} scenes, expected one for each")
 
@@ -137,7 +136,7 @@ class FaultsOptions(SceneOptions):
 
     scenes: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
-        tyro.conf.arg(metavar="{staircase,ceiling,corridor,building-N} ..."),
+        tyro.conf.arg(metavar=f"{{{','.join(_SCENES)}}} ..."),
     ] = ()
     """What the camera moves through; of buildings, N is the number that draws one. None where recordings are given."""
     recordings: tuple[Path, ...] = ()

@@ -6,17 +6,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from tyro.extras import literal_type_from_choices
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from sequences.results import claim_folder
+from sequences.scenes import SCENES
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, usage_error
 from vapor.commands.named_settings import Preset, parse_named
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
@@ -29,9 +31,12 @@ from vapor.reporting.report import write_report
 from vapor.training.presets import PRESETS
 from vapor.training_data.training_set import files_read
 
-_Tables = Annotated[
-    tyro.conf.Positional[tuple[Literal["round-table", "dinner-table"], ...]], tyro.conf.arg(metavar="SCENE ...")
-]
+if TYPE_CHECKING:
+    _Scene = _Table = str
+else:  # choices are known when this runs
+    _Scene, _Table = literal_type_from_choices(SCENES), literal_type_from_choices(MODES)
+
+_Tables = Annotated[tyro.conf.Positional[tuple[_Table, ...]], tyro.conf.arg(metavar="SCENE ...")]
 _Threshold = Literal["0.1m/10deg", "0.2m/15deg", "0.3m/20deg"]
 
 _Figure = Callable[[Mapping[str, Any]], float]
@@ -106,7 +111,7 @@ class ScheduleOptions:
     output: OutputPath
     """Directory for images, results, schedule.json and the picture; trainings that are done are not done again."""
     overwrite: Overwrite = False
-    scene: Literal["staircase", "ceiling", "round-table", "dinner-table", "corridor"] = "staircase"
+    scene: _Scene = "staircase"
     """What the camera moves through."""
     preset: Preset = "demo"
     """Named settings of our training, of which the options below change single ones."""

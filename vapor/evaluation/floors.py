@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import pairwise
-from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.signal import find_peaks
 
 from filtering.se3 import Poses
-from sequences.scenes import corridor
-
-FLOOR_HEIGHT_M: Mapping[str, float] = MappingProxyType({"corridor": corridor.FLOOR_HEIGHT})
-"""From floor to floor, metres along z, in the scenes whose floors look alike from end to end."""
 
 _LEAST_APART_M, _MOST_APART_M = 1.8, 8.0  # less is no storey; a higher one is cut no lower than this
 _LEAST_ABOVE = 0.02  # of the cells of a plan must have something above them
