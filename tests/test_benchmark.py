@@ -13,6 +13,7 @@ from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry_fit import OdometryFit
+from sequences.scenes import find_scene
 from tests.checks import no_checks
 from vapor.benchmark import recordings, trials, windows
 from vapor.benchmark.summary import failed, summarise
@@ -22,7 +23,6 @@ from vapor.commands import console
 from vapor.commands.benchmark_tables import tables
 from vapor.commands.console import show
 from vapor.evaluation.belief import Belief
-from vapor.evaluation.floors import FLOOR_HEIGHT_M
 from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry
 from vapor.evaluation.trajectory import FILES
 from vapor.track import main
@@ -434,7 +434,8 @@ def test_floors_are_summed_up_over_the_images_on_them_with_intervals():
 @pytest.mark.parametrize("scale", [1.0, 30.0])
 def test_floors_are_judged_in_the_lengths_of_the_scene(scale, monkeypatch):
     """At another scale the poses are scaled back before whole floors are counted."""
-    height = FLOOR_HEIGHT_M["corridor"]
+    height = find_scene("corridor").floor_height_m
+    assert height == 3.2
     truth = Poses(np.tile(np.eye(3), (4, 1, 1)), np.array([[x, 0.0, 0.0] for x in range(4)]))
     off = Poses(truth.rotation, truth.translation + np.array([[0.0, 0.0, height * up] for up in (1.05, 1, 0, 0)]))
     modes = tuple((Mode(off[i], 0.01 * np.eye(6), 1.0),) for i in range(4))

@@ -18,7 +18,7 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.pairing import interpolate
-from sequences.scenes.paths import walk_stairs
+from sequences.scenes.staircase.walk import walk_stairs
 from sequences.writer import SequenceWriter
 from tests.sequence_files import BEGIN_NS as BEGIN_NS_OF_WALK
 from tests.sequence_files import rewrite

@@ -10,7 +10,9 @@ from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.pairing import interpolate
-from sequences.scenes.paths import roll_through_hall, walk_corridor, walk_stairs
+from sequences.scenes.ceiling.cart import roll_through_hall
+from sequences.scenes.corridor.walk import walk_corridor
+from sequences.scenes.staircase.walk import walk_stairs
 from sequences.time_offset import find_time_offset
 
 Walk = Callable[[float, np.random.Generator], Poses]

@@ -25,9 +25,9 @@ class Canvas:
     y: Float32[np.ndarray, "h 1"]
     width_m: float
     height_m: float
-    origin: Float64[np.ndarray, 3]
-    along_u: Float64[np.ndarray, 3]
-    along_v: Float64[np.ndarray, 3]
+    origin: Float64[np.ndarray, "3"]
+    along_u: Float64[np.ndarray, "3"]
+    along_v: Float64[np.ndarray, "3"]
     rng: np.random.Generator
 
     @property
