@@ -24,7 +24,7 @@ class OdometryNoise:
     """
 
     scale: float = 0.02
-    """Constant error of the distance, as a share of it."""
+    """Constant error of the distance, as a fraction of it."""
     translation_bias_m_per_s: float = 0.008
     """Slowly varying error of the velocity, each axis."""
     heading_bias_rad_per_s: float = 0.0015
@@ -36,7 +36,7 @@ class OdometryNoise:
     rotation_white_rad_per_sqrt_s: float = 0.003
     """White noise of the turn rate, as radians after one second."""
     fixed_scale: float | None = None
-    """The error of the distance in place of a random one, as a share of it: at 0.02 odometry is 2 % too long. The
+    """The error of the distance in place of a random one, as a fraction of it: at 0.02 odometry is 2 % too long. The
     stated covariance goes by `scale` all the same."""
 
     def __post_init__(self) -> None:

@@ -3,111 +3,42 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
-from sequences.place import SPLITS, find_place
-from sequences.render import render, sees_cue
-from sequences.route import Cues, choose_path
-from sequences.scenes.paths import STEP_S
-from sequences.scenes.surface import Scene
+from sequences.paths.choose import Cues, choose_path
+from sequences.paths.stand import Stand, halted
+from sequences.paths.timing import (
+    EPOCH_NS,
+    IMAGE_PERIOD_NS,
+    IMAGE_RATE_HZ,
+    ODOMETRY_PERIOD_NS,
+    TAIL_S,
+    image_stamps,
+    odometry_stamps,
+    poses_at,
+)
+from sequences.rendering.render import sees_cue
+from sequences.scenes import find_scene
+from sequences.scenes.scene import SPLITS
+from sequences.synthetic_sequence import SyntheticSequence
 from sequences.writer import SequenceWriter
 
 SYNTHESIS = 1
 """Counts up when a seed gives other images, odometry or poses than before."""
 
-IMAGE_RATE_HZ = 10.0
-"""Paths are chosen by what is seen at this rate, and made to last so long; that of all places but buildings."""
-IMAGE_PERIOD_NS, ODOMETRY_PERIOD_NS = 100_000_000, 20_000_000
-EPOCH_NS = 1_700_000_000_000_000_000  # the first odometry message
-_LEAD_NS = 513_000_000  # the first image comes later, and between two odometry messages
-_TAIL_S = 0.5  # of odometry after the last image at 10 Hz
 _RATES_HZ = (0.1, 200.0)
 _LONGEST_STAND_S = 86400.0
-_STOPPING_S = 0.4  # to come to rest, and to walk again
-_STILL_M = 1e-9  # a camera that moves less than this, and turns less than as many radians, stands
-_EXPOSURE_S = 0.014
-_SAMPLES = 4  # per pixel and exposure
-_ONE_RAY = 1e-9  # share of the image: a single coarse ray that meets something unique counts
+_ONE_RAY = 1e-9  # fraction of the image: a single coarse ray that meets something unique counts
 _CUES: dict[str, Cues] = {"train": "any", "test": "early"}
-
-
-@dataclass(frozen=True)
-class Stand:
-    """The camera comes to rest and stands, perfectly still, on a path that is otherwise as it would be.
-
-    Attributes:
-        image: The first image at rest; the last 0.4 s before it are slower.
-        duration_s: How long; rounded to whole images, at least one.
-        walks_on: Whether the rest of the path follows; else the sequence ends.
-    """
-
-    image: int
-    duration_s: float
-    walks_on: bool = False
-
-
-@dataclass(frozen=True)
-class SyntheticSequence:
-    """A rendered sequence; images are made when they are asked for.
-
-    Attributes:
-        scene: What the camera moves through.
-        camera: Intrinsics.
-        base_from_camera: One pose, the extrinsics.
-        image_times_ns: Stamps of the images, the middle of each exposure.
-        world_from_camera: True poses at the images, batch (n,).
-        odometry_times_ns: Stamps of the odometry, 50 Hz, from before the first image to after the last.
-        odom_from_base: Odometry, batch (k,), with scale error and drift.
-        twist_covariances: As `simulate_odometry` states them.
-        world_from_base: True poses of the body at the odometry, batch (k,).
-        seed: Names the sequence's sensor noise.
-        rate_hz: Images a second.
-    """
-
-    scene: Scene
-    camera: Camera
-    base_from_camera: Poses
-    image_times_ns: Int64[np.ndarray, " n"]
-    world_from_camera: Poses
-    odometry_times_ns: Int64[np.ndarray, " k"]
-    odom_from_base: Poses
-    twist_covariances: Float64[np.ndarray, "k 6 6"]
-    world_from_base: Poses
-    seed: np.random.SeedSequence
-    rate_hz: float = IMAGE_RATE_HZ
-
-    def images(self) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-        """The images in order, RGB, rendered one by one; every call begins anew and gives the same bytes.
-
-        While the camera stands, light is traced once and every image is exposed and developed anew: auto exposure and
-        sensor noise go on, and all that is missing is how the few scattered reflections of gloss would differ.
-        """
-        rng = np.random.default_rng(self.seed)
-        # Exposure follows in the same time at every rate: these are the shares of a tenth of a second.
-        lag, keep = 0.75 ** (IMAGE_RATE_HZ / self.rate_hz), 0.97 ** (IMAGE_RATE_HZ / self.rate_hz)
-        shake = 0.03 * np.sqrt((1 - keep**2) / (1 - 0.97**2))
-        exposure = drift = 0.0  # log2 of the gain: the automatic part lags behind the light, the rest wanders
-        traced_at, radiance = None, np.empty(0, np.float32)
-        for index in range(len(self.image_times_ns)):
-            spread = _EXPOSURE_S * ((np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5)
-            times = self.image_times_ns[index] + np.round(spread * 1e9).astype(np.int64)
-            poses = _at(self.odometry_times_ns, self.world_from_base, times) @ self.base_from_camera
-            if traced_at is None or not _still(traced_at, poses):
-                traced_at, radiance = poses, render(self.scene, self.camera, poses, rng=rng)
-            wanted = _metered_exposure(radiance)
-            exposure = wanted if index == 0 else exposure + (1 - lag) * (wanted - exposure)
-            drift = keep * drift + shake * rng.standard_normal()
-            yield develop(radiance, self.camera, exposure + drift, rng=rng)
 
 
 def synthesize(
@@ -123,11 +54,11 @@ def synthesize(
     rate_hz: float | None = None,
     stand: Stand | None = None,
 ) -> SyntheticSequence:
-    """A sequence through a place.
+    """A sequence through a scene.
 
     Args:
-        scene: Name of the place: one of `SCENES`, or a building by its number, such as `building-7`.
-        seed: Of path, odometry and sensor noise, and of the light and the people in a building; the place itself is
+        scene: Name of the scene: one of `SCENES`, or a building by its number, such as `building-7`.
+        seed: Of path, odometry and sensor noise, and of the light and the people in a building; the scene itself is
             always the same.
         num_frames: Number of images, without those that a stand adds.
         split: "test" paths keep further from the edges of the hall than "train" paths, and show something unique
@@ -136,8 +67,8 @@ def synthesize(
             over a tour of all of it, and there are people on "test" paths.
         cues: What is unique in the scene is passed "early", at will ("any"), or never ("none"); see `choose_path`.
         width, height: Image size in pixels; the horizontal field of view stays the same.
-        noise: Of the odometry; None for that of the place.
-        rate_hz: Images a second; None for those of the place, 10 everywhere but in buildings. Path and odometry follow
+        noise: Of the odometry; None for that of the scene.
+        rate_hz: Images a second; None for those of the scene, 10 everywhere but in buildings. Path and odometry follow
             from seed and duration alone, and stamps from a common first one: every third of 900 images at 30 Hz is
             taken where and when one of 300 at 10 Hz is. What is seen on the way, for `cues`, is looked at ten times a
             second at every rate.
@@ -147,8 +78,8 @@ def synthesize(
         SequenceError: unknown scene, split, cues or size, a negative seed, a rate or stand that cannot be, or no path
             without anything unique found.
     """
-    place = find_place(scene)
-    rate_hz = place.rate_hz if rate_hz is None else rate_hz
+    spec = find_scene(scene)
+    rate_hz = spec.rate_hz if rate_hz is None else rate_hz
     if split not in SPLITS:
         raise SequenceError(f"unknown split {split!r}, expected train or test")
     if cues not in (None, *get_args(Cues)):
@@ -164,25 +95,25 @@ def synthesize(
             f"a stand of {stand.duration_s:g} s from image {stand.image} on, expected an image below {num_frames}"
             f" and at most {_LONGEST_STAND_S:g} s"
         )
-    entropy = [seed, SPLITS[split], *place.entropy]
+    entropy = [seed, SPLITS[split], *spec.seed_numbers]
     path_seed, odometry_seed, image_seed = np.random.SeedSequence(entropy).spawn(3)
-    built = place.scene(split, seed)
-    camera, base_from_camera = camera_of(scene, width, height), place.base_from_camera
+    built = spec.build(split, seed)
+    camera, base_from_camera = camera_of(scene, width, height), spec.base_from_camera
     rng = np.random.default_rng(path_seed)
 
     def draw(num_images: int) -> Poses:
-        duration_s = float((_image_times_ns(num_images)[-1] - EPOCH_NS) * 1e-9 + _TAIL_S)
-        return place.path(duration_s, split, seed, rng)
+        duration_s = float((image_stamps(num_images)[-1] - EPOCH_NS) * 1e-9 + TAIL_S)
+        return spec.path(duration_s, split, seed, rng)
 
     def at_images(base: Poses, num_images: int) -> Poses:
-        return _at(_base_times_ns(base), base, _image_times_ns(num_images)) @ base_from_camera
+        return poses_at(odometry_stamps(base), base, image_stamps(num_images)) @ base_from_camera
 
     def look(base: Poses, num_images: int, closely: bool) -> Bool[np.ndarray, " n"]:
-        at_least = {"min_share": _ONE_RAY} if closely else {}
+        at_least = {"min_fraction": _ONE_RAY} if closely else {}
         return sees_cue(built, camera, at_images(base, num_images), **at_least)
 
     base = choose_path(
-        cues or (_CUES[split] if built.geometry.cue.any() else "any"),
+        cues or (_CUES[split] if spec.has_cues else "any"),
         math.ceil(num_frames * IMAGE_RATE_HZ / rate_hz - 1e-6),
         poses_per_image=IMAGE_PERIOD_NS // ODOMETRY_PERIOD_NS,
         draw=draw,
@@ -196,19 +127,19 @@ def synthesize(
     num_images = num_frames
     if stand is not None:
         still_images = max(1, round(stand.duration_s * rate_hz))
-        first_still_ns = int(_image_times_ns(stand.image + 1, rate_hz)[-1])
-        base = _halted(base, first_still_ns, still_images / rate_hz, walks_on=stand.walks_on)
+        first_still_ns = int(image_stamps(stand.image + 1, rate_hz)[-1])
+        base = halted(base, first_still_ns, still_images / rate_hz, walks_on=stand.walks_on)
         num_images = still_images + (num_frames if stand.walks_on else stand.image)
-    image_times_ns, base_times_ns = _image_times_ns(num_images, rate_hz), _base_times_ns(base)
+    image_times_ns, base_times_ns = image_stamps(num_images, rate_hz), odometry_stamps(base)
     odom_from_base, twist_covariances = simulate_odometry(
-        base_times_ns, base, noise or place.noise, rng=np.random.default_rng(odometry_seed)
+        base_times_ns, base, noise or spec.noise, rng=np.random.default_rng(odometry_seed)
     )
     return SyntheticSequence(
         scene=built,
         camera=camera,
         base_from_camera=base_from_camera,
         image_times_ns=image_times_ns,
-        world_from_camera=_at(base_times_ns, base, image_times_ns) @ base_from_camera,
+        world_from_camera=poses_at(base_times_ns, base, image_times_ns) @ base_from_camera,
         odometry_times_ns=base_times_ns,
         odom_from_base=odom_from_base,
         twist_covariances=twist_covariances,
@@ -216,6 +147,16 @@ def synthesize(
         seed=image_seed,
         rate_hz=rate_hz,
     )
+
+
+def camera_of(name: str, width: int, height: int) -> Camera:
+    """The camera that moves through a scene, for images of this size in pixels.
+
+    Raises:
+        SequenceError: no such scene, or a size that no camera has.
+    """
+    focal = width / 2 / np.tan(np.radians(find_scene(name).field_of_view_deg / 2))
+    return Camera(width, height, float(focal), float(focal), (width - 1) / 2, (height - 1) / 2)
 
 
 def write_synthetic(
@@ -252,76 +193,3 @@ def _write_odometry(writer: SequenceWriter, sequence: SyntheticSequence, indices
     for k in indices:
         time_ns = int(sequence.odometry_times_ns[k])
         writer.write_odometry(time_ns, sequence.odom_from_base[k], sequence.twist_covariances[k])
-
-
-def develop(
-    radiance: Float32[np.ndarray, "height width 3"], camera: Camera, exposure: float, *, rng: np.random.Generator
-) -> UInt8[np.ndarray, "height width 3"]:
-    """What a small camera makes of light: vignetting, shot and read noise, tone curve, eight bits.
-
-    Args:
-        radiance: Linear light.
-        camera: Its intrinsics, for the fall-off towards the corners (cos⁴ of the angle).
-        exposure: log2 of the gain.
-        rng: Source of the noise.
-    """
-    x = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
-    y = (np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
-    falloff = (1 + 0.6 * (x[None] ** 2 + y[:, None] ** 2)) ** -2
-    light = radiance * (np.float32(2.0**exposure) * falloff)[..., None]
-    light += rng.standard_normal(light.shape, np.float32) * np.sqrt(0.0004 * light + 0.000012)
-    light = np.clip(light, 0, None)
-    tone = light * (1 + light / 9) / (1 + light)  # white at three times full scale, rolled off softly
-    return np.clip(255 * tone ** np.float32(1 / 2.2) + 0.5, 0, 255).astype(np.uint8)
-
-
-def _metered_exposure(radiance: np.ndarray) -> float:
-    """log2 of the gain that brings the geometric mean of the light to middle grey."""
-    luminance = radiance[::4, ::4].mean(axis=-1)
-    return float(np.clip(np.log2(0.42) - np.log2(luminance + 1e-3).mean(), -5.0, 4.5))
-
-
-def _image_times_ns(count: int, rate_hz: float = IMAGE_RATE_HZ) -> Int64[np.ndarray, " n"]:
-    since_first = np.round(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
-    return EPOCH_NS + _LEAD_NS + since_first
-
-
-def _base_times_ns(base: Poses) -> Int64[np.ndarray, " k"]:
-    return EPOCH_NS + round(STEP_S * 1e9) * np.arange(len(base), dtype=np.int64)
-
-
-def _at(times_ns: np.ndarray, poses: Poses, query_ns: np.ndarray) -> Poses:
-    """Poses at other times, along the geodesic between neighbours."""
-    after = np.clip(np.searchsorted(times_ns, query_ns, side="right"), 1, len(times_ns) - 1)
-    fraction = (query_ns - times_ns[after - 1]) / (times_ns[after] - times_ns[after - 1])
-    return poses[after - 1].interpolate(poses[after], fraction)
-
-
-def _still(before: Poses, after: Poses) -> bool:
-    distance_m, angle_rad = before.distance(after)
-    return bool(max(distance_m.max(), angle_rad.max()) < _STILL_M)
-
-
-def _halted(base: Poses, image_time_ns: int, duration_s: float, *, walks_on: bool) -> Poses:
-    """The path of the body as it is walked with a stand: at rest from half an exposure before the image on."""
-    times_ns = _base_times_ns(base)
-    still_from = int(np.searchsorted(times_ns, image_time_ns - round(_EXPOSURE_S * 0.5e9), side="right")) - 1
-    steps, ramp_steps = math.ceil(duration_s / STEP_S) + 2, round(_STOPPING_S / STEP_S)
-    ramp = (np.arange(ramp_steps) + 0.5) / ramp_steps  # share of the speed
-    before = np.concatenate([np.ones(max(still_from - ramp_steps, 0)), ramp[::-1]])[-still_from:]
-    after = np.concatenate([ramp, np.ones(len(base))])[: len(base) - 1 - still_from]
-    if not walks_on:
-        after = np.zeros(round(_TAIL_S / STEP_S))
-    step_ns = round(STEP_S * 1e9)
-    walked_ns = step_ns * np.concatenate([[0.0], np.cumsum(np.concatenate([before, np.zeros(steps), after]))])
-    return _at(times_ns, base, times_ns[0] + np.round(walked_ns).astype(np.int64))
-
-
-def camera_of(name: str, width: int, height: int) -> Camera:
-    """The camera that moves through a place, for images of this size in pixels.
-
-    Raises:
-        SequenceError: no such place, or a size that no camera has.
-    """
-    focal = width / 2 / np.tan(np.radians(find_place(name).field_of_view_deg / 2))
-    return Camera(width, height, float(focal), float(focal), (width - 1) / 2, (height - 1) / 2)

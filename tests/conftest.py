@@ -1,7 +1,8 @@
 """Shapes and types in annotations are executed while the tests run."""
 
-from collections.abc import Callable, Iterator
-from functools import cache, partial
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,8 @@ from tests import checks
 from tests.checks import no_checks
 
 if TYPE_CHECKING:
-    from sequences.scenes.surface import Scene
+    from sequences.rendering.surface import LitScene
+    from sequences.scenes.scene import Scene
 
 checks.install(["filtering", "sequences", "vapor"])
 settings.register_profile("unhurried", deadline=None)  # how long an example takes says how busy the machine is
@@ -64,20 +66,20 @@ def plain_results(no_pictures: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @cache
-def _roughly_lit(build: "Callable[[str], Scene]", name: str) -> "Scene":
-    from sequences import place  # after the hook
-    from sequences.scenes.light import Sampling
-    from sequences.scenes.surface import build_scene
+def _roughly_lit(scene: "Scene") -> "Scene":
+    from sequences.rendering.light import Sampling  # after the hook
 
-    with pytest.MonkeyPatch.context() as patch:
-        rough = Sampling(grid_m=0.5, shadow_rays=1, bounce_rays=4, reach_m=5.0)
-        patch.setattr(place, "build_scene", partial(build_scene, sampling=rough))
-        return build(name)
+    return replace(scene, sampling=Sampling(grid_m=0.5, shadow_rays=1, bounce_rays=4, reach_m=5.0))
 
 
 @pytest.fixture
 def rough_light(monkeypatch: pytest.MonkeyPatch) -> None:
     """Scenes other than buildings are lit roughly, where a test does not look at light: it takes seconds a scene."""
-    from sequences import place  # after the hook
+    from sequences.scenes.scene import Scene  # after the hook
 
-    monkeypatch.setattr(place, "load_scene", partial(_roughly_lit, place.load_scene.__wrapped__))
+    build = Scene.build
+
+    def build_roughly(scene: Scene, split: str, seed: int) -> "LitScene":
+        return build(scene if scene.changes else _roughly_lit(scene), split, seed)
+
+    monkeypatch.setattr(Scene, "build", build_roughly)

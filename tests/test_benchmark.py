@@ -14,6 +14,7 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
+from sequences.scenes import find_scene
 from tests.checks import no_checks
 from vapor.benchmark.localization.summary import failed, summarise
 from vapor.benchmark.recordings import record
@@ -25,7 +26,6 @@ from vapor.commands import console
 from vapor.commands.benchmark.localization_tables import tables
 from vapor.commands.console import show
 from vapor.evaluation.comparison import Comparison
-from vapor.evaluation.floors import FLOOR_HEIGHT_M
 from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry
 from vapor.track import main
 from vapor.tracking.belief import Belief
@@ -436,7 +436,8 @@ def test_floors_are_summed_up_over_the_images_on_them_with_intervals():
 @pytest.mark.parametrize("scale", [1.0, 30.0])
 def test_floors_are_evaluated_in_the_lengths_of_the_scene(scale, monkeypatch):
     """At another scale the poses are scaled back before whole floors are counted."""
-    height = FLOOR_HEIGHT_M["corridor"]
+    height = find_scene("corridor").floor_height_m
+    assert height == 3.2
     truth = Poses(np.tile(np.eye(3), (4, 1, 1)), np.array([[x, 0.0, 0.0] for x in range(4)]))
     off = Poses(truth.rotation, truth.translation + np.array([[0.0, 0.0, height * up] for up in (1.05, 1, 0, 0)]))
     modes = tuple((Mode(off[i], 0.01 * np.eye(6), 1.0),) for i in range(4))

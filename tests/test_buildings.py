@@ -1,3 +1,4 @@
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import combinations
@@ -6,49 +7,57 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
-from sequences import place as place_module
 from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.place import Place, draw_visit, find_place, is_place
 from sequences.reader import SequenceReader
-from sequences.render import render, sees_cue
-from sequences.scenes import building, surface
-from sequences.scenes.building import placements
-from sequences.scenes.building_plan import Plan, draw_plan
-from sequences.scenes.building_rooms import layout
-from sequences.scenes.building_walk import TRAINING_WALKS, walk_building, ways
-from sequences.scenes.light import Sampling
-from sequences.scenes.mesh import assemble
-from sequences.scenes.surface import Scene
-from sequences.scenes.tracer import Tracer
+from sequences.rendering import surface
+from sequences.rendering.light import Sampling
+from sequences.rendering.mesh import assemble
+from sequences.rendering.render import render, sees_cue
+from sequences.rendering.surface import LitScene
+from sequences.rendering.tracer import Tracer
+from sequences.scenes import find_scene, is_scene
+from sequences.scenes.building import scene as building
+from sequences.scenes.building.cues import unique_things
+from sequences.scenes.building.draw_plan import draw_plan
+from sequences.scenes.building.layout import layout
+from sequences.scenes.building.line import TRAINING_WALKS
+from sequences.scenes.building.plan import Plan
+from sequences.scenes.building.scene import placements
+from sequences.scenes.building.visit import draw_visit
+from sequences.scenes.building.walk import walk_building
+from sequences.scenes.building.ways import ways
+from sequences.scenes.scene import Scene
 from sequences.synthesize import synthesize, write_synthetic
 
 CAMERA = Camera(64, 48, 40.0, 40.0, 31.5, 23.5)
 SMALL = "building-2"  # two floors, one room
 
 
-@pytest.fixture(autouse=True)
-def rough(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True, scope="module")
+def rough() -> Iterator[None]:
     """Paint and light that are computed in a moment."""
-    texels = surface._chart_sizes
-    monkeypatch.setattr(surface, "_chart_sizes", lambda geometry: np.maximum(1, texels(geometry) // 4))
-    monkeypatch.setattr(
-        place_module, "_BUILDING_LIGHT", Sampling(grid_m=0.5, shadow_rays=1, bounce_rays=4, reach_m=5.0)
-    )
+    texels = surface.chart_sizes
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(surface, "chart_sizes", lambda geometry: np.maximum(1, texels(geometry) // 4))
+        patch.setattr(building, "SAMPLING", Sampling(grid_m=0.5, shadow_rays=1, bounce_rays=4, reach_m=5.0))
+        find_scene.cache_clear()
+        yield
+    find_scene.cache_clear()
 
 
 @cache
-def matt() -> Scene:
+def matt() -> LitScene:
     """Building 0, whose five floors are painted alike, without the reflections that scatter at random."""
-    scene = find_place("building-0").scene("train", 0)
+    scene = find_scene("building-0").build("train", 0)
     return replace(scene, gloss=np.zeros_like(scene.gloss))
 
 
-def picture(scene: Scene, pose: Poses) -> np.ndarray:
+def picture(scene: LitScene, pose: Poses) -> np.ndarray:
     return render(scene, CAMERA, Poses.stack([pose] * 2), rng=np.random.default_rng(0))
 
 
-def share_that_differs(first: np.ndarray, second: np.ndarray) -> float:
+def fraction_that_differs(first: np.ndarray, second: np.ndarray) -> float:
     return float((np.abs(first - second).max(axis=2) > 0.1 * (0.05 + first.mean(axis=2))).mean())
 
 
@@ -57,19 +66,19 @@ def raised(poses: Poses, plan: Plan, levels: int) -> Poses:
 
 
 def walk(number: int, split: str, seed: int, duration_s: float = 60.0) -> Poses:
-    return find_place(f"building-{number}").path(duration_s, split, seed, np.random.default_rng([seed, 3]))
+    return find_scene(f"building-{number}").path(duration_s, split, seed, np.random.default_rng([seed, 3]))
 
 
 # --- what the number draws -------------------------------------------------------------------------
 
 
 def test_what_is_drawn_of_twenty_buildings_lies_in_its_ranges_and_is_spread_over_them():
-    plans, places = [draw_plan(n) for n in range(20)], [find_place(f"building-{n}") for n in range(20)]
+    plans, places = [draw_plan(n) for n in range(20)], [find_scene(f"building-{n}") for n in range(20)]
 
-    def spread(values: list[float], low: float, high: float, share: float = 0.6) -> None:
+    def spread(values: list[float], low: float, high: float, fraction: float = 0.6) -> None:
         assert low <= min(values)
         assert max(values) <= high
-        assert np.ptp(values) > share * (high - low)
+        assert np.ptp(values) > fraction * (high - low)
 
     spread([plan.levels for plan in plans], 2, 6)
     spread([plan.blocks[0].length for plan in plans], 8, 60)
@@ -91,12 +100,12 @@ def test_what_is_drawn_of_twenty_buildings_lies_in_its_ranges_and_is_spread_over
 
 
 def test_no_two_buildings_are_alike():
-    def drawn(place: Place) -> tuple[float, ...]:
-        return place.field_of_view_deg, *place.base_from_camera.translation, place.noise.scale
+    def drawn(scene: Scene) -> tuple[float, ...]:
+        return scene.field_of_view_deg, *scene.base_from_camera.translation, scene.noise.scale
 
     plans = [replace(draw_plan(n), number=0) for n in range(20)]
     assert len(set(plans)) == 20
-    assert len({drawn(find_place(f"building-{n}")) for n in range(20)}) == 20
+    assert len({drawn(find_scene(f"building-{n}")) for n in range(20)}) == 20
     first, second = (
         next(synthesize(f"building-{n}", seed=0, num_frames=1, width=32, height=24).images()) for n in (0, 2)
     )
@@ -123,7 +132,7 @@ def test_a_room_overlaps_no_other_one_and_no_corridor():
     "name", ["building", "building-", "building--1", "building-07", "building-1000000", "building-7x"]
 )
 def test_names_of_no_building_are_refused(name):
-    assert not is_place(name)
+    assert not is_scene(name)
     with pytest.raises(
         SequenceError, match=f"unknown scene '{name}', expected one of staircase, .* such as building-7"
     ):
@@ -135,7 +144,7 @@ def test_names_of_no_building_are_refused(name):
 
 def test_number_and_seed_give_the_same_bytes_and_another_seed_or_split_does_not():
     def bytes_of(seed: int, **options) -> tuple[bytes, bytes]:
-        for drawn in (find_place, place_module._visited, draw_plan, building.unique_things, ways, layout):
+        for drawn in (find_scene, draw_plan, unique_things, ways, layout):
             drawn.cache_clear()
         sequence = synthesize(SMALL, seed=seed, num_frames=2, width=32, height=24, **options)
         images = np.stack(list(sequence.images()))
@@ -154,23 +163,23 @@ def test_number_and_seed_give_the_same_bytes_and_another_seed_or_split_does_not(
 def test_floors_look_the_same_where_nothing_unique_shows():
     plan, scene = draw_plan(0), matt()
     assert set(plan.styles) == {0}
-    eyes = (walk(0, "train", 0, 200.0) @ find_place("building-0").base_from_camera)[::400]
+    eyes = (walk(0, "train", 0, 200.0) @ find_scene("building-0").base_from_camera)[::400]
     lower = (eyes.translation[:, 2] > 0) & (eyes.translation[:, 2] < (plan.levels - 2) * plan.storey)
     above = raised(eyes, plan, 1)
-    unseen = ~sees_cue(scene, CAMERA, eyes, min_share=1e-9) & ~sees_cue(scene, CAMERA, above, min_share=1e-9)
+    unseen = ~sees_cue(scene, CAMERA, eyes, min_fraction=1e-9) & ~sees_cue(scene, CAMERA, above, min_fraction=1e-9)
     chosen = np.flatnonzero(lower & unseen)
     assert len(chosen) >= 5
     for index in chosen:
-        assert share_that_differs(picture(scene, eyes[index]), picture(scene, above[index])) < 0.02
+        assert fraction_that_differs(picture(scene, eyes[index]), picture(scene, above[index])) < 0.02
     aside = Poses(eyes.rotation, eyes.translation + np.array([0.15, 0.1, 0.0]))
-    steps = [share_that_differs(picture(scene, eyes[i]), picture(scene, aside[i])) for i in chosen]
+    steps = [fraction_that_differs(picture(scene, eyes[i]), picture(scene, aside[i])) for i in chosen]
     assert np.median(steps) > 0.1  # the measure does see a step aside
 
 
 def test_a_picture_tells_its_floor():
     plan, scene = draw_plan(0), matt()
     seen = []
-    for thing in building.unique_things(plan):
+    for thing in unique_things(plan):
         offset, heading = thing.offsets[0], float(np.asarray(thing.headings)[0])
         level = round(offset[2] / plan.storey)
         width = max(quad[0][0] + max(quad[1][0], 0) for quad in thing.part.quads)
@@ -181,7 +190,7 @@ def test_a_picture_tells_its_floor():
         pose = Poses(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
         other = raised(pose, plan, 1 if level == 0 else -1)
         if sees_cue(scene, CAMERA, Poses.stack([pose, other])).tolist() == [True, False]:
-            seen.append(share_that_differs(picture(scene, pose), picture(scene, other)))
+            seen.append(fraction_that_differs(picture(scene, pose), picture(scene, other)))
     assert len(seen) >= 2
     assert min(seen) > 0.03
 
@@ -203,7 +212,7 @@ def test_light_differs_from_walk_to_walk_and_people_stand_about_on_test_walks_al
 
 @pytest.mark.parametrize("number", [1, 2, 8])
 def test_no_walk_comes_near_to_a_wall_furniture_or_people_and_all_stay_inside(number):
-    plan, place = draw_plan(number), find_place(f"building-{number}")
+    plan, place = draw_plan(number), find_scene(f"building-{number}")
     around = np.random.default_rng(0).standard_normal((40, 3))
     around /= np.linalg.norm(around, axis=1, keepdims=True)
     for split in ("train", "test"):
@@ -269,7 +278,7 @@ def test_a_walk_keeps_away_from_people():
 
 
 def test_a_recording_has_the_rate_the_extrinsics_and_the_field_of_view_of_its_building(tmp_path):
-    place, file = find_place(SMALL), tmp_path / "walk.mcap"
+    place, file = find_scene(SMALL), tmp_path / "walk.mcap"
     sequence = synthesize(SMALL, seed=1, num_frames=5, width=32, height=24)
     write_synthetic(sequence, file)
     reader = SequenceReader(file)

@@ -13,7 +13,6 @@ from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from tests.lens_images import taken_by
 from tests.test_observation import make_checkpoint, observe
-
 from tests.tiny_model import Metadata, Tensors, altered
 from tests.tiny_training import TINY
 from vapor.cameras import AsTakenBy, resampled, share_seen

@@ -17,14 +17,13 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.reading.counts import OUTSIDE
-from sequences.scenes.paths import walk_stairs
+from sequences.scenes.staircase.walk import walk_stairs
 from sequences.trajectories.interpolation import interpolate
 from sequences.writer import SequenceWriter
 from tests.data_sets import make_tum
 from tests.recorded_walks import corridor, recorded, stairwell
 from tests.sequence_files import BEGIN_NS as BEGIN_NS_OF_WALK
 from tests.sequence_files import rewrite
-
 from vapor.evaluation.floors import find_floors
 from vapor.inspection import odometry as odometry_module
 from vapor.inspection.coverage import Coverage, Plan

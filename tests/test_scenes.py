@@ -1,21 +1,24 @@
+import subprocess
+import sys
 from dataclasses import replace
-from itertools import islice
-from typing import Literal
 
 import cv2
 import numpy as np
 import pytest
 
 from filtering.se3 import Poses
-from sequences import synthesize as synthesize_module
-from sequences.errors import SequenceError
 from sequences.frame import Camera
-from sequences.place import SCENES, load_scene
-from sequences.render import depth_and_quads, render, sees_cue
-from sequences.scenes import ceiling, corridor, staircase
-from sequences.scenes.paths import circle_table, roll_through_hall, walk_corridor, walk_stairs
-from sequences.scenes.surface import Scene
-from sequences.synthesize import Stand, SyntheticSequence, synthesize
+from sequences.rendering.render import depth_and_quads, pixel_rays, render, sees_cue
+from sequences.rendering.surface import LitScene
+from sequences.scenes import SCENES, find_scene, scene_names
+from sequences.scenes.ceiling import dimensions as ceiling
+from sequences.scenes.ceiling.cart import roll_through_hall
+from sequences.scenes.corridor import dimensions as corridor
+from sequences.scenes.corridor.walk import walk_corridor
+from sequences.scenes.staircase import dimensions as staircase
+from sequences.scenes.staircase.walk import walk_stairs
+from sequences.scenes.table_room import circle_table
+from sequences.synthesize import synthesize
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -24,12 +27,6 @@ CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 
 @pytest.fixture(scope="module", params=SCENES)
 def name(request) -> str:
-    return request.param
-
-
-@pytest.fixture(scope="module", params=["staircase", "ceiling", "corridor"])
-def name_with_cues(request) -> str:
-    """Of a scene that has something unique."""
     return request.param
 
 
@@ -48,18 +45,58 @@ def shifted(pose: Poses, x: float, y: float, z: float) -> Poses:
     return Poses(pose.rotation, pose.translation + np.array([x, y, z]))
 
 
-def picture(scene: Scene, pose: Poses) -> np.ndarray:
+def picture(scene: LitScene, pose: Poses) -> np.ndarray:
     return render(scene, CAMERA, Poses.stack([pose] * 4), rng=np.random.default_rng(0))
 
 
-def matt(name: str) -> Scene:
+def load_scene(name: str) -> LitScene:
+    return find_scene(name).build("test", 0)
+
+
+def matt(name: str) -> LitScene:
     """The scene without its glossy reflections, which scatter at random."""
     scene = load_scene(name)
     return replace(scene, gloss=np.zeros_like(scene.gloss))
 
 
-def share_that_differs(first: np.ndarray, second: np.ndarray) -> float:
+def fraction_that_differs(first: np.ndarray, second: np.ndarray) -> float:
     return float((np.abs(first - second).max(axis=2) > 0.1 * (0.05 + first.mean(axis=2))).mean())
+
+
+# --- specifications --------------------------------------------------------------------------------
+
+
+def test_a_scene_goes_by_the_name_of_its_row(name):
+    assert find_scene(name).name == name
+
+
+def test_no_two_scenes_draw_the_same_random_numbers_and_those_of_old_scenes_never_change():
+    numbers = {name: find_scene(name).seed_numbers for name in [*SCENES, "building-0", "building-7"]}
+    assert len(set(numbers.values())) == len(numbers)
+    old = {"staircase": (0,), "ceiling": (1,), "round-table": (2,), "dinner-table": (3,), "corridor": (4,)}
+    assert numbers.items() >= (old | {"building-7": (1000, 7)}).items()
+
+
+@pytest.mark.parametrize("name", [*SCENES, "building-0"])
+def test_a_scene_says_whether_anything_in_it_is_unique(name):
+    scene = find_scene(name)
+    assert scene.has_cues == any(placement.part.cue for placement in scene.placements("test", 0))
+
+
+def test_names_to_choose_from_are_those_of_all_scenes_or_of_those_in_which_something_is_unique():
+    assert scene_names() == ("staircase", "ceiling", "round-table", "dinner-table", "corridor", "building-N")
+    assert scene_names(with_cues=True) == ("staircase", "ceiling", "corridor", "building-N")
+
+
+def test_a_scene_is_imported_when_it_is_asked_for_and_not_before():
+    code = (
+        "import sys; from sequences.scenes import find_scene, is_scene, scene_names;"
+        "is_scene('ceiling'); scene_names();"
+        "before = [m for m in sys.modules if m.startswith('sequences.scenes.')]; find_scene('ceiling');"
+        "print(before, 'sequences.scenes.ceiling.scene' in sys.modules, 'sequences.scenes.corridor' in sys.modules)"
+    )
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert printed.split() == ["[]", "True", "False"]
 
 
 # --- ambiguity: what looks the same, and what does not ---------------------------------------------
@@ -73,20 +110,20 @@ def test_two_floors_look_the_same_from_the_same_place_on_them(view, levels):
     first = picture(scene, shifted(pose, 0, 0, staircase.FLOOR_HEIGHT))
     for level in levels:
         second = picture(scene, shifted(pose, 0, 0, level * staircase.FLOOR_HEIGHT))
-        assert share_that_differs(first, second) < 0.01  # all but hairlines of rounding
+        assert fraction_that_differs(first, second) < 0.01  # all but hairlines of rounding
     nearby = picture(scene, shifted(pose, 0.15, 0, staircase.FLOOR_HEIGHT))
-    assert share_that_differs(first, nearby) > 0.2  # the measure does see a step aside
+    assert fraction_that_differs(first, nearby) > 0.2  # the measure does see a step aside
 
 
 @pytest.mark.parametrize(("x", "y", "heading"), [(8.9, 6.5, 0.3), (6.5, 7.7, 2.0)])
 def test_two_cells_of_the_ceiling_look_the_same_and_a_panel_further_does_not(x, y, heading):
     scene, (dx, dy) = load_scene("ceiling"), np.array(ceiling.CELL) * ceiling.PANEL
     pose = upward(x, y, heading)
-    assert not sees_cue(scene, CAMERA, Poses.stack([pose, shifted(pose, dx, -dy, 0)]), min_share=1e-9).any()
+    assert not sees_cue(scene, CAMERA, Poses.stack([pose, shifted(pose, dx, -dy, 0)]), min_fraction=1e-9).any()
     first = picture(scene, pose)
-    assert share_that_differs(first, picture(scene, shifted(pose, dx, -dy, 0))) < 0.03
-    assert share_that_differs(first, picture(scene, shifted(pose, ceiling.PANEL, 0, 0))) > 0.1
-    assert share_that_differs(first, picture(scene, upward(x, y, heading + np.pi))) > 0.1
+    assert fraction_that_differs(first, picture(scene, shifted(pose, dx, -dy, 0))) < 0.03
+    assert fraction_that_differs(first, picture(scene, shifted(pose, ceiling.PANEL, 0, 0))) > 0.1
+    assert fraction_that_differs(first, picture(scene, upward(x, y, heading + np.pi))) > 0.1
 
 
 @pytest.mark.parametrize(
@@ -101,7 +138,7 @@ def test_two_cells_of_the_ceiling_look_the_same_and_a_panel_further_does_not(x, 
 def test_unique_things_of_the_staircase_change_the_image_clearly(place, unlike):
     scene, elsewhere = load_scene("staircase"), shifted(place, 0, 0, -unlike)
     assert sees_cue(scene, CAMERA, Poses.stack([place, elsewhere])).tolist() == [True, False]
-    assert share_that_differs(picture(scene, place), picture(scene, elsewhere)) > 0.05
+    assert fraction_that_differs(picture(scene, place), picture(scene, elsewhere)) > 0.05
 
 
 def test_each_unique_thing_of_the_ceiling_is_seen_from_below_it():
@@ -121,11 +158,11 @@ CORRIDOR_VIEWS = [look((31.3, 1.0, 1.5), 0.1), look((44.0, 1.5, 1.55), np.pi - 0
 @pytest.mark.parametrize("view", CORRIDOR_VIEWS, ids=["along", "back", "aside"])
 def test_both_floors_of_the_corridor_look_the_same_and_other_places_along_it_do_not(view):
     scene = matt("corridor")
-    assert not sees_cue(scene, CAMERA, Poses.stack([view]), min_share=1e-9).any()
+    assert not sees_cue(scene, CAMERA, Poses.stack([view]), min_fraction=1e-9).any()
     first = picture(scene, view)
-    assert share_that_differs(first, picture(scene, shifted(view, 0, 0, corridor.FLOOR_HEIGHT))) < 0.01
-    assert share_that_differs(first, picture(scene, shifted(view, 0.3, 0, 0))) > 0.15
-    assert share_that_differs(first, picture(scene, shifted(view, corridor.REPEAT, 0, 0))) > 0.05  # walls and boards
+    assert fraction_that_differs(first, picture(scene, shifted(view, 0, 0, corridor.FLOOR_HEIGHT))) < 0.01
+    assert fraction_that_differs(first, picture(scene, shifted(view, 0.3, 0, 0))) > 0.15
+    assert fraction_that_differs(first, picture(scene, shifted(view, corridor.REPEAT, 0, 0))) > 0.05  # walls and boards
 
 
 @pytest.mark.parametrize("floor", [0, 1])
@@ -134,14 +171,14 @@ def test_each_end_of_the_corridor_shows_the_floor(floor, x, yaw):
     scene, up = load_scene("corridor"), floor * corridor.FLOOR_HEIGHT
     here, there = look((x, 1.2, 1.5 + up), yaw), look((x, 1.2, 1.5 + corridor.FLOOR_HEIGHT - up), yaw)
     assert sees_cue(scene, CAMERA, Poses.stack([here])).all()
-    assert share_that_differs(picture(scene, here), picture(scene, there)) > 0.05
+    assert fraction_that_differs(picture(scene, here), picture(scene, there)) > 0.05
 
 
 def test_the_two_ends_of_the_corridor_differ_without_the_painted_walls():
     scene = load_scene("corridor")
     ends = [look((2.0, 1.2, 1.5), np.pi, 0.0), look((73.0, 1.2, 1.5), 0.0, 0.0)]
     pictures = [picture(scene, end)[18:54, 24:72] for end in ends]
-    assert share_that_differs(*pictures) > 0.5
+    assert fraction_that_differs(*pictures) > 0.5
 
 
 def turned(pose: Poses, angle: float) -> Poses:
@@ -149,16 +186,19 @@ def turned(pose: Poses, angle: float) -> Poses:
     return Poses.exp(np.array([0, 0, 0, 0, 0, angle])) @ pose
 
 
-@pytest.mark.parametrize(("scene_name", "modes"), [("round-table", 4), ("dinner-table", 2)])
+@pytest.mark.parametrize("scene_name", ["round-table", "dinner-table"])
 @pytest.mark.parametrize("index", [0, 40, 110])
-def test_a_table_looks_the_same_from_as_many_sides_as_it_has_modes_and_from_no_more(scene_name, modes, index):
-    scene = matt(scene_name)
+def test_a_table_looks_the_same_from_as_many_sides_as_it_has_modes_and_from_no_more(scene_name, index):
+    scene, modes = matt(scene_name), find_scene(scene_name).modes
+    assert modes == {"round-table": 4, "dinner-table": 2}[scene_name]
     pose = synthesize(scene_name, seed=0, num_frames=120, width=64, height=48).world_from_camera[index]
     first = picture(scene, pose)
     for turn in range(1, modes):
-        assert share_that_differs(first, picture(scene, turned(pose, 2 * np.pi * turn / modes))) < 0.01
-    assert share_that_differs(first, picture(scene, turned(pose, np.pi / modes))) > 0.1  # half of the way to the next
-    assert share_that_differs(first, picture(scene, turned(pose, 0.05))) > 0.2  # nor from anywhere nearby
+        assert fraction_that_differs(first, picture(scene, turned(pose, 2 * np.pi * turn / modes))) < 0.01
+    assert (
+        fraction_that_differs(first, picture(scene, turned(pose, np.pi / modes))) > 0.1
+    )  # half of the way to the next
+    assert fraction_that_differs(first, picture(scene, turned(pose, 0.05))) > 0.2  # nor from anywhere nearby
 
 
 @pytest.mark.parametrize("scene_name", ["round-table", "dinner-table"])
@@ -204,8 +244,6 @@ def test_depth_carries_the_picture_of_one_pose_onto_that_of_the_next(name):
 
 def _photometric_error(scene, camera, pictures, first: Poses, second: Poses) -> float:
     """Mean difference of log brightness where a pixel of the first pose is seen, unhidden, from the second."""
-    from sequences.render import pixel_rays
-
     depth, _ = depth_and_quads(scene, camera, first)
     depth_there, _ = depth_and_quads(scene, camera, second)
     there = second.inverse() @ first
@@ -246,83 +284,7 @@ def test_no_camera_passes_through_a_wall_or_comes_too_near_to_one(name):
         assert far.max() < 40  # and never out of the building
 
 
-# --- sequences -------------------------------------------------------------------------------------
-
-
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_or_split_does_not(name):
-    def first_images(seed: int, split: Literal["train", "test"]) -> np.ndarray:
-        return np.stack(
-            list(islice(synthesize(name, seed=seed, num_frames=30, split=split, width=64, height=48).images(), 3))
-        )
-
-    original = first_images(5, "test")
-    assert original.dtype == np.uint8
-    assert original.shape == (3, 48, 64, 3)
-    np.testing.assert_array_equal(original, first_images(5, "test"))
-    assert (original != first_images(6, "test")).mean() > 0.3
-    assert (original != first_images(5, "train")).mean() > 0.3
-
-
-def test_images_can_be_iterated_again_and_are_as_many_as_their_stamps(name):
-    sequence = synthesize(name, seed=2, num_frames=4, width=64, height=48)
-    once, again = list(sequence.images()), list(sequence.images())
-    assert len(once) == len(sequence.image_times_ns) == len(sequence.world_from_camera) == 4
-    np.testing.assert_array_equal(np.stack(once), np.stack(again))
-
-
-def test_odometry_at_50_hz_covers_images_at_10_hz_with_a_margin(name):
-    sequence = synthesize(name, seed=0, num_frames=25)
-    assert set(np.diff(sequence.image_times_ns)) == {100_000_000}
-    assert set(np.diff(sequence.odometry_times_ns)) == {20_000_000}
-    assert sequence.odometry_times_ns[0] < sequence.image_times_ns[0] - 200_000_000
-    assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
-    np.testing.assert_array_equal(sequence.odom_from_base.as_matrix()[0], np.eye(4))
-    assert len(sequence.odom_from_base) == len(sequence.twist_covariances) == len(sequence.odometry_times_ns)
-
-
-def test_test_paths_pass_something_unique_in_their_first_half_but_seldom(name_with_cues):
-    for seed in range(8):
-        sequence = synthesize(name_with_cues, seed=seed, num_frames=300, width=64, height=48)
-        seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
-        assert seen[:150].sum() >= 5
-        assert seen.mean() < 0.25
-
-
-def test_paths_without_anything_unique_show_none_of_it_even_at_full_resolution(name_with_cues):
-    for seed in range(3):
-        sequence = synthesize(name_with_cues, seed=seed, num_frames=120, cues="none", width=160, height=120)
-        assert len(sequence.world_from_camera) == 120
-        assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
-        scene = sequence.scene
-        quads = [depth_and_quads(scene, sequence.camera, pose)[1] for pose in sequence.world_from_camera[::6]]
-        assert max((scene.geometry.cue[seen] & (seen >= 0)).mean() for seen in quads) < 0.002
-
-
-def test_cues_follow_from_the_split_where_they_are_not_asked_for(name_with_cues):
-    def path(**options) -> np.ndarray:
-        return synthesize(
-            name_with_cues, seed=5, num_frames=150, width=64, height=48, **options
-        ).world_from_camera.as_matrix()
-
-    of_test = path()
-    np.testing.assert_array_equal(of_test, path(cues="early"))
-    np.testing.assert_array_equal(path(split="train"), path(split="train", cues="any"))
-    assert not np.array_equal(path(cues="none"), of_test)
-
-
-def test_where_something_unique_always_shows_no_path_is_without(name_with_cues, monkeypatch):
-    monkeypatch.setattr(synthesize_module, "sees_cue", lambda scene, camera, poses, **_: np.ones(len(poses), bool))
-    with pytest.raises(
-        SequenceError, match=f"{name_with_cues}, seed 3: no random path has 10 images in a row .* another seed"
-    ):
-        synthesize(name_with_cues, seed=3, num_frames=10, cues="none")
-
-
-def test_images_are_exposed_neither_black_nor_white(name):
-    sequence = synthesize(name, seed=3, num_frames=40, width=64, height=48)
-    levels = np.array([np.median(image) for image in islice(sequence.images(), 0, None, 5)])
-    assert (levels > 50).all()
-    assert (levels < 210).all()
+# --- walks -----------------------------------------------------------------------------------------
 
 
 def test_long_walks_visit_every_floor_both_ways():
@@ -364,139 +326,3 @@ def test_carts_visit_the_whole_hall_under_all_headings():
     assert headings.min() > 0.04 * headings.sum()
     speed = np.linalg.norm(np.diff(xy[:1000], axis=0), axis=1) / 0.02
     assert speed.max() < 1.0
-
-
-# --- other rates, and standing ---------------------------------------------------------------------
-
-
-def small(name: str = "corridor", num_frames: int = 40, **options) -> SyntheticSequence:
-    return synthesize(name, seed=3, num_frames=num_frames, width=32, height=24, **options)
-
-
-@pytest.mark.parametrize(("rate_hz", "times"), [(30.0, 3), (20.0, 2), (50.0, 5)])
-def test_a_faster_camera_on_the_same_walk_takes_the_same_images_and_others_between(rate_hz, times):
-    slow, fast = small(), small(num_frames=40 * times, rate_hz=rate_hz)
-    np.testing.assert_array_equal(fast.image_times_ns[::times], slow.image_times_ns)
-    np.testing.assert_array_equal(fast.world_from_camera.as_matrix()[::times], slow.world_from_camera.as_matrix())
-    np.testing.assert_array_equal(fast.odom_from_base.as_matrix(), slow.odom_from_base.as_matrix())
-    assert fast.odometry_times_ns[-1] > fast.image_times_ns[-1] + 200_000_000
-    assert len(fast.image_times_ns) == len(fast.world_from_camera) == 40 * times
-    steps = np.diff(fast.image_times_ns)
-    assert steps.max() - steps.min() <= 1  # ns
-
-
-def test_a_slower_camera_on_the_same_walk_takes_some_of_the_same_images():
-    fast, slow = small(num_frames=42), small(num_frames=14, rate_hz=10 / 3)
-    np.testing.assert_array_equal(slow.image_times_ns, fast.image_times_ns[::3])
-    np.testing.assert_array_equal(slow.odom_from_base.as_matrix(), fast.odom_from_base.as_matrix())
-
-
-def test_exposure_follows_the_light_in_the_same_time_at_every_rate(monkeypatch):
-    def exposures(sequence: SyntheticSequence) -> np.ndarray:
-        taken = []
-        monkeypatch.setattr(synthesize_module, "develop", lambda light, camera, exposure, **_: taken.append(exposure))
-        light = iter([-3.0] + [1.0] * 1000)  # what the metering asks for: one dark image, then bright ones
-        monkeypatch.setattr(synthesize_module, "_metered_exposure", lambda radiance: next(light))
-        list(sequence.images())
-        return np.array(taken)
-
-    slow, fast = exposures(small()), exposures(small(num_frames=120, rate_hz=30.0))
-    assert abs(slow[5] - fast[15]) < 0.5
-    assert slow[5] < 0.6
-    assert abs(slow[20:].mean() - 1) < 0.3
-    assert abs(fast[60:].mean() - 1) < 0.3
-
-
-@pytest.mark.parametrize("rate_hz", [0.0, -10.0, 1e4, float("nan")])
-def test_a_rate_that_no_camera_has_is_refused(rate_hz):
-    with pytest.raises(SequenceError, match=r"images a second, expected 0\.1 to 200"):
-        small(rate_hz=rate_hz)
-
-
-@pytest.mark.parametrize("rate_hz", [10.0, 30.0])
-def test_a_camera_that_stands_keeps_its_pose_from_the_image_on_for_as_long_as_asked(rate_hz):
-    walk, sequence = small(rate_hz=rate_hz), small(rate_hz=rate_hz, stand=Stand(20, 8.0))
-    assert len(sequence.image_times_ns) == 20 + round(8 * rate_hz)
-    poses = sequence.world_from_camera
-    distance_m, angle_rad = poses[20].distance(poses[20:])
-    assert max(distance_m.max(), angle_rad.max()) < 1e-9
-    moved_m, _ = poses[18].distance(poses[20])
-    assert moved_m > 1e-4  # and not before
-    walked = 20 - int(0.5 * rate_hz)
-    np.testing.assert_array_equal(poses.as_matrix()[:walked], walk.world_from_camera.as_matrix()[:walked])
-    late_m, _ = poses[20].distance(walk.world_from_camera[20])
-    assert late_m < 0.5  # where the walk was at that time, but for stopping
-    speed = np.linalg.norm(np.diff(sequence.world_from_base.translation, axis=0), axis=1)
-    assert speed.max() <= np.linalg.norm(np.diff(walk.world_from_base.translation, axis=0), axis=1).max() + 1e-9
-
-
-def test_odometry_of_a_camera_that_stands_goes_on_with_noise_and_bias():
-    sequence = small(stand=Stand(20, 60.0))
-    still = sequence.odometry_times_ns > sequence.image_times_ns[20]
-    moved = sequence.odom_from_base.translation[still]
-    step = np.diff(moved, axis=0)
-    assert step.std() == pytest.approx(0.008 * np.sqrt(0.02), rel=0.1)
-    assert 0.02 < np.linalg.norm(moved[-1] - moved[0]) < 3
-    assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
-    assert (np.linalg.eigvalsh(sequence.twist_covariances) > 0).all()
-
-
-def test_a_camera_that_stands_sees_the_same_under_noise_of_its_own_and_light_is_traced_once(monkeypatch):
-    traced = []
-
-    def counted(*arguments, **options):
-        traced.append(1)
-        return render(*arguments, **options)
-
-    monkeypatch.setattr(synthesize_module, "render", counted)
-    images = np.stack(list(small(stand=Stand(5, 30.0)).images())).astype(float)
-    assert len(images) == 305
-    assert len(traced) <= 7
-    standing = images[100:]  # exposure has settled
-    change = np.abs(np.diff(standing, axis=0))
-    assert change.mean(axis=(1, 2, 3)).min() > 0.5  # of 255
-    assert change.mean() < 8
-    brightness = standing.mean(axis=(1, 2, 3))
-    assert brightness.std() > 0.5  # auto exposure goes on
-    early, late = standing[:100].mean(axis=0), standing[100:].mean(axis=0)
-    assert np.corrcoef(early.ravel(), late.ravel())[0, 1] > 0.99
-
-
-def test_a_camera_that_stood_walks_on_along_the_rest_of_its_path():
-    walk, sequence = small(num_frames=60), small(num_frames=60, stand=Stand(20, 3.0, walks_on=True))
-    assert len(sequence.image_times_ns) == 60 + 30
-    distance_m, _ = sequence.world_from_camera[20].distance(sequence.world_from_camera[20:50])
-    assert distance_m.max() < 1e-9
-    path = walk.world_from_base.translation
-    end = (sequence.world_from_camera[-1] @ sequence.base_from_camera.inverse()).translation
-    distance_m = np.linalg.norm(path - end, axis=1)
-    assert distance_m.min() < 0.02
-    last = (walk.image_times_ns[-1] - walk.odometry_times_ns[0]) // 20_000_000
-    assert abs(distance_m.argmin() - (last - 20)) <= 2  # stopping and starting lose 0.2 s of walking each
-    assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
-
-
-@pytest.mark.parametrize("walks_on", [False, True])
-def test_a_short_stand_before_a_slow_camera_is_one_image_and_odometry_covers_all(walks_on):
-    sequence = small(num_frames=4, rate_hz=0.5, stand=Stand(0, 0.1, walks_on=walks_on))
-    assert len(sequence.image_times_ns) == (5 if walks_on else 1)
-    assert sequence.odometry_times_ns[-1] > sequence.image_times_ns[-1] + 200_000_000
-
-
-@pytest.mark.parametrize("stand", [Stand(40, 1.0), Stand(-1, 1.0), Stand(3, 0.0), Stand(3, float("nan"))])
-def test_a_stand_that_cannot_be_is_refused(stand):
-    with pytest.raises(SequenceError, match="expected an image below 40"):
-        small(stand=stand)
-
-
-def test_an_unknown_scene_is_refused_and_the_known_ones_are_named():
-    with pytest.raises(
-        SequenceError,
-        match="unknown scene 'cellar', expected one of staircase, ceiling, round-table, dinner-table, corridor",
-    ):
-        synthesize("cellar", seed=0, num_frames=10)
-
-
-def test_a_sequence_of_no_frames_is_refused():
-    with pytest.raises(SequenceError, match="0 frames of 320 × 240 pixels"):
-        synthesize("ceiling", seed=0, num_frames=0)

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING
 
 import tyro
+from tyro.extras import literal_type_from_choices
 
 from sequences.errors import SequenceError
 from sequences.outputs.results import results_folder
+from sequences.scenes import SCENES
 from sequences.synthesize import synthesize, write_synthetic
+from vapor.checkpoints.checkpoint import SHIPPED
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_files, usage_error
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
@@ -22,12 +25,17 @@ from vapor.reporting.report import format_table
 _SEQUENCE = "sequence.mcap"
 _METHODS = ("single_image", "dead_reckoning", "filter")
 
+if TYPE_CHECKING:
+    _Scene = str
+else:  # those of which a model ships
+    _Scene = literal_type_from_choices([name for name in SCENES if (SHIPPED / f"{name}.safetensors").is_file()])
+
 
 @dataclass(frozen=True)
 class Options:
     """Synthesize a sequence, localize in it with the model that ships, and compare with single images."""
 
-    scene: tyro.conf.Positional[Literal["staircase", "ceiling"]] = "staircase"
+    scene: tyro.conf.Positional[_Scene] = "staircase"
     """What the camera moves through."""
     output: OutputPath | None = None
     """Directory for sequence and results, new or with earlier ones. Default: demo/SCENE."""

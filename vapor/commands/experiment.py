@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import chain
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from tyro.extras import literal_type_from_choices
 
 from sequences.atomic import atomic_output
 from sequences.outputs.claims import claim_folder
+from sequences.scenes import SCENES
 from vapor.commands.console import OutputPath, Overwrite, bar, show, usage_error
 from vapor.commands.experiment_progress import render, settings_of, trained
 from vapor.commands.experiment_sweeps import AlphaOptions, DecayOptions, run_alpha, run_decay
@@ -23,6 +25,11 @@ from vapor.experiments.table import TableConfig, TableExperiment, markdown, pars
 from vapor.reporting.report import write_report
 from vapor.training.presets import PRESETS
 from vapor.training_data.training_set import files_read
+
+if TYPE_CHECKING:
+    _Scene = str
+else:  # choices are known when this runs
+    _Scene = literal_type_from_choices(SCENES)
 
 
 @dataclass(frozen=True)
@@ -51,7 +58,7 @@ class ScheduleOptions:
     output: OutputPath
     """Directory for images, results, schedule.json and the picture; what is trained already is not trained again."""
     overwrite: Overwrite = False
-    scene: Literal["staircase", "ceiling", "round-table", "dinner-table", "corridor"] = "staircase"
+    scene: _Scene = "staircase"
     """What the camera moves through."""
     preset: Preset = "demo"
     """Named settings of our training, of which the options below change single ones."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from tyro.extras import literal_type_from_choices
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
@@ -22,9 +23,12 @@ from vapor.experiments.decay import DecayConfig
 from vapor.experiments.sweep import MODES, Sweep, by_value, in_order
 from vapor.reporting.report import write_report
 
-_Tables = Annotated[
-    tyro.conf.Positional[tuple[Literal["round-table", "dinner-table"], ...]], tyro.conf.arg(metavar="SCENE ...")
-]
+if TYPE_CHECKING:
+    _Table = str
+else:  # choices are known when this runs
+    _Table = literal_type_from_choices(MODES)
+
+_Tables = Annotated[tyro.conf.Positional[tuple[_Table, ...]], tyro.conf.arg(metavar="SCENE ...")]
 _Threshold = Literal["0.1m/10deg", "0.2m/15deg", "0.3m/20deg"]
 
 _Figure = Callable[[Mapping[str, Any]], float]

@@ -10,8 +10,8 @@ import tyro
 
 from sequences.errors import SequenceError
 from sequences.outputs.claims import refuse_other
-from sequences.place import SCENES
-from sequences.route import Cues
+from sequences.paths.choose import Cues
+from sequences.scenes import scene_names
 from sequences.synthesize import synthesize, write_synthetic
 from sequences.writer import is_own_sequence
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, usage_error
@@ -23,7 +23,7 @@ class Options:
 
     scene: Annotated[
         tyro.conf.Positional[str],
-        tyro.conf.arg(metavar="{" + ",".join([*SCENES, "building-N"]) + "}"),
+        tyro.conf.arg(metavar="{" + ",".join(scene_names()) + "}"),
     ]
     """What the camera moves through. The number N draws a building, with a camera and an odometry of its own."""
     output: Annotated[tyro.conf.Positional[OutputPath], tyro.conf.arg(metavar="OUT.mcap")]

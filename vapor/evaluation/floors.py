@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,11 +10,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.signal import find_peaks
 
 from filtering.se3 import Poses
-from sequences.scenes import corridor
 from vapor.evaluation.trajectory import is_right
-
-FLOOR_HEIGHT_M: Mapping[str, float] = MappingProxyType({"corridor": corridor.FLOOR_HEIGHT})
-"""From floor to floor, metres along z, in the scenes whose floors look alike from end to end."""
 
 _LEAST_APART_M, _MOST_APART_M = 1.8, 8.0  # less is no storey; a higher one is cut no lower than this
 _LEAST_ABOVE = 0.02  # of the cells of a plan must have something above them

@@ -11,11 +11,14 @@ from typing import Any, ClassVar
 
 from filtering.errors import VaporTrackError, require_within
 from filtering.se3 import Poses
+from sequences.scenes import SCENES, find_scene
 from vapor.experiments.scenes import Scene, render_scenes, rendered_height
 from vapor.experiments.training_runs import TrainingRun, cached_samples, carry_out
 from vapor.training.config import TrainConfig
 
-MODES: Mapping[str, int] = MappingProxyType({"round-table": 4, "dinner-table": 2})
+MODES: Mapping[str, int] = MappingProxyType(
+    {name: modes for name in SCENES if (modes := find_scene(name).modes) is not None}
+)
 """Scenes of the sweeps, and how many poses look alike in each, by construction."""
 
 

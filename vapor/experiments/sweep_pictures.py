@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.scenes import tables
+from sequences.scenes import find_scene
 from vapor.experiments.sweep import MODES, by_value
 from vapor.reporting.colors import COLORS
 from vapor.reporting.figures import new_figure, save_figure
@@ -53,8 +53,8 @@ def draw_recall(path: Path, recalls: Mapping[str, Mapping[float, Sequence[float]
         )
         for box in boxes["boxes"]:
             box.set(facecolor=COLORS["converged"], edgecolor=COLORS["filter"])
-        medians = PAPER_MEDIANS[scene]
-        if paper:
+        if paper and scene in PAPER_MEDIANS:
+            medians = PAPER_MEDIANS[scene]
             alphas_there = [0.01, *(0.05 * np.arange(1, len(medians)))]
             ax.plot(alphas_there, medians, ".--", color=COLORS["other"], lw=0.8, label="paper")
         ax.axvline(1 / MODES[scene], color="#888888", lw=0.8, ls=":", label=f"1 / {MODES[scene]} modes")
@@ -87,7 +87,8 @@ def draw_positions(
             count, _, _ = np.histogram2d(x, y, bins=(edges, edges))
             extent = (-_REACH_M, _REACH_M) * 2
             ax.imshow(np.sqrt(count.T), origin="lower", extent=extent, cmap="Blues", interpolation="bilinear")
-            ax.plot(*_outline(scene), color="#555555", lw=1.0)
+            if (outline_m := find_scene(scene).outline_m) is not None:
+                ax.plot(*outline_m.T, color="#555555", lw=1.0)
             ax.plot(*truth[image].translation[:2], "x", color=COLORS["other"], label="true position")
             ax.set_aspect("equal")
     for ax in axes[:, 0]:
@@ -132,11 +133,3 @@ def draw_decay(path: Path, results: Sequence[Mapping[str, Any]], threshold: str)
         ax.axhline(MODES[scene], color="#888888", lw=0.8, ls=":", label="poses that look alike")
     axes[0, 0].legend(frameon=False, fontsize=8)
     return save_figure(figure, path)
-
-
-def _outline(scene: str) -> tuple[np.ndarray, np.ndarray]:
-    if scene == "round-table":
-        angle = np.linspace(0, 2 * np.pi, tables.ROUND_CORNERS + 1)
-        return tables.ROUND_RADIUS * np.cos(angle), tables.ROUND_RADIUS * np.sin(angle)
-    x, y = tables.DINNER_LENGTH / 2, tables.DINNER_BREADTH / 2
-    return np.array([x, -x, -x, x, x]), np.array([y, y, -y, -y, y])

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from filtering.errors import VaporTrackError, require_within
-from sequences.place import SCENES, is_place
 from sequences.reader import SequenceReader
+from sequences.scenes import is_scene, scene_names
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.experiments.scenes import Scene, render_scenes, rendered_height
 from vapor.experiments.training_runs import TrainingRun, carry_out
@@ -68,13 +68,13 @@ def parse_scene(text: str) -> Scene:
     Raises:
         TrainingError: neither.
     """
-    if is_place(text):
+    if is_scene(text):
         return Scene(text, (), ())
     name, *data = text.split("=")
     train, test = (tuple(part.split(",")) for part in data) if len(data) == 2 else ((), ())
     if not re.fullmatch(r"[\w.-]+", name) or not train or not all([*train, *test]):
         expected = "or NAME=TRAIN,...=TEST,... with your own data"
-        raise TrainingError(f"{text}: expected one of {', '.join(SCENES)}, building-N, {expected}")
+        raise TrainingError(f"{text}: expected one of {', '.join(scene_names())}, {expected}")
     return Scene(name, train, test)
 
 

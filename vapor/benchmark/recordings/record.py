@@ -16,9 +16,9 @@ from filtering.se3 import Poses
 from sequences.atomic import workspace
 from sequences.frame import Camera, Frame
 from sequences.options import SequenceOptions
-from sequences.place import find_place
 from sequences.reader import SequenceReader
-from sequences.render import sees_cue
+from sequences.rendering.render import sees_cue
+from sequences.scenes import find_scene
 from sequences.synthesize import Stand, SyntheticSequence, synthesize, write_synthetic
 from vapor.benchmark.foreign_images import FOREIGN, Image
 from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
@@ -99,7 +99,7 @@ def _sequence(settings: RecordingSettings) -> SyntheticSequence:
         cues=settings.cues,
         width=settings.width,
         height=settings.height,
-        noise=replace(find_place(settings.scene).noise, fixed_scale=settings.odometry_scale),
+        noise=replace(find_scene(settings.scene).noise, fixed_scale=settings.odometry_scale),
         rate_hz=settings.rate_hz,
         stand=None if settings.stand is None else Stand(*settings.stand),
     )

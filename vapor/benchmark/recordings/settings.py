@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from sequences.route import Cues
+from sequences.paths.choose import Cues
 from sequences.synthesize import SYNTHESIS
 from vapor.cache import digest
 

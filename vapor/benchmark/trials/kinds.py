@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
-from sequences.route import Cues
+from sequences.paths.choose import Cues
 from sequences.synthesize import IMAGE_RATE_HZ
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from sequences.scenes import find_scene
 from vapor.benchmark.trials.replay import Replay, follow_trial, load_replay, trial_settings
 from vapor.benchmark.trials.setup import Setup
 from vapor.benchmark.trials.trial import Trial
 from vapor.cache import cached
 from vapor.evaluation.comparison import compare
-from vapor.evaluation.floors import FLOOR_HEIGHT_M
 
 
 def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
@@ -46,5 +46,5 @@ def localize(trial: Trial, setup: Setup, replay: Replay) -> dict[str, Any]:
         "walk": trial.segments[0].seed,
         "variant": setup.ablation,
         "cue_images": replay.cue_images,
-        **compared.figures(floor_height_m=FLOOR_HEIGHT_M.get(trial.scene)),
+        **compared.figures(floor_height_m=find_scene(trial.scene).floor_height_m),
     }

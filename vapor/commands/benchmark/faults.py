@@ -18,7 +18,7 @@ from vapor.benchmark.faults.summary import summarise_faults
 from vapor.benchmark.faults.table import FAULTS
 from vapor.checkpoints.checkpoint import find_model
 from vapor.commands.benchmark.fault_tables import fault_failures, fault_tables
-from vapor.commands.benchmark.scenes import SceneOptions, listed, with_help, write_summary
+from vapor.commands.benchmark.scenes import SCENE_NAMES, SceneOptions, listed, with_help, write_summary
 from vapor.commands.console import bar, parse, show
 from vapor.pipeline.find_sequences import unique_names
 
@@ -35,7 +35,7 @@ class Options(SceneOptions):
 
     scenes: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
-        tyro.conf.arg(metavar="{staircase,ceiling,corridor,building-N} ..."),
+        tyro.conf.arg(metavar=f"{{{','.join(SCENE_NAMES)}}} ..."),
     ] = ()
     """What the camera moves through; the number N of a building is the seed that it is drawn from. None beside
     recordings."""

@@ -11,12 +11,15 @@ import tyro
 
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
-from sequences.place import is_place
+from sequences.scenes import find_scene, is_scene, scene_names
 from vapor.checkpoints.checkpoint import find_model
 from vapor.commands.console import OutputPath, Overwrite
 from vapor.reporting.report import write_report
 
 Config = TypeVar("Config")
+
+SCENE_NAMES = scene_names(with_cues=True)
+"""Scenes to choose from: others show nothing by which the filter could find itself."""
 
 _Override = make_dataclass(
     "ErrorsOverride",
@@ -35,7 +38,7 @@ class SceneOptions:
 
     scenes: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
-        tyro.conf.arg(metavar="{staircase,ceiling,corridor,building-N} ..."),
+        tyro.conf.arg(metavar=f"{{{','.join(SCENE_NAMES)}}} ..."),
     ]
     """What the camera moves through; the number N of a building is the seed that it is drawn from."""
     output: OutputPath
@@ -51,10 +54,8 @@ class SceneOptions:
         if not self.scenes or len(set(self.scenes)) < len(self.scenes):
             raise VaporTrackError(f"scenes are {', '.join(self.scenes) or 'none'}, expected each at most once, and one")
         for scene in self.scenes:
-            if not is_place(scene) or scene.endswith("-table"):
-                raise VaporTrackError(
-                    f"unknown scene {scene!r}, expected one of staircase, ceiling, corridor, building-N"
-                )
+            if not is_scene(scene) or not find_scene(scene).has_cues:
+                raise VaporTrackError(f"unknown scene {scene!r}, expected one of {', '.join(SCENE_NAMES)}")
         if len(self.models) not in (0, len(self.scenes)):
             raise VaporTrackError(f"{len(self.models)} models for {len(self.scenes)} scenes, expected one for each")
 

@@ -1,0 +1,1 @@
+"""The furniture of buildings: every piece has its back to the wall y = 0, and begins at x = 0."""

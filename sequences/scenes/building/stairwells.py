@@ -1,0 +1,162 @@
+"""The stairwells of a building: storeys alike, and what closes them at the bottom and at the top."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sequences.rendering.mesh import Part, Placement
+from sequences.rendering.texture import plain
+from sequences.scenes.building.looks import Looks
+from sequences.scenes.building.paint.colours import colour
+from sequences.scenes.building.paint.doors import painted_door
+from sequences.scenes.building.paint.palette import Palette
+from sequences.scenes.building.parts import JAMB, Hole, add_lamps, add_slab, add_wall, place_copies
+from sequences.scenes.building.plan import Plan
+
+_RAIL_HEIGHT = 0.95
+
+
+def place_stairwells(plan: Plan, looks: Looks) -> list[Placement]:
+    """All stairwells: storeys alike, and what closes them at the bottom and at the top."""
+    spots = [plan.frame_of(block, slot) for block, slot in plan.slots("stairs")]
+    levels, top, palette = list(range(plan.levels)), plan.levels - 1, looks.palettes[0]
+    return [
+        place_copies(_storey_walls(plan, palette), spots, levels, plan),
+        place_copies(_landing(plan, looks, palette), spots, levels[1:], plan),
+        place_copies(_flights(plan, looks, palette), spots, levels[:-1], plan),
+        place_copies(_bottom(plan, palette), spots, [0], plan),
+        place_copies(_landing_lamp(plan, looks), spots, levels[:-1], plan),
+        place_copies(_top(plan, looks, palette), spots, [top], plan),
+        place_copies(_low_panel(plan, palette), spots, [0], plan),
+        place_copies(_guard(plan, palette), spots, [top], plan),
+    ]
+
+
+def _storey_walls(plan: Plan, palette: Palette) -> Part:
+    part, stairs = Part(), plan.stairs
+    w, d, high, wall = stairs.width, stairs.depth, plan.storey, palette.stair_wall
+    opening = Hole(JAMB, w - JAMB, 0.0, min(2.5, plan.clear - 0.12), deep=0.0)
+    add_wall(part, (w, 0), (0, 0), (0, high), wall, [opening], palette.trim)
+    add_wall(part, (0, 0), (0, d), (0, high), wall, [], palette.trim)
+    add_wall(part, (w, d), (w, 0), (0, high), wall, [], palette.trim)
+    return part
+
+
+def _landing(plan: Plan, looks: Looks, palette: Palette) -> Part:
+    part, stairs = Part(), plan.stairs
+    low, high = (0.0, 0.0, -plan.slab), (stairs.width, stairs.landing, 0.0)
+    part.box(low, high, palette.stair_floor, "Z")
+    part.box(low, high, palette.ceiling, "zY")
+    return part
+
+
+def _landing_lamp(plan: Plan, looks: Looks) -> Part:
+    part, x, y, z = Part(), plan.stairs.width / 2, plan.stairs.landing / 2, plan.clear
+    part.box((x - 0.3, y - 0.3, z - 0.07), (x + 0.3, y + 0.3, z), looks.lamp, "z")
+    part.box((x - 0.3, y - 0.3, z - 0.07), (x + 0.3, y + 0.3, z), plain((0.55, 0.55, 0.53)), "xXyY")
+    return part
+
+
+def _flights(plan: Plan, looks: Looks, palette: Palette) -> Part:
+    """Two flights and the half landing, with the wall and the window behind it."""
+    part, stairs = Part(), plan.stairs
+    half, n, g = plan.storey / 2, stairs.risers, stairs.going
+    rise, near, far = half / n, stairs.landing, stairs.landing + stairs.run
+    for k in range(n - 1):
+        z = (k + 1) * rise
+        (a, b), (c, d) = stairs.up_x, stairs.down_x
+        y, back = near + k * g, far - k * g
+        part.box((a, y, z - rise - 0.12), (b, y + g, z), palette.stair_floor, "Zy")
+        part.box((a, y, z - rise - 0.12), (b, y + g, z), palette.ceiling, "xXYz")
+        part.box((c, back - g, half + z - rise - 0.12), (d, back, half + z), palette.stair_floor, "ZY")
+        part.box((c, back - g, half + z - rise - 0.12), (d, back, half + z), palette.ceiling, "xXyz")
+    part.box((0, far, half - plan.slab), (stairs.width, stairs.depth, half), palette.stair_floor, "Z")
+    part.box((0, far, half - plan.slab), (stairs.width, stairs.depth, half), palette.ceiling, "yz")
+    a, b = stairs.up_x  # the last risers, below the half landing and below the floor
+    part.quad((a, far, half - rise), (b - a, 0, 0), (0, 0, rise), palette.stair_floor)
+    a, b = stairs.down_x
+    part.quad((b, near, plan.storey - rise), (a - b, 0, 0), (0, 0, rise), palette.stair_floor)
+    window = Hole(0.45, stairs.width - 0.45, half + 0.9, half + min(2.2, plan.storey - plan.slab - 0.3), looks.pane)
+    heights = (half, half + plan.storey)
+    holes = [window] if plan.rng(8).random() < 0.75 else []
+    add_wall(part, (0, stairs.depth), (stairs.width, stairs.depth), heights, palette.stair_wall, holes, palette.trim)
+    if not holes:
+        middle = stairs.width / 2
+        box = (middle - 0.25, stairs.depth - 0.09, half + 1.7), (middle + 0.25, stairs.depth, half + 1.95)
+        part.box(*box, looks.lamp, "yz")
+        part.box(*box, plain((0.5, 0.5, 0.5)), "xXZ")
+    _balustrades(part, plan, palette)
+    return part
+
+
+def _balustrades(part: Part, plan: Plan, palette: Palette) -> None:
+    """Rails on the inner side of both flights, with bars or a panel below, and across the half landing."""
+    stairs, half = plan.stairs, plan.storey / 2
+    near, run = stairs.landing, stairs.run
+    far, rise, slope = near + run, half / stairs.risers, half / stairs.risers / stairs.going
+    inner_up, inner_down = stairs.up_x[1], stairs.down_x[0]
+    if stairs.mirrored:
+        inner_up, inner_down = stairs.up_x[0], stairs.down_x[1]
+    panel = plan.rng(9).random() < 0.35
+    up = np.array([0.0, 0.0, _RAIL_HEIGHT])
+    for x, y0, z0, way in ((inner_up, near, rise, 1.0), (inner_down, far, half + rise, -1.0)):
+        start, along = np.array([x, y0, z0]), np.array([0.0, way * run, run * slope])
+        part.beam(start + up, start + up + along, 0.028, palette.rail, 8)
+        if panel:
+            low = start - (0, 0, rise)
+            part.quad(low, along, up, palette.rail)
+            part.quad(low + along - (0.012 * way, 0, 0), -along, up, palette.rail)
+            continue
+        for s in np.arange(0.5, stairs.risers - 1) / (stairs.risers - 1):
+            foot = start + s * along - (0, 0, rise)
+            half_bar = np.array([0.01, 0.01, 0.0])
+            part.box(foot - half_bar, foot + half_bar + up + (0, 0, rise), palette.rail, "xXyY")
+    outer_up, outer_down = (stairs.width - 0.06, 0.06) if stairs.mirrored else (0.06, stairs.width - 0.06)
+    for x, y0, z0, way in ((outer_up, near, rise, 1.0), (outer_down, far, half + rise, -1.0)):
+        start, along = np.array([x, y0, z0 + 0.9]), np.array([0.0, way * run, run * slope])
+        part.beam(start, start + along, 0.022, palette.rail, 6)
+    for y, z in ((far + 0.03, half), (near - 0.03, plan.storey), (near - 0.03, 0.0)):
+        for x in (inner_up, inner_down):
+            part.box((x - 0.03, y - 0.03, z), (x + 0.03, y + 0.03, z + 1.05), palette.rail, "xXyYZ")
+        a, b = min(inner_up, inner_down), max(inner_up, inner_down)
+        part.beam((a, y, z + 1.0), (b, y, z + 1.0), 0.028, palette.rail, 8)
+
+
+def _bottom(plan: Plan, palette: Palette) -> Part:
+    part, stairs = Part(), plan.stairs
+    add_slab(part, stairs.width, stairs.depth, 0.0, palette.stair_floor, True)
+    wall = (0, stairs.depth), (stairs.width, stairs.depth)
+    add_wall(part, *wall, (0, plan.storey / 2), palette.stair_wall, [], palette.trim)
+    return part
+
+
+def _top(plan: Plan, looks: Looks, palette: Palette) -> Part:
+    part, stairs = Part(), plan.stairs
+    add_slab(part, stairs.width, stairs.depth, plan.clear, palette.ceiling, False)
+    wall = (0, stairs.depth), (stairs.width, stairs.depth)
+    add_wall(part, *wall, (plan.storey / 2, plan.clear), palette.stair_wall, [], palette.trim)
+    add_lamps(part, stairs.width, stairs.depth, plan.clear, 3.0, looks)
+    return part
+
+
+def _low_panel(plan: Plan, palette: Palette) -> Part:
+    """What closes the space below the lowest flight that comes down: there is no way further."""
+    part, stairs = Part(cue=True), plan.stairs
+    (a, b), inner = stairs.down_x, stairs.up_x[0] if stairs.mirrored else stairs.up_x[1]
+    x0, x1 = (a, inner) if stairs.mirrored else (inner, b)
+    high = plan.storey - plan.storey / 2 / stairs.risers - 0.12
+    material = painted_door(colour(plan.rng(10), 0.6, 0.25))
+    part.box((x0, stairs.landing - 0.06, 0), (x1, stairs.landing, high), material, "yY")
+    return part
+
+
+def _guard(plan: Plan, palette: Palette) -> Part:
+    """What keeps people from falling where no flight leads further up."""
+    part, stairs = Part(cue=True), plan.stairs
+    a, b = stairs.up_x
+    y = stairs.landing - 0.03
+    for z in (0.15, 0.55, 1.0):
+        part.beam((a, y, z), (b, y, z), 0.028, palette.rail, 8)
+    for x in np.linspace(a + 0.03, b - 0.03, 9):
+        part.box((x - 0.01, y - 0.01, 0), (x + 0.01, y + 0.01, 1.0), palette.rail, "xXyY")
+    return part

@@ -1,0 +1,97 @@
+"""Someone who goes through a building."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from filtering.se3 import Poses
+from sequences.paths.motion import STEP_S, rotations, wander
+from sequences.scenes.building.line import FINE_M, draw_line
+from sequences.scenes.building.plan import Plan
+from sequences.scenes.building.visit import Visit
+
+_BRAKING_M_PER_S2 = 0.6
+
+
+def walk_building(
+    plan: Plan, visit: Visit, duration_s: float, *, training: bool, seed: int, rng: np.random.Generator
+) -> Poses:
+    """Someone going through a building: world_from_base every 20 ms, x forward, z up, on the floor.
+
+    Training walks follow a tour of the whole building, either way; those of `TRAINING_WALKS` seeds in a row begin
+    evenly spread over it. Other walks go from one random place to another.
+
+    Args:
+        plan: The building.
+        visit: Who stands in the way.
+        duration_s: How long.
+        training: Whether to follow the tour.
+        seed: Where on the tour a training walk begins.
+        rng: Of all that is random.
+    """
+    steps = int(np.ceil(duration_s / STEP_S)) + 1
+    manner = plan.rng(14)  # wheels roll, legs sway
+    sway, tilt = float(manner.uniform(0.0, 0.02)), float(manner.uniform(0.002, 0.02))
+    pace = float(rng.uniform(0.45, 1.0) if training else rng.uniform(0.4, 1.05))
+    quickest = float(rng.uniform(0.9, 1.7))  # turn, rad/s
+    line, freedom = draw_line(plan, visit, 1.15 * pace * duration_s + 3.0, training, seed, rng)
+    heading, fastest = _headings(line)
+    wanted = pace * np.clip(1 + 0.08 * wander(steps, 5.0, rng), 0.85, 1.15)
+    chance = rng.random((steps, 2))
+    s, speed, yaw, rate, pause = 0.0, 0.0, float(heading[0]), 0.0, 0.0
+    place, yaws, speeds = np.empty(steps), np.empty(steps), np.empty(steps)
+    last = (len(line) - 2) * FINE_M
+    for i in range(steps):
+        error = (heading[int(s / FINE_M)] - yaw + np.pi) % (2 * np.pi) - np.pi
+        rate += (min(max(error / 0.35, -quickest), quickest) - rate) * STEP_S / 0.12
+        yaw += rate * STEP_S
+        if pause <= 0 and chance[i, 0] < STEP_S / 30:
+            pause = 0.5 + 2.0 * chance[i, 1]
+        pause -= STEP_S
+        goal = 0.0 if pause > 0 else wanted[i] * min(max(1.2 - abs(error) / 0.7, 0.0), 1.0)
+        speed = min(speed + (goal - speed) * STEP_S / 0.3, _between(fastest, s / FINE_M))
+        s = min(s + speed * STEP_S, last)
+        place[i], yaws[i], speeds[i] = s, yaw, speed
+    at = place / FINE_M
+    here = np.stack([np.interp(at, np.arange(len(line)), line[:, k]) for k in range(3)], axis=1)
+    aside = np.interp(at, np.arange(len(line)), freedom) * np.tanh(wander(steps, 5.0, rng))
+    across = np.interp(at, np.arange(len(line)), np.unwrap(_tangent(line)))
+    here[:, 0] -= aside * np.sin(across)
+    here[:, 1] += aside * np.cos(across)
+    stride = gaussian_filter1d(np.clip(speeds / 0.5, 0, 1), 0.2 / STEP_S)
+    phase = np.pi * np.cumsum(speeds) * STEP_S / 0.5 + rng.uniform(0, 2 * np.pi)
+    here[:, 2] += sway * stride * np.cos(2 * phase)
+    glance = 0.14 * wander(steps, 2.0, rng) + 0.5 * sway * stride * np.sin(phase)
+    pitch = tilt * wander(steps, 1.2, rng) + 0.3 * sway * stride * np.sin(2 * phase + 1.0)
+    roll = tilt * wander(steps, 1.0, rng) + 0.5 * sway * stride * np.sin(phase)
+    return Poses(rotations(yaws + glance, np.clip(pitch, -0.06, 0.06), np.clip(roll, -0.05, 0.05)), here)
+
+
+def _between(values: np.ndarray, at: float) -> float:
+    index = int(at)
+    return float(values[index] + (at - index) * (values[index + 1] - values[index]))
+
+
+def _headings(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where one looks along a line, to what lies a little ahead; and how fast one can be, as one stops to turn back."""
+    index, reach = np.arange(len(line)), round(0.1 / FINE_M)
+    step = line[reach:, :2] - line[:-reach, :2]
+    back = np.concatenate([[False], np.einsum("nk,nk->n", step[:-reach], step[reach:]) < 0, [False]])
+    begin, end = np.flatnonzero(np.diff(back.astype(int)) == 1), np.flatnonzero(np.diff(back.astype(int)) == -1)
+    turns = reach + (begin + end - 1) // 2
+    edges = np.concatenate([[0], turns, [len(line) - 1]])
+    segment = np.clip(np.searchsorted(edges, index, side="right"), 1, len(edges) - 1)
+    ahead = np.minimum(index + round(0.3 / FINE_M), edges[segment])
+    behind = np.maximum(index - round(0.1 / FINE_M), edges[segment - 1])
+    heading = np.arctan2(*(line[ahead, :2] - line[behind, :2]).T[::-1])
+    to_turn = np.concatenate([[-len(line)], turns, [2 * len(line)]])
+    following = np.searchsorted(to_turn, index)
+    away = np.minimum(to_turn[following] - index, index - to_turn[following - 1]) * FINE_M
+    return heading, 0.03 + np.sqrt(_BRAKING_M_PER_S2 * 2 * away)
+
+
+def _tangent(line: np.ndarray) -> np.ndarray:
+    """Direction of a line, changing slowly enough to be a direction to step aside in."""
+    step = gaussian_filter1d(np.gradient(line[:, :2], axis=0), 10, axis=0, mode="nearest")
+    return np.arctan2(step[:, 1], step[:, 0])

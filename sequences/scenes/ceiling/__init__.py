@@ -1,0 +1,1 @@
+"""A hall whose ceiling repeats itself."""

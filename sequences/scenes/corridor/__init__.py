@@ -1,0 +1,1 @@
+"""Two floors alike, each a long corridor that repeats itself."""

@@ -1,0 +1,78 @@
+"""What a synthetic scene is: what stands in it, who moves through it, and how their camera and odometry see it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.se3 import Poses
+from sequences.odometry import OdometryNoise
+from sequences.rendering.light import Sampling
+from sequences.rendering.mesh import Placement
+from sequences.rendering.surface import LitScene, build_scene
+
+SPLITS = {"train": 1, "test": 2}
+"""The number of each split, in seeds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A synthetic scene, and how sequences are recorded in it.
+
+    Attributes:
+        name: As `find_scene` takes it.
+        seed_numbers: What tells the random numbers of its walks from those of other scenes. New for a new scene, and
+            never changed: path, odometry and sensor noise of every seed follow from them.
+        placements: What stands in it, by split and seed of a walk.
+        path: Poses of the body every 20 ms for a duration in seconds, a split and a seed; whatever the seed leaves open
+            is drawn from the generator.
+        field_of_view_deg: Of the camera, horizontal.
+        base_from_camera: One pose, the extrinsics.
+        has_cues: Whether anything is unique in it, so that a camera can find out where it is.
+        rate_hz: Images a second where no other rate is asked for.
+        noise: Of the odometry where none is asked for.
+        floor_height_m: From floor to floor along z where all floors look alike from end to end; None elsewhere.
+        modes: How many camera poses look exactly the same, wherever the camera is; None where that depends on where.
+        outline_m: What stands in the middle, seen from above, as a closed line to draw positions around; or None.
+        changes: Whether what stands in it, or its light, differs from walk to walk.
+        paint_seed: Of stains, grain and light samples.
+        sampling: How finely light is sampled; None for as usual.
+    """
+
+    name: str
+    seed_numbers: tuple[int, ...]
+    placements: Callable[[str, int], Sequence[Placement]]
+    path: Callable[[float, str, int, np.random.Generator], Poses]
+    field_of_view_deg: float
+    base_from_camera: Poses
+    has_cues: bool
+    rate_hz: float = 10.0
+    noise: OdometryNoise = field(default_factory=OdometryNoise)
+    floor_height_m: float | None = None
+    modes: int | None = None
+    outline_m: Float64[np.ndarray, "n 2"] | None = None
+    changes: bool = False
+    paint_seed: int = 0
+    sampling: Sampling | None = None
+
+    def build(self, split: str, seed: int) -> LitScene:
+        """The scene on one walk, ready to be rendered; built once per process where it never changes."""
+        return _on_one_walk(self, split, seed) if self.changes else _on_all_walks(self)
+
+
+@cache
+def _on_all_walks(scene: Scene) -> LitScene:
+    return _built(scene, "test", 0)
+
+
+@lru_cache(maxsize=2)  # a large building takes some hundreds of megabytes
+def _on_one_walk(scene: Scene, split: str, seed: int) -> LitScene:
+    return _built(scene, split, seed)
+
+
+def _built(scene: Scene, split: str, seed: int) -> LitScene:
+    return build_scene(scene.placements(split, seed), seed=scene.paint_seed, sampling=scene.sampling)

@@ -1,0 +1,1 @@
+"""A stairwell of six floors, four of which look the same."""
