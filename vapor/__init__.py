@@ -4,10 +4,11 @@ What is listed in `__all__` is public: its meaning changes only with a line in C
 they are used, so that `import vapor` takes no time and loads no torch.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+# Nothing is imported here: the command starts by this file, and takes the signals before it imports anything.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from filtering.config import LocalizerConfig as LocalizerConfig
     from filtering.error_model import ErrorModel as ErrorModel
     from filtering.errors import VaporTrackError as VaporTrackError
@@ -47,9 +48,11 @@ _MODULES = {
 __all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     if name not in _MODULES:
         raise AttributeError(f"module 'vapor' has no attribute {name!r}")
+    from importlib import import_module
+
     value = globals()[name] = getattr(import_module(_MODULES[name]), name)
     return value
 
