@@ -77,7 +77,7 @@ class ErrorScale:
         return replace(self, information=float(information))._compared(posterior)
 
     def _compared(self, posterior: PosePosterior) -> ErrorScale:
-        heaviest = int(np.argmax(posterior.shares))
+        heaviest = int(np.argmax(posterior.weights))
         if self.place is None or self.covariance is None:
             return self._from(posterior, heaviest)
         if self.way < _APART or self.since is None:

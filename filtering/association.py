@@ -20,7 +20,7 @@ from filtering.se3 import Poses
 _GATE = 36.0  # squared, in standard deviations: what is further apart is not looked at
 PLACE = 3.0
 """Standard deviations of the error: details finer than that do not tell one place from another."""
-_LEAST = 1e-3  # share of a hypothesis that goes on as one of its own
+_LEAST = 1e-3  # fraction of a hypothesis that goes on as one of its own
 UNUSUAL = 1.25
 """An image whose error has a variance by so much larger than an ordinary one errs in a way of its own."""
 
@@ -32,9 +32,9 @@ class Association:
     Attributes:
         hypotheses: Each hypothesis once for every place that it may see, corrected by it, and once as it was; their log
             weights add up to those of the belief after the image, not normalised.
-        log_evidence: Log of how well each hypothesis of the belief fits the image, from the log of the outlier share
-            to 0, (n,).
-        agreement: The share of the belief that the image fits, in [0, 1].
+        log_evidence: Log of how well each hypothesis of the belief fits the image, from the log of the
+            probability of an outlier to 0, (n,).
+        agreement: The fraction of the belief that the image fits, in [0, 1].
     """
 
     hypotheses: Hypotheses
@@ -72,7 +72,7 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
     more.
 
     *Where in the place.* A hypothesis goes on as several, one for each place that it may see and one that sees none,
-    with shares by how likely each is; each is corrected by its place like a Kalman filter, the lasting part of the
+    weighted by how likely each is; each is corrected by its place like a Kalman filter, the lasting part of the
     image's error being a part of the state. A place that differs by more than images usually err is an image that errs
     in a way of its own: its error is taken to be as large as that says, to have nothing to do with that of the images
     before, and to last as long as any other.
@@ -86,15 +86,15 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
     """
     errors, count = posterior.errors, len(belief)
     pairs = _near_pairs(belief, posterior, camera, way)
-    near = posterior.shares[pairs.place] * np.exp(-0.5 * pairs.squared / PLACE**2)
+    near = posterior.weights[pairs.place] * np.exp(-0.5 * pairs.squared / PLACE**2)
     support = np.bincount(pairs.hypothesis, near, minlength=count)
     possible = support / (support + errors.possible_share)
     log_evidence = np.log(errors.outlier_share + (1.0 - errors.outlier_share) * possible)
 
-    log_shares = np.log(np.maximum(posterior.shares, 1e-300))
-    log_seen = np.log1p(-errors.outlier_share) + log_shares[pairs.place] + pairs.log_density
+    log_place_weights = np.log(np.maximum(posterior.weights, 1e-300))
+    log_seen = np.log1p(-errors.outlier_share) + log_place_weights[pairs.place] + pairs.log_density
     log_unseen = np.log(errors.outlier_share) + errors.flat_log_density
-    table = np.full((count, len(posterior.shares) + 1), -np.inf)
+    table = np.full((count, len(posterior.weights) + 1), -np.inf)
     table[:, -1] = log_unseen
     table[pairs.hypothesis, pairs.place] = log_seen
     log_total = np.logaddexp.reduce(table, axis=1)
@@ -110,10 +110,10 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
             log_weights[aside] + np.log(unseen[aside]),
         )
     ]
-    log_share = log_seen - log_total[pairs.hypothesis]
-    taken = np.flatnonzero(log_share > np.log(_LEAST))
+    log_fraction = log_seen - log_total[pairs.hypothesis]
+    taken = np.flatnonzero(log_fraction > np.log(_LEAST))
     if len(taken):
-        parts.append(_corrected(belief, pairs, taken, log_weights[pairs.hypothesis[taken]] + log_share[taken]))
+        parts.append(_corrected(belief, pairs, taken, log_weights[pairs.hypothesis[taken]] + log_fraction[taken]))
     agreement = float(belief.weights @ possible)
     return Association(concatenate(parts), log_evidence, agreement)
 

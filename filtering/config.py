@@ -52,19 +52,19 @@ class LocalizerConfig:
     merge_divergence: float = 0.5
     """Hypotheses that differ by no more than this, in nats, are one."""
     least_weight: float = 1e-8
-    """Hypotheses with a smaller share of the belief are dropped."""
+    """Hypotheses of smaller weight are dropped."""
     converged_weight: float = 0.9
-    """Status is "converged" from this share of the belief in the best mode on."""
+    """Status is "converged" from this weight of the best mode on."""
     converged_std: float = 3.0
     """And with at most this standard deviation of its position along its widest axis, in those of an ordinary image's
     error."""
     converged_std_m: float | None = None
     """The same in metres, instead."""
     converged_map_share: float = 0.5
-    """And at most this share of the size of the map (`ErrorModel.map_size_m`): who knows no more than that they are in
-    the room knows nothing."""
+    """And at most this fraction of the size of the map (`ErrorModel.map_size_m`): to know no more than the room is to
+    know nothing."""
     converged_agreement: float = 0.7
-    """And while the latest images fit at least this share of what they could of the belief."""
+    """And while the latest images fit at least this fraction of what they could of the belief."""
     lost_agreement: float = 0.3
     """Status is "lost" while they fit less than this."""
     agreement_s: float = 1.0

@@ -15,7 +15,7 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses, rotation_from_rotvec
 
 _BLOCK = 128  # kernel rows at a time: 128 × 1000 float32 fit a core's second-level cache and need no BLAS threads
-_PRECISION = 1e-5  # of a density: what is left out weighs less than that share of it
+_PRECISION = 1e-5  # of a density: what is left out weighs less than that fraction of it
 _GAUSSIAN_FROM = 1e6  # 1/h_r² from which on the rotation kernel's integral is a Gaussian's, to 4e-7
 _LEAST_TOTAL = 1e-9  # of kernel peaks: where less is within reach, all kernels are summed
 
@@ -134,11 +134,11 @@ class KernelDensity:
         axis = rng.standard_normal((n, 3))
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         width_m, width_rad = (width[kernels] for width in self._widths)
-        angle, share = np.empty(n), rng.random(n)
+        angle, uniform = np.empty(n), rng.random(n)
         widths, which = np.unique(width_rad, return_inverse=True)
         for k, quantiles in enumerate(_angle_quantiles(widths)):
             own = which == k
-            angle[own] = np.interp(share[own], *quantiles)
+            angle[own] = np.interp(uniform[own], *quantiles)
         rotation = rotation_from_rotvec(angle[:, None] * axis)
         shift = width_m[:, None] * rng.standard_normal((n, 3))
         centres = self.centres[kernels]

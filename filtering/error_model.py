@@ -21,9 +21,9 @@ class ErrorModel:
     """Errors of the poses that images give, in the camera frame, fitted on held-out images or stated.
 
     A cluster of posterior samples with covariance C stands for a place whose error has covariance Σ = spread · C +
-    diag(floor²) and the tails of a Student t distribution. Of the error's variance a share lasts while the view stays
-    the same, and fades with how far the camera moves and turns (an Ornstein-Uhlenbeck process along the way); a share
-    never fades; the rest is new with every image. So neither standing nor a higher rate buys certainty.
+    diag(floor²) and the tails of a Student t distribution. Of the error's variance a fraction lasts while the view
+    stays the same, and fades as the camera moves and turns (an Ornstein-Uhlenbeck process along the way); another
+    fraction never fades; the rest is new with every image. So neither standing nor a higher rate buys certainty.
 
     Tuples are (x, y, z) along and about the camera's axes, metres and radians.
     """
@@ -39,14 +39,14 @@ class ErrorModel:
     tail: float = 6.0
     """Degrees of freedom of the Student t distribution; the fewer, the heavier the tails."""
     outlier_share: float = 0.05
-    """Images that say nothing about where the camera is."""
+    """Probability that an image says nothing about where the camera is."""
     flat_log_density: float = -6.0
     """Log density of poses spread evenly over the map, per m³ rad³: where the camera is when an image says nothing."""
     possible_share: float = 0.05
-    """A place with this share of the samples counts half as possible as one with all of them: a network that learned
+    """A place with this fraction of the samples counts half as possible as one with all of them: a network that learned
     from its best samples knows which places are possible, but not how likely each is."""
     lasting_share: float = 0.7
-    """Share of the error's variance that lasts while the view stays the same."""
+    """Fraction of the error's variance that lasts while the view stays the same."""
     length_m: float = 0.5
     """Distance over which that fades to 1/e, and a view becomes a new one, metres."""
     length_rad: float = 0.4
@@ -55,7 +55,7 @@ class ErrorModel:
     """Over so many of these lengths one image's mistake about the place is the next one's: what takes one floor for
     another does so along all of a corridor; less than 1 where mistakes fade sooner than errors."""
     constant_share: float = 0.1
-    """Share of the typical variance below which no number of images brings the uncertainty of a pose."""
+    """Fraction of the typical variance below which no number of images brings the uncertainty of a pose."""
     unfamiliar_power: float = 0.0
     """How errors grow with how unlike its training data an image is: standard deviations with this power of its score
     (`PosePosterior.unfamiliarity`)."""

@@ -24,7 +24,7 @@ class Mode:
     Attributes:
         world_from_camera: One pose, the mean of the mode.
         covariance: Covariance of ξ = (v, ω), metres and radians, in the tangent at the mode (camera frame).
-        weight: Share of the belief, in [0, 1].
+        weight: Fraction of the belief, in [0, 1].
     """
 
     world_from_camera: Poses
@@ -50,7 +50,7 @@ class ModeConfig:
     max_modes: int = 12
     """No more hypotheses than this are reported."""
     min_weight: float = 0.02
-    """Hypotheses with a smaller share of the belief are not reported."""
+    """Hypotheses of smaller weight are not reported."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -67,8 +67,8 @@ class ModeConfig:
         offset = (pose.inverse() @ poses).log()
         reach = self.radius * np.asarray(errors.typical_std)
         reach[3:] = np.clip(reach[3:], self.least_rad, self.most_rad)
-        share = np.square(offset / reach)
-        return np.asarray((share[..., :3].sum(axis=-1) <= 1.0) & (share[..., 3:].sum(axis=-1) <= 1.0))
+        squared = np.square(offset / reach)
+        return np.asarray((squared[..., :3].sum(axis=-1) <= 1.0) & (squared[..., 3:].sum(axis=-1) <= 1.0))
 
 
 @dataclass(frozen=True)
@@ -135,16 +135,16 @@ def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -
         own[i] = True
         free &= ~own
         members = np.flatnonzero(own)
-        share = (
+        weight = (
             weights[members] / weights[members].sum()
             if weights[members].sum() > 0
             else np.full(len(members), 1 / len(members))
         )
         offset = (belief.poses[i].inverse() @ belief.poses[members]).log()
-        mean = share @ offset
+        mean = weight @ offset
         residual = offset - mean
-        covariance = np.einsum("n,nij->ij", share, belief.pose_covariance[members])
-        covariance += (share * residual.T) @ residual + errors.least_covariance
+        covariance = np.einsum("n,nij->ij", weight, belief.pose_covariance[members])
+        covariance += (weight * residual.T) @ residual + errors.least_covariance
         modes.append(Mode(belief.poses[i] @ Poses.exp(mean), covariance, float(weights[members].sum())))
     modes.sort(key=lambda mode: -mode.weight)
     kept = [mode for mode in modes if mode.weight >= least]
@@ -152,7 +152,7 @@ def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -
 
 
 def posterior_modes(posterior: PosePosterior) -> tuple[Mode, ...]:
-    """The places of one image's posterior, by falling share; none of an image without any."""
-    order = np.argsort(-posterior.shares, kind="stable")
-    total = max(float(posterior.shares.sum()), 1e-300)
-    return tuple(Mode(posterior.means[k], posterior.covariances[k], float(posterior.shares[k]) / total) for k in order)
+    """The places of one image's posterior, by falling weight; none of an image without any."""
+    order = np.argsort(-posterior.weights, kind="stable")
+    total = max(float(posterior.weights.sum()), 1e-300)
+    return tuple(Mode(posterior.means[k], posterior.covariances[k], float(posterior.weights[k]) / total) for k in order)

@@ -108,7 +108,7 @@ def born(
     What is known of the odometry's errors comes from the heaviest hypothesis of the belief, if there is one: they do
     not depend on where the camera is. Weights are in proportion to how possible the places are.
     """
-    count, size = len(posterior.shares), 13 + 6 * num_cameras
+    count, size = len(posterior.weights), 13 + 6 * num_cameras
     covariance = np.zeros((count, size, size))
     mean = np.zeros((count, size - 6))
     diagonal = np.arange(6, size)
@@ -215,7 +215,7 @@ def reduced(
     Args:
         hypotheses: With normalised weights, (n,).
         divergence: At most, nats.
-        least_weight: As a share of all.
+        least_weight: As a fraction of all weight.
         most: How many at most.
         rng: Source of the choice among the light ones.
     """
@@ -266,14 +266,14 @@ def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
 def _merged(h: Hypotheses, leader: Int64[np.ndarray, " n"]) -> Hypotheses:
     """One hypothesis for each leader, with the mean and covariance of those that it leads."""
     leaders, group = np.unique(leader, return_inverse=True)
-    share = np.zeros((len(leaders), len(h)))
-    share[group, np.arange(len(h))] = h.weights
-    total = share.sum(axis=1)
-    share /= total[:, None]
+    weight = np.zeros((len(leaders), len(h)))
+    weight[group, np.arange(len(h))] = h.weights
+    total = weight.sum(axis=1)
+    weight /= total[:, None]
     offset = np.concatenate([(h.poses[leader].inverse() @ h.poses).log(), h.mean - h.mean[leader]], axis=1)
-    mean = share @ offset
+    mean = weight @ offset
     residual = offset - mean[group]
     spread = h.covariance + residual[:, :, None] * residual[:, None, :]
-    covariance = (share @ spread.reshape(len(h), -1)).reshape(len(leaders), *spread.shape[1:])
+    covariance = (weight @ spread.reshape(len(h), -1)).reshape(len(leaders), *spread.shape[1:])
     poses = h.poses[leaders] @ Poses.exp(mean[:, :6])
     return Hypotheses(poses, h.mean[leaders] + mean[:, 6:], covariance, np.log(total))

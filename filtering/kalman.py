@@ -1,6 +1,6 @@
 """The single-hypothesis baseline: an error-state Kalman filter on SE(3), the linear algebra by filterpy.
 
-It knows all that the particle filter knows about errors: the covariances of an image's places, that a share of an
+It knows all that the particle filter knows about errors: the covariances of an image's places, that a fraction of an
 image's error lasts, heavy tails, slow errors of odometry. What it lacks is a second hypothesis.
 """
 
@@ -81,7 +81,7 @@ class KalmanLocalizer:
         if odom is not None:
             require_odometry(odom)
         require_duration(elapsed_s)
-        if self._pose is None and len(posterior.shares) == 0:
+        if self._pose is None and len(posterior.weights) == 0:
             raise VaporTrackError("the first image says nothing about where the camera is, expected one that does")
         if odom is None and self.config.gap.action == "forget":
             self._provisional = True
@@ -107,7 +107,7 @@ class KalmanLocalizer:
     def _start(self, posterior: PosePosterior, before: Hypotheses | None) -> None:
         """Begin at the image's heaviest place; what is known of the odometry is kept."""
         places = born(posterior, 0, 1, self.config.slow_errors, before)
-        heaviest = int(np.argmax(posterior.shares))
+        heaviest = int(np.argmax(posterior.weights))
         self._pose = places.poses[heaviest]
         self._filter.x = np.concatenate([np.zeros(6), places.mean[heaviest]])[:, None]
         self._filter.P = places.covariance[heaviest].copy()
@@ -138,7 +138,7 @@ class KalmanLocalizer:
         errors, pose = posterior.errors, self._pose
         assert pose is not None
         difference = (pose.inverse() @ posterior.means).log()
-        shows = np.zeros((len(posterior.shares), 6, 19))  # error of the pose + factor · bias + fresh noise
+        shows = np.zeros((len(posterior.weights), 6, 19))  # error of the pose + factor · bias + fresh noise
         shows[:, :, POSE] = np.eye(6)
         shows[:, :, bias(0)] = np.sqrt(errors.lasting_share) * posterior.factors
         fresh = (1.0 - errors.lasting_share) * posterior.covariances

@@ -174,7 +174,7 @@ class ParticleLocalizer:
             seen_by.append((posterior, camera.number))
             belief = seen.hypotheses.with_log_weights(seen.hypotheses.log_weights)
             fits.append(seen.agreement)
-        kidnapped = self._share_anew(novelty, float(np.mean(fits))) if fits else 0.0
+        kidnapped = self._fraction_anew(novelty, float(np.mean(fits))) if fits else 0.0
         if kidnapped > 0.0:
             carried = replace(belief, log_weights=belief.log_weights + _log(1.0 - kidnapped))
             belief = concatenate([carried, *self._born(seen_by, belief, kidnapped)])
@@ -192,18 +192,24 @@ class ParticleLocalizer:
         """Whether the belief is what these say, and nothing else."""
         return self._belief is None or (self._provisional and not all(view.posterior.says_nothing for view in views))
 
-    def _share_anew(self, novelty: float, agreement: float) -> float:
-        """The share of the belief that begins anew where images say that fit so much of it: how likely the camera was
-        carried off."""
+    def _fraction_anew(self, novelty: float, agreement: float) -> float:
+        """The fraction of the belief that begins anew: the probability that the camera was carried off.
+
+        Args:
+            novelty: Of the view, in [0, 1].
+            agreement: How much of the belief the images fit, in [0, 1].
+        """
         doubt = 1.0 - min(1.0, agreement / self.config.converged_agreement)
         per_view = self.config.kidnap_per_view ** (1.0 - doubt) * self.config.max_kidnap_per_view**doubt
         return float(-np.expm1(-per_view * novelty))
 
-    def _born(self, seen_by: Sequence[tuple[PosePosterior, int]], belief: Hypotheses, share: float) -> list[Hypotheses]:
-        """What the views of cameras say, as if nothing else were known, with that share of the belief in all."""
-        slow, log_share = self.config.slow_errors, _log(share / len(seen_by))
+    def _born(
+        self, seen_by: Sequence[tuple[PosePosterior, int]], belief: Hypotheses, fraction: float
+    ) -> list[Hypotheses]:
+        """What the views of cameras say, as if nothing else were known, with that fraction of the belief in all."""
+        slow, log_fraction = self.config.slow_errors, _log(fraction / len(seen_by))
         births = [born(posterior, number, len(self._cameras), slow, belief) for posterior, number in seen_by]
-        return [replace(each, log_weights=each.log_weights + log_share) for each in births]
+        return [replace(each, log_weights=each.log_weights + log_fraction) for each in births]
 
     def _reduced(self, belief: Hypotheses) -> Hypotheses:
         c = self.config
@@ -217,7 +223,7 @@ class ParticleLocalizer:
 
     def _start(self, views: Sequence[View], *, provisional: bool) -> None:
         """The first belief is what the first view says, with caution about how likely its places are."""
-        first = next((view for view in views if len(view.posterior.shares)), None)
+        first = next((view for view in views if len(view.posterior.weights)), None)
         if first is None:
             raise VaporTrackError("the first image says nothing about where the camera is, expected one that does")
         self._cameras, self._best, self._unseen_s = {}, None, 0.0
@@ -279,5 +285,5 @@ class ParticleLocalizer:
         return "converged" if sure and self._agreement >= c.converged_agreement else "ambiguous"
 
 
-def _log(share: float) -> float:
-    return float(np.log(share)) if share > 0.0 else -np.inf
+def _log(weight: float) -> float:
+    return float(np.log(weight)) if weight > 0.0 else -np.inf

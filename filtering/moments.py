@@ -24,13 +24,13 @@ def group_moments(
         in the tangent at its mean, of ξ = (v, ω), metres and radians; and the tangent of every pose at its
         group's mean.
     """
-    shares = np.zeros((num_groups, len(label)))
-    shares[label, np.arange(len(label))] = weights
-    weightless = shares.sum(axis=1) <= 0.0
-    shares[weightless] = label == np.flatnonzero(weightless)[:, None]
-    shares /= shares.sum(axis=1, keepdims=True)
-    mean_matrix = (shares @ poses.rotation.reshape(-1, 9)).reshape(-1, 3, 3)
-    means = Poses(nearest_rotation(mean_matrix), shares @ poses.translation)
+    fractions = np.zeros((num_groups, len(label)))
+    fractions[label, np.arange(len(label))] = weights
+    weightless = fractions.sum(axis=1) <= 0.0
+    fractions[weightless] = label == np.flatnonzero(weightless)[:, None]
+    fractions /= fractions.sum(axis=1, keepdims=True)
+    mean_matrix = (fractions @ poses.rotation.reshape(-1, 9)).reshape(-1, 3, 3)
+    means = Poses(nearest_rotation(mean_matrix), fractions @ poses.translation)
     tangent = (means.inverse()[label] @ poses).log()
     squares = (tangent[:, :, None] * tangent[:, None, :]).reshape(-1, 36)
-    return means, (shares @ squares).reshape(-1, 6, 6), tangent
+    return means, (fractions @ squares).reshape(-1, 6, 6), tangent

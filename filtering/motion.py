@@ -179,7 +179,7 @@ class SlowErrors:
     """
 
     scale: float = 0.02
-    """Standard deviation of the scale error, as a share of the distance."""
+    """Standard deviation of the scale error, as a fraction of the distance."""
     drift: tuple[float, float, float, float, float, float] | None = None
     """Standard deviations of the drift, each axis of the camera: m/s, then rad/s. None: `relative_drift` tells."""
     relative_drift: float = 1.0

@@ -16,7 +16,7 @@ from filtering.se3 import Poses
 
 _SOUGHT = 250  # samples among which peaks are sought
 _MOST_PLACES = 40
-_LEAST_SHARE = 0.01  # of the samples: fewer are no place of their own
+_LEAST_FRACTION = 0.01  # of the samples: fewer are no place of their own
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class PosePosterior:
     Attributes:
         means: world_from_camera of each place, batch (k,); none for an image that says nothing.
         covariances: Of the error ξ = (v, ω) of each, metres and radians, in the tangent at the mean, (k, 6, 6).
-        shares: Of the posterior, at least 0, in all 1 at most, (k,).
+        weights: Of each place in the posterior, at least 0, in all 1 at most, (k,).
         errors: How the places err over time.
         samples: Samples of the posterior, world_from_camera, batch (m,), to be shown; the means where there are none.
         unfamiliarity: How unlike the images that the network was trained on this one is: near 0 one of them, 1 as
@@ -37,7 +37,7 @@ class PosePosterior:
 
     means: Poses
     covariances: Float64[np.ndarray, "k 6 6"]
-    shares: Float64[np.ndarray, " k"]
+    weights: Float64[np.ndarray, " k"]
     errors: ErrorModel
     samples: Poses
     unfamiliarity: float = 0.0
@@ -45,14 +45,14 @@ class PosePosterior:
 
     def __post_init__(self) -> None:
         count = len(self.means)
-        for name, shape in (("covariances", (count, 6, 6)), ("shares", (count,))):
+        for name, shape in (("covariances", (count, 6, 6)), ("weights", (count,))):
             values = getattr(self, name)
             if values.shape != shape:
                 raise VaporTrackError(f"posterior: {name} have shape {values.shape}, expected {shape}")
             _require_finite(name, np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
         _require_finite("means", self.means.is_finite())
-        if not (self.shares >= 0.0).all() or self.shares.sum() > 1.0 + 1e-6:
-            raise VaporTrackError(f"posterior: shares are {self.shares.tolist()}, expected at least 0 and 1 in all")
+        if not (self.weights >= 0.0).all() or self.weights.sum() > 1.0 + 1e-6:
+            raise VaporTrackError(f"posterior: weights are {self.weights.tolist()}, expected at least 0 and 1 in all")
         uneven = np.abs(self.covariances - np.swapaxes(self.covariances, 1, 2)).max(axis=(1, 2), initial=0.0)
         if (uneven > 1e-6 * np.abs(self.covariances).max(axis=(1, 2), initial=0.0)).any():
             raise VaporTrackError(f"posterior: covariance {int(np.argmax(uneven))} of {count} is not symmetric")
@@ -74,10 +74,10 @@ class PosePosterior:
         label, count = find_places(samples, errors.radius_m, errors.radius_rad)
         own = np.flatnonzero(label >= 0)
         means, covariances, _ = group_moments(samples[own], np.ones(len(own)), label[own], count)
-        shares = np.bincount(label[own], minlength=count) / len(samples)
+        weights = np.bincount(label[own], minlength=count) / len(samples)
         growth = errors.growth(unfamiliarity)
         covariances = growth * errors.covariance(covariances)
-        return PosePosterior(means, covariances, shares, errors, samples, unfamiliarity, growth)
+        return PosePosterior(means, covariances, weights, errors, samples, unfamiliarity, growth)
 
     @staticmethod
     def from_estimates(
@@ -123,12 +123,12 @@ class PosePosterior:
     @property
     def says_nothing(self) -> bool:
         """Whether it has no place, or is of a foreign image."""
-        return len(self.shares) == 0 or self.is_foreign
+        return len(self.weights) == 0 or self.is_foreign
 
     @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:
-        """How possible each place is, in [0, 1]: its share, with the model's caution about shares."""
-        return self.shares / (self.shares + self.errors.possible_share)
+        """How possible each place is, in [0, 1]: its weight, with the model's caution about weights."""
+        return self.weights / (self.weights + self.errors.possible_share)
 
     @cached_property
     def factors(self) -> Float64[np.ndarray, "k 6 6"]:
@@ -190,7 +190,7 @@ def find_places(samples: Poses, radius_m: float, radius_rad: float) -> tuple[Int
     height = np.exp(-2.0 * np.maximum(apart, 0.0).astype(np.float32)).sum(axis=1)
     peaks: list[int] = []
     free = np.ones(len(height), bool)
-    least = max(1.5, _LEAST_SHARE * len(height))
+    least = max(1.5, _LEAST_FRACTION * len(height))
     while free.any() and len(peaks) < _MOST_PLACES:
         peak = int(np.argmax(np.where(free, height, -1.0)))
         if peaks and height[peak] < least:
@@ -206,7 +206,7 @@ def find_places(samples: Poses, radius_m: float, radius_rad: float) -> tuple[Int
     centres = np.where(size > 0, member @ embedded / np.maximum(size, 1.0), centres)
     label = _nearest(embedded, squares, centres)
     sizes = np.bincount(label + 1, minlength=len(centres) + 1)[1:]
-    kept = sizes >= max(min(3, count), _LEAST_SHARE * count)
+    kept = sizes >= max(min(3, count), _LEAST_FRACTION * count)
     if not kept.any():
         kept[np.argmax(sizes)] = True
     renumbered = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)

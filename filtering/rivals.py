@@ -29,7 +29,7 @@ class GaussianSumLocalizer(ParticleLocalizer):
     Of more than 15 the heaviest go on. `max_hypotheses` and `kidnap_per_view` do not count.
     """
 
-    def _share_anew(self, novelty: float, agreement: float) -> float:
+    def _fraction_anew(self, novelty: float, agreement: float) -> float:
         return 0.0
 
     def _reduced(self, belief: Hypotheses) -> Hypotheses:
@@ -47,7 +47,7 @@ class GaussianSumLocalizer(ParticleLocalizer):
 class DoubtingLocalizer(ParticleLocalizer):
     """The belief begins anew only while images agree with it less than usual, as in augmented Monte Carlo localization.
 
-    The share that does is 1 − fast/slow, fast being their agreement of the last second, slow that of the last ten.
+    The fraction that does is 1 − fast/slow, fast being their agreement of the last second, slow that of the last ten.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class DoubtingLocalizer(ParticleLocalizer):
         super().__init__(model, config, rng=rng)
         self._usual = 1.0
 
-    def _share_anew(self, novelty: float, agreement: float) -> float:
+    def _fraction_anew(self, novelty: float, agreement: float) -> float:
         return max(0.0, 1.0 - self._agreement / max(self._usual, 1e-9))
 
     def _look(self, views: Sequence[View]) -> Estimate:

@@ -172,9 +172,9 @@ class Poses:
         The chordal mean is the rotation nearest to the mean matrix (Hartley et al., IJCV 2013). It is a
         point between the modes of a multimodal batch: take it over one mode only.
         """
-        share = np.full(len(self), 1.0 / len(self)) if weights is None else weights / weights.sum()
-        mean_matrix = (share @ self.rotation.reshape(-1, 9)).reshape(3, 3)
-        return Poses(nearest_rotation(mean_matrix), share @ self.translation)
+        fraction = np.full(len(self), 1.0 / len(self)) if weights is None else weights / weights.sum()
+        mean_matrix = (fraction @ self.rotation.reshape(-1, 9)).reshape(3, 3)
+        return Poses(nearest_rotation(mean_matrix), fraction @ self.translation)
 
 
 def nearest_rotation(matrix: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3 3"]:

@@ -61,7 +61,7 @@ def independence(ways: Float64[np.ndarray, " n"], lasting_share: float) -> Float
     Args:
         ways: How far the camera came since the image before, in lengths over which the errors of images change; the
             first is not used.
-        lasting_share: Share of the error's variance that lasts, in [0, 1).
+        lasting_share: Fraction of the error's variance that lasts, in [0, 1).
     """
     n = len(ways)
     if n < 2:
@@ -165,15 +165,16 @@ def agreement(
 
 
 def _initial_guesses(filtered: Poses, steps: Sequence[Odometry], converged: np.ndarray) -> list[Poses]:
-    """Whole trajectories that obey odometry where the filter was unsure: from its last, and from its sure stretches."""
+    """Whole trajectories that obey odometry where the filter was unsure: from its last pose, and from where it
+    was confident."""
     n = len(filtered)
     anchored = converged.copy()
     if not anchored.any():
         anchored[-1] = True
-    from_stretches = _chain(filtered, steps, anchored)
+    from_segments = _chain(filtered, steps, anchored)
     last_sure = np.zeros(n, bool)
     last_sure[np.flatnonzero(anchored)[-1]] = True
-    return [from_stretches, _chain(filtered, steps, last_sure)]
+    return [from_segments, _chain(filtered, steps, last_sure)]
 
 
 def _chain(filtered: Poses, steps: Sequence[Odometry], anchored: np.ndarray) -> Poses:

@@ -193,7 +193,7 @@ def test_places_a_floor_apart_tell_of_the_errors_as_one_place_does():
             posterior,
             means=lifted(posterior.means[0], (-3.0, 0.0, 3.0)),
             covariances=np.repeat(posterior.covariances, 3, axis=0),
-            shares=np.array([0.1, 0.7, 0.2]),
+            weights=np.array([0.1, 0.7, 0.2]),
         )
         for posterior in alone.posteriors
     ]
@@ -383,6 +383,6 @@ def test_an_inflated_posterior_has_the_same_places_of_larger_errors():
     assert inflated.errors == posterior.errors.inflated(4.0)
     assert inflated.means is posterior.means
     assert inflated.samples is posterior.samples
-    assert (inflated.shares == posterior.shares).all()
+    assert (inflated.weights == posterior.weights).all()
     assert inflated.unfamiliarity == 0.4
     assert posterior.inflated(1.0) is posterior

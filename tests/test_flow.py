@@ -218,7 +218,7 @@ def test_the_filter_localizes_with_the_places_among_the_samples():
     model = VaporObservationModel(checkpoint_of(network_with("flow")), num_samples=300, device="cpu")
     posterior = model.observe(IMAGE, rng=np.random.default_rng(0))
     assert len(posterior.samples) == 300
-    assert 0.0 < posterior.shares.sum() <= 1.0
+    assert 0.0 < posterior.weights.sum() <= 1.0
     localizer = ParticleLocalizer(model, rng=np.random.default_rng(0))
     moved = Odometry(Poses.exp(np.array([0.6, 0.0, 0.0, 0.0, 0.0, 0.1])), 1e-3 * np.eye(6), 0.1)  # soon out of the box
     for step in range(6):

@@ -145,7 +145,7 @@ def test_the_model_leaves_out_methods_without_an_estimate_and_drives_the_filter_
     model = EstimateModel(3, EstimateConfig(std_m=(0.9, 0.05, 0.1)), ERRORS)
     posterior = model.observe(matrices, rng=np.random.default_rng(0))
     assert posterior.errors == ERRORS
-    assert posterior.shares.tolist() == [0.5, 0.5]
+    assert posterior.weights.tolist() == [0.5, 0.5]
     assert posterior.means.translation[:, 0].tolist() == [0.0, 0.02]
     for covariance, std_m in zip(posterior.covariances, (0.05, 0.1), strict=True):
         np.testing.assert_allclose(np.diag(covariance), [std_m**2] * 3 + [np.radians(1.0) ** 2] * 3)

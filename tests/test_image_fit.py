@@ -362,7 +362,7 @@ def test_a_way_counts_metres_and_radians_from_the_beginning_of_each_pass():
 
 def usable(errors: ErrorModel, samples) -> bool:
     posterior = PosePosterior.from_samples(samples, errors)
-    return bool(np.isfinite(posterior.covariances).all()) and len(posterior.shares) > 0
+    return bool(np.isfinite(posterior.covariances).all()) and len(posterior.weights) > 0
 
 
 def test_sixty_images_of_one_pass_are_worth_few_and_the_fit_is_cautious():

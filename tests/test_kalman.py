@@ -60,11 +60,11 @@ def test_where_errors_follow_the_model_its_covariance_is_right():
 def test_of_like_places_the_nearest_corrects_it_whatever_their_shares():
     path = walk(60, rng=np.random.default_rng(1), lifts=lambda i: (0.0,) if i == 0 else (-3.0, 0.0, 3.0))
     uneven = [
-        replace(posterior, shares=np.array([0.6, 0.1, 0.3])) if i else posterior
+        replace(posterior, weights=np.array([0.6, 0.1, 0.3])) if i else posterior
         for i, posterior in enumerate(path.posteriors)
     ]
     alone = [
-        replace(p, means=p.means[k : k + 1], covariances=p.covariances[:1], shares=np.ones(1))
+        replace(p, means=p.means[k : k + 1], covariances=p.covariances[:1], weights=np.ones(1))
         for p, k in zip(path.posteriors, [0] + 59 * [1], strict=True)
     ]
     poses, _ = follow(KalmanLocalizer(CONFIG), uneven, path.odometry)
@@ -74,7 +74,7 @@ def test_of_like_places_the_nearest_corrects_it_whatever_their_shares():
 
 def test_it_starts_at_the_heaviest_place_and_a_wrong_one_stays_wrong():
     path = walk(60, rng=np.random.default_rng(2), lifts=lambda i: (0.0, 3.0))
-    path.posteriors[0] = replace(path.posteriors[0], shares=np.array([0.4, 0.6]))
+    path.posteriors[0] = replace(path.posteriors[0], weights=np.array([0.4, 0.6]))
     poses, _ = follow(KalmanLocalizer(CONFIG), path.posteriors, path.odometry)
     assert (poses.distance(path.truth)[0] > 2.0).all()
 

@@ -32,9 +32,9 @@ def two_clusters():
 def test_two_clusters_ten_radii_apart_are_two_places_with_their_shares_means_and_covariances():
     samples, second = two_clusters()
     posterior = PosePosterior.from_samples(samples, replace(ERRORS, spread=2.0))
-    assert len(posterior.shares) == 2
-    for own, k in ((~second, int(np.argmax(posterior.shares))), (second, int(np.argmin(posterior.shares)))):
-        assert posterior.shares[k] == pytest.approx(own.mean(), abs=0.01)  # a few stray beyond a radius
+    assert len(posterior.weights) == 2
+    for own, k in ((~second, int(np.argmax(posterior.weights))), (second, int(np.argmin(posterior.weights)))):
+        assert posterior.weights[k] == pytest.approx(own.mean(), abs=0.01)  # a few stray beyond a radius
         mean = samples[own].mean()
         assert (np.abs((mean.inverse() @ posterior.means[k]).log()) < 0.005).all()
         tangent = (mean.inverse() @ samples[own]).log()
@@ -60,7 +60,7 @@ def test_far_strays_are_no_place_and_count_against_the_shares():
     assert count == 1
     assert (label[950:] == -1).all()
     posterior = PosePosterior.from_samples(samples, ERRORS)
-    assert posterior.shares.sum() == pytest.approx(0.95, abs=0.005)
+    assert posterior.weights.sum() == pytest.approx(0.95, abs=0.005)
     assert np.abs(posterior.means.translation).max() < 0.01
 
 
@@ -78,7 +78,7 @@ def test_equal_samples_are_one_place_as_wide_as_the_floor(count):
     pose = Poses.exp(np.array([100.0, -50, 3, 0.1, 0.2, 3.0]))
     samples = Poses(np.repeat(pose.rotation[None], count, 0), np.repeat(pose.translation[None], count, 0))
     posterior = PosePosterior.from_samples(samples, ERRORS)
-    assert posterior.shares.tolist() == [1.0]
+    assert posterior.weights.tolist() == [1.0]
     assert posterior.means[0].distance(pose)[0] < 1e-9
     np.testing.assert_allclose(posterior.covariances[0], np.diag(np.square(ERRORS.floor)), atol=1e-12)
 
@@ -117,8 +117,8 @@ def test_places_kilometres_apart_are_told_from_their_neighbours():
 def test_samples_of_which_none_is_near_another_are_still_one_place():
     samples = Poses.exp(np.concatenate([100.0 * np.arange(50)[:, None], np.zeros((50, 5))], axis=1))
     posterior = PosePosterior.from_samples(samples, ERRORS)
-    assert len(posterior.shares) == 1
-    assert posterior.shares[0] == pytest.approx(1 / 50)
+    assert len(posterior.weights) == 1
+    assert posterior.weights[0] == pytest.approx(1 / 50)
 
 
 def test_shares_never_exceed_one_and_every_place_has_samples():
@@ -136,7 +136,7 @@ def test_shares_never_exceed_one_and_every_place_has_samples():
 def test_estimates_of_several_methods_are_equally_likely_places_with_the_stated_stds():
     estimates = Poses.exp(np.array([[0.0, 0, 0, 0, 0, 0], [5, 0, 0, 0, 0, 1]]))
     posterior = PosePosterior.from_estimates(estimates, np.array([0.1, 0.2]), 0.05, ERRORS)
-    np.testing.assert_allclose(posterior.shares, 0.5)
+    np.testing.assert_allclose(posterior.weights, 0.5)
     np.testing.assert_allclose(posterior.covariances[1], np.diag([0.04] * 3 + [0.0025] * 3))
     np.testing.assert_array_equal(posterior.means.translation, estimates.translation)
 
@@ -204,7 +204,7 @@ def test_an_image_unlike_the_training_has_larger_errors_at_the_same_places():
     plain, grown = (PosePosterior.from_samples(samples, errors, unfamiliarity=0.9) for errors in (ERRORS, GROWING))
     assert (plain.growth, grown.growth) == (1.0, pytest.approx(3.24))
     np.testing.assert_allclose(grown.covariances, 3.24 * plain.covariances)
-    np.testing.assert_allclose(grown.shares, plain.shares)
+    np.testing.assert_allclose(grown.weights, plain.weights)
     assert grown.errors == GROWING
     assert PosePosterior.from_samples(samples, GROWING, unfamiliarity=0.1).growth == pytest.approx(0.04)
     assert PosePosterior.from_samples(samples, GROWING).growth == 1.0  # no score
@@ -254,9 +254,9 @@ def infinite_pose():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"shares": np.array([0.5, -0.1])}, r"shares are \[0.5, -0.1\], expected at least 0"),
-        ({"shares": np.array([0.8, 0.3])}, "1 in all"),
-        ({"shares": np.array([0.5, np.nan])}, "shares 1 of 2 is not finite"),
+        ({"weights": np.array([0.5, -0.1])}, r"weights are \[0.5, -0.1\], expected at least 0"),
+        ({"weights": np.array([0.8, 0.3])}, "1 in all"),
+        ({"weights": np.array([0.5, np.nan])}, "weights 1 of 2 is not finite"),
         ({"covariances": np.stack([np.eye(6), np.diag([1.0, 1, 1, 1, 1, 0])])}, "a covariance is singular"),
         ({"covariances": np.stack([np.eye(6), np.diag([1.0, 1, 1, 1, 1, -1])])}, "has a negative eigenvalue"),
         ({"covariances": np.full((2, 6, 6), np.nan)}, "covariances 0 of 2 is not finite"),

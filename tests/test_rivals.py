@@ -47,8 +47,8 @@ def test_a_gaussian_sum_keeps_all_places_of_the_first_image_until_one_is_told_fr
 def test_a_gaussian_sum_has_no_more_than_its_number_and_keeps_the_heaviest():
     heights = tuple(3.0 * k for k in range(25))
     path = walk(20, rng=np.random.default_rng(1), lifts=lambda i: heights)
-    shares = np.arange(1.0, 26.0) / np.arange(1.0, 26.0).sum()
-    first = replace(path.posteriors[0], shares=shares)
+    fractions = np.arange(1.0, 26.0) / np.arange(1.0, 26.0).sum()
+    first = replace(path.posteriors[0], weights=fractions)
     estimates = follow(GaussianSumLocalizer, [first, *path.posteriors[1:]], path.odometry)
     assert all(len(estimate.particles) <= GAUSSIANS for estimate in estimates)
     assert estimates[0].particles.translation[:, 2].min() > 3.0 * 9
@@ -74,9 +74,9 @@ def test_births_find_a_camera_that_was_carried_off(kind):
 def test_without_doubt_nothing_begins_anew_and_with_it_much_does():
     path = walk(60, rng=np.random.default_rng(3))
     localizer = DoubtingLocalizer(None, CONFIG, rng=np.random.default_rng(0))
-    shares = []
+    fractions = []
     for i, (seen, motion) in enumerate(zip(carried_off(path, 8.0, 40), path.odometry, strict=True)):
         localizer.update(PosePosterior.nothing(seen.errors) if 20 <= i < 30 else seen, motion)
-        shares.append(localizer._share_anew(1.0, 1.0))
-    assert max(shares[:40]) < 0.05
-    assert max(shares[40:50]) > 0.2
+        fractions.append(localizer._fraction_anew(1.0, 1.0))
+    assert max(fractions[:40]) < 0.05
+    assert max(fractions[40:50]) > 0.2

@@ -38,10 +38,10 @@ class Said(NamedTuple):
     @staticmethod
     def of(posterior: PosePosterior) -> Said:
         """The figures of one posterior."""
-        best = posterior.means[int(np.argmax(posterior.shares))] if len(posterior.shares) else None
+        best = posterior.means[int(np.argmax(posterior.weights))] if len(posterior.weights) else None
         centre = posterior.samples.translation.mean(axis=0) if best is None else best.translation
         apart_m = np.linalg.norm(posterior.samples.translation - centre, axis=1)
-        places = int((posterior.shares >= _COUNTED).sum())
+        places = int((posterior.weights >= _COUNTED).sum())
         return Said(places, float(np.quantile(apart_m, _REACH)), best, posterior.unfamiliarity)
 
 
