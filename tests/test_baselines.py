@@ -11,7 +11,7 @@ from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from tests.test_train import STILL, TINY, make_frames, pose
-from vapor.checkpoints.checkpoint import load_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.base import NetworkConfig, SceneBox
 from vapor.regressors.baselines import make_regressor

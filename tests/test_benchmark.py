@@ -17,7 +17,8 @@ from tests.checks import no_checks
 from vapor.benchmark import recordings, trials, windows
 from vapor.benchmark.summary import failed, summarise
 from vapor.benchmark.windows import Piece, Trial
-from vapor.checkpoints.checkpoint import Calibration, load_checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.commands import console
 from vapor.commands.benchmark_tables import tables
 from vapor.commands.console import show

@@ -15,12 +15,13 @@ from tests.test_observation import make_checkpoint, observe
 from tests.test_train import TINY
 from tests.test_undistortion import taken_by
 from tests.tiny_model import Metadata, Tensors, altered
-from vapor.cameras import AsTakenBy, resampled, share_seen
-from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from vapor.cameras import AsTakenBy, fraction_seen, resampled
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.familiarity import Describer, Familiarity
+from vapor.tensor_files import CheckpointError
 from vapor.training.train import train_on
-from vapor.training_data.training_set import load_training_set
+from vapor.training_data.load import load_training_set
 
 A = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 OTHERS = {
@@ -36,7 +37,7 @@ OTHERS = {
 
 @pytest.mark.parametrize("camera", OTHERS.values(), ids=OTHERS)
 def test_a_resampled_image_is_what_the_other_camera_takes(camera: Camera) -> None:
-    assert share_seen(camera, of=A) == pytest.approx(1.0, abs=0.03)
+    assert fraction_seen(camera, of=A) == pytest.approx(1.0, abs=0.03)
     difference = np.abs(resampled(taken_by(camera), camera, A).astype(float) - taken_by(A))
     assert difference.mean() < 1.5
     # Half a pixel beside would be seen.
@@ -54,9 +55,9 @@ def test_shrinking_averages_over_areas() -> None:
 
 def test_what_a_narrow_lens_does_not_show_has_the_colour_of_its_border() -> None:
     narrow = replace(A, fx=1.4 * A.fx, fy=1.4 * A.fy)
-    assert share_seen(narrow, of=A) == pytest.approx(1 / 1.96)
-    assert share_seen(A, of=narrow) == 1.0
-    assert share_seen(replace(A, cx=500.0), of=A) == 0.0
+    assert fraction_seen(narrow, of=A) == pytest.approx(1 / 1.96)
+    assert fraction_seen(A, of=narrow) == 1.0
+    assert fraction_seen(replace(A, cx=500.0), of=A) == 0.0
     image = np.full((120, 160, 3), 50, np.uint8)
     image[:, :20] = 200
     seen = resampled(image, narrow, A)

@@ -9,18 +9,14 @@ from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from sequences.odometry_fit import OdometryFit
 from vapor.checkpoints import checkpoint as checkpoint_module
-from vapor.checkpoints.checkpoint import (
-    Calibration,
-    Checkpoint,
-    CheckpointError,
-    find_model,
-    load_checkpoint,
-    save_checkpoint,
-    thin_poses,
-)
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.checkpoints.scene_scale import default_errors
+from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.thinning import thin_poses
 from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
-from vapor.tensor_files import read_safetensors, write_safetensors
+from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.1))
 SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
@@ -59,7 +55,7 @@ def test_a_fit_of_odometry_comes_back_as_well(tmp_path):
 def test_a_half_precision_demo_model_fits_in_eight_megabytes_and_predicts_the_same_to_millimetres(tmp_path):
     path = tmp_path / "m.safetensors"
     saved = make_checkpoint(NetworkConfig(), num_poses=5000)
-    save_checkpoint(path, saved, half=True)
+    save_checkpoint(path, saved, store_float16=True)
     assert path.stat().st_size <= 8_000_000
     loaded = load_checkpoint(path)
     assert len(loaded.prior_poses) == 2000

@@ -12,7 +12,9 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from tests.test_train import STILL, TINY, make_frames
-from vapor.checkpoints.checkpoint import Calibration, Checkpoint, load_checkpoint, save_checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import LOG_FLOOR, exact_log_density
 from vapor.observation import VaporObservationModel
@@ -22,7 +24,7 @@ from vapor.regressors.flow import FlowRegressor, _Spline
 from vapor.regressors.loss import LossConfig, training_loss
 from vapor.training.presets import METHODS
 from vapor.training.train import train_on
-from vapor.training_data.training_set import load_training_set
+from vapor.training_data.load import load_training_set
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

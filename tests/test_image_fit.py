@@ -10,7 +10,11 @@ from scipy.spatial.transform import Rotation
 from filtering.error_model import ErrorModel
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.calibration.images import Lasting, Seen, Way, fit_errors, fit_widths, lasting_errors
+from vapor.calibration.image_errors import fit_errors
+from vapor.calibration.kernel_widths import fit_widths
+from vapor.calibration.lasting_errors import LastingErrors, lasting_errors
+from vapor.calibration.observations import Observations
+from vapor.calibration.travel import Travel
 from vapor.checkpoints.scene_scale import default_errors, flat_log_density, scene_extent
 
 pytestmark = pytest.mark.usefixtures("unchecked")
@@ -25,9 +29,9 @@ def anywhere(count: int, *, rng: np.random.Generator) -> Poses:
     return Poses(Poses.exp(turned).rotation, rng.uniform(0, 1, (count, 3)) * ROOM)
 
 
-def apart(count: int) -> Way:
+def apart(count: int) -> Travel:
     """The way between images of a pass each."""
-    return Way(np.arange(count), np.zeros(count), np.zeros(count))
+    return Travel(np.arange(count), np.zeros(count), np.zeros(count))
 
 
 def posteriors(
@@ -56,7 +60,7 @@ def simulated(count: int = 400):
 
 def fit(samples, truth, way=None, before=None, *, score=None, trained=None):
     before = before or default_errors(truth)
-    return fit_errors(Seen(samples, truth, score), way or apart(len(truth)), truth, before, trained=trained)
+    return fit_errors(Observations(samples, truth, score), way or apart(len(truth)), truth, before, trained=trained)
 
 
 @cache
@@ -133,7 +137,7 @@ def graded(power: float, count: int = 240):
     for scores in (score, of_trained):
         truth = anywhere(len(scores), rng=rng)
         normal = student(len(scores), TRUE.tail, rng=rng) * ((scores / 0.5) ** power)[:, None]
-        seen.append(Seen(posteriors(truth, TRUE, normal, rng=rng, num_samples=40), truth, scores))
+        seen.append(Observations(posteriors(truth, TRUE, normal, rng=rng, num_samples=40), truth, scores))
     return seen
 
 
@@ -200,7 +204,7 @@ def fit_walk(normal: np.ndarray, *, rng: np.random.Generator):
     """The fit of images along a straight walk with these errors (n, 6)."""
     truth = walk(len(normal), STEP, rng=rng)
     samples = posteriors(truth, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
-    return fit(samples, truth, Way.along(truth, np.zeros(len(normal), np.int64)))
+    return fit(samples, truth, Travel.along(truth, np.zeros(len(normal), np.int64)))
 
 
 @pytest.mark.parametrize(("length_m", "share"), [(0.5, 0.65), (2.0, 0.6)])
@@ -228,9 +232,9 @@ def mistaking(
     normal = lasting(count, errors_last, 0.6, rng=rng)
     samples = posteriors(seen, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
     scene = Poses.concatenate([truth, Poses(truth.rotation, truth.translation + np.array([0.0, 0.0, 45.0]))])
-    way = Way.along(truth, np.zeros(count, np.int64))
+    way = Travel.along(truth, np.zeros(count, np.int64))
     before = default_errors(scene)
-    return fit_errors(Seen(samples, truth, None), way, scene, before, same_conditions=same_conditions).errors
+    return fit_errors(Observations(samples, truth, None), way, scene, before, same_conditions=same_conditions).errors
 
 
 def test_how_long_a_place_is_mistaken_for_another_is_found_apart_from_how_long_errors_last():
@@ -261,9 +265,9 @@ def test_images_that_never_mistake_the_place_are_worth_one_a_length():
     assert fit_walk(lasting(500, 0.5, 0.65, rng=rng), rng=rng).errors.mistaken_lengths == pytest.approx(1.0, abs=0.5)
 
 
-def found_lasting(normal: np.ndarray, truth: Poses, passes: int = 1, extent: float = 20.0) -> Lasting:
+def found_lasting(normal: np.ndarray, truth: Poses, passes: int = 1, extent: float = 20.0) -> LastingErrors:
     """What is found of errors (n, 6) of images at these poses, in passes of equal numbers."""
-    way = Way.along(truth, np.repeat(np.arange(passes), len(truth) // passes))
+    way = Travel.along(truth, np.repeat(np.arange(passes), len(truth) // passes))
     return lasting_errors(normal, np.ones(len(normal), bool), way, extent)
 
 
@@ -343,14 +347,14 @@ def test_errors_of_independent_images_last_no_longer_than_they_must():
     rng = np.random.default_rng(2)
     truth = walk(300, 0.1, rng=rng)
     samples = posteriors(truth, replace(TRUE, outlier_share=1e-9), rng.standard_normal((300, 6)), rng=rng)
-    found = fit(samples, truth, Way.along(truth, np.zeros(300, np.int64))).errors
+    found = fit(samples, truth, Travel.along(truth, np.zeros(300, np.int64))).errors
     assert (found.lasting_share, found.length_m) == (0.5, pytest.approx(0.003 * scene_extent(truth)))
 
 
 def test_a_way_counts_metres_and_radians_from_the_beginning_of_each_pass():
     turned = Poses.exp(np.array([[0, 0, 0, 0, 0, a] for a in (0.0, 0.1, 0.3, 0.3, 0.4)]))
     poses = Poses(turned.rotation, np.array([[0.0, 0, 0], [1, 0, 0], [1, 2, 0], [9, 9, 9], [9, 9, 8]]))
-    way = Way.along(poses, np.array([3, 3, 3, 4, 4]))
+    way = Travel.along(poses, np.array([3, 3, 3, 4, 4]))
     np.testing.assert_allclose(way.metres, [0, 1, 3, 0, 1], atol=1e-12)
     np.testing.assert_allclose(way.radians, [0, 0.1, 0.3, 0, 0.1], atol=1e-6)
     some = way[np.array([1, 4])]
@@ -371,8 +375,8 @@ def test_sixty_images_of_one_pass_are_worth_few_and_the_fit_is_cautious():
     errors = replace(TRUE, outlier_share=1e-9, floor=(0.05, 0.2, 0.05, 0.02, 0.02, 0.02))
     samples = posteriors(truth, errors, np.tile(rng.standard_normal(6), (60, 1)), rng=rng)
     scene = Poses.concatenate([truth, anywhere(100, rng=rng)])
-    way = Way.along(truth, np.zeros(60, np.int64))
-    found = fit_errors(Seen(samples, truth), way, scene, default_errors(scene))
+    way = Travel.along(truth, np.zeros(60, np.int64))
+    found = fit_errors(Observations(samples, truth), way, scene, default_errors(scene))
     assert found.effective_images < 10
     lengths, angles = np.array(found.errors.floor[:3]), np.array(found.errors.floor[3:])
     assert lengths.max() < 3 * lengths.min()

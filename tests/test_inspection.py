@@ -26,11 +26,12 @@ from tests.test_datasets import make_tum
 from tests.test_holding_out import corridor, recorded, stairwell
 from vapor.evaluation.floors import find_floors
 from vapor.inspection import odometry as odometry_module
-from vapor.inspection.coverage import Coverage, Plan
+from vapor.inspection.coverage import Coverage
 from vapor.inspection.inspect import Inspection, inspect
 from vapor.inspection.odometry import OdometryCheck, check_odometry
+from vapor.inspection.plan import Plan
+from vapor.inspection.reading import posed_images, read_walks
 from vapor.inspection.verdict import GOOD_ENOUGH
-from vapor.inspection.walks import posed_images, read_walks
 from vapor.track import main
 from vapor.training.holding_out import shown_by
 from vapor.training_data.training_set import TrainingSet
@@ -332,7 +333,7 @@ def test_up_is_where_cameras_are_upright(rotation, names, looking):
     plan = Plan.of(turned, 0.5)
     np.testing.assert_allclose(plan.axes[2], rotation[:, 2], atol=1e-12)
     assert plan.names == names
-    assert {plan.told(sector) for sector in plan.sectors(turned).tolist()} == {looking}
+    assert {plan.direction(sector) for sector in plan.sectors(turned).tolist()} == {looking}
 
 
 def test_floors_are_found_where_places_lie_above_each_other():

@@ -10,10 +10,13 @@ from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.checkpoints.checkpoint import Calibration, Checkpoint, CheckpointError, save_checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import save_checkpoint
 from vapor.images import prepare
 from vapor.observation import VaporObservationModel
 from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
+from vapor.tensor_files import CheckpointError
 
 BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.0))
 CONFIG = NetworkConfig(image_width=32, image_height=32, shortest_edge=40, feature_dim=16, latent_dim=4)

@@ -15,7 +15,8 @@ from vapor.benchmark import recordings
 from vapor.benchmark.recordings import RecordingSettings, camera_path, load_recording, make_recording
 from vapor.benchmark.trials import assemble
 from vapor.benchmark.windows import Piece, Trial
-from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.observation import VaporObservationModel
 
 SETTINGS = RecordingSettings("ceiling", 5, "early", 12, 48, 36, "0" * 64, 30)

@@ -11,14 +11,14 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.checks import no_checks
 from tests.test_train import STILL, TINY, make_frames, pose
-from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel
 from vapor.regressors.base import NetworkConfig, SceneBox
 from vapor.regressors.baselines import make_regressor
 from vapor.regressors.loss import retrieval_loss
 from vapor.regressors.retrieval import RetrievalRegressor, memory_of
-from vapor.tensor_files import read_safetensors, write_safetensors
+from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 from vapor.training import memory as training_memory
 from vapor.training.augment import AugmentConfig
 from vapor.training.epoch import fitting_epochs
@@ -27,7 +27,7 @@ from vapor.training.memory import VARIANTS, described, look
 from vapor.training.presets import METHODS, PRESETS
 from vapor.training.start import start
 from vapor.training.train import train_on
-from vapor.training_data.training_set import load_training_set
+from vapor.training_data.load import load_training_set
 
 BOX = SceneBox((-2.0, -1.0, 0.0), (2.0, 3.0, 1.0))
 SMALL = NetworkConfig(

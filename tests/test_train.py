@@ -11,12 +11,14 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.checks import no_checks
-from vapor.checkpoints.checkpoint import Calibration, CheckpointError, load_checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import validate
 from vapor.observation import VaporObservationModel
 from vapor.regressors.base import NetworkConfig, SceneBox
 from vapor.regressors.baselines import make_regressor
 from vapor.regressors.loss import LossConfig
+from vapor.tensor_files import CheckpointError
 from vapor.training.augment import AugmentConfig
 from vapor.training.config import TrainConfig, learning_rate, samples_per_image
 from vapor.training.epoch import _update_average, _uses_bfloat16
@@ -24,7 +26,8 @@ from vapor.training.presets import PRESETS
 from vapor.training.start import parameter_groups
 from vapor.training.state import TrainingState, state_path
 from vapor.training.train import train, train_on, train_on_images
-from vapor.training_data.training_set import TrainingError, load_training_set
+from vapor.training_data.load import load_training_set
+from vapor.training_data.training_set import TrainingError
 
 STILL = AugmentConfig("central", 0.0, 0.0, 0.0, 0.0, 0.0)
 TINY = TrainConfig(

@@ -29,7 +29,8 @@ from sequences.values import (
     read_arrays,
     read_lines,
 )
-from vapor.checkpoints.checkpoint import CheckpointError, parse_metadata
+from vapor.checkpoints.stored_config import parse_metadata
+from vapor.tensor_files import CheckpointError
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 REST = "0 0 0 0 0 0 1"

@@ -16,7 +16,9 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.cameras import AsTakenBy
-from vapor.checkpoints.checkpoint import Checkpoint, find_model, load_checkpoint
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.shipped_models import find_model
 from vapor.images import prepare, require_rgb
 from vapor.regressors.familiarity import Describer
 

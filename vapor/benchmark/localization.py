@@ -14,7 +14,8 @@ from filtering.localizer import LocalizerConfig
 from vapor.benchmark.recordings import CameraPath, RecordingSettings, camera_path, make_recording
 from vapor.benchmark.trials import Setup, run_trial
 from vapor.benchmark.windows import Kind, Trial, choose_trials
-from vapor.checkpoints.checkpoint import find_model, load_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.shipped_models import find_model
 from vapor.parallel import in_parallel
 from vapor.tracking.ablations import VARIANTS
 

@@ -29,14 +29,19 @@ from vapor.benchmark.recordings import FileSettings, load_recording, record_file
 from vapor.cache import code_digest, digest
 from vapor.calibration.calibrate import calibrate
 from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
-from vapor.calibration.images import Seen, Way, fit_errors
-from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, spaced
+from vapor.calibration.image_errors import fit_errors
+from vapor.calibration.observations import Observations
+from vapor.calibration.travel import Travel
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.checkpoints.scene_scale import default_errors
+from vapor.checkpoints.thinning import spaced
 from vapor.pipeline.fuse import EstimateConfig, EstimateModel, errors_of, over_sequences
 from vapor.tracking.methods import Passage, posterior_of
 from vapor.training.presets import PRESETS
 from vapor.training.train import Progress, TrainConfig, train
-from vapor.training_data.training_set import load_training_set, open_sequences
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.load import load_training_set
 
 Advance = Callable[[str, int, int | None], None]
 """Told what is done, how much of it, and how much there is."""
@@ -263,7 +268,7 @@ class Trained:
             familiarity=familiar,
             training=json.loads(json.dumps(provenance)),
         )
-        save_checkpoint(file, calibrated, half=self.config.half)
+        save_checkpoint(file, calibrated, store_float16=self.config.half)
         return file
 
     def _sequence(self, place: Place, seed: int) -> tuple[Path, str]:
@@ -325,9 +330,9 @@ class Stored:
         first = np.arange(n) < n // 2
         fit = fit_odometry([OdometryStretch(odometry[1 : n // 2], truth[first])])
         (unseen,) = np.nonzero(first & ~trained_on)
-        way = Way.along(truth[unseen], np.cumsum(np.diff(unseen, prepend=unseen[:1]) > 1))
+        way = Travel.along(truth[unseen], np.cumsum(np.diff(unseen, prepend=unseen[:1]) > 1))
         scene = truth[trained_on]  # the places that the network knows
-        seen = Seen([samples[i] for i in unseen], truth[unseen])
+        seen = Observations([samples[i] for i in unseen], truth[unseen])
         errors = fit_errors(seen, way, scene, default_errors(scene)).errors
         passage = Passage(times_ns, odometry, truth, lambda image: PosePosterior.from_samples(samples[image], errors))
         localizer = replace(config, slow_errors=fit.slow_errors)

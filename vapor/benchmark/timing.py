@@ -14,7 +14,8 @@ from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.messages import decode_image_bytes
-from vapor.checkpoints.checkpoint import Calibration, Checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.base import NetworkConfig, SceneBox
 from vapor.regressors.baselines import make_regressor

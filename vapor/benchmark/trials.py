@@ -20,7 +20,8 @@ from filtering.se3 import Poses
 from vapor.benchmark.recordings import Recording, RecordingSettings, load_recording
 from vapor.benchmark.windows import KINDS, STAND_S, Kind, Piece, Trial, recorded_images, walk_frames
 from vapor.cache import cached, code_digest
-from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.floors import FLOOR_HEIGHT_M
 from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry, scaled_poses
 from vapor.tracking.ablations import VARIANTS

@@ -10,7 +10,7 @@ from filtering.se3 import Poses
 
 _TAIL = 0.005  # of the positions, at either end of each axis: network outputs may lie anywhere
 _THINNEST, _MARGIN = 0.05, 0.02  # of the box in which cameras may be, in extents
-_TURNED = 0.15  # share of all rotations that cameras have: they are mostly upright
+_TURNED = 0.15  # fraction of all rotations that cameras have: they are mostly upright
 _RADIUS, _FLOOR, _FLOOR_RAD, _LENGTH = 0.04, 0.02, 0.05, 0.05  # in extents, but for the angle
 _MISTAKEN = 4.0  # lengths
 RADIUS_RAD, LENGTH_RAD = 0.5, 0.4

@@ -26,7 +26,7 @@ from vapor.benchmark.real import RealConfig
 from vapor.benchmark.real_rows import Place
 from vapor.benchmark.summary import summarise
 from vapor.benchmark.timing import time_step, untrained
-from vapor.checkpoints.checkpoint import find_model
+from vapor.checkpoints.shipped_models import find_model
 from vapor.commands import real_tables
 from vapor.commands.benchmark_tables import failures, fault_failures, fault_tables, tables
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, progress_of, show, usage_error

@@ -27,7 +27,7 @@ from vapor.experiments.sweep import MODES, Sweep, SweepConfig, by_value, in_orde
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
 from vapor.reporting.report import write_report
 from vapor.training.presets import PRESETS
-from vapor.training_data.training_set import files_read
+from vapor.training_data.entries import files_read
 
 _Tables = Annotated[
     tyro.conf.Positional[tuple[Literal["round-table", "dinner-table"], ...]], tyro.conf.arg(metavar="SCENE ...")

@@ -12,7 +12,7 @@ from filtering.localizer import LocalizerConfig
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry_fit import OdometryFit
-from vapor.checkpoints.checkpoint import Calibration
+from vapor.checkpoints.calibration import Calibration
 
 
 def scaled_poses(poses: Poses, factor: float) -> Poses:

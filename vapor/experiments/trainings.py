@@ -21,7 +21,8 @@ from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
 from sequences.values import read_arrays, read_json
 from vapor.benchmark.recordings import from_rows, to_rows
 from vapor.cache import digest
-from vapor.checkpoints.checkpoint import load_checkpoint, spaced
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.thinning import spaced
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import exact_log_density, predict
 from vapor.observation import resolve_device
@@ -30,7 +31,9 @@ from vapor.pipeline.run import RunConfig, run
 from vapor.threads import limited_threads
 from vapor.training.config import TrainConfig
 from vapor.training.train import train_on_images
-from vapor.training_data.training_set import TrainingError, TrainingSet, load_training_set, open_sequences, parse_entry
+from vapor.training_data.entries import open_sequences, parse_entry
+from vapor.training_data.load import load_training_set
+from vapor.training_data.training_set import TrainingError, TrainingSet
 
 _RESULTS = 2  # counts up when the same training gives other results than before
 _LEAST_HEIGHT, _SPARE = 96, 1.4  # of rendered images: pixels, and times what covers a frame

@@ -36,7 +36,7 @@ from sequences.reader import SequenceReader
 from sequences.results import results_folder
 from sequences.tum import write_tum
 from sequences.writer import EstimateWriter
-from vapor.checkpoints.checkpoint import find_model
+from vapor.checkpoints.shipped_models import find_model
 from vapor.evaluation.trajectory import FILES
 from vapor.observation import VaporObservationModel
 from vapor.reporting.record import RunRecord, RunRecorder

@@ -21,8 +21,11 @@ from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from vapor.calibration.calibrate import CalibrationResult, calibrate
 from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
-from vapor.checkpoints.checkpoint import MAX_PRIOR_POSES, Calibration, Checkpoint, save_checkpoint, spaced
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import save_checkpoint
 from vapor.checkpoints.scene_scale import default_errors
+from vapor.checkpoints.thinning import MAX_PRIOR_POSES, spaced
 from vapor.evaluation.validation import Validation, predict, validate
 from vapor.regressors.base import PoseRegressor, SceneBox
 from vapor.regressors.familiarity import Familiarity
@@ -34,15 +37,11 @@ from vapor.training.holding_out import Split, hold_out, within_map
 from vapor.training.memory import VARIANTS, described, remember
 from vapor.training.start import initial_model, start
 from vapor.training.state import TrainingState, load_state, save_state, state_path
-from vapor.training_data.training_set import (
-    TrainingError,
-    TrainingSet,
-    load_training_set,
-    open_sequences,
-    require_apart,
-    require_variety,
-    too_few,
-)
+from vapor.training_data.checks import require_variety, too_few
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.load import load_training_set
+from vapor.training_data.training_set import TrainingError, TrainingSet
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,7 @@ def train(
         CheckpointError: an interrupted training of another configuration.
     """
     if validation or config.validation_share > 0:
-        require_apart(data, validation or None)
+        require_no_leakage(data, validation or None)
     odometry = "optional" if config.calibrate else "unread"  # which nothing else asks for
     held_out = open_sequences(validation, reading, odometry)
     return train_on(open_sequences(data, reading, odometry), output, config, validation=held_out, progress=progress)
@@ -288,7 +287,7 @@ def _fit(
         split.training.camera,
         memory_of(model),
     )
-    save_checkpoint(output, checkpoint, half=config.half)
+    save_checkpoint(output, checkpoint, store_float16=config.half)
     state_path(output).unlink(missing_ok=True)
     apart = split.held_out.images is not split.training.images
     skipped, notices = split.training.skipped, split.training.notices
