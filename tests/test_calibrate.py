@@ -9,9 +9,9 @@ import torch
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
+from tests.climbing_frames import frames_of
 from tests.sequence_files import Walk, rewrite
 from tests.test_datasets import make_7scenes
-from tests.test_passes import frames_of
 from vapor.calibration import calibrate as calibrate_module
 from vapor.calibration.calibrate import calibrate
 from vapor.calibration.familiarity import learn_familiarity

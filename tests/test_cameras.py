@@ -11,7 +11,7 @@ import torch
 
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
-from tests.test_observation import make_checkpoint, observe
+from tests.observing import make_checkpoint, observe
 from tests.test_train import TINY
 from tests.test_undistortion import taken_by
 from tests.tiny_model import Metadata, Tensors, altered

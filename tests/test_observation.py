@@ -10,30 +10,12 @@ from filtering.localizer import LocalizerConfig, ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from tests.observing import BOX, CONFIG, IMAGE, MODEL, make_checkpoint, observe
 from vapor.checkpoints.calibration import Calibration
-from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import save_checkpoint
 from vapor.images import prepare
 from vapor.observation import VaporObservationModel
-from vapor.regressors.base import NetworkConfig, SceneBox, VariationalPoseRegressor
 from vapor.tensor_files import CheckpointError
-
-BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.0))
-CONFIG = NetworkConfig(image_width=32, image_height=32, shortest_edge=40, feature_dim=16, latent_dim=4)
-IMAGE = np.random.default_rng(7).integers(0, 256, (60, 80, 3), dtype=np.uint8)
-
-
-def make_checkpoint() -> Checkpoint:
-    torch.manual_seed(0)
-    poses = Poses.exp(np.random.default_rng(0).standard_normal((20, 6)))
-    return Checkpoint(CONFIG, BOX, Calibration(), poses, VariationalPoseRegressor(CONFIG, BOX).state_dict())
-
-
-MODEL = VaporObservationModel.from_checkpoint(make_checkpoint(), num_samples=50, device="cpu")
-
-
-def observe(image, seed=0, model=MODEL):
-    return model.observe(image, rng=np.random.default_rng(seed))
 
 
 def test_the_same_generator_gives_the_same_bits_and_another_one_others():

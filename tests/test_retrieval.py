@@ -319,7 +319,7 @@ def test_a_model_remembers_after_it_was_written_and_read(whole):
         ("memory.keys", lambda t: t[:, :3], "memory.keys has shape"),
         ("memory.translation", lambda t: t[:-1], "memory.translation has shape"),
         ("memory.translation", lambda t: t * float("nan"), "memory.translation has values that are not finite"),
-        ("memory.rotation", lambda t: 2 * t, "memory.rotation has .* no rotations"),
+        ("memory.rotation", lambda t: 2 * t, "memory.rotation has .* not rotations"),
     ],
 )
 def test_a_damaged_memory_is_refused(whole, tmp_path, name, change, said):

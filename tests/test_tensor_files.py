@@ -7,7 +7,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from tests.test_checkpoint import SMALL, make_checkpoint
+from tests.checkpoints import SMALL, make_checkpoint
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.checkpoints.shipped_models import SHIPPED
 from vapor.evaluation.validation import Validation

@@ -7,7 +7,7 @@ import pytest
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
-from tests.test_passes import frames_of
+from tests.climbing_frames import frames_of
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.calibration import Calibration
 from vapor.training import check as training_check

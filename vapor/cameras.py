@@ -1,4 +1,4 @@
-"""Images of any pinhole camera -> as the camera that a network learned with would have taken them."""
+"""Images of any pinhole camera -> the images that the camera a network learned with would have taken."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sequences.frame import Camera
 from sequences.undistortion import undistorted
 from vapor.images import cover_size
 
-_SAME_PX = 0.5  # of the images that a network sees: so little no network notices
+_SAME_PX = 0.5  # of the images that a network sees: too little for a network to notice
 _LEAST_FRACTION = 0.8  # of the view, below which a notice says so
 _SAME_ASPECT = 0.02
 
@@ -26,7 +26,7 @@ class AsTakenBy:
     Attributes:
         camera: That camera, None where unknown: then images stay as they are.
         frame_size: As given.
-        cameras: Images so far of each camera that sees something else than that one, by camera.
+        cameras: How many images so far were of each camera whose view differs from that of this one.
         least_fraction: How much of that camera's view was seen by the one that saw least of it.
         notices: What a person should know of the images so far, each once.
     """
@@ -44,7 +44,7 @@ class AsTakenBy:
 
         Args:
             image: Undistorted.
-            camera: What took it, at this or another image size; None where unknown.
+            camera: The camera that took it, at this or another image size; None where unknown.
         """
         if self._like is None or self.camera is None:
             return image
@@ -63,7 +63,7 @@ class AsTakenBy:
 
     @property
     def sees_less(self) -> bool:
-        """Whether images so far show much less than that camera would have seen: what is filled in looks foreign."""
+        """Whether images so far show much less than that camera would have seen; what is filled in looks foreign."""
         return self.least_fraction < _LEAST_FRACTION
 
     @property
@@ -105,7 +105,7 @@ def resampled(image: UInt8[np.ndarray, "h w 3"], camera: Camera, like: Camera) -
 
     Args:
         image: Of the camera's size.
-        camera: What took it.
+        camera: The camera that took it.
         like: The other camera, which says the size.
     """
     # Areas of whole pixels first; the rest, less than a pixel, is interpolated.

@@ -13,10 +13,10 @@ class Change:
     """What one fit changed.
 
     Attributes:
-        what: In words.
-        before: Values by the name of their setting.
-        after: Likewise.
-        gain: Log likelihood gained, nats per held-out image; None where it is no likelihood that decides.
+        what: What was fitted, in words.
+        before: Values before the fit, by the name of their setting.
+        after: Values after it, likewise.
+        gain: Log likelihood gained, nats per held-out image; None where something else than likelihood decides.
     """
 
     what: str

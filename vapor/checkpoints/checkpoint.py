@@ -22,7 +22,7 @@ from vapor.regressors.retrieval import Memory, RetrievalRegressor
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything that `observe` needs.
+    """A trained model: everything that an observation model needs.
 
     Attributes:
         network: Shape of the network.
@@ -31,8 +31,8 @@ class Checkpoint:
         prior_poses: A posterior sample of each of n ≤ 2000 training images, batch (n,): they outline the scene.
         state_dict: Parameters and BatchNorm statistics of the `PoseRegressor`, float32 on the CPU.
         training: Where it came from (data names, seed, images seen, validation figures); any JSON.
-        familiarity: What training images look like to the network; None where that was never looked at.
-        camera: What took the training images, undistorted; None where unknown.
+        familiarity: What training images look like to the network; None where that was never learned.
+        camera: The camera of the training images, undistorted; None where unknown.
         memory: The training images as a retrieval regressor remembers them; None with any other.
         notices: What a person should know of the file that it was read from.
     """
@@ -57,7 +57,7 @@ class Checkpoint:
         return network.eval()
 
     def network_sha256(self) -> str:
-        """What the posterior samples depend on: a digest of network, box and weights, but not of the calibration."""
+        """Digest of what the posterior samples depend on: network, box, weights and memory, but not the calibration."""
         digest = hashlib.sha256(json.dumps([asdict(self.network), asdict(self.box)], sort_keys=True).encode())
         for name in sorted(self.state_dict):
             digest.update(name.encode())
@@ -67,7 +67,7 @@ class Checkpoint:
         return digest.hexdigest()
 
     def seen_sha256(self) -> str:
-        """What the network says of an image depends on it: samples, how unlike training images it is, what it sees."""
+        """Digest of all that what the network says of an image depends on: the same, what is familiar, the camera."""
         seen = hashlib.sha256(self.network_sha256().encode())
         for name, value in vars(self.familiarity).items() if self.familiarity else ():
             seen.update(name.encode() + np.asarray(value).tobytes())

@@ -37,10 +37,10 @@ from vapor.tensor_files import CHECKSUM, CheckpointError, format_of, read_safete
 FORMAT = "vapor-track model"
 VERSION = 8
 _BEFORE_MISTAKES = "7"  # mistakes about the place were taken to last as long as errors within it
-_BEFORE_GROWTH = "6"  # images of all scores were taken to err alike
+_BEFORE_GROWTH = "6"  # images were taken to err alike, however unfamiliar
 _NO_MISTAKES = {"mistaken_lengths": 1.0}  # what error models of those versions had without stating it
 _NO_GROWTH = {"unfamiliar_power": 0.0, "unfamiliar_score": 0.5, **_NO_MISTAKES}
-_BEFORE_ERRORS = ("4", "5")  # their calibrations are of another filter: all but the kernel widths is left out
+_BEFORE_ERRORS = ("4", "5")  # their calibrations are of another filter: only the kernel widths are taken
 _BEFORE_SHORTCUT = "4"
 _NO_SHORTCUT = {"shortcut": False}  # what networks of that version had without stating it
 
@@ -76,15 +76,15 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool =
 def load_checkpoint(path: Path) -> Checkpoint:
     """Read a model file, strictly.
 
-    Of files of format 4 and 5 the calibration is that of an earlier filter: its kernel widths are taken, and for the
-    rest the errors of a model that was not calibrated (`default_errors`). Calibrating such a model anew makes it whole.
-    In files of format 6 errors do not grow with how unfamiliar an image is; in those and in files of format 7 mistakes
-    about the place last as long as errors within it.
+    The calibration in files of format 4 and 5 is that of an earlier filter: its kernel widths are taken, and the rest
+    are the errors of a model that was not calibrated (`default_errors`); calibrate such a model anew. In files of
+    format 6 errors do not grow with how unfamiliar an image is; in those and in files of format 7 mistakes about the
+    place last as long as errors within it.
 
     Raises:
         CheckpointError: no such file, no safetensors file, a damaged one, another format or version, a configuration
             with missing, surplus or unusable values, tensors that are missing, surplus, misshapen, of another type or
-            not finite, or prior poses that are none.
+            not finite, or prior poses that are not rigid.
     """
     metadata, tensors = read_safetensors(path)
     found = metadata.get("format")

@@ -23,13 +23,13 @@ def scene_extent(poses: Poses) -> float:
 
 
 def typical_side_m(poses: Poses) -> float:
-    """Geometric mean of the sides of the box around the positions of poses (n,), metres; no side counts as thin."""
+    """Geometric mean of the sides of the box around the positions of poses (n,), metres; thin sides are widened."""
     extent = scene_extent(poses)
     return float(np.prod(np.maximum(_sides(poses), _THINNEST * extent)) ** (1 / 3))
 
 
 def flat_log_density(poses: Poses) -> float:
-    """Log density of poses spread evenly where these (n,) are, per m³ rad³: a box about them, and upright cameras."""
+    """Log density of poses spread evenly over the box around these (n,), cameras mostly upright, per m³ rad³."""
     extent = scene_extent(poses)
     sides = np.maximum(_sides(poses), _THINNEST * extent) + _MARGIN * extent
     return -float(np.log(np.prod(sides) * 8.0 * np.pi**2 * _TURNED))

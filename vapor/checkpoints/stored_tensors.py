@@ -32,7 +32,8 @@ def check_tensors(path: Path, tensors: Mapping[str, Tensor], network: Mapping[st
     Args:
         path: The file, for messages.
         tensors: What was found.
-        network: Tensors of the shapes and types (floating or not) that the network has, and what is familiar to it.
+        network: Tensors of the shapes and types (floating or not) that the network, what is familiar to it and its
+            memory have.
     """
     expected = network.keys() | {PRIOR_ROTATION, PRIOR_TRANSLATION}
     for what, names in (("lacks", expected - tensors.keys()), ("has surplus", tensors.keys() - expected)):
@@ -63,7 +64,7 @@ def _require_rotations(path: Path, name: str, matrices: Tensor) -> None:
     wrong = ~((skew <= _ORTHONORMAL_WITHIN) & (torch.linalg.det(rotation) > 0))
     if wrong.any():
         raise CheckpointError(
-            f"{path}: tensor {name} has {int(wrong.sum())} matrices that are no rotations, the first is number"
+            f"{path}: tensor {name} has {int(wrong.sum())} matrices that are not rotations, the first is number"
             f" {int(wrong.int().argmax())}; expected RᵀR = I within {_ORTHONORMAL_WITHIN} and det R = 1"
         )
 
@@ -81,7 +82,7 @@ def familiarity_like(tensors: Mapping[str, Tensor], size: int) -> dict[str, Tens
     """Tensors of the names and shapes that `familiarity_tensors` must have in a file; none if the file has none.
 
     Args:
-        tensors: Of the file; how many exemplars and axes there should be is taken from its exemplars.
+        tensors: Of the file; its exemplars say how many exemplars and axes there should be.
         size: How many features of an image the network has.
     """
     if not any(name.startswith(FAMILIARITY) for name in tensors):
@@ -122,7 +123,7 @@ def memory_like(tensors: Mapping[str, Tensor], regressor: PoseRegressor) -> dict
     """Tensors of the names and shapes that `memory_tensors` must have in a file; none for regressors without a memory.
 
     Args:
-        tensors: Of the file; how many images there should be is taken from its keys.
+        tensors: Of the file; its keys say how many images there should be.
         regressor: The network of the file.
     """
     if not isinstance(regressor, RetrievalRegressor):
@@ -136,7 +137,7 @@ def read_memory(path: Path, tensors: Mapping[str, Tensor]) -> Memory:
     """What a retrieval regressor remembers, from tensors whose names and shapes were checked.
 
     Raises:
-        CheckpointError: rotations that are none.
+        CheckpointError: matrices that are not rotations.
     """
     memory = Memory(**{field.name: tensors[MEMORY + field.name].float() for field in fields(Memory)})
     _require_rotations(path, MEMORY + "rotation", memory.rotation)

@@ -35,7 +35,7 @@ class ImageClock:
 
     @staticmethod
     def of(walk: Walk) -> ImageClock:
-        """As the images of a recording tell it."""
+        """The clock of a recording's images, by how their view shifts."""
         others = {"odometry": _by_odometry(walk), "true poses": Trajectory(walk.times_ns[walk.posed], walk.poses)}
         against = next((what for what, track in others.items() if len(track) > 1), None)
         if against is None or walk.assumed_hz is not None:

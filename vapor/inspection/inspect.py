@@ -1,4 +1,4 @@
-"""The whole inspection of recordings: read once, looked at from every side, and a verdict."""
+"""The whole inspection of recordings: read once, examined from every side, with a verdict."""
 
 from __future__ import annotations
 

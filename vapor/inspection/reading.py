@@ -24,14 +24,14 @@ from vapor.inspection.walk import Walk
 from vapor.training_data.entries import name_entries
 from vapor.training_data.training_set import TrainingError, TrainingSet
 
-Seen = Callable[[Frame], None]
+See = Callable[[Frame], None]
 
 
 def read_walks(
     data: Sequence[Path | str],
     reading: SequenceOptions | None = None,
     *,
-    see: Seen = lambda frame: None,
+    see: See = lambda frame: None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> list[Walk]:
     """Read recordings once, one image at a time.

@@ -40,7 +40,7 @@ class Floor:
         images: How many.
         names: Of the recordings that show it.
         trained: How many of these are not held out as a whole.
-        late: All of them show it only from so far on, as a fraction of their images; None where that is no late part.
+        late: The last fraction of their images, in which alone all of them show it; None where it is shown earlier.
     """
 
     low_m: float

@@ -34,9 +34,9 @@ class Walk:
         odometry: Motion since the image before, n of them; None where it is not known.
         counts: What became of the images of the recording, those that were not asked for among the skipped ones; None
             of images on disk.
-        skipped: What was left out in reading, by reason: images, and messages that are none.
+        skipped: What was left out in reading, by reason: images, and messages that could not be read.
         notices: What the reader says of odometry and true poses.
-        assumed_hz: The rate that stamps were made up with; None where they were recorded.
+        assumed_hz: The rate that was assumed for want of stamps; None where they were recorded.
         lacks: What was not found, "true poses" and "odometry", and why.
         recorded: Whether it is a recording, rather than images on disk.
     """

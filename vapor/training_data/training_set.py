@@ -24,18 +24,18 @@ class TrainingSet:
     """Scaled images with their poses.
 
     Attributes:
-        images: RGB of one size, scaled: all that were read, of which these are some; memory-mapped, so the system
-            decides what stays in memory.
+        images: RGB of one size, scaled: all that were read, of which these may be only some; memory-mapped, so that the
+            system decides what stays in memory.
         rows: Which of `images` each of these is, (n,).
         poses: world_from_camera, batch (n,).
         sequence: Index of the sequence each image is from; images of one sequence lie together, in its order.
-        names: Of the sequences, by that index: of the file or folder that each is from.
+        names: Of the file or folder that each sequence is from, by that index.
         camera_size: Width and height of the camera's images, pixels: of the first image where no camera is known.
         times_ns: Stamps of the images, integer nanoseconds, (n,).
         odometry: Motion since the image before, n of them; None where that image is not here, or none was recorded.
         skipped: Images and poses of the data that were left out in reading, by reason.
         notices: What a person should know of the data.
-        camera: What took the images, or what they were resampled to; None where unknown.
+        camera: The camera that took the images, or to which they were resampled; None where unknown.
     """
 
     images: UInt8[np.ndarray, "m h w 3"]
@@ -54,7 +54,7 @@ class TrainingSet:
         return len(self.sequence)
 
     def unload(self) -> None:
-        """Give back the memory that images read from disk take; they are read again when they are used."""
+        """Free the memory that images read from disk take; they are read again when they are used."""
         if isinstance(self.images.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
             self.images.base.madvise(mmap.MADV_DONTNEED)
 
