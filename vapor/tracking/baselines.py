@@ -6,7 +6,6 @@ import numpy as np
 
 from filtering.config import LocalizerConfig
 from filtering.estimate import Mode
-
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.rivals import GaussianSumLocalizer
