@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import vapor
-from vapor.calibration.calibrate import calibrate_model
+from vapor.calibration.calibrate_model import calibrate_model
 from vapor.training.presets import PRESETS
 
 

@@ -54,6 +54,17 @@ def unchecked() -> Iterator[None]:
 
 
 @pytest.fixture
+def no_odometry_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inspections fit no errors of odometry, where a test does not look at them: it takes a second."""
+    from sequences.errors import SequenceError  # after the hook
+
+    def refuse(segments: object) -> None:
+        raise SequenceError("not in this test")
+
+    monkeypatch.setattr("vapor.inspection.odometry.fit_odometry", refuse)
+
+
+@pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs draw no pictures, where a test does not look at them: they take a second a run."""
     monkeypatch.setattr("vapor.pipeline.results.write_pictures", lambda *_, **__: [])

@@ -11,7 +11,7 @@ from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from tests.tiny_training import STILL, TINY, make_frames, pose
-from vapor.checkpoints.checkpoint import load_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.loss import LossConfig
 from vapor.regressors.mixture_density import log_rotation_normaliser

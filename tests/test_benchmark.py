@@ -21,7 +21,8 @@ from vapor.benchmark.recordings import record
 from vapor.benchmark.trials import kinds, setup
 from vapor.benchmark.trials import run as trial_run
 from vapor.benchmark.trials.trial import Segment, Trial
-from vapor.checkpoints.checkpoint import Calibration, load_checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.commands import console
 from vapor.commands.benchmark.localization_tables import tables
 from vapor.commands.console import show

@@ -9,13 +9,14 @@ import torch
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
+from tests.climbing_frames import frames_of
 from tests.data_sets import make_7scenes
 from tests.sequence_files import Walk, rewrite
-from tests.test_passes import frames_of
 from vapor.calibration import calibrate as calibrate_module
 from vapor.calibration.calibrate import calibrate
 from vapor.calibration.familiarity import learn_familiarity
-from vapor.checkpoints.checkpoint import Calibration, load_checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.regressors.familiarity import Familiarity
 from vapor.regressors.loss import LossConfig
@@ -27,7 +28,7 @@ from vapor.track import main
 from vapor.training import check as training_check
 from vapor.training.config import TrainConfig
 from vapor.training.train import train_on
-from vapor.training_data.training_set import load_training_set
+from vapor.training_data.load import load_training_set
 
 NETWORK = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
 

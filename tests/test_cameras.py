@@ -12,15 +12,16 @@ import torch
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from tests.lens_images import taken_by
-from tests.test_observation import make_checkpoint, observe
+from tests.observing import observe, uncalibrated
 from tests.tiny_model import Metadata, Tensors, altered
 from tests.tiny_training import TINY
-from vapor.cameras import AsTakenBy, resampled, share_seen
-from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from vapor.cameras import AsTakenBy, fraction_seen, resampled
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.familiarity import Describer, Familiarity
+from vapor.tensor_files import CheckpointError
 from vapor.training.train import train_on
-from vapor.training_data.training_set import load_training_set
+from vapor.training_data.load import load_training_set
 
 A = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 OTHERS = {
@@ -36,7 +37,7 @@ OTHERS = {
 
 @pytest.mark.parametrize("camera", OTHERS.values(), ids=OTHERS)
 def test_a_resampled_image_is_what_the_other_camera_takes(camera: Camera) -> None:
-    assert share_seen(camera, of=A) == pytest.approx(1.0, abs=0.03)
+    assert fraction_seen(camera, of=A) == pytest.approx(1.0, abs=0.03)
     difference = np.abs(resampled(taken_by(camera), camera, A).astype(float) - taken_by(A))
     assert difference.mean() < 1.5
     # Half a pixel beside would be seen.
@@ -54,9 +55,9 @@ def test_shrinking_averages_over_areas() -> None:
 
 def test_what_a_narrow_lens_does_not_show_has_the_colour_of_its_border() -> None:
     narrow = replace(A, fx=1.4 * A.fx, fy=1.4 * A.fy)
-    assert share_seen(narrow, of=A) == pytest.approx(1 / 1.96)
-    assert share_seen(A, of=narrow) == 1.0
-    assert share_seen(replace(A, cx=500.0), of=A) == 0.0
+    assert fraction_seen(narrow, of=A) == pytest.approx(1 / 1.96)
+    assert fraction_seen(A, of=narrow) == 1.0
+    assert fraction_seen(replace(A, cx=500.0), of=A) == 0.0
     image = np.full((120, 160, 3), 50, np.uint8)
     image[:, :20] = 200
     seen = resampled(image, narrow, A)
@@ -94,7 +95,7 @@ def test_what_a_person_should_know_is_said_once() -> None:
 
 
 def test_what_is_filled_in_makes_no_image_foreign() -> None:
-    checkpoint = replace(make_checkpoint(), camera=A)
+    checkpoint = replace(uncalibrated(), camera=A)
     network, size = checkpoint.build_network(), checkpoint.network
     describer = Describer(network)
     seen = torch.zeros(1, size.image_height, size.image_width, 3, dtype=torch.uint8)
@@ -117,14 +118,14 @@ def test_what_is_filled_in_makes_no_image_foreign() -> None:
 
 def test_a_model_file_keeps_its_camera(tmp_path: Path) -> None:
     path = tmp_path / "m.safetensors"
-    save_checkpoint(path, replace(make_checkpoint(), camera=A))
+    save_checkpoint(path, replace(uncalibrated(), camera=A))
     assert load_checkpoint(path).camera == A
-    assert load_checkpoint(path).seen_sha256() != make_checkpoint().seen_sha256()
-    assert load_checkpoint(path).network_sha256() == make_checkpoint().network_sha256()
+    assert load_checkpoint(path).seen_sha256() != uncalibrated().seen_sha256()
+    assert load_checkpoint(path).network_sha256() == uncalibrated().network_sha256()
 
 
 def test_a_model_file_written_before_cameras_were_kept_has_none(tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / "new.safetensors", replace(make_checkpoint(), camera=A))
+    save_checkpoint(tmp_path / "new.safetensors", replace(uncalibrated(), camera=A))
 
     def forget(tensors: Tensors, metadata: Metadata) -> None:
         config = json.loads(metadata["config"])
@@ -133,7 +134,7 @@ def test_a_model_file_written_before_cameras_were_kept_has_none(tmp_path: Path) 
 
     old = load_checkpoint(altered(tmp_path / "new.safetensors", tmp_path / "old.safetensors", forget))
     assert old.camera is None
-    assert old.seen_sha256() == make_checkpoint().seen_sha256()
+    assert old.seen_sha256() == uncalibrated().seen_sha256()
 
 
 @pytest.mark.parametrize(
@@ -146,7 +147,7 @@ def test_a_model_file_written_before_cameras_were_kept_has_none(tmp_path: Path) 
     ],
 )
 def test_a_camera_in_a_model_file_that_is_none_is_refused(change: dict, said: str, tmp_path: Path) -> None:
-    save_checkpoint(tmp_path / "m.safetensors", replace(make_checkpoint(), camera=A))
+    save_checkpoint(tmp_path / "m.safetensors", replace(uncalibrated(), camera=A))
 
     def damage(tensors: Tensors, metadata: Metadata) -> None:
         config = json.loads(metadata["config"])
@@ -161,7 +162,7 @@ def test_a_camera_in_a_model_file_that_is_none_is_refused(change: dict, said: st
 
 
 def test_a_model_sees_images_of_another_camera_as_its_own_would_take_them() -> None:
-    mine = replace(make_checkpoint(), camera=A)
+    mine = replace(uncalibrated(), camera=A)
     other = OTHERS["16:9"]
     model = VaporObservationModel(mine, num_samples=50, device="cpu")
     resampling = VaporObservationModel(mine, num_samples=50, device="cpu", camera=other)

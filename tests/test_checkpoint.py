@@ -5,36 +5,17 @@ import numpy as np
 import pytest
 import torch
 
-from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
-from vapor.checkpoints import checkpoint as checkpoint_module
-from vapor.checkpoints.checkpoint import (
-    Calibration,
-    Checkpoint,
-    CheckpointError,
-    find_model,
-    load_checkpoint,
-    save_checkpoint,
-    thin_poses,
-)
+from tests.checkpoints import SMALL, make_checkpoint
+from vapor.checkpoints import shipped_models
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.checkpoints.scene_scale import default_errors
+from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.thinning import thin_poses
 from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.scene_box import SceneBox
-from vapor.regressors.variational import VariationalPoseRegressor
-from vapor.tensor_files import read_safetensors, write_safetensors
-
-BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.1))
-SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
-
-
-def make_checkpoint(config: NetworkConfig = SMALL, num_poses: int = 30) -> Checkpoint:
-    torch.manual_seed(0)
-    poses = Poses.exp(np.random.default_rng(0).standard_normal((num_poses, 6)))
-    state = VariationalPoseRegressor(config, BOX).state_dict()
-    calibration = Calibration(0.2, 0.1, replace(ErrorModel(), tail=3.5, floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03)))
-    return Checkpoint(config, BOX, calibration, poses, state, {"data": ["a.mcap"], "seed": 3})
-
+from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 
 SIX = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 ODOMETRY = OdometryFit(SIX, (0.0,) * 6, SIX, 30.0, -0.01, 0.02, SIX, SIX, SIX, 0.1, 500, 2, 50.0, 40.0, 3)
@@ -61,7 +42,7 @@ def test_a_fit_of_odometry_comes_back_as_well(tmp_path):
 def test_a_half_precision_demo_model_fits_in_eight_megabytes_and_predicts_the_same_to_millimetres(tmp_path):
     path = tmp_path / "m.safetensors"
     saved = make_checkpoint(NetworkConfig(), num_poses=5000)
-    save_checkpoint(path, saved, half=True)
+    save_checkpoint(path, saved, store_float16=True)
     assert path.stat().st_size <= 8_000_000
     loaded = load_checkpoint(path)
     assert len(loaded.prior_poses) == 2000
@@ -175,10 +156,10 @@ MALFORMED = {
         lambda t, m: ({**t, "prior_poses.translation": torch.full((30, 3), torch.nan)}, m), "not finite"
     ),
     "training poses that mirror": (
-        lambda t, m: ({**t, "prior_poses.rotation": -t["prior_poses.rotation"]}, m), "30 matrices that are no rot"
+        lambda t, m: ({**t, "prior_poses.rotation": -t["prior_poses.rotation"]}, m), "30 matrices that are not rot"
     ),
     "training poses that scale": (
-        lambda t, m: ({**t, "prior_poses.rotation": 1.01 * t["prior_poses.rotation"]}, m), "no rotations, the f"
+        lambda t, m: ({**t, "prior_poses.rotation": 1.01 * t["prior_poses.rotation"]}, m), "not rotations, the f"
     ),
     "flat box": (lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(lower=[0, 1]))), "three numbers"),
 }  # fmt: skip
@@ -310,7 +291,7 @@ def test_what_is_no_safetensors_file_is_refused(tmp_path, damage):
 
 
 def test_models_are_found_by_path_or_by_the_name_they_ship_under(tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint_module, "SHIPPED", tmp_path)
+    monkeypatch.setattr(shipped_models, "SHIPPED", tmp_path)
     for name in ("staircase", "ceiling"):
         (tmp_path / f"{name}.safetensors").write_bytes(b"")
     assert find_model("staircase") == tmp_path / "staircase.safetensors"

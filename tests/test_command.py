@@ -22,13 +22,12 @@ from tests import sequence_files
 from tests.data_sets import make_7scenes, make_colmap, make_tum, truth_at
 from tests.sequence_files import BEGIN_NS, Walk, rewrite
 from tests.tiny_model import SMALL, altered
-from vapor.checkpoints import checkpoint as checkpoint_module
+from vapor.checkpoints import shipped_models
 from vapor.track import COMMANDS, main
 from vapor.training import trainer as trainer_module
 from vapor.training.presets import PRESETS
 
 IMAGES, ODOMETRY, TRUTH = "/camera/image/compressed", "/odom", "/ground_truth/pose"
-SHIPPED = Path(checkpoint_module.__file__).parents[1] / "models"
 NOWHERE = Poses(np.eye(3), np.array([np.nan, 0.0, 0.0]))
 
 
@@ -294,7 +293,7 @@ def test_an_unknown_model_is_refused_with_a_list_of_those_that_ship(walk_of_25, 
     shipped.mkdir()
     for name in ("staircase", "ceiling"):
         (shipped / f"{name}.safetensors").write_bytes(b"")
-    monkeypatch.setattr(checkpoint_module, "SHIPPED", shipped)
+    monkeypatch.setattr(shipped_models, "SHIPPED", shipped)
     refuse(words_of_run(walk_of_25, "atrium", tmp_path / "out"), capsys, "atrium: no such model", "ceiling, staircase")
     assert not (tmp_path / "out").exists()
 
@@ -888,8 +887,8 @@ def test_a_demo_into_a_file_is_refused(tmp_path, capsys):
 @pytest.mark.usefixtures("rough_light")
 @pytest.mark.parametrize("scene", ["staircase", "ceiling"])
 def test_the_demo_runs_with_the_model_that_ships(scene, tmp_path, monkeypatch, capsys):
-    assert (SHIPPED / f"{scene}.safetensors").is_file(), f"no model ships for {scene}"
-    assert (SHIPPED / f"{scene}.safetensors").stat().st_size <= 8_000_000
+    assert (shipped_models.SHIPPED / f"{scene}.safetensors").is_file(), f"no model ships for {scene}"
+    assert (shipped_models.SHIPPED / f"{scene}.safetensors").stat().st_size <= 8_000_000
     monkeypatch.chdir(tmp_path)
     assert main(["demo", scene, "--frames", "6"]) == 0
     out, err = capsys.readouterr()

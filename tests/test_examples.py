@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.sequence_files import Walk
-from vapor.checkpoints.checkpoint import load_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

@@ -10,7 +10,7 @@ import pytest
 from filtering.errors import VaporTrackError
 from tests.data_sets import make_7scenes
 from tests.sequence_files import Walk
-from vapor.checkpoints.checkpoint import Calibration
+from vapor.checkpoints.calibration import Calibration
 from vapor.commands import experiment as experiment_command
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.experiments import training_runs as runs_module

@@ -12,18 +12,18 @@ from sequences.frame import Frame
 from tests.sequence_files import Walk
 from tests.tiny_model import NETWORK, altered
 from vapor.benchmark.foreign_images import CHANGED, FOREIGN, evaluate_flags
-from vapor.calibration.calibrate import calibrate_model
-from vapor.calibration.familiarity import describe, fit_familiarity, learn_familiarity
-from vapor.checkpoints.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from vapor.calibration.calibrate_model import calibrate_model
+from vapor.calibration.familiarity import extract_features, fit_familiarity, learn_familiarity
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.efficientnet import EfficientNetLite0
 from vapor.regressors.familiarity import Describer, description_size
 from vapor.regressors.resnet import ResNet18
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
-from vapor.tensor_files import read_safetensors
+from vapor.tensor_files import CheckpointError, read_safetensors
 from vapor.track import main
-from vapor.training_data.training_set import load_training_set
+from vapor.training_data.load import load_training_set
 
 torch.manual_seed(0)
 REGRESSOR = VariationalPoseRegressor(NETWORK, SceneBox((-1.0,) * 3, (1.0,) * 3)).eval()
@@ -52,7 +52,7 @@ def familiarity():
 
 
 def scores(familiarity, data):
-    return familiarity.unfamiliarity(describe(REGRESSOR, data))
+    return familiarity.unfamiliarity(extract_features(REGRESSOR, data))
 
 
 def test_an_image_learned_from_scores_about_0_and_a_new_one_of_the_place_below_1(familiarity):
@@ -71,11 +71,11 @@ def test_images_of_no_such_place_score_above_1(familiarity, kind):
 
 def test_the_threshold_is_the_larger_of_what_training_and_held_out_images_ask_for(familiarity):
     assert familiarity.threshold >= familiarity.own_distance
-    far = describe(REGRESSOR, images(range(60), change=lambda image: image[..., ::-1]))
+    far = extract_features(REGRESSOR, images(range(60), change=lambda image: image[..., ::-1]))
     moved = familiarity.with_threshold_of(far)
     assert moved.threshold > 1.5 * familiarity.threshold
     assert (moved.unfamiliarity(far) <= 1.0).mean() >= 0.98
-    near = familiarity.with_threshold_of(describe(REGRESSOR, images(range(60))))
+    near = familiarity.with_threshold_of(extract_features(REGRESSOR, images(range(60))))
     assert near.threshold == familiarity.own_distance
     assert familiarity.with_threshold_of(far[:49]).threshold == familiarity.own_distance
 
@@ -119,7 +119,7 @@ def model(tiny_model, familiarity, tmp_path_factory):
     network = checkpoint.build_network()
     known = learn_familiarity(network, images(range(100)), images(range(100), seed=1))
     path = tmp_path_factory.mktemp("familiar") / "tiny.safetensors"
-    save_checkpoint(path, replace(checkpoint, familiarity=known), half=True)
+    save_checkpoint(path, replace(checkpoint, familiarity=known), store_float16=True)
     return path
 
 
@@ -129,7 +129,7 @@ def test_observing_gives_the_score_of_the_same_pass_and_the_same_samples_as_with
     knowing, without = (VaporObservationModel.from_checkpoint(str(p), num_samples=20) for p in (model, tiny_model))
     posterior = knowing.observe(room(7, seed=5), rng=np.random.default_rng(0))
     bare = without.observe(room(7, seed=5), rng=np.random.default_rng(0))
-    described = describe(checkpoint.build_network(), images([7], seed=5))
+    described = extract_features(checkpoint.build_network(), images([7], seed=5))
     assert posterior.unfamiliarity == pytest.approx(checkpoint.familiarity.unfamiliarity(described)[0], rel=1e-3)
     assert 0.0 < posterior.unfamiliarity < 1.0
     assert bare.unfamiliarity == 0.0

@@ -12,7 +12,9 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from tests.tiny_training import STILL, TINY, make_frames
-from vapor.checkpoints.checkpoint import Calibration, Checkpoint, load_checkpoint, save_checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import LOG_FLOOR, exact_log_density
 from vapor.observation import VaporObservationModel
@@ -25,7 +27,7 @@ from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.splines import Spline
 from vapor.training.presets import METHODS
 from vapor.training.train import train_on
-from vapor.training_data.training_set import load_training_set
+from vapor.training_data.load import load_training_set
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

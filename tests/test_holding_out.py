@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
-from tests.recorded_walks import STEP_M, corridor, recorded, stairwell
+from tests.corridors import STEP_M, corridor, recorded, stairwell
 from vapor.training.holding_out import Split, hold_out, within_map
 from vapor.training_data.ground import told_unshown
 

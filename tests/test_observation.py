@@ -11,29 +11,13 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.checkpoints.checkpoint import Calibration, Checkpoint, CheckpointError, save_checkpoint
+from tests.checkpoints import BOX
+from tests.observing import CONFIG, IMAGE, MODEL, observe, uncalibrated
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.file_format import save_checkpoint
 from vapor.images import prepare
 from vapor.observation import VaporObservationModel
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.scene_box import SceneBox
-from vapor.regressors.variational import VariationalPoseRegressor
-
-BOX = SceneBox((-1.0, 0.0, 2.0), (1.0, 10.0, 3.0))
-CONFIG = NetworkConfig(image_width=32, image_height=32, shortest_edge=40, feature_dim=16, latent_dim=4)
-IMAGE = np.random.default_rng(7).integers(0, 256, (60, 80, 3), dtype=np.uint8)
-
-
-def make_checkpoint() -> Checkpoint:
-    torch.manual_seed(0)
-    poses = Poses.exp(np.random.default_rng(0).standard_normal((20, 6)))
-    return Checkpoint(CONFIG, BOX, Calibration(), poses, VariationalPoseRegressor(CONFIG, BOX).state_dict())
-
-
-MODEL = VaporObservationModel.from_checkpoint(make_checkpoint(), num_samples=50, device="cpu")
-
-
-def observe(image, seed=0, model=MODEL):
-    return model.observe(image, rng=np.random.default_rng(seed))
+from vapor.tensor_files import CheckpointError
 
 
 def test_the_same_generator_gives_the_same_bits_and_another_one_others():
@@ -63,7 +47,7 @@ def test_samples_are_rigid_transforms_inside_the_scene_box():
 def test_samples_are_those_of_the_network_for_the_same_noise():
     noise = np.random.default_rng(0).standard_normal((50, 4), dtype=np.float32)
     small = np.full((40, 40, 3), 90, np.uint8)  # no scaling, and every crop alike
-    network = make_checkpoint().build_network()
+    network = uncalibrated().build_network()
     with torch.inference_mode():
         pixels = network.normalise(torch.full((1, 32, 32, 3), 90, dtype=torch.uint8))
         translation, _ = network(pixels, torch.from_numpy(noise)[None])
@@ -105,7 +89,7 @@ def test_what_is_no_rgb_image_is_refused(shape, dtype):
 
 def test_the_calibration_says_what_is_a_place_and_how_it_errs():
     errors = ErrorModel(radius_m=0.8, radius_rad=0.6, spread=1.5, floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
-    checkpoint = replace(make_checkpoint(), calibration=Calibration(errors=errors))
+    checkpoint = replace(uncalibrated(), calibration=Calibration(errors=errors))
     posterior = observe(IMAGE, model=VaporObservationModel(checkpoint, num_samples=50, device="cpu"))
     expected = PosePosterior.from_samples(observe(IMAGE).samples, errors)
     np.testing.assert_array_equal(posterior.means.as_matrix(), expected.means.as_matrix())
@@ -114,7 +98,7 @@ def test_the_calibration_says_what_is_a_place_and_how_it_errs():
 
 
 def test_a_model_file_observes_as_the_checkpoint_it_was_saved_from(tmp_path):
-    save_checkpoint(tmp_path / "m.safetensors", make_checkpoint())
+    save_checkpoint(tmp_path / "m.safetensors", uncalibrated())
     model = VaporObservationModel.from_checkpoint(str(tmp_path / "m.safetensors"), num_samples=50, device="cpu")
     np.testing.assert_array_equal(observe(IMAGE, model=model).samples.translation, observe(IMAGE).samples.translation)
 
@@ -123,10 +107,10 @@ def test_unknown_models_and_absent_devices_are_refused():
     with pytest.raises(CheckpointError, match="atrium: no such model"):
         VaporObservationModel.from_checkpoint("atrium")
     with pytest.raises(VaporTrackError, match="num_samples is 0"):
-        VaporObservationModel(make_checkpoint(), num_samples=0)
+        VaporObservationModel(uncalibrated(), num_samples=0)
     if not torch.cuda.is_available():
         with pytest.raises(VaporTrackError, match="no CUDA device"):
-            VaporObservationModel(make_checkpoint(), device="cuda")
+            VaporObservationModel(uncalibrated(), device="cuda")
 
 
 def test_a_step_whose_image_is_refused_leaves_the_localizer_as_it_was():
@@ -148,7 +132,7 @@ def test_a_step_whose_image_is_refused_leaves_the_localizer_as_it_was():
 
 
 def test_a_network_that_yields_nan_is_an_error_and_no_estimate():
-    checkpoint = make_checkpoint()
+    checkpoint = uncalibrated()
     state = {name: torch.full_like(value, float("nan")) if value.is_floating_point() else value
              for name, value in checkpoint.state_dict.items()}  # fmt: skip
     model = VaporObservationModel(replace(checkpoint, state_dict=state), num_samples=50, device="cpu")

@@ -2,17 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sequences.frame import Frame
-from tests.simulation import climb
-from vapor.training_data.passes import odometry_stretches, pass_numbers, some_runs
-from vapor.training_data.training_set import load_training_set
-
-
-def frames_of(count: int, *, odometry: bool = True, seed: int = 0, step_ns: int = 10**8) -> list[Frame]:
-    rng = np.random.default_rng(seed)
-    truth, increments = climb(count, rng=rng)
-    images = rng.integers(0, 256, (count, 36, 36, 3), dtype=np.uint8)
-    return [Frame(i * step_ns, images[i], increments[i] if odometry else None, truth[i]) for i in range(count)]
+from tests.climbing_frames import frames_of
+from vapor.training_data.load import load_training_set
+from vapor.training_data.passes import odometry_segments, pass_numbers, some_runs
 
 
 def spans(numbers: np.ndarray) -> list[tuple[int, int]]:
@@ -37,13 +29,13 @@ def test_of_many_images_runs_of_ten_are_taken_all_over():
     np.testing.assert_array_equal(some_runs(9, 4), [0, 1, 2, 3])
 
 
-def test_stretches_of_odometry_have_one_true_pose_more_than_increments():
+def test_segments_of_odometry_have_one_true_pose_more_than_increments():
     frames = frames_of(150)
     frames[60] = replace(frames[60], odometry=None)
     images = load_training_set({"a": frames, "b": frames_of(30, odometry=False), "c": frames_of(30)}, (36, 36))
-    stretches = odometry_stretches(images)
-    assert [(len(s.odometry), len(s.truth), s.recording) for s in stretches] == [(59, 60, 0), (89, 90, 0), (29, 30, 2)]
-    np.testing.assert_array_equal(stretches[1].truth[0].translation, frames[60].world_from_camera.translation)
+    segments = odometry_segments(images)
+    assert [(len(s.odometry), len(s.truth), s.recording) for s in segments] == [(59, 60, 0), (89, 90, 0), (29, 30, 2)]
+    np.testing.assert_array_equal(segments[1].truth[0].translation, frames[60].world_from_camera.translation)
     assert images.select(np.arange(5, 9)).odometry == (None, *images.odometry[6:9])
-    assert odometry_stretches(images.select(np.arange(0, 150, 2))) == []
-    assert odometry_stretches(images.select(np.arange(0))) == []
+    assert odometry_segments(images.select(np.arange(0, 150, 2))) == []
+    assert odometry_segments(images.select(np.arange(0))) == []

@@ -3,7 +3,7 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from vapor.checkpoints.checkpoint import Calibration
+from vapor.checkpoints.calibration import Calibration
 from vapor.evaluation.posterior import posterior_metrics
 
 CALIBRATION = Calibration(bandwidth_translation_m=0.05, bandwidth_rotation_rad=0.05)

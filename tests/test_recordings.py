@@ -17,7 +17,8 @@ from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
 from vapor.benchmark.recordings.storage import load_recording
 from vapor.benchmark.trials.replay import assemble
 from vapor.benchmark.trials.trial import Segment, Trial
-from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.observation import VaporObservationModel
 
 SETTINGS = RecordingSettings("ceiling", 5, "early", 12, 48, 36, "0" * 64, 30)

@@ -33,7 +33,7 @@ from tests.simulation import ERRORS, lifted, seen_at
 from tests.tf_files import robot, stamps
 from tests.tiny_model import NETWORK, SMALL
 from vapor.calibration.familiarity import learn_familiarity
-from vapor.checkpoints.checkpoint import load_checkpoint, save_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.commands.run import show_run
 from vapor.observation import VaporObservationModel
 from vapor.pipeline.config import FilteringConfig
@@ -41,7 +41,7 @@ from vapor.pipeline.localize import localize
 from vapor.pipeline.results import write_results
 from vapor.reporting.record import RunRecord
 from vapor.track import main
-from vapor.training_data.training_set import load_training_set
+from vapor.training_data.load import load_training_set
 
 README = Path(__file__).parents[1] / "README.md"
 TRAJECTORIES = {
@@ -424,7 +424,7 @@ def test_the_noise_of_odometry_is_that_of_the_calibration_unless_it_is_told_not_
     checkpoint = load_checkpoint(tiny_model)
     calibration = replace(checkpoint.calibration, odometry=fit)
     model = tmp_path / "fitted.safetensors"
-    save_checkpoint(model, replace(checkpoint, calibration=calibration), half=True)
+    save_checkpoint(model, replace(checkpoint, calibration=calibration), store_float16=True)
     assert run(walk_of_25, model, tmp_path / "fitted", "--no-recording", "--fitted-odometry") == 0
     assert run(walk_of_25, model, tmp_path / "stated", "--no-recording", "--no-fitted-odometry") == 0
     assert run(walk_of_25, tiny_model, tmp_path / "plain", "--no-recording") == 0

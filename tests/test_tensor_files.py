@@ -7,19 +7,13 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from tests.test_checkpoint import SMALL, make_checkpoint
-from vapor.checkpoints.checkpoint import load_checkpoint, save_checkpoint
+from tests.checkpoints import SMALL, make_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.checkpoints.shipped_models import SHIPPED
 from vapor.evaluation.validation import Validation
 from vapor.observation import VaporObservationModel
 from vapor.regressors.pretrained import load_pretrained
-from vapor.tensor_files import (
-    CHECKSUM,
-    SHIPPED,
-    CheckpointError,
-    content_sha256,
-    read_safetensors,
-    write_safetensors,
-)
+from vapor.tensor_files import CHECKSUM, CheckpointError, content_sha256, read_safetensors, write_safetensors
 from vapor.training.config import TrainConfig
 from vapor.training.start import start
 from vapor.training.state import load_state, save_state
@@ -29,7 +23,7 @@ DAMAGED = r"m\.safetensors: (damaged: .* do not match its checksum, expected the
 
 @pytest.fixture
 def model(tmp_path):
-    save_checkpoint(tmp_path / "m.safetensors", make_checkpoint(), half=True)
+    save_checkpoint(tmp_path / "m.safetensors", make_checkpoint(), store_float16=True)
     return tmp_path / "m.safetensors"
 
 

@@ -12,12 +12,14 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.checks import no_checks
 from tests.tiny_training import STILL, TINY, make_frames, pose
-from vapor.checkpoints.checkpoint import Calibration, CheckpointError, load_checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import validate
 from vapor.observation import VaporObservationModel
 from vapor.regressors.loss import LossConfig
 from vapor.regressors.registry import make_regressor
 from vapor.regressors.scene_box import SceneBox
+from vapor.tensor_files import CheckpointError
 from vapor.training.augment import AugmentConfig
 from vapor.training.config import TrainConfig
 from vapor.training.ema import update_average
@@ -27,7 +29,8 @@ from vapor.training.schedule import learning_rate, samples_per_image
 from vapor.training.start import parameter_groups
 from vapor.training.state import state_path
 from vapor.training.train import train, train_on, train_on_images
-from vapor.training_data.training_set import TrainingError, load_training_set
+from vapor.training_data.load import load_training_set
+from vapor.training_data.training_set import TrainingError
 
 DESK = Path(__file__).parents[2] / "shared/data/tum_fr1/rgbd_dataset_freiburg1_xyz"
 

@@ -7,13 +7,13 @@ import pytest
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
-from tests.test_passes import frames_of
+from tests.climbing_frames import frames_of
 from vapor.calibration.calibrate import CalibrationResult
-from vapor.checkpoints.checkpoint import Calibration
+from vapor.checkpoints.calibration import Calibration
 from vapor.training import check as training_check
 from vapor.training import check_result
 from vapor.training.check import check
-from vapor.training_data.training_set import load_training_set
+from vapor.training_data.load import load_training_set
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -16,7 +16,10 @@ from vapor.regressors.scene_box import SceneBox
 from vapor.track import main
 from vapor.training.pairs import paired
 from vapor.training.train import train, train_on
-from vapor.training_data.training_set import TrainingError, load_training_set, open_sequences, require_apart
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.load import load_training_set
+from vapor.training_data.training_set import TrainingError
 
 
 def test_training_images_are_scaled_to_cover_the_frame_and_keep_their_order():
@@ -118,8 +121,8 @@ def test_images_that_are_trained_on_are_not_taken_for_held_out_ones(tmp_path, mo
     ):
         with pytest.raises(TrainingError, match=r"shares images with .*, which is trained on; expected none of them"):
             train(data, tmp_path / "model.safetensors", TINY, validation=held_out)
-    require_apart([f"{recording}@:9", scene / "seq-01"], [f"{recording}@9:"])
-    require_apart([tmp_path / "absent"])
+    require_no_leakage([f"{recording}@:9", scene / "seq-01"], [f"{recording}@9:"])
+    require_no_leakage([tmp_path / "absent"])
 
 
 def test_fewer_images_than_a_batch_are_one_batch_and_a_batch_of_one_is_refused(tmp_path):
@@ -179,6 +182,6 @@ def test_data_from_which_nothing_can_be_learned_are_refused(data, said, tmp_path
 def test_few_images_are_learned_from_and_told(tmp_path):
     config = replace(TINY, epochs=1, calibrate=False)
     assert train_on(_variety(10), tmp_path / "m.safetensors", config).notices == (
-        "10 images to learn from: a place takes hundreds, along all ways that will be gone",
+        "10 images to learn from: a place takes hundreds, along every path that will be walked",
     )
     assert train_on(_variety(100), tmp_path / "n.safetensors", config).notices == ()

@@ -17,7 +17,8 @@ from tests import foxglove_files
 from tests.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk
 from tests.tf_files import MS, Event, body, header, images, mounted, odometry, pose, record, robot, stamps, tf, told_by
 from vapor.track import main
-from vapor.training_data.training_set import load_training_set, open_sequences
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.load import load_training_set
 
 TYPES = ["nav_msgs/Odometry", "geometry_msgs/TransformStamped"]
 TYPES_OF_UNSAID = ["geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped", "nav_msgs/Path"]

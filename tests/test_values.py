@@ -23,7 +23,8 @@ from sequences.recordings.encodings import decoder
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.trajectories.tum import read_tum
 from sequences.values import is_number, natural, parse_number, parse_numbers, parse_time_ns
-from vapor.checkpoints.checkpoint import CheckpointError, parse_metadata
+from vapor.checkpoints.stored_config import parse_metadata
+from vapor.tensor_files import CheckpointError
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 REST = "0 0 0 0 0 0 1"

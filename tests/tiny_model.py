@@ -7,7 +7,9 @@ import torch
 
 from filtering.se3 import Poses
 from tests.sequence_files import Walk
-from vapor.checkpoints.checkpoint import Calibration, Checkpoint, save_checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import save_checkpoint
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
@@ -27,7 +29,7 @@ def write_tiny_model(path: Path) -> Path:
     poses = Poses.stack([pose for _, pose in Walk().truth])
     box = SceneBox.around(poses)
     state = VariationalPoseRegressor(NETWORK, box).state_dict()
-    save_checkpoint(path, Checkpoint(NETWORK, box, Calibration(), poses, state), half=True)
+    save_checkpoint(path, Checkpoint(NETWORK, box, Calibration(), poses, state), store_float16=True)
     return path
 
 

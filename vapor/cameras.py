@@ -1,4 +1,4 @@
-"""Images of any pinhole camera -> as the camera that a network learned with would have taken them."""
+"""Images of any pinhole camera -> the images that the camera a network learned with would have taken."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from sequences.frame import Camera
 from sequences.images.undistortion import undistorted
 from vapor.images import cover_size
 
-_SAME_PX = 0.5  # of the images that a network sees: so little no network notices
-_LEAST_SHARE = 0.8  # of the view, below which a person is told
+_SAME_PX = 0.5  # of the images that a network sees: too little for a network to notice
+_LEAST_FRACTION = 0.8  # of the view, below which a notice says so
 _SAME_ASPECT = 0.02
 
 
 class AsTakenBy:
-    """Images as one camera would have taken them, whichever did.
+    """Images as one camera would have taken them, whichever camera took them.
 
-    What the other camera did not see is filled with the colours of its border, which a network takes best: black makes
-    it see things that are not there, and to enlarge the image instead makes everything seem nearer.
+    What the other camera did not see is filled with the colours of its border, which disturbs a network least: with
+    black it sees things that are not there, and enlarging the image instead makes everything seem nearer.
 
     Attributes:
         camera: That camera, None where unknown: then images stay as they are.
         frame_size: As given.
-        cameras: Images so far of each camera that sees something else than that one, by camera.
-        least_share: How much of that camera's view the least of them saw.
+        cameras: How many images so far were of each camera whose view differs from that of this one.
+        least_fraction: How much of that camera's view was seen by the one that saw least of it.
         notices: What a person should know of the images so far, each once.
     """
 
@@ -35,7 +35,7 @@ class AsTakenBy:
         """Set up for images that will be scaled to cover a frame of so many pixels, width and height."""
         self.camera, self.frame_size = camera, frame_size
         self.cameras: Counter[Camera] = Counter()
-        self.least_share = 1.0
+        self.least_fraction = 1.0
         self._like = None if camera is None else camera.scaled(*cover_size(camera.width, camera.height, *frame_size))
         self._aspects: Counter[tuple[int, int]] = Counter()
 
@@ -44,7 +44,7 @@ class AsTakenBy:
 
         Args:
             image: Undistorted.
-            camera: What took it, at this or another image size; None where unknown.
+            camera: The camera that took it, at this or another image size; None where unknown.
         """
         if self._like is None or self.camera is None:
             return image
@@ -58,13 +58,13 @@ class AsTakenBy:
             return image
         self.cameras[camera] += 1
         if self.cameras[camera] == 1:
-            self.least_share = min(self.least_share, share_seen(camera, of=self._like))
+            self.least_fraction = min(self.least_fraction, fraction_seen(camera, of=self._like))
         return resampled(image, camera, self._like)
 
     @property
     def sees_less(self) -> bool:
-        """Whether images so far show much less than that camera would have seen: what is filled in looks foreign."""
-        return self.least_share < _LEAST_SHARE
+        """Whether images so far show much less than that camera would have seen; what is filled in looks foreign."""
+        return self.least_fraction < _LEAST_FRACTION
 
     @property
     def notices(self) -> list[str]:
@@ -78,7 +78,7 @@ class AsTakenBy:
         ]
         if self.sees_less:
             said.append(
-                f"the camera ({described(next(iter(self.cameras)))}) sees {self.least_share:.0%} of what the camera"
+                f"the camera ({described(next(iter(self.cameras)))}) sees {self.least_fraction:.0%} of what the camera"
                 f" learned with saw ({described(self.camera)}): expect larger errors, and certainty later;"
                 " none of its images is taken for one of another place"
             )
@@ -90,8 +90,8 @@ def described(camera: Camera) -> str:
     return f"{camera.width} x {camera.height} pixels, {_degrees(camera):.0f}° wide"
 
 
-def share_seen(camera: Camera, *, of: Camera) -> float:
-    """How much of what one camera sees another one sees, as a share of its image."""
+def fraction_seen(camera: Camera, *, of: Camera) -> float:
+    """How much of what the camera `of` sees another camera sees, as a fraction of its image."""
     low, high = _corners(camera, of)
     size = np.array([of.width, of.height])
     return float((np.minimum(high, size) - np.maximum(low, 0.0)).clip(0.0).prod() / size.prod())
@@ -105,7 +105,7 @@ def resampled(image: UInt8[np.ndarray, "h w 3"], camera: Camera, like: Camera) -
 
     Args:
         image: Of the camera's size.
-        camera: What took it.
+        camera: The camera that took it.
         like: The other camera, which says the size.
     """
     # Areas of whole pixels first; the rest, less than a pixel, is interpolated.

@@ -1,4 +1,4 @@
-"""Camera images -> the uint8 images that the network sees, alike in training and in use."""
+"""Camera images -> the uint8 images that the network sees, the same way in training and in use."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vapor.regressors.network_config import NetworkConfig
 
 
 def cover_size(columns: int, rows: int, width: int, height: int) -> tuple[int, int]:
-    """Width and height of an image of so many columns and rows once it is scaled to just cover a frame."""
+    """Width and height of an image of so many columns and rows after scaling it to just cover a frame."""
     scale = max(width / columns, height / rows)
     return max(width, round(columns * scale)), max(height, round(rows * scale))
 

@@ -1,4 +1,4 @@
-"""VaporObservationModel: image -> PosePosterior; the only border between numpy and torch in use."""
+"""VaporObservationModel: image -> PosePosterior; in use the only place where numpy and torch meet."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.cameras import AsTakenBy
-from vapor.checkpoints.checkpoint import Checkpoint, find_model, load_checkpoint
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.shipped_models import find_model
 from vapor.images import prepare, require_rgb
 from vapor.regressors.familiarity import Describer
 
@@ -35,8 +37,8 @@ class VaporObservationModel:
         checkpoint: A trained model.
         num_samples: Posterior samples per image.
         device: Where the network runs.
-        camera: What takes the images, undistorted, such as `SequenceReader.camera`; None where unknown. Where it sees
-            something else than the camera that the model learned with, images are resampled.
+        camera: The camera of the images, undistorted, such as `SequenceReader.camera`; None where unknown. Where its
+            view differs from that of the camera that the model learned with, images are resampled.
     """
 
     def __init__(
@@ -72,7 +74,7 @@ class VaporObservationModel:
         return VaporObservationModel(checkpoint, num_samples=num_samples, device=device, camera=camera)
 
     def seen_by(self, camera: Camera | None) -> VaporObservationModel:
-        """The same model, network and all, for images of a camera, which says nothing of images so far."""
+        """The same model with the same network, for images of a camera; its notices begin anew."""
         other = copy(self)
         other.camera, other._as_learned = camera, AsTakenBy(self.checkpoint.camera, self.checkpoint.network.frame_size)
         return other
@@ -83,7 +85,7 @@ class VaporObservationModel:
         return [*self.checkpoint.notices, *self._as_learned.notices]
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
-        """The posterior of one image, and how unlike the training images it is, of one pass.
+        """The posterior of one image, and how unlike the training images it is, from one pass of the network.
 
         Args:
             image: (H, W, 3) uint8 RGB of any size.
@@ -105,7 +107,7 @@ class VaporObservationModel:
         return PosePosterior.from_samples(samples, self.checkpoint.calibration.errors, unfamiliarity=unfamiliarity)
 
     def _unfamiliarity(self, seen: UInt8[Tensor, "1 h w 3"]) -> float:
-        """Of the image that went through the network last; 0 where the model file does not say what is familiar."""
+        """Score of the image that went through the network last; 0 where the model does not say what is familiar."""
         if self._describer is None or self.checkpoint.familiarity is None:
             return 0.0
         score = float(self.checkpoint.familiarity.unfamiliarity(self._describer.last(seen))[0])

@@ -1,4 +1,4 @@
-"""Files of tensors, safetensors with a checksum over all that they say: models and the states of trainings."""
+"""Files of tensors: safetensors with a checksum over all their content, for models and states of training runs."""
 
 from __future__ import annotations
 
@@ -17,14 +17,12 @@ from sequences.atomic import atomic_output
 
 CHECKSUM = "content_sha256"
 """Name of the checksum in the metadata; files written before there were any lack it."""
-_OURS = "vapor-track "  # what `format` begins with in our own files, whose metadata are these and no others
+_OURS = "vapor-track "  # what `format` begins with in our own files, whose metadata have these names and no others
 _METADATA = {"format", "version", "config", CHECKSUM}
-SHIPPED = Path(__file__).resolve().parent / "models"
-"""The models that ship."""
 
 
 class CheckpointError(VaporTrackError):
-    """A model file, or the state of a training, cannot be used."""
+    """A model file, or the state of a training run, cannot be used."""
 
 
 def write_safetensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
@@ -33,7 +31,7 @@ def write_safetensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mappi
     Args:
         path: A file name, usually *.safetensors.
         tensors: Any, on the CPU.
-        metadata: What else it says; a checksum among it is that of another file, and left out.
+        metadata: Its other content; a checksum in it is that of another file, and left out.
 
     Raises:
         SequenceError: the folder is missing, or cannot be written to.
@@ -46,7 +44,7 @@ def write_safetensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mappi
 
 
 def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """Metadata and tensors of a safetensors file, on the CPU, that are those that its checksum was made of.
+    """Metadata and tensors of a safetensors file, on the CPU, once its checksum was found to fit.
 
     A file without a checksum is taken as it is: `CHECKSUM` is in the metadata where there is one.
 

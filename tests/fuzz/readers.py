@@ -29,7 +29,9 @@ from tests import data_sets, foxglove_files, phone_data_sets, pose_table_files, 
 from tests.fuzz.damage import in_order, zipped
 from tests.fuzz.mcap_damage import stated_images
 from tests.sequence_files import BEGIN_NS, CAMERA, Walk, as_split_folder, picture, rewrite
-from vapor.checkpoints.checkpoint import Calibration, Checkpoint, load_checkpoint, save_checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import Validation
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity, description_size
@@ -338,7 +340,7 @@ def _model(folder: Path, *, retrieval: bool) -> Path:
         memory = replace(memory, keys=_numbers(memory.keys, rng), views=_numbers(memory.views, rng))
     told = {"familiarity": Familiarity(*numbers, 0.5, 1.0), "camera": CAMERA, "memory": memory}
     checkpoint = Checkpoint(network, box, Calibration(), poses, regressor.state_dict(), **told)
-    save_checkpoint(folder / "model.safetensors", checkpoint, half=True)
+    save_checkpoint(folder / "model.safetensors", checkpoint, store_float16=True)
     return _in_order(folder / "model.safetensors")
 
 

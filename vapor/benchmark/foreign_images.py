@@ -12,7 +12,7 @@ from jaxtyping import Float64, UInt8
 
 from filtering.errors import VaporTrackError
 from vapor.observation import VaporObservationModel
-from vapor.training_data.training_set import open_sequences
+from vapor.training_data.entries import open_sequences
 
 Image = UInt8[np.ndarray, "h w 3"]
 Change = Callable[[np.ndarray, np.random.Generator], np.ndarray]

@@ -15,7 +15,8 @@ from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.images.decoding import decode_image_bytes
-from vapor.checkpoints.checkpoint import Calibration, Checkpoint
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import make_regressor

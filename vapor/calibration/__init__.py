@@ -1,1 +1,1 @@
-"""How a trained network errs, and what is familiar to it, found on held-out images."""
+"""How a trained network errs, and what is familiar to it: both found on held-out images."""

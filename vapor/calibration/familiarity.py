@@ -22,8 +22,8 @@ _FEW_SEQUENCES, _BLOCKS = 8, 10
 _CHROMA_WEIGHT = 0.5
 
 
-def describe(network: PoseRegressor, images: TrainingSet) -> Float32[np.ndarray, "n d"]:
-    """Descriptions of each image's centre crop; the network is in evaluation mode until all are done."""
+def extract_features(network: PoseRegressor, images: TrainingSet) -> Float32[np.ndarray, "n d"]:
+    """Features of each image's centre crop (`Describer`); the network is in evaluation mode until all are done."""
     config, training, device = network.config, network.training, network.pixel_mean.device
     network.eval()
     found = np.empty((len(images), description_size(network)), np.float32)
@@ -39,43 +39,48 @@ def describe(network: PoseRegressor, images: TrainingSet) -> Float32[np.ndarray,
 
 
 def learn_familiarity(network: PoseRegressor, training: TrainingSet, held_out: TrainingSet) -> Familiarity | None:
-    """What training images look like, and how far held-out ones are from them; None with fewer than 50 of the former.
+    """What training images look like, and how far held-out ones are from them; None with fewer than 50 training images.
 
     Args:
         network: With its final weights.
         training: Images in order of time, at most `EXEMPLARS` well spread ones.
-        held_out: Images of the same place that it was not trained on; below 50 the training images alone decide.
+        held_out: Images of the same place that it was not trained on; of fewer than 50 nothing is used.
     """
     if len(training) < LEAST_IMAGES:
         return None
-    familiarity = fit_familiarity(describe(network, training), _stretches(training.sequence))
-    return familiarity.with_threshold_of(describe(network, held_out))
+    familiarity = fit_familiarity(extract_features(network, training), _segments(training.sequence))
+    return familiarity.with_threshold_of(extract_features(network, held_out))
 
 
-def fit_familiarity(descriptions: Float32[np.ndarray, "n d"], stretch: Int64[np.ndarray, " n"]) -> Familiarity:
-    """From descriptions of training images alone, each from a numbered stretch of the data, of which there are some."""
-    centre, spread = descriptions.mean(axis=0), descriptions.std(axis=0)
+def fit_familiarity(features: Float32[np.ndarray, "n d"], segment: Int64[np.ndarray, " n"]) -> Familiarity:
+    """What training images look like, and how far apart they are, from their features alone.
+
+    Args:
+        features: Of n training images.
+        segment: The number of the segment of the data that each is from, of which there must be several, (n,).
+    """
+    centre, spread = features.mean(axis=0), features.std(axis=0)
     spread = np.maximum(spread, 1e-3 * spread.mean() + 1e-6)
-    backbone, chroma = descriptions.shape[1] - CHROMA, CHROMA
+    backbone, chroma = features.shape[1] - CHROMA, CHROMA
     weight = np.repeat([1.0 / np.sqrt(backbone), _CHROMA_WEIGHT / np.sqrt(chroma)], [backbone, chroma])
     scale = (spread / weight).astype(np.float32)
-    standard = ((descriptions - centre) / scale).astype(np.float64)
+    standard = ((features - centre) / scale).astype(np.float64)
     variance, axes = np.linalg.eigh(standard.T @ standard / len(standard))
-    count = min(_AXES, len(variance), len(descriptions) - 1)
+    count = min(_AXES, len(variance), len(features) - 1)
     variance, axes = np.maximum(variance[::-1][:count], 1e-6 * variance[-1] + 1e-12), axes[:, ::-1][:, :count]
     axes = _as_stored(axes)
-    stretched = ((variance / variance[0]) ** (-_FLATTEN / 2)).astype(np.float32)
-    exemplars = _as_stored(((descriptions - centre) / scale) @ axes * stretched)
-    fitted = Familiarity(centre, scale, axes, stretched, exemplars, 1.0, 1.0)
-    own = np.empty(len(descriptions))
-    for number in np.unique(stretch):
-        of_others = replace(fitted, exemplars=exemplars[stretch != number])
-        own[stretch == number] = of_others.unfamiliarity(descriptions[stretch == number])
+    stretch = ((variance / variance[0]) ** (-_FLATTEN / 2)).astype(np.float32)
+    exemplars = _as_stored(((features - centre) / scale) @ axes * stretch)
+    fitted = Familiarity(centre, scale, axes, stretch, exemplars, 1.0, 1.0)
+    own = np.empty(len(features))
+    for number in np.unique(segment):
+        of_others = replace(fitted, exemplars=exemplars[segment != number])
+        own[segment == number] = of_others.unfamiliarity(features[segment == number])
     distance = max(float(np.quantile(own, QUANTILE)), 1e-6)
     return replace(fitted, own_distance=distance, threshold=distance)
 
 
-def _stretches(sequence: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+def _segments(sequence: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
     """The sequences themselves; of few, tenths of all images."""
     if len(np.unique(sequence)) >= _FEW_SEQUENCES:
         return sequence
@@ -83,5 +88,5 @@ def _stretches(sequence: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
 
 
 def _as_stored(values: np.ndarray) -> Float32[np.ndarray, "a b"]:
-    """Rounded to float16, as which they are stored."""
+    """Rounded to float16, in which they are stored."""
     return values.astype(np.float16).astype(np.float32)

@@ -1,1 +1,1 @@
-"""Model files: what is in them, how images err until they are calibrated, where those that ship lie."""
+"""Trained models: their files, how their images err until they are calibrated, and those that ship."""

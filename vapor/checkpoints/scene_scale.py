@@ -10,7 +10,7 @@ from filtering.se3 import Poses
 
 _TAIL = 0.005  # of the positions, at either end of each axis: network outputs may lie anywhere
 _THINNEST, _MARGIN = 0.05, 0.02  # of the box in which cameras may be, in extents
-_TURNED = 0.15  # share of all rotations that cameras have: they are mostly upright
+_TURNED = 0.15  # fraction of all rotations that cameras have: they are mostly upright
 _RADIUS, _FLOOR, _FLOOR_RAD, _LENGTH = 0.04, 0.02, 0.05, 0.05  # in extents, but for the angle
 _MISTAKEN = 4.0  # lengths
 RADIUS_RAD, LENGTH_RAD = 0.5, 0.4
@@ -23,13 +23,13 @@ def scene_extent(poses: Poses) -> float:
 
 
 def typical_side_m(poses: Poses) -> float:
-    """Geometric mean of the sides of the box around the positions of poses (n,), metres; no side counts as thin."""
+    """Geometric mean of the sides of the box around the positions of poses (n,), metres; thin sides are widened."""
     extent = scene_extent(poses)
     return float(np.prod(np.maximum(_sides(poses), _THINNEST * extent)) ** (1 / 3))
 
 
 def flat_log_density(poses: Poses) -> float:
-    """Log density of poses spread evenly where these (n,) are, per m³ rad³: a box about them, and upright cameras."""
+    """Log density of poses spread evenly over the box around these (n,), cameras mostly upright, per m³ rad³."""
     extent = scene_extent(poses)
     sides = np.maximum(_sides(poses), _THINNEST * extent) + _MARGIN * extent
     return -float(np.log(np.prod(sides) * 8.0 * np.pi**2 * _TURNED))

@@ -13,12 +13,14 @@ from rich.table import Table
 from filtering.error_model import Six
 from sequences.options import SequenceOptions
 from sequences.outputs.claims import refuse_other
-from vapor.calibration.calibrate import CalibrationResult, calibrate_model
-from vapor.calibration.images import REGIONS
-from vapor.checkpoints.checkpoint import find_model, is_model
+from vapor.calibration.calibrate import CalibrationResult
+from vapor.calibration.calibrate_model import calibrate_model
+from vapor.calibration.places import REGIONS
+from vapor.checkpoints.file_format import is_model
+from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_notices, show_skipped, usage_error
 from vapor.observation import Device
-from vapor.training_data.training_set import files_read
+from vapor.training_data.entries import files_read
 
 
 @dataclass(frozen=True)
@@ -33,13 +35,13 @@ class Options:
     """Model file to write (.safetensors), new or an earlier model."""
     overwrite: Overwrite = False
     training: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA ...")] = ()
-    """Data that it was trained on, or some of it: what the place looks like is learned from that, for models that do
-    not know it (`train --no-calibrate`) or are to learn it again; without it, from half of the held-out data."""
+    """Data that it was trained on, or some of them: from these it learns what the place looks like, where it does not
+    know that (`train --no-calibrate`) or is to learn it again; without them, from half of the held-out data."""
     familiarity_only: bool = False
-    """Learn that only, and leave the rest as it is."""
+    """Learn only what the place looks like, and leave the rest as it is."""
     same_conditions: bool = False
-    """The held-out data are of the hours, the light and the seasons of use. Mistakes about the place then count as long
-    as they last there; else they are taken to last three times as long, as at another hour."""
+    """The held-out data are of the hours, the light and the seasons of use. Mistakes about the place then count for as
+    long as they last there; else they are taken to last three times as long, as at another hour."""
     images: int = 500
     """Held-out images that are used, at most."""
     seed: int = 0
@@ -79,7 +81,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def show_calibration(result: CalibrationResult) -> None:
-    """Print what each fit changed, what it gains, and how many true poses the regions of single images hold."""
+    """Print what each fit changed, what it gains, and how many true poses lie in the regions of single images."""
     if result.changes:
         images = f"{result.images} held-out images, worth {result.effective_images:.0f} independent ones"
         table = Table(title=f"calibration on {images}", title_justify="left")
@@ -94,7 +96,7 @@ def show_calibration(result: CalibrationResult) -> None:
             table.add_section()
         show(table)
     if result.coverage is not None:
-        found = ", ".join(f"{100 * share:.0f} %" for share in result.coverage)
+        found = ", ".join(f"{100 * fraction:.0f} %" for fraction in result.coverage)
         levels = ", ".join(f"{100 * level:.0f}" for level in REGIONS)
         show(f"true poses in the {levels} % regions of single images: {found}")
     if result.calibration.odometry is not None and result.odometry != "none":

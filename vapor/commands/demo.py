@@ -14,7 +14,7 @@ from sequences.errors import SequenceError
 from sequences.outputs.results import results_folder
 from sequences.scenes import SCENES
 from sequences.synthesize import synthesize, write_synthetic
-from vapor.checkpoints.checkpoint import SHIPPED
+from vapor.checkpoints.shipped_models import SHIPPED
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_files, usage_error
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model

@@ -24,7 +24,7 @@ from vapor.experiments.schedule import PAPER, SCHEDULES, Point, ScheduleConfig, 
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
 from vapor.reporting.report import write_report
 from vapor.training.presets import PRESETS
-from vapor.training_data.training_set import files_read
+from vapor.training_data.entries import files_read
 
 if TYPE_CHECKING:
     _Scene = str

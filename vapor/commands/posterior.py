@@ -16,7 +16,8 @@ from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read
 from sequences.outputs.claims import refuse_other
-from vapor.checkpoints.checkpoint import find_model, load_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.trajectory import THRESHOLDS
@@ -41,7 +42,7 @@ class Options:
     num_samples: int = 1000
     """Posterior samples."""
     gamma: float = 0.1
-    """Share of the samples that must be near the true pose for the posterior to count as right."""
+    """Fraction of the samples that must be near the true pose for the posterior to count as right."""
     seed: int = 0
     """Of the samples."""
     device: Device = "auto"
@@ -72,8 +73,8 @@ def main(arguments: Sequence[str]) -> None:
     figures = posterior_metrics([samples], Poses.stack([truth]), model.checkpoint.calibration, gamma=o.gamma)
     near = [t for t in THRESHOLDS if figures["recall"][t]]
     best = figures["mode"]
-    share = f"{o.gamma:.0%} of the samples within"
-    within = f"at least {share} {near[0]}" if near else f"fewer than {share} {list(THRESHOLDS)[-1]}"
+    fraction = f"{o.gamma:.0%} of the samples within"
+    within = f"at least {fraction} {near[0]}" if near else f"fewer than {fraction} {list(THRESHOLDS)[-1]}"
     show(
         f"{o.output}: {figures['modes']:.0f} modes, the best one {best['translation_m']:.2f} m and"
         f" {best['rotation_deg']:.1f}° off; {within}"

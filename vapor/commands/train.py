@@ -15,7 +15,7 @@ from rich.table import Table
 
 from sequences.options import SequenceOptions
 from sequences.outputs.claims import refuse_other
-from vapor.checkpoints.checkpoint import is_model
+from vapor.checkpoints.file_format import is_model
 from vapor.commands.calibrate import show_calibration
 from vapor.commands.console import (
     OutputPath,
@@ -34,7 +34,7 @@ from vapor.training.presets import METHODS, PRESETS
 from vapor.training.progress import Progress, TrainResult
 from vapor.training.state import is_training_state, state_path
 from vapor.training.train import train
-from vapor.training_data.training_set import files_read
+from vapor.training_data.entries import files_read
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from filtering.estimate import Mode
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
-from vapor.checkpoints.checkpoint import Calibration
+from vapor.checkpoints.calibration import Calibration
 from vapor.tracking.belief import Belief
 
 

@@ -13,7 +13,7 @@ from filtering.estimate import posterior_modes
 from filtering.moments import group_moments
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.checkpoints.checkpoint import Calibration
+from vapor.checkpoints.calibration import Calibration
 from vapor.evaluation.trajectory import THRESHOLDS
 from vapor.evaluation.validation import LOG_FLOOR
 

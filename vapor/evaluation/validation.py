@@ -11,7 +11,7 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from filtering.se3 import Poses
-from vapor.checkpoints.checkpoint import Calibration
+from vapor.checkpoints.calibration import Calibration
 from vapor.images import centre_crop
 from vapor.regressors.base import PoseRegressor
 from vapor.training_data.training_set import TrainingSet

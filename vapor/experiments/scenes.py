@@ -14,7 +14,7 @@ from typing import Literal
 
 from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
 from vapor.parallel import in_parallel
-from vapor.training_data.training_set import parse_entry
+from vapor.training_data.entries import parse_entry
 
 _LEAST_HEIGHT, _SPARE = 96, 1.4  # of rendered images: pixels, and times what covers a frame
 

@@ -18,7 +18,8 @@ from vapor.experiments.scenes import Scene, render_scenes, rendered_height
 from vapor.experiments.training_runs import TrainingRun, carry_out
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS
-from vapor.training_data.training_set import TrainingError, require_apart
+from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.training_set import TrainingError
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,9 @@ class TableExperiment:
             names = ", ".join(scene.name for scene in scenes)
             raise VaporTrackError(f"scenes are {names or 'none'}, expected each at most once, and one")
         for scene in scenes:
-            require_apart(scene.train, scene.test)
+            require_no_leakage(scene.train, scene.test)
             if config.train.validation_fraction > 0:
-                require_apart(scene.train)
+                require_no_leakage(scene.train)
         if config.localize:  # what the filter cannot read is refused now, not after training
             for entry in (entry for scene in scenes for entry in scene.test):
                 SequenceReader(Path(entry))

@@ -16,7 +16,8 @@ from sequences.atomic import atomic_output, workspace
 from sequences.files.structured import read_arrays, read_json
 from vapor.benchmark.recordings.storage import from_rows, to_rows
 from vapor.cache import digest
-from vapor.checkpoints.checkpoint import load_checkpoint, spaced
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.thinning import spaced
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import exact_log_density, predict
 from vapor.experiments.scenes import Scene, identities, identity
@@ -27,7 +28,9 @@ from vapor.pipeline.run import run
 from vapor.threads import limited_threads
 from vapor.training.config import TrainConfig
 from vapor.training.train import train_on_images
-from vapor.training_data.training_set import TrainingError, TrainingSet, load_training_set, open_sequences
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.load import load_training_set
+from vapor.training_data.training_set import TrainingError, TrainingSet
 
 _RESULTS = 2  # counts up when the same training gives other results than before
 _SHOWN = 25  # test images whose samples are kept for pictures, evenly spaced

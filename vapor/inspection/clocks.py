@@ -12,7 +12,7 @@ from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.trajectories.time_offset import find_time_offset
 from vapor.inspection.odometry import chained
-from vapor.inspection.walks import Walk
+from vapor.inspection.walk import Walk
 from vapor.training_data.ground import runs
 
 _USUAL_OFFSET_S = 3.0  # at most, within one recording
@@ -35,7 +35,7 @@ class ImageClock:
 
     @staticmethod
     def of(walk: Walk) -> ImageClock:
-        """As the images of a recording tell it."""
+        """The clock of a recording's images, by how their view shifts."""
         others = {"odometry": _by_odometry(walk), "true poses": Trajectory(walk.times_ns[walk.posed], walk.poses)}
         against = next((what for what, track in others.items() if len(track) > 1), None)
         if against is None or walk.assumed_hz is not None:
@@ -54,7 +54,7 @@ class ImageClock:
 
 
 def _by_odometry(walk: Walk) -> Trajectory:
-    """The longest stretch of images that odometry leads through, in a frame of its own."""
+    """The longest segment of images that odometry leads through, in a frame of its own."""
     known = np.array([step is not None for step in walk.odometry])
     longest = max(runs(known, np.zeros(len(walk), np.int64)), key=lambda run: run.stop - run.start, default=slice(1, 1))
     steps = [step.previous_from_current for step in walk.odometry[longest] if step is not None]

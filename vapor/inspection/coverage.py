@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,136 +9,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.se3 import Poses
 from vapor.evaluation.floors import find_floors
+from vapor.inspection.plan import Plan
+from vapor.inspection.regions import Cell, Floor, Segment
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import AWAY, WHOLE_OF, Split, hold_out, long_runs, shown_by, way_of
 from vapor.training_data.ground import DIRECTION_RAD, runs
 from vapor.training_data.training_set import TrainingSet
 
-SECTORS = 8
-STEEP = np.sin(np.deg2rad(60.0))
-_COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
-_MOST_CELLS = 50  # along the longer side of the plan
-_UPWARD = 0.2  # how much rather z is taken for up than another axis
 _LATE = 0.25  # of a recording
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A map from above.
-
-    Attributes:
-        axes: Right and up on the map, and up in the world: unit vectors in the world, rows (3, 3).
-        names: Of the first two, such as "x" or "-y".
-        cell_m: Side of its cells, metres.
-    """
-
-    axes: Float64[np.ndarray, "3 3"]
-    names: tuple[str, str]
-    cell_m: float
-
-    @staticmethod
-    def of(poses: Poses, near_m: float) -> Plan:
-        """The plan of where cameras (n,) were: up is the axis of the world that is up in most images."""
-        right, up = poses.rotation[:, :, 0], -poses.rotation[:, :, 1]
-        signed = np.concatenate([np.eye(3), -np.eye(3)])
-        upright = (up @ signed.T).mean(axis=0) - np.abs(right @ signed.T).mean(axis=0)
-        number = int(np.argmax(upright + _UPWARD * (np.arange(6) == 2)))
-        first = np.eye(3)[0 if number % 3 else 1]
-        second = np.cross(signed[number], first)
-        names = [f"{'-' if axis.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]}" for axis in (first, second)]
-        extent = np.ptp(poses.translation @ np.stack([first, second]).T, axis=0).max()
-        cell_m = _round(max(near_m / 2, extent / _MOST_CELLS))
-        return Plan(np.stack([first, second, signed[number]]), (names[0], names[1]), cell_m)
-
-    def places(self, poses: Poses) -> Float64[np.ndarray, "n 3"]:
-        """Positions on the map and heights, metres."""
-        return poses.translation @ self.axes.T
-
-    def sectors(self, poses: Poses) -> Int64[np.ndarray, " n"]:
-        """Which way cameras look: 0 to 7 from right on the map counterclockwise, 8 up and 9 down."""
-        ahead = poses.rotation[:, :, 2] @ self.axes.T
-        level = np.round(np.arctan2(ahead[:, 1], ahead[:, 0]) / (2 * np.pi / SECTORS)).astype(np.int64) % SECTORS
-        return np.where(np.abs(ahead[:, 2]) < STEEP, level, np.where(ahead[:, 2] > 0, SECTORS, SECTORS + 1))
-
-    def told(self, sector: int) -> str:
-        """A direction in words: by the compass where z is up, with y to the north; else by axes."""
-        if sector >= SECTORS:
-            return "up" if sector == SECTORS else "down"
-        if self.names == ("x", "y"):
-            return _COMPASS[sector]
-        turn = sector * 2 * np.pi / SECTORS
-        parts = []
-        for size, name in zip((np.cos(turn), np.sin(turn)), self.names, strict=True):
-            if abs(size) > 0.1:
-                negative = (size < 0) != name.startswith("-")
-                parts.append(f"{'-' if negative else '+'}{name[-1]}")
-        return " ".join(parts)
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Images in a row of one recording: numbers count its images with a true pose, from 0.
-
-    Attributes:
-        name: Of the recording.
-        first: The first of its images.
-        last: The last of them.
-        low_m: Height of the lowest, metres.
-        high_m: Height of the highest.
-        floor: The floor that most of them are on, from 0.
-    """
-
-    name: str
-    first: int
-    last: int
-    low_m: float
-    high_m: float
-    floor: int
-
-    def __str__(self) -> str:
-        return f"{self.name}: images {self.first} to {self.last} ({height(self.low_m, self.high_m)})"
-
-
-@dataclass(frozen=True)
-class Floor:
-    """One of several floors.
-
-    Attributes:
-        low_m: Height of the lowest camera, metres.
-        high_m: Height of the highest.
-        images: How many.
-        names: Of the recordings that show it.
-        trained: How many of these are not held out as a whole.
-        late: All of them show it only from so far on, as a share of their images; None where that is no late part.
-    """
-
-    low_m: float
-    high_m: float
-    images: int
-    names: tuple[str, ...]
-    trained: int
-    late: float | None
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A square of the map.
-
-    Attributes:
-        floor: From 0.
-        column: From the left.
-        row: From below.
-        passes: How many passes came near it.
-        looked: Of these, how many looked each way, by the number of the direction.
-    """
-
-    floor: int
-    column: int
-    row: int
-    passes: int
-    looked: Mapping[int, int]
 
 
 @dataclass(frozen=True)
@@ -162,7 +40,7 @@ class Coverage:
 
     @staticmethod
     def of(images: TrainingSet) -> Coverage:
-        """What these images show, judged as `train` does that holds some out."""
+        """What these images show, by the same measure by which `train` holds some of them out."""
         split = hold_out(images, TrainConfig().validation_fraction)
         plan = Plan.of(images.poses, split.near_m)
         return Coverage(images, split, shown_by(images, split.near_m), plan, way_of(images))
@@ -219,8 +97,8 @@ class Coverage:
             found.append(Cell(floor, column, row, _visits(near, away, self.images.sequence), looked))
         return found
 
-    def alone(self) -> list[Stretch]:
-        """Stretches that no other recording shows, or of few recordings no other pass; from the longest down."""
+    def alone(self) -> list[Segment]:
+        """Segments that no other recording shows, or of few recordings no other pass; from the longest down."""
         alone = self.others == 0
         sequence = self.images.sequence
         brief = ~alone & ~long_runs(~alone, self.way, sequence)
@@ -229,14 +107,14 @@ class Coverage:
             rows = np.arange(run.start, run.stop)
             rows = rows[np.flatnonzero(alone[rows])[[0, -1]]] if alone[rows].any() else rows[:0]
             if len(rows):
-                found.append(self._stretch(slice(int(rows[0]), int(rows[-1]) + 1)))
-        return sorted(found, key=lambda stretch: stretch.first - stretch.last)
+                found.append(self._segment(slice(int(rows[0]), int(rows[-1]) + 1)))
+        return sorted(found, key=lambda segment: segment.first - segment.last)
 
-    def _stretch(self, run: slice) -> Stretch:
+    def _segment(self, run: slice) -> Segment:
         number = int(self.images.sequence[run.start])
         begin = int(np.argmax(self.images.sequence == number))
         heights = self.places[run, 2]
-        return Stretch(
+        return Segment(
             self.images.names[number],
             run.start - begin,
             run.stop - 1 - begin,
@@ -276,7 +154,7 @@ class Coverage:
             "cell_m": self.plan.cell_m,
             "judged_by": "recordings" if self.by_recordings else "passes",
             "shown_by_others": {str(i) if i < 4 else "4 or more": float(v) for i, v in enumerate(counts)},
-            "alone": [vars(stretch) | {"said": str(stretch)} for stretch in self.alone()],
+            "alone": [vars(segment) | {"said": str(segment)} for segment in self.alone()],
             "floors": [vars(floor) for floor in self.floors()],
             "held_out": int(self.split.held_out_mask.sum()),
             "holding_out": list(self.split.notes),
@@ -290,14 +168,3 @@ def _visits(near: Bool[np.ndarray, " n"], away: Bool[np.ndarray, " n"], sequence
     before = np.concatenate([[False], comes[:-1]])
     before[1:] &= np.diff(sequence[clear]) == 0
     return int((comes & ~before).sum())
-
-
-def height(low_m: float, high_m: float) -> str:
-    """A range of heights in words."""
-    return f"height {low_m:.1f} m" if high_m - low_m < 0.05 else f"height {low_m:.1f} to {high_m:.1f} m"
-
-
-def _round(value: float) -> float:
-    """Up to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * next(step for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9)))

@@ -1,4 +1,4 @@
-"""The whole inspection of recordings: read once, looked at from every side, and a verdict."""
+"""The whole inspection of recordings: read once, examined from every side, with a verdict."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck, check_odometry
 from vapor.inspection.predictions import Predictions, Said
+from vapor.inspection.reading import posed_images, read_walks
 from vapor.inspection.verdict import verdict
-from vapor.inspection.walks import Walk, posed_images, read_walks
-from vapor.training_data.training_set import too_far
+from vapor.inspection.walk import Walk
+from vapor.training_data.checks import too_far
 
 
 @dataclass(frozen=True)

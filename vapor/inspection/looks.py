@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
 SIDE_PX = 240
-"""Images are judged at this size of their shorter side."""
+"""Images are measured at this size of their shorter side."""
 
 _MUCH_BLURRIER, _DULLER = 0.3, 0.7  # than the recording's median: variance, and variance over that of coarse detail
 _DARK, _BRIGHT = 25, 250  # of 255
@@ -25,10 +25,10 @@ class Look(NamedTuple):
 
     Attributes:
         sharpness: Variance of the Laplacian of the grey image, scaled to a shorter side of 240 pixels.
-        coarse: The same of the image at a quarter of that size, which blur takes less of.
+        coarse: The same of the image at a quarter of that size, where blur takes less of it.
         brightness: Mean of the grey image, 0 to 255.
-        dark: Share of its pixels below 25.
-        bright: Share of its pixels of 250 and more.
+        dark: Fraction of its pixels below 25.
+        bright: Fraction of its pixels of 250 and more.
         digest: A checksum of all its bytes.
         width: Of the whole image, pixels.
         height: Likewise.
@@ -89,9 +89,9 @@ class Looks:
         sharpness, coarse, brightness, dark, bright = (
             np.array([look[i] for look in looks], np.float64) for i in range(5)
         )
-        share = sharpness / np.maximum(coarse, 1e-6)
+        fine = sharpness / np.maximum(coarse, 1e-6)
         blurred = sharpness < _MUCH_BLURRIER * np.median(sharpness)
-        blurred &= (share < _DULLER * np.median(share)) & (dark < _NEARLY_ALL)
+        blurred &= (fine < _DULLER * np.median(fine)) & (dark < _NEARLY_ALL)
         stops = np.log2(brightness + 1.0)
         digests = np.array([look.digest for look in looks], np.int64)
         return Looks(

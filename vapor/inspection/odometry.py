@@ -4,76 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import accumulate, permutations, product
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from filtering.motion import Odometry
-from filtering.se3 import Poses, nearest_rotation
+from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.result import OdometryFit
 from sequences.odometry_fit.segment import OdometrySegment
 from sequences.trajectories.time_offset import find_time_offset
-from vapor.training_data.passes import odometry_stretches
+from vapor.inspection.axes import Axes, compare_axes
+from vapor.training_data.passes import odometry_segments
 from vapor.training_data.training_set import TrainingSet
 
-_WINDOW_S = 1.0  # over which motions are compared: noise of single images counts little
-_LEAST_WINDOWS = 20
 _USUAL_OFFSET_S = 1.0  # at most, within one recording
-_AGREES, _BETTER = 0.7, 0.2  # correlation of motions, and by how much another way must be better
-_TURNED_RAD = float(np.deg2rad(10.0))
-_DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))  # of a camera's axes: there and back
-
-
-@dataclass(frozen=True)
-class Axes:
-    """Which way odometry's axes point, seen by true poses.
-
-    Attributes:
-        correlation: Of the motions as they are, translation and rotation: 1 where they are the same but for scale.
-        turned: The turn of the camera on its base, of all turns by quarters, that makes them most alike, (3, 3).
-        correlation_turned: Of the motions with it.
-        off_rad: Of the best turn of all, how far it is from none.
-        correlation_best: Of the motions with that.
-    """
-
-    correlation: float
-    turned: Float64[np.ndarray, "3 3"]
-    correlation_turned: float
-    off_rad: float
-    correlation_best: float
-
-    @property
-    def swapped(self) -> bool:
-        """Whether quarter turns explain the motions much better than none."""
-        return self.correlation_turned >= _AGREES and self.correlation_turned > self.correlation + _BETTER
-
-    @property
-    def tilted(self) -> bool:
-        """Whether another turn does, of 10° and more."""
-        better = 1.0 - self.correlation_best < 0.8 * (1.0 - self.correlation)
-        return not self.swapped and self.correlation_best >= _AGREES and better and self.off_rad > _TURNED_RAD
-
-    @property
-    def unlike(self) -> bool:
-        """Whether no turn makes the motions alike."""
-        return max(self.correlation, self.correlation_turned, self.correlation_best) < _AGREES
-
-    def said(self) -> str:
-        """What looks like what, of the swapped axes."""
-        parts = []
-        for axis in (2, 0, 1):
-            seen = self.turned[:, axis]
-            number = int(np.argmax(np.abs(seen)))
-            if number != axis or seen[number] < 0:
-                parts.append(
-                    f"{_DIRECTIONS[axis][0]} looks like the true poses' {_DIRECTIONS[number][int(seen[number] < 0)]}"
-                )
-        return "odometry's " + ", its ".join(parts)
 
 
 @dataclass(frozen=True)
@@ -125,28 +74,28 @@ class OdometryCheck:
 
 def check_odometry(images: TrainingSet) -> OdometryCheck | None:
     """Compare odometry with the true poses of the same images; None without any odometry between them."""
-    stretches = odometry_stretches(images)
-    if not stretches:
+    segments = odometry_segments(images)
+    if not segments:
         return None
-    axes = _axes([_track(stretch) for stretch in stretches])
+    axes = compare_axes([_track(segment) for segment in segments])
     if axes is not None and axes.swapped:
-        stretches = [_turned(stretch, axes.turned) for stretch in stretches]
+        segments = [_turned(segment, axes.turned) for segment in segments]
     fit, no_fit = None, ""
     try:
-        fit = fit_odometry(stretches)
+        fit = fit_odometry(segments)
     except SequenceError as error:
         no_fit = str(error)
     late_ms: dict[str, float] = {}
     unknown: dict[str, str] = {}
-    for number in sorted({stretch.recording for stretch in stretches}):
-        own = [_track(stretch) for stretch in stretches if stretch.recording == number]
+    for number in sorted({segment.recording for segment in segments}):
+        own = [_track(segment) for segment in segments if segment.recording == number]
         odometry, truth = max(own, key=lambda tracks: len(tracks[0]))
         name = images.names[number]
         try:
             late_ms[name] = 1e3 * _late_s(odometry, truth)
         except SequenceError as error:
             unknown[name] = str(error).removesuffix("; give --time-offset-s a number")
-    increments = sum(len(stretch.odometry) for stretch in stretches)
+    increments = sum(len(segment.odometry) for segment in segments)
     return OdometryCheck(increments, axes, late_ms, unknown, fit, no_fit)
 
 
@@ -158,13 +107,13 @@ def _late_s(odometry: Trajectory, truth: Trajectory) -> float:
         return find_time_offset(odometry, truth, within_s=_USUAL_OFFSET_S)
 
 
-def _track(stretch: OdometrySegment) -> tuple[Trajectory, Trajectory]:
+def _track(segment: OdometrySegment) -> tuple[Trajectory, Trajectory]:
     """Odometry from its first image on, and the true poses, at the same times."""
-    poses = chained([step.previous_from_current for step in stretch.odometry])
-    seconds = np.concatenate([[0.0], np.cumsum([step.duration_s for step in stretch.odometry])])
+    poses = chained([step.previous_from_current for step in segment.odometry])
+    seconds = np.concatenate([[0.0], np.cumsum([step.duration_s for step in segment.odometry])])
     times_ns = np.round(seconds * 1e9).astype(np.int64)
     kept = np.flatnonzero(np.diff(times_ns, prepend=-1) > 0)
-    return Trajectory(times_ns[kept], poses[kept]), Trajectory(times_ns[kept], stretch.truth[kept])
+    return Trajectory(times_ns[kept], poses[kept]), Trajectory(times_ns[kept], segment.truth[kept])
 
 
 def chained(steps: Sequence[Poses]) -> Poses:
@@ -172,7 +121,7 @@ def chained(steps: Sequence[Poses]) -> Poses:
     return Poses.stack(list(accumulate(steps, Poses.__matmul__, initial=Poses.identity())))
 
 
-def _turned(stretch: OdometrySegment, turn: Float64[np.ndarray, "3 3"]) -> OdometrySegment:
+def _turned(segment: OdometrySegment, turn: Float64[np.ndarray, "3 3"]) -> OdometrySegment:
     """The same with the axes of odometry turned."""
     about = Poses(turn, np.zeros(3))
     carry = about.adjoint()
@@ -180,52 +129,6 @@ def _turned(stretch: OdometrySegment, turn: Float64[np.ndarray, "3 3"]) -> Odome
         Odometry(
             about @ step.previous_from_current @ about.inverse(), carry @ step.covariance @ carry.T, step.duration_s
         )
-        for step in stretch.odometry
+        for step in segment.odometry
     ]
-    return OdometrySegment(steps, stretch.truth, stretch.recording)
-
-
-def _axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None:
-    """Compare motions over a second, translations and rotations, each in units of its own size."""
-    pairs = [_motions(*track) for track in tracks]
-    odometry, truth = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
-    if len(odometry) < _LEAST_WINDOWS:
-        return None
-    products, sizes = np.zeros((3, 3)), 0.0
-    for part in (slice(0, 3), slice(3, 6)):
-        size = float(np.linalg.norm(odometry[:, part]) * np.linalg.norm(truth[:, part]))
-        if size > 1e-9:
-            products += truth[:, part].T @ odometry[:, part] / size
-            sizes += 1.0
-    if sizes == 0.0:
-        return None
-
-    def correlation(turn: np.ndarray) -> float:
-        return float(np.sum(turn * products)) / sizes
-
-    quarters = [np.eye(3), *(turn for turn in _quarter_turns() if not np.allclose(turn, np.eye(3)))]
-    turned = max(quarters, key=lambda turn: round(correlation(turn), 3))  # the first of equals
-    best = nearest_rotation(products)
-    _, off_rad = Poses(best, np.zeros(3)).distance(Poses.identity())
-    return Axes(correlation(np.eye(3)), turned, correlation(turned), float(off_rad), correlation(best))
-
-
-def _motions(odometry: Trajectory, truth: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Motions (k, 6) over a second each, by both."""
-    begins, at_ns = [0], odometry.times_ns
-    while (after := int(np.searchsorted(at_ns, at_ns[begins[-1]] + round(_WINDOW_S * 1e9)))) < len(at_ns):
-        begins.append(after)
-    at = np.array(begins)
-    moved = [(track.poses[at[:-1]].inverse() @ track.poses[at[1:]]).log() for track in (odometry, truth)]
-    return moved[0], moved[1]
-
-
-def _quarter_turns() -> list[Float64[np.ndarray, "3 3"]]:
-    """The 24 rotations that carry axes to axes."""
-    found = []
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        turn = np.zeros((3, 3))
-        turn[list(order), range(3)] = signs
-        if np.linalg.det(turn) > 0:
-            found.append(turn)
-    return found
+    return OdometrySegment(steps, segment.truth, segment.recording)

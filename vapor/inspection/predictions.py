@@ -17,7 +17,7 @@ from vapor.inspection.coverage import Coverage
 _COUNTED = 0.1  # of the samples, for a place to count
 _REACH = 0.9  # of the samples, within the spread
 _LEAST_IMAGES = 3  # of a place that errs
-_WRONG_SHARE = 0.5  # of its images
+_WRONG_FRACTION = 0.5  # of its images
 
 
 class Said(NamedTuple):
@@ -27,7 +27,7 @@ class Said(NamedTuple):
         places: How many places hold a tenth of the samples or more.
         spread_m: Distance from the best place within which nine tenths of the samples are, metres.
         best: world_from_camera of the place with most samples; None where there is no place.
-        unfamiliarity: 0 an image of the training, above 1 a foreign one.
+        unfamiliarity: 0 for an image that was trained on, above 1 for a foreign one.
     """
 
     places: int
@@ -126,14 +126,14 @@ class Predictions:
         for number, (floor, column, row, sector) in enumerate(groups.tolist()):
             own = np.flatnonzero(group == number)
             wrong = int((~self.right[own]).sum())
-            if wrong < _LEAST_IMAGES or wrong < _WRONG_SHARE * len(own):
+            if wrong < _LEAST_IMAGES or wrong < _WRONG_FRACTION * len(own):
                 continue
             x, y, z = np.median(coverage.images.poses.translation[own], axis=0).tolist()
             errors_m = np.where(np.isnan(self.error_m[own]), np.inf, self.error_m[own])
             median_m = float(np.median(errors_m))
             place = WeakPlace(
                 (x, y, z),
-                coverage.plan.told(sector),
+                coverage.plan.direction(sector),
                 len(own),
                 median_m if np.isfinite(median_m) else 0.0,
                 int(np.median(self.places[self.posed][own])),
@@ -144,12 +144,12 @@ class Predictions:
 
     @property
     def ambiguous(self) -> float:
-        """Share of the images that may be in several places."""
+        """Fraction of the images that may be in several places."""
         return float((self.places > 1).mean())
 
     @property
     def foreign(self) -> float:
-        """Share of the images that are taken for those of another place."""
+        """Fraction of the images that are taken for those of another place."""
         return float((self.unfamiliarity > 1.0).mean())
 
     def as_json(self, coverage: Coverage | None) -> dict[str, Any]:

@@ -7,23 +7,24 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from vapor.inspection.clocks import ImageClock
-from vapor.inspection.coverage import Coverage, Floor, height
+from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
-from vapor.inspection.walks import Walk
+from vapor.inspection.regions import Floor, height
+from vapor.inspection.walk import Walk
 
 GOOD_ENOUGH = "good enough: nothing found that another recording would mend"
 
 _FEW_IMAGES = 100
 _STANDS_M, _STANDS_RAD = 0.05, float(np.deg2rad(5.0))
-_BLURRED, _BADLY_EXPOSED, _FROZEN, _LOST, _JUMPS = 0.1, 0.05, 0.02, 0.05, 0.01  # shares of a recording
+_BLURRED, _BADLY_EXPOSED, _FROZEN, _LOST, _JUMPS = 0.1, 0.05, 0.02, 0.05, 0.01  # fractions of a recording
 _LONG_GAP_S = 2.0
 _ALONE = 0.1  # of all images
-_LATE_MS, _IMAGES_LATE_MS = 20.0, 100.0  # these are told five times less exactly
+_LATE_MS, _IMAGES_LATE_MS = 20.0, 100.0  # of the images: these are five times less exact
 _SCALE, _CERTAIN = 0.05, 3.0  # the last in standard errors
 _UNKNOWN = 0.05  # of the images
 _SCARCE = 0.5  # of what a floor would have if all had as many images
-_TOLD = 3
+_NAMED = 3
 
 
 def verdict(
@@ -48,7 +49,7 @@ def verdict(
 
 
 def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
-    """What makes a training senseless."""
+    """What makes training useless."""
     for walk in walks:
         if walk.looks.repeated[1:].all() and len(walk) > 1:
             yield f"record {walk.name} again: its {len(walk)} images are all one and the same"
@@ -118,14 +119,14 @@ def _coverage(coverage: Coverage) -> Iterator[str]:
         )
     several = len(coverage.images.names) > 1
     floors = coverage.floors()
-    told = set()
+    named = set()
     for number, floor in enumerate(floors):
         name = f"floor {number + 1} of {len(floors)} ({height(floor.low_m, floor.high_m)})"
         if several and len(floor.names) == 1:
-            told.add(number)
+            named.add(number)
             yield f"record {name} in another walk: only {floor.names[0]} comes there"
         elif several and floor.trained <= 1:
-            told.add(number)
+            named.add(number)
             yield (
                 f"record {name} in another walk: of the {len(floor.names)} recordings that come there"
                 f" {floor.trained or 'none'} would be trained on"
@@ -133,12 +134,12 @@ def _coverage(coverage: Coverage) -> Iterator[str]:
         elif _scarce(floor, floors):
             yield f"record more of {name}: it has {_images_said(floor.images)} of {len(coverage.images)}{_late(floor)}"
     alone = float((coverage.others == 0).mean())
-    stretches = [stretch for stretch in coverage.alone() if stretch.floor not in told]
-    if alone > _ALONE and stretches:
-        more = f"; and {len(stretches) - _TOLD} more" if len(stretches) > _TOLD else ""
-        named = "; ".join(map(str, stretches[:_TOLD]))
+    segments = [segment for segment in coverage.alone() if segment.floor not in named]
+    if alone > _ALONE and segments:
+        more = f"; and {len(segments) - _NAMED} more" if len(segments) > _NAMED else ""
+        first = "; ".join(map(str, segments[:_NAMED]))
         whose = "no other recording shows" if coverage.by_recordings else "no other pass shows"
-        yield f"record again what {whose}, {100 * alone:.0f} % of the images: {named}{more}"
+        yield f"record again what {whose}, {100 * alone:.0f} % of the images: {first}{more}"
 
 
 def _scarce(floor: Floor, floors: Sequence[Floor]) -> bool:
@@ -197,8 +198,8 @@ def _without(walks: Sequence[Walk]) -> Iterator[str]:
 def _model(coverage: Coverage, predictions: Predictions) -> Iterator[str]:
     weak = [place for place in predictions.weak_places(coverage) if place.passes == 1 or place.places <= 1]
     if weak:
-        more = f"; and {len(weak) - _TOLD} more" if len(weak) > _TOLD else ""
-        yield f"another walk should show, as the model errs there: {'; '.join(map(str, weak[:_TOLD]))}{more}"
+        more = f"; and {len(weak) - _NAMED} more" if len(weak) > _NAMED else ""
+        yield f"another walk should show, as the model errs there: {'; '.join(map(str, weak[:_NAMED]))}{more}"
     if predictions.foreign > _UNKNOWN:
         yield (
             f"train on more of this: {100 * predictions.foreign:.0f} % of the images look unlike all that the model was"

@@ -15,8 +15,8 @@ from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES, CalibrationResult
-from vapor.calibration.familiarity import describe
-from vapor.checkpoints.checkpoint import Calibration
+from vapor.calibration.familiarity import extract_features
+from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.evaluation.consistency import REGIONS, evaluate_belief
 from vapor.evaluation.trajectory import is_right
@@ -74,7 +74,7 @@ def check(
             samples.append(poses)
             advance(done + len(samples), total)
         done += len(samples)
-        scores = familiarity.unfamiliarity(describe(network, some)) if familiarity else np.zeros(len(rows))
+        scores = familiarity.unfamiliarity(extract_features(network, some)) if familiarity else np.zeros(len(rows))
         seen.append((samples, scores))
 
     def tried(errors: ErrorModel) -> list[Followed]:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from vapor.checkpoints.checkpoint import Calibration
+from vapor.checkpoints.calibration import Calibration
 from vapor.observation import Device
 from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig

@@ -10,9 +10,9 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from vapor.calibration.images import LEAST_IMAGES
-from vapor.checkpoints.checkpoint import spaced
+from vapor.calibration.image_errors import LEAST_IMAGES
 from vapor.checkpoints.scene_scale import typical_side_m
+from vapor.checkpoints.thinning import spaced
 from vapor.training_data.ground import (
     DIRECTION_RAD,
     FARTHEST,

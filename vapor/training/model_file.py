@@ -11,8 +11,10 @@ from typing import Any, Literal
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import CalibrationResult, calibrate
 from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
-from vapor.checkpoints.checkpoint import MAX_PRIOR_POSES, Calibration, Checkpoint, spaced
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.scene_scale import default_errors
+from vapor.checkpoints.thinning import MAX_PRIOR_POSES, spaced
 from vapor.evaluation.validation import predict
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity

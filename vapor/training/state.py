@@ -15,7 +15,7 @@ from torch import Tensor
 from filtering.errors import quoted
 from sequences.errors import SequenceError
 from sequences.values import parse_number
-from vapor.checkpoints.checkpoint import parse_config, parse_metadata
+from vapor.checkpoints.stored_config import parse_config, parse_metadata
 from vapor.evaluation.validation import Validation
 from vapor.regressors.base import PoseRegressor
 from vapor.tensor_files import CHECKSUM, CheckpointError, format_of, read_safetensors, write_safetensors

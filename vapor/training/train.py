@@ -13,7 +13,9 @@ import numpy as np
 
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
-from vapor.checkpoints.checkpoint import Checkpoint, save_checkpoint, spaced
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import save_checkpoint
+from vapor.checkpoints.thinning import spaced
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
 from vapor.training.duration import fitting_epochs
@@ -25,15 +27,11 @@ from vapor.training.progress import Progress, ProgressCallback, TrainResult
 from vapor.training.start import initial_model, start
 from vapor.training.state import TrainingState, load_state, save_state, state_path
 from vapor.training.trainer import Trainer, weights_of
-from vapor.training_data.training_set import (
-    TrainingError,
-    TrainingSet,
-    load_training_set,
-    open_sequences,
-    require_apart,
-    require_variety,
-    too_few,
-)
+from vapor.training_data.checks import require_variety, too_few
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.load import load_training_set
+from vapor.training_data.training_set import TrainingError, TrainingSet
 
 
 def train(
@@ -63,7 +61,7 @@ def train(
         CheckpointError: an interrupted training of another configuration.
     """
     if validation or config.validation_fraction > 0:
-        require_apart(data, validation or None)
+        require_no_leakage(data, validation or None)
     odometry = "optional" if config.calibrate else "unread"  # which nothing else asks for
     held_out = open_sequences(validation, reading, odometry)
     return train_on(open_sequences(data, reading, odometry), output, config, validation=held_out, progress=progress)
@@ -207,7 +205,7 @@ def _fit(
         "holding_out": list(split.notes),
     }
     checkpoint = model_checkpoint(model, learned, split, evaluated, found, config, provenance)
-    save_checkpoint(output, checkpoint, half=config.store_float16)
+    save_checkpoint(output, checkpoint, store_float16=config.store_float16)
     state_path(output).unlink(missing_ok=True)
     apart = split.held_out.images is not split.training.images
     skipped, notices = split.training.skipped, split.training.notices

@@ -8,7 +8,7 @@ from time import perf_counter
 import torch
 from torch import Tensor
 
-from vapor.checkpoints.checkpoint import Calibration
+from vapor.checkpoints.calibration import Calibration
 from vapor.evaluation.validation import Validation, validate
 from vapor.regressors.base import PoseRegressor
 from vapor.training.config import TrainConfig

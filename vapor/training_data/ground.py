@@ -1,4 +1,4 @@
-"""Ground that images show: how near is near, which poses lie on it, and how to tell of those that do not."""
+"""Ground that training images show: how near is near, which poses lie on it, and what to say of those that do not."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ FARTHEST = 0.15
 """What counts as near, in typical sides of the scene, at most."""
 _CHORD = 2.0 * np.sin(DIRECTION_RAD / 2.0)
 _NEAREST = 1 / 3  # of that, at least
-_GIVEN = 2.0  # times as far counts where someone says that data are of the place
-_USUAL = 4.0  # times what lies between an image and the nearest of another pass in a quarter of those that have one
+_GIVEN = 2.0  # times as far counts as near where someone says that the data are of the place
+_USUAL = 4.0  # times the distance to the nearest image of another pass, which a quarter of the images do not exceed
 _LOOKED_AT = 8  # of the nearest
-_TOLD_RUNS = 3
-_TOLD_SHARE = 0.05  # of a run's images that no training image shows, from which on it is said
+_NAMED_RUNS = 3
+_LEAST_UNSHOWN = 0.05  # fraction of a run's images that no training image shows, from which on it is said
 
 
 def told_unshown(poses: Poses, training: Poses) -> str | None:
-    """What to say of a run that led over ground that training images do not show; None where it did not.
+    """What to say of a run over ground that training images do not show; None where they show all of it.
 
     Args:
         poses: Where the images of the run were taken, as found, (n,).
         training: Of the training images, (m,).
     """
     shown, near_m = shown_around(poses, training)
-    if (share := float((~shown).mean())) < _TOLD_SHARE:
+    if (fraction := float((~shown).mean())) < _LEAST_UNSHOWN:
         return None
     return (
-        f"{share:.0%} of the images were taken, by the smoothed trajectory, where no training image is within"
+        f"{fraction:.0%} of the images were taken, by the smoothed trajectory, where no training image is within"
         f" {near_m:.2g} m and 45°: images {told_runs(list(runs(~shown, np.zeros(len(shown), np.int64))), 0)}; expect"
         " larger errors there, and train with a recording of that ground"
     )
@@ -93,6 +93,6 @@ def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Ite
 
 def told_runs(found: Sequence[slice], first: int) -> str:
     """The first and last image of each run, counted from the first image of their recording."""
-    told = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_TOLD_RUNS]]
-    told += [f"{len(found) - _TOLD_RUNS} more"] if len(found) > _TOLD_RUNS else []
+    told = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_NAMED_RUNS]]
+    told += [f"{len(found) - _NAMED_RUNS} more"] if len(found) > _NAMED_RUNS else []
     return " and ".join([*([", ".join(told[:-1])] if told[:-1] else []), told[-1]])

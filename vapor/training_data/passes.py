@@ -15,7 +15,7 @@ _BREAK_S, _BREAK_STEPS = 1.0, 3.0
 def pass_numbers(images: TrainingSet) -> Int64[np.ndarray, " n"]:
     """The number of the pass that each image is from, increasing.
 
-    Another begins with every sequence, and after more than a second and three times what is usual between images.
+    A new one begins with every sequence, and after a gap of more than a second and three times what is usual.
     """
     steps_s = np.diff(images.times_ns, prepend=images.times_ns[:1]) * 1e-9
     begins = np.diff(images.sequence, prepend=images.sequence[:1] - 1) != 0
@@ -29,7 +29,7 @@ def pass_numbers(images: TrainingSet) -> Int64[np.ndarray, " n"]:
 def some_runs(count: int, limit: int) -> Int64[np.ndarray, " k"]:
     """Indices of at most `limit` of `count` images, in runs of ten evenly spaced ones.
 
-    Consecutive images tell for how long errors last, and those of all the scene how large they are.
+    Consecutive images show how long errors last, and images from all over the scene how large they are.
     """
     if count <= limit:
         return np.arange(count)
@@ -38,13 +38,13 @@ def some_runs(count: int, limit: int) -> Int64[np.ndarray, " k"]:
     return np.unique(starts[:, None] + np.arange(min(RUN_IMAGES, limit)))
 
 
-def odometry_stretches(images: TrainingSet) -> list[OdometrySegment]:
+def odometry_segments(images: TrainingSet) -> list[OdometrySegment]:
     """Consecutive images with odometry from each to the next, and their true poses."""
-    stretches: list[OdometrySegment] = []
+    segments: list[OdometrySegment] = []
     begins = [i for i, step in enumerate(images.odometry) if step is None]
     for begin, end in zip(begins, [*begins[1:], len(images)][: len(begins)], strict=True):
         steps = [step for step in images.odometry[begin + 1 : end] if step is not None]
         if steps:
             truth = images.poses[np.arange(begin, end)]
-            stretches.append(OdometrySegment(steps, truth, int(images.sequence[begin])))
-    return stretches
+            segments.append(OdometrySegment(steps, truth, int(images.sequence[begin])))
+    return segments

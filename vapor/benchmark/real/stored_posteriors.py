@@ -20,7 +20,9 @@ from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.segment import OdometrySegment
 from sequences.trajectories.increments import odometry_between
 from vapor.benchmark.real.row import Draw, RowContext
-from vapor.calibration.images import Seen, Way, fit_errors
+from vapor.calibration.image_errors import fit_errors
+from vapor.calibration.observations import Observations
+from vapor.calibration.travel import Travel
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.tracking.passage import Passage
 
@@ -75,9 +77,9 @@ class StoredPosteriors:
         first = np.arange(n) < n // 2
         fit = fit_odometry([OdometrySegment(odometry[1 : n // 2], truth[first])])
         (unseen,) = np.nonzero(first & ~trained_on)
-        way = Way.along(truth[unseen], np.cumsum(np.diff(unseen, prepend=unseen[:1]) > 1))
+        way = Travel.along(truth[unseen], np.cumsum(np.diff(unseen, prepend=unseen[:1]) > 1))
         scene = truth[trained_on]  # the places that the network knows
-        seen = Seen([samples[i] for i in unseen], truth[unseen])
+        seen = Observations([samples[i] for i in unseen], truth[unseen])
         errors = fit_errors(seen, way, scene, default_errors(scene)).errors
         passage = Passage(times_ns, odometry, truth, lambda image: PosePosterior.from_samples(samples[image], errors))
         localizer = replace(config, slow_errors=fit.slow_errors)

@@ -23,12 +23,15 @@ from vapor.benchmark.recordings.storage import load_recording
 from vapor.cache import code_digest, digest
 from vapor.calibration.calibrate import calibrate
 from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
-from vapor.checkpoints.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, spaced
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.checkpoints.thinning import spaced
 from vapor.tracking.passage import Passage, posterior_of
 from vapor.training.config import TrainConfig
 from vapor.training.progress import Progress
 from vapor.training.train import train
-from vapor.training_data.training_set import load_training_set, open_sequences
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.load import load_training_set
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,7 @@ class TrainedNetwork:
             familiarity=familiar,
             training=json.loads(json.dumps(provenance)),
         )
-        save_checkpoint(file, calibrated, half=self.config.store_float16)
+        save_checkpoint(file, calibrated, store_float16=self.config.store_float16)
         return file
 
     def _sequence(self, context: RowContext, seed: int) -> tuple[Path, str]:

@@ -17,7 +17,9 @@ from vapor.benchmark.trials import kinds
 from vapor.benchmark.trials.kinds import KINDS, Kind, recorded_images, walk_frames
 from vapor.benchmark.trials.trial import Segment
 from vapor.cache import code_digest
-from vapor.checkpoints.checkpoint import Checkpoint, find_model, load_checkpoint
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.shipped_models import find_model
 
 _MAX_SEED = 2**62
 _CODE = (

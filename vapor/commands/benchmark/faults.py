@@ -16,7 +16,7 @@ from sequences.outputs.claims import claim_folder
 from vapor.benchmark.faults.benchmark import FaultBenchmark, FaultsConfig
 from vapor.benchmark.faults.summary import summarise_faults
 from vapor.benchmark.faults.table import FAULTS
-from vapor.checkpoints.checkpoint import find_model
+from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.benchmark.fault_tables import fault_failures, fault_tables
 from vapor.commands.benchmark.scenes import SCENE_NAMES, SceneOptions, listed, with_help, write_summary
 from vapor.commands.console import bar, parse, show

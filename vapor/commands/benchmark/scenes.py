@@ -12,7 +12,7 @@ import tyro
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from sequences.scenes import find_scene, is_scene, scene_names
-from vapor.checkpoints.checkpoint import find_model
+from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import OutputPath, Overwrite
 from vapor.reporting.report import write_report
 

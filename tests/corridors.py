@@ -1,4 +1,4 @@
-"""Recordings of walks along straight lines of which no image is looked at: what is held out, and what others show."""
+"""Walks through corridors and a stairwell, as training sets of which no image is looked at."""
 
 from collections import Counter
 

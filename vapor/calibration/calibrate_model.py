@@ -1,0 +1,149 @@
+"""Calibration of a model file on held-out recordings: another file with the same weights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int64
+
+from filtering.errors import VaporTrackError
+from sequences.options import SequenceOptions
+from vapor.calibration.calibrate import Advance, CalibrationResult, calibrate
+from vapor.calibration.familiarity import EXEMPLARS, extract_features, learn_familiarity
+from vapor.calibration.image_errors import LEAST_IMAGES
+from vapor.calibration.unfamiliarity import ordinary_score
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.stored_tensors import NETWORK
+from vapor.checkpoints.thinning import spaced
+from vapor.observation import Device, resolve_device
+from vapor.regressors.base import PoseRegressor
+from vapor.regressors.familiarity import Familiarity
+from vapor.tensor_files import read_safetensors
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.load import load_training_set
+from vapor.training_data.training_set import TrainingSet
+
+
+def calibrate_model(
+    model: str,
+    data: Sequence[Path | str],
+    output: Path,
+    *,
+    training: Sequence[Path | str] = (),
+    familiarity_only: bool = False,
+    same_conditions: bool = False,
+    max_images: int = 500,
+    seed: int = 0,
+    device: Device = "auto",
+    reading: SequenceOptions | None = None,
+    advance: Advance = lambda done, total: None,
+) -> CalibrationResult:
+    """Calibrate a model that was trained before, and write it with its weights untouched.
+
+    What is familiar to the network is learned from `training`. Without it, what the model knows of that stays, and only
+    the threshold is found anew; a model that knows nothing of it learns it from half of the held-out data, and the
+    threshold from the rest.
+
+    Args:
+        model: Model file, or name of a model that ships.
+        data: Held-out files and folders with true poses, as for `train`.
+        output: The model file to write.
+        training: Data that the model was trained on, or some of it.
+        familiarity_only: Fit only what is familiar.
+        same_conditions: As in `calibrate`.
+        max_images: Held-out images that are used, at most.
+        seed: Of latent noise.
+        device: Where the network runs.
+        reading: What to read of MCAP sequences, of both; None for all of it, as found.
+        advance: Called with the number of images seen by the network and of all.
+
+    Raises:
+        VaporTrackError: unusable model or data, or too little of it to calibrate anything.
+    """
+    file, output = find_model(model), Path(output)
+    if output.is_dir() or not output.parent.is_dir():
+        raise VaporTrackError(f"{output}: cannot be written, expected the name of a model file in an existing folder")
+    checkpoint = load_checkpoint(file)
+    config = checkpoint.network
+    require_no_leakage(training, data)
+    odometry = "unread" if familiarity_only else "optional"
+    held_out = load_training_set(open_sequences(data, reading, odometry), config.frame_size, camera=checkpoint.camera)
+    trained_on = (
+        load_training_set(open_sequences(training, reading, odometry), config.frame_size, camera=checkpoint.camera)
+        if training
+        else None
+    )
+    if len(held_out) < LEAST_IMAGES:
+        names = ", ".join(Path(str(entry)).name for entry in data)
+        raise VaporTrackError(f"{names}: {len(held_out)} images with true poses, expected at least {LEAST_IMAGES}")
+    skipped = held_out.skipped + trained_on.skipped if trained_on else held_out.skipped
+    notices = checkpoint.notices + held_out.notices + (trained_on.notices if trained_on else ())
+    network = checkpoint.build_network().to(resolve_device(device))
+    familiarity = _familiarity(network, checkpoint.familiarity, trained_on, held_out, max_images)
+    calibration, known = checkpoint.calibration, checkpoint.familiarity
+    if familiarity is not None and known is not None:
+        # Scores have another scale now; an ordinary image is as ordinary as before.
+        if trained_on is None:
+            scores = np.array([calibration.errors.unfamiliar_score * known.threshold / familiarity.threshold])
+        else:
+            features = extract_features(network, held_out.select(spaced(len(held_out), max_images)))
+            scores = familiarity.unfamiliarity(features)
+        errors = replace(calibration.errors, unfamiliar_score=ordinary_score(scores))
+        calibration = replace(calibration, errors=errors)
+    if familiarity_only:
+        _save(replace(checkpoint, familiarity=familiarity, calibration=calibration), output, file)
+        return CalibrationResult(calibration, skipped=skipped, notices=notices)
+    result = calibrate(
+        network,
+        held_out,
+        checkpoint.prior_poses,
+        calibration,
+        training=trained_on,
+        familiarity=familiarity,
+        same_conditions=same_conditions,
+        max_images=max_images,
+        seed=seed,
+        advance=advance,
+    )
+    names = {"data": [Path(str(entry)).name for entry in data]}
+    provenance = {**checkpoint.training, "calibration": names | result.provenance}
+    fitted = replace(checkpoint, calibration=result.calibration, training=provenance, familiarity=familiarity)
+    _save(fitted, output, file)
+    return replace(result, skipped=skipped, notices=notices)
+
+
+def _save(checkpoint: Checkpoint, output: Path, source: Path) -> None:
+    """Write a model with its network's weights in the precision of the file that they come from."""
+    stored = read_safetensors(source)[1].items()
+    float16 = any(tensor.dtype == torch.float16 for name, tensor in stored if name.startswith(NETWORK))
+    save_checkpoint(output, checkpoint, store_float16=float16)
+
+
+def _familiarity(
+    network: PoseRegressor,
+    known: Familiarity | None,
+    trained_on: TrainingSet | None,
+    held_out: TrainingSet,
+    max_images: int,
+) -> Familiarity | None:
+    """What is familiar to a network, with the threshold of held-out images; None where there are too few images."""
+    if trained_on is None and known is not None:
+        return known.with_threshold_of(extract_features(network, held_out.select(spaced(len(held_out), max_images))))
+    if trained_on is None:
+        first = _first_half(held_out.sequence)
+        trained_on, held_out = held_out.select(np.flatnonzero(first)), held_out.select(np.flatnonzero(~first))
+    some = trained_on.select(spaced(len(trained_on), EXEMPLARS))
+    return learn_familiarity(network, some, held_out.select(spaced(len(held_out), max_images)))
+
+
+def _first_half(sequence: Int64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Every other sequence; of a single one the first half."""
+    numbers, which = np.unique(sequence, return_inverse=True)
+    return which % 2 == 0 if len(numbers) > 1 else np.arange(len(sequence)) < len(sequence) // 2

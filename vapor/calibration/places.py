@@ -1,0 +1,139 @@
+"""The places of images among their posterior samples, and the likelihood of the true poses there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float64, Int64
+from scipy.stats import f as fisher
+
+from filtering.association import PLACE
+from filtering.error_model import ErrorModel, Six
+from filtering.moments import group_moments
+from filtering.posterior import find_places
+from filtering.se3 import Poses
+from vapor.calibration.student_t import log_densities, log_sums
+
+REGIONS = (0.5, 0.9, 0.95)
+"""Probabilities of the regions whose coverage is reported."""
+_NEAREST = 8  # places of an image that are fitted: those nearest to the true pose
+
+
+@dataclass(frozen=True)
+class Places:
+    """Places of n images, those nearest to the true pose, by image.
+
+    Attributes:
+        residual: The true pose as seen from each place, ξ = (v, ω), (p, 6).
+        covariance: Of the samples, (p, 6, 6).
+        fraction: Of the image's samples that each has, (p,).
+        image: Which one each is of, in increasing order, every image at least once, (p,).
+    """
+
+    residual: Float64[np.ndarray, "p 6"]
+    covariance: Float64[np.ndarray, "p 6 6"]
+    fraction: Float64[np.ndarray, " p"]
+    image: Int64[np.ndarray, " p"]
+
+    @staticmethod
+    def near(samples: Sequence[Poses], truth: Poses, radius_m: float, radius_rad: float) -> Places:
+        """The places of each image that reach so far, at most eight, those nearest to its true pose.
+
+        Args:
+            samples: Posterior samples of each image, world_from_camera, (m,) each.
+            truth: True poses, world_from_camera, (n,).
+            radius_m: Reach of a place, metres.
+            radius_rad: Likewise, radians.
+        """
+        parts = []
+        for poses in samples:
+            label, count = find_places(poses, radius_m, radius_rad)
+            own = np.flatnonzero(label >= 0)
+            means, covariances, _ = group_moments(poses[own], np.ones(len(own)), label[own], count)
+            parts.append((means, covariances, np.bincount(label[own], minlength=count) / len(poses)))
+        image = np.repeat(np.arange(len(samples)), [len(fraction) for _, _, fraction in parts])
+        means = Poses.concatenate([part for part, _, _ in parts])
+        residual = (means.inverse() @ truth[image]).log()
+        apart = np.linalg.norm(residual[:, :3], axis=1) / radius_m
+        apart += np.linalg.norm(residual[:, 3:], axis=1) / radius_rad
+        order = np.lexsort([apart, image])
+        rank = np.arange(len(image)) - np.searchsorted(image, image)
+        kept = order[rank < _NEAREST]
+        covariance, fraction = (np.concatenate(part) for part in list(zip(*parts, strict=True))[1:])
+        return Places(residual[kept], covariance[kept], fraction[kept], image[kept])
+
+    def grown(self, errors: ErrorModel, score: Float64[np.ndarray, " n"]) -> Places:
+        """The same as if every image were as familiar as those that the model is about: g⁻³ t(ξ/√g; Σ) is t(ξ; g Σ)."""
+        growth = np.array([errors.growth(float(value)) for value in score])[self.image]
+        return replace(self, residual=self.residual / np.sqrt(growth)[:, None], fraction=self.fraction / growth**3)
+
+    def log_density(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
+        """Log density of the true pose of each image, per m³ rad³."""
+        log_places = log_sums(torch.from_numpy(self._log_terms(errors)), torch.from_numpy(self.image)).numpy()
+        outliers = errors.outlier_share
+        return np.logaddexp(np.log(outliers) + errors.flat_log_density, np.log1p(-outliers) + log_places)
+
+    def evidence(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
+        """Log of how possible each image finds the true place, as the filter asks it (`associate`)."""
+        covariance = errors.covariance(self.covariance)
+        solved = np.linalg.solve(covariance, self.residual[..., None])[..., 0]
+        squared = np.einsum("pi,pi->p", self.residual, solved)
+        support = np.bincount(self.image, self.fraction * np.exp(-0.5 * squared / PLACE**2))
+        possible = support / (support + errors.possible_share)
+        return np.log(errors.outlier_share + (1.0 - errors.outlier_share) * possible)
+
+    def residuals(self, errors: ErrorModel) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
+        """Errors of the likeliest places in standard deviations, and which images say more than a flat density.
+
+        Large errors are made smaller by as much as the image counts less: by the weight of a Student t distribution.
+        """
+        best = self._likeliest(errors)
+        unit = np.asarray(self.typical_std(errors))
+        covariance = errors.covariance(self.covariance[best]) / np.multiply.outer(unit, unit)
+        values, vectors = np.linalg.eigh(covariance)
+        normal = np.einsum("nij,nj->ni", np.swapaxes(vectors, 1, 2), self.residual[best] / unit)
+        normal = np.einsum("nij,nj->ni", vectors, normal / np.sqrt(values))
+        weight = (errors.tail + 6.0) / (errors.tail + np.square(normal).sum(axis=1))
+        log_odds = np.log1p(-errors.outlier_share) - np.log(errors.outlier_share)
+        terms = torch.from_numpy(self._log_terms(errors))
+        log_places = log_sums(terms, torch.from_numpy(self.image)).numpy()
+        return normal * np.sqrt(np.minimum(weight, 1.0))[:, None], log_places + log_odds > errors.flat_log_density
+
+    def coverage(self, errors: ErrorModel) -> tuple[float, float, float]:
+        """Fraction of the images whose true pose is in the 50, 90 and 95 % region of its likeliest place."""
+        best = self._likeliest(errors)
+        covariance = errors.covariance(self.covariance[best])
+        solved = np.linalg.solve(covariance, self.residual[best][..., None])[..., 0]
+        squared = np.einsum("ni,ni->n", self.residual[best], solved)
+        fifty, ninety, most = (float((squared <= 6.0 * fisher.ppf(q, 6, errors.tail)).mean()) for q in REGIONS)
+        return fifty, ninety, most
+
+    def typical_std(self, errors: ErrorModel) -> Six:
+        """Standard deviations of the error of the likeliest place, median over the images."""
+        variances = np.diagonal(errors.covariance(self.covariance[self._likeliest(errors)]), axis1=1, axis2=2)
+        return as_six(np.sqrt(np.median(variances, axis=0)))
+
+    def _likeliest(self, errors: ErrorModel) -> Int64[np.ndarray, " n"]:
+        """Index of the place of each image in which its true pose is likeliest."""
+        order = np.lexsort([-self._log_terms(errors), self.image])
+        return order[np.flatnonzero(np.diff(self.image, prepend=-1))]
+
+    def _log_terms(self, errors: ErrorModel) -> Float64[np.ndarray, " p"]:
+        terms, _ = log_densities(
+            torch.from_numpy(self.residual),
+            torch.from_numpy(self.covariance),
+            torch.from_numpy(self.fraction),
+            torch.tensor(errors.spread, dtype=torch.float64),
+            torch.tensor(errors.floor, dtype=torch.float64),
+            torch.tensor(errors.tail, dtype=torch.float64),
+        )
+        return terms.numpy()
+
+
+def as_six(values: Float64[np.ndarray, "6"]) -> Six:
+    """Six numbers as the tuple that an `ErrorModel` has."""
+    a, b, c, d, e, f = (float(value) for value in values)
+    return a, b, c, d, e, f

@@ -1,0 +1,92 @@
+"""How wrong a model's posteriors are: what the likelihood of an image is made of, and how it is stored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from filtering.density import KernelDensity
+from filtering.error_model import ErrorModel
+from filtering.errors import VaporTrackError, quoted, require_within
+from filtering.se3 import Poses
+from sequences.odometry_fit.result import OdometryFit
+from vapor.checkpoints.scene_scale import default_errors
+from vapor.checkpoints.stored_config import parse_config
+from vapor.tensor_files import CheckpointError
+
+_SIX = {"floor", "typical_std"}
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How wrong a model's posteriors are, and the odometry of its scene; `vapor-track calibrate` fits it."""
+
+    bandwidth_translation_m: float = 0.1
+    """Kernel width of the posterior samples along each axis, metres: of their density, in figures."""
+    bandwidth_rotation_rad: float = 0.1
+    """Kernel width of the posterior samples about each axis, radians."""
+    errors: ErrorModel = field(default_factory=ErrorModel)
+    """How the places among the samples err."""
+    odometry: OdometryFit | None = None
+    """How wrong odometry was on the data; None where none was at hand."""
+
+    def __post_init__(self) -> None:
+        require_within(self, bandwidth_translation_m=(1e-9, 1e9), bandwidth_rotation_rad=(1e-3, 10.0))
+
+    def density(self, samples: Poses) -> KernelDensity:
+        """p̂, the kernel density of posterior samples (m,)."""
+        return KernelDensity(samples, self.bandwidth_translation_m, self.bandwidth_rotation_rad)
+
+
+def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, float]) -> Calibration:
+    """The calibration in a model file, from JSON: every field must be there, those of its parts too, and no other.
+
+    Args:
+        path: The file, for messages.
+        values: JSON.
+        missing: Fields of the error model that files of this version lack, and their values.
+
+    Raises:
+        CheckpointError: missing, surplus or unusable values.
+    """
+    if not isinstance(values, dict) or "errors" not in values:
+        return parse_config(path, "calibration", Calibration, values)  # which says what is wrong
+    errors = values["errors"]
+    if isinstance(errors, dict):
+        for name in _SIX & errors.keys():
+            found = errors[name]
+            if not (isinstance(found, list) and len(found) == 6 and all(type(v) in (int, float) for v in found)):
+                raise CheckpointError(
+                    f"{path}: calibration.errors configuration has {name} {quoted(found)}, expected six numbers"
+                )
+        errors = errors | {name: tuple(map(float, errors[name])) for name in _SIX & errors.keys()} | dict(missing)
+    odometry = values.get("odometry")
+    if odometry is not None:
+        if not isinstance(odometry, dict):
+            raise CheckpointError(f"{path}: calibration.odometry is {quoted(odometry)}, expected an object or null")
+        try:
+            odometry = OdometryFit.from_dict(odometry)
+        except VaporTrackError as error:
+            raise CheckpointError(f"{path}: calibration.odometry configuration: {error}") from error
+    held = {"errors": parse_config(path, "calibration.errors", ErrorModel, errors)}
+    held |= {"odometry": odometry} if "odometry" in values else {}
+    return parse_config(path, "calibration", Calibration, values | held)
+
+
+def parse_former_calibration(path: Path, values: Any, *, prior_poses: Poses) -> Calibration:
+    """The calibration in a model file of format 4 or 5, from JSON: its kernel widths, and default errors.
+
+    Args:
+        path: The file, for messages.
+        values: JSON.
+        prior_poses: Of the model, (n,): the default errors are in proportion to the scene that they outline.
+
+    Raises:
+        CheckpointError: missing or unusable kernel widths.
+    """
+    names = ("bandwidth_translation_m", "bandwidth_rotation_rad")
+    widths = {name: values[name] for name in names if name in values} if isinstance(values, dict) else {}
+    errors = default_errors(prior_poses)
+    return parse_config(path, "calibration", Calibration, widths | {"errors": errors, "odometry": None})

@@ -1,0 +1,119 @@
+"""Which way odometry's axes point: its motions against those of the true poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.se3 import Poses, nearest_rotation
+from sequences.frame import Trajectory
+
+_WINDOW_S = 1.0  # over which motions are compared: noise of single images counts little
+_LEAST_WINDOWS = 20
+_AGREES, _BETTER = 0.7, 0.2  # correlation of motions, and by how much another way must be better
+_TURNED_RAD = float(np.deg2rad(10.0))
+_DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))  # of a camera's axes: there and back
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Which way odometry's axes point, seen by true poses.
+
+    Attributes:
+        correlation: Of the motions as they are, translation and rotation: 1 where they are the same but for scale.
+        turned: The turn of the camera on its base, of all turns by quarters, that makes them most alike, (3, 3).
+        correlation_turned: Of the motions with it.
+        off_rad: Of the best turn of all, how far it is from none.
+        correlation_best: Of the motions with that.
+    """
+
+    correlation: float
+    turned: Float64[np.ndarray, "3 3"]
+    correlation_turned: float
+    off_rad: float
+    correlation_best: float
+
+    @property
+    def swapped(self) -> bool:
+        """Whether quarter turns explain the motions much better than none."""
+        return self.correlation_turned >= _AGREES and self.correlation_turned > self.correlation + _BETTER
+
+    @property
+    def tilted(self) -> bool:
+        """Whether another turn does, of 10° and more."""
+        better = 1.0 - self.correlation_best < 0.8 * (1.0 - self.correlation)
+        return not self.swapped and self.correlation_best >= _AGREES and better and self.off_rad > _TURNED_RAD
+
+    @property
+    def unlike(self) -> bool:
+        """Whether no turn makes the motions alike."""
+        return max(self.correlation, self.correlation_turned, self.correlation_best) < _AGREES
+
+    def said(self) -> str:
+        """What looks like what, of the swapped axes."""
+        parts = []
+        for axis in (2, 0, 1):
+            seen = self.turned[:, axis]
+            number = int(np.argmax(np.abs(seen)))
+            if number != axis or seen[number] < 0:
+                parts.append(
+                    f"{_DIRECTIONS[axis][0]} looks like the true poses' {_DIRECTIONS[number][int(seen[number] < 0)]}"
+                )
+        return "odometry's " + ", its ".join(parts)
+
+
+def compare_axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None:
+    """Compare motions over a second, translations and rotations, each in units of its own size.
+
+    Args:
+        tracks: Odometry and true poses at the same times, of each segment.
+
+    Returns:
+        Which way the axes point; None where the camera moves too little to say.
+    """
+    pairs = [_motions(*track) for track in tracks]
+    odometry, truth = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
+    if len(odometry) < _LEAST_WINDOWS:
+        return None
+    products, sizes = np.zeros((3, 3)), 0.0
+    for part in (slice(0, 3), slice(3, 6)):
+        size = float(np.linalg.norm(odometry[:, part]) * np.linalg.norm(truth[:, part]))
+        if size > 1e-9:
+            products += truth[:, part].T @ odometry[:, part] / size
+            sizes += 1.0
+    if sizes == 0.0:
+        return None
+
+    def correlation(turn: np.ndarray) -> float:
+        return float(np.sum(turn * products)) / sizes
+
+    quarters = [np.eye(3), *(turn for turn in _quarter_turns() if not np.allclose(turn, np.eye(3)))]
+    turned = max(quarters, key=lambda turn: round(correlation(turn), 3))  # the first of equals
+    best = nearest_rotation(products)
+    _, off_rad = Poses(best, np.zeros(3)).distance(Poses.identity())
+    return Axes(correlation(np.eye(3)), turned, correlation(turned), float(off_rad), correlation(best))
+
+
+def _motions(odometry: Trajectory, truth: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Motions (k, 6) over a second each, by both."""
+    begins, at_ns = [0], odometry.times_ns
+    while (after := int(np.searchsorted(at_ns, at_ns[begins[-1]] + round(_WINDOW_S * 1e9)))) < len(at_ns):
+        begins.append(after)
+    at = np.array(begins)
+    moved = [(track.poses[at[:-1]].inverse() @ track.poses[at[1:]]).log() for track in (odometry, truth)]
+    return moved[0], moved[1]
+
+
+def _quarter_turns() -> list[Float64[np.ndarray, "3 3"]]:
+    """The 24 rotations that carry axes to axes."""
+    found = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        turn = np.zeros((3, 3))
+        turn[list(order), range(3)] = signs
+        if np.linalg.det(turn) > 0:
+            found.append(turn)
+    return found

@@ -1,0 +1,72 @@
+"""Data as they are named on the command line, `PATH` or `PATH@START:STOP`, and their frames."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from sequences.datasets import listing
+from sequences.datasets.frames import posed_frames
+from sequences.frame import Frame
+from sequences.options import OdometryUse, SequenceOptions
+from vapor.training_data.training_set import TrainingError
+
+
+def open_sequences(
+    data: Sequence[Path | str], reading: SequenceOptions | None = None, odometry: OdometryUse = "optional"
+) -> dict[str, Iterable[Frame]]:
+    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
+
+    Args:
+        data: The entries.
+        reading: What to read of those that are MCAP sequences; None for all of it, as found.
+        odometry: Whether their odometry is read.
+
+    Raises:
+        TrainingError: what follows the @ is not a range.
+    """
+    return {
+        name: posed_frames(path, frames=frames, options=reading, odometry=odometry)
+        for name, (path, frames) in name_entries(data).items()
+    }
+
+
+def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
+    """Path and frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
+
+    Raises:
+        TrainingError: what follows the @ is not a range.
+    """
+    named: dict[str, tuple[Path, slice]] = {}
+    for number, entry in enumerate(data):
+        path, frames = parse_entry(entry)
+        parts = Path(str(entry)).parts[-2 if path.suffix == ".txt" else -1 :]  # lists of splits are all named alike
+        name = "/".join(parts)
+        named[name if name not in named else f"{name} ({number + 1})"] = path, frames
+    return named
+
+
+def parse_entry(entry: Path | str) -> tuple[Path, slice]:
+    """Path and frames of `PATH` or `PATH@START:STOP`.
+
+    Raises:
+        TrainingError: what follows the @ is not a range.
+    """
+    match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
+    if match:
+        return Path(match["path"]), slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None)
+    if re.search(r"@[^/]*:[^/]*$", str(entry)) and not Path(entry).exists():
+        raise TrainingError(f"{entry}: expected START:STOP after @ to be whole numbers, or one of them left out")
+    return Path(entry), slice(None)
+
+
+def files_read(data: Sequence[Path | str], reading: SequenceOptions | None = None) -> Iterator[Path]:
+    """Files and folders that `PATH`s and `PATH@START:STOP`s are read from; an output must be none of these.
+
+    Raises:
+        TrainingError: what follows an @ is not a range.
+    """
+    for entry in data:
+        yield from listing.files_read(parse_entry(entry)[0])
+    yield from () if reading is None else reading.files_read

@@ -1,0 +1,139 @@
+"""Frames with true poses -> a training set: scaled, of one camera, in a nameless temporary file."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+from sequences.datasets.frames import PosedFrames
+from sequences.frame import Camera, Frame
+from vapor.cameras import AsTakenBy, described
+from vapor.images import centre_crop, scale_to_cover
+from vapor.training_data.checks import too_far
+from vapor.training_data.training_set import TrainingError, TrainingSet
+
+_MOST_CAMERAS = 3  # that are named
+
+
+def load_training_set(
+    sequences: Mapping[str, Iterable[Frame]],
+    frame_size: tuple[int, int] | Callable[[int, int], tuple[int, int]],
+    *,
+    central: bool = True,
+    camera: Camera | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> TrainingSet:
+    """Read frames once, scale each image to cover a frame, and keep it in a temporary file.
+
+    Args:
+        sequences: Frames by the name of their file or folder; frames without a pose are left out.
+        frame_size: Width and height of that frame, pixels, or a function of the camera's width and height.
+        central: Keep the part of the middle that fills the frame, so that images may differ in size; else keep the
+            whole image, and all must have the aspect ratio of the first.
+        camera: The camera whose images they are resampled to where intrinsics are known; None for that of most images.
+        progress: Called with the number of images read so far.
+
+    Raises:
+        TrainingError: a sequence without posed frames, a pose that is not finite, or images of different aspect.
+    """
+    matrices: list[np.ndarray] = []
+    sources: list[tuple[int, int]] = []
+    skipped: Counter[str] = Counter()
+    notices: list[str] = []
+    times_ns: list[int] = []
+    odometry: list[Odometry | None] = []
+    shape: tuple[int, ...] | None = None
+    camera = camera or _commonest_camera(sequences)
+    camera_size = (camera.width, camera.height) if camera else None
+    as_taken: AsTakenBy | None = None
+    with tempfile.TemporaryFile() as file:
+        for index, (name, frames) in enumerate(sequences.items()):
+            follows = False
+            num_before = len(sources)
+            for frame in frames:
+                if frame.world_from_camera is None:
+                    follows = False
+                    continue
+                if as_taken is None or camera_size is None:  # the first image
+                    camera_size = camera_size or (frame.image.shape[1], frame.image.shape[0])
+                    size = frame_size(*camera_size) if callable(frame_size) else frame_size
+                    as_taken = AsTakenBy(camera, size)
+                image = scale_to_cover(as_taken(frame.image, frame.camera), *as_taken.frame_size)
+                image = centre_crop(image, *as_taken.frame_size) if central else image
+                shape = shape or image.shape
+                if image.shape != shape:
+                    number = len(sources) - num_before + 1
+                    raise TrainingError(
+                        f"{name}: image {number}, at {frame.time_ns} ns, is {image.shape[1]} x {image.shape[0]} after"
+                        f" scaling, expected {shape[1]} x {shape[0]} as the first (or augment.crop central)"
+                    )
+                if not frame.world_from_camera.is_finite():
+                    raise TrainingError(f"{name}: true pose at {frame.time_ns} ns is not finite")
+                file.write(np.ascontiguousarray(image).data)
+                matrices.append(frame.world_from_camera.as_matrix())
+                sources.append((index, frame.sequence))
+                times_ns.append(frame.time_ns)
+                odometry.append(frame.odometry if follows else None)
+                follows = True
+                progress(len(sources))
+            if len(sources) == num_before:
+                raise TrainingError(f"{name}: no image with a true pose, expected at least one")
+            if isinstance(frames, PosedFrames):
+                skipped += frames.skipped
+                notices += frames.notices
+        if shape is None or camera_size is None or as_taken is None:
+            raise TrainingError("no training data, expected at least one sequence")
+        file.flush()
+        images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
+    poses = Poses.from_matrix(np.stack(matrices))
+    notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
+    begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
+    return TrainingSet(
+        images,
+        np.arange(len(sources)),
+        poses,
+        np.cumsum(begins),
+        _sequence_names(list(sequences), [sources[i] for i in [0, *np.flatnonzero(begins)]]),
+        camera_size,
+        np.array(times_ns, np.int64),
+        tuple(odometry),
+        skipped,
+        tuple(notices),
+        as_taken.camera,
+    )
+
+
+def _commonest_camera(sequences: Mapping[str, Iterable[Frame]]) -> Camera | None:
+    """The camera of most images, as far as that is known before they are read."""
+    cameras: Counter[Camera] = Counter()
+    for frames in sequences.values():
+        if isinstance(frames, PosedFrames):
+            cameras += frames.cameras()
+        elif isinstance(frames, Sequence):
+            cameras.update(frame.camera for frame in frames if frame.camera is not None)
+    return max(cameras, key=lambda camera: cameras[camera], default=None)
+
+
+def _of_cameras(as_taken: AsTakenBy, total: int) -> list[str]:
+    """What to say where not all images are of one camera."""
+    if as_taken.camera is None or not as_taken.cameras:
+        return as_taken.notices
+    others = [f"{count} of {described(camera)}" for camera, count in as_taken.cameras.most_common(_MOST_CAMERAS)]
+    if len(as_taken.cameras) > _MOST_CAMERAS:
+        others.append("...")
+    return [
+        f"{as_taken.cameras.total()} of {total} images are of other cameras than {described(as_taken.camera)}, and were"
+        f" resampled to it: {', '.join(others)}",
+        *as_taken.notices,
+    ]
+
+
+def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> tuple[str, ...]:
+    """Names of sequences, each given by the number of its file or folder and its own, said where there are several."""
+    several = {file for file, count in Counter(file for file, _ in begun).items() if count > 1}
+    return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)
