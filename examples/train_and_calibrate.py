@@ -29,7 +29,8 @@ def main() -> None:
 
     errors = result.calibration.errors
     print(f"an ordinary image is {100 * max(errors.typical_std[:3]):.0f} cm off")
-    print(f"its error lasts for {errors.length_m:.2f} m; images that say nothing: {100 * errors.outlier_share:.0f} %")
+    print(f"its error lasts for {errors.length_m:.2f} m")
+    print(f"an image says nothing with a probability of {100 * errors.outlier_probability:.0f} %")
 
 
 if __name__ == "__main__":

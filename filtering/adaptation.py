@@ -60,8 +60,8 @@ class ErrorScale:
 
     def applied(self, errors: ErrorModel) -> ErrorModel:
         """The model as it is here, the least errors in proportion to those of the images lately."""
-        constant = errors.constant_share / max(self.information, 1e-3)
-        return replace(errors, constant_share=min(constant, 1e3)).inflated(self.factor)
+        constant = errors.constant_fraction / max(self.information, 1e-3)
+        return replace(errors, constant_fraction=min(constant, 1e3)).inflated(self.factor)
 
     def moved(self, camera_motion: Odometry, way: float) -> ErrorScale:
         """After a motion of the camera, and its way in lengths."""
@@ -85,7 +85,7 @@ class ErrorScale:
         expected = self.place @ self.since.previous_from_current
         difference = (expected.inverse() @ posterior.means).log()
         carry = self.since.previous_from_current.inverse().adjoint()
-        new = 1.0 - posterior.errors.lasting_share * np.exp(-self.way)
+        new = 1.0 - posterior.errors.lasting_fraction * np.exp(-self.way)
         of_images = new * (carry @ self.covariance @ carry.T + posterior.covariances)
         information = np.linalg.inv(of_images + self.since.covariance)
         squared = np.einsum("ki,kij,kj->k", difference, information, difference) / 6.0

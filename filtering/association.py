@@ -88,12 +88,12 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
     pairs = _near_pairs(belief, posterior, camera, way)
     near = posterior.weights[pairs.place] * np.exp(-0.5 * pairs.squared / PLACE**2)
     support = np.bincount(pairs.hypothesis, near, minlength=count)
-    possible = support / (support + errors.possible_share)
-    log_evidence = np.log(errors.outlier_share + (1.0 - errors.outlier_share) * possible)
+    possible = support / (support + errors.possible_fraction)
+    log_evidence = np.log(errors.outlier_probability + (1.0 - errors.outlier_probability) * possible)
 
     log_place_weights = np.log(np.maximum(posterior.weights, 1e-300))
-    log_seen = np.log1p(-errors.outlier_share) + log_place_weights[pairs.place] + pairs.log_density
-    log_unseen = np.log(errors.outlier_share) + errors.flat_log_density
+    log_seen = np.log1p(-errors.outlier_probability) + log_place_weights[pairs.place] + pairs.log_density
+    log_unseen = np.log(errors.outlier_probability) + errors.flat_log_density
     table = np.full((count, len(posterior.weights) + 1), -np.inf)
     table[:, -1] = log_unseen
     table[pairs.hypothesis, pairs.place] = log_seen
@@ -131,8 +131,8 @@ def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: 
     h, k = np.nonzero(near)
     difference = (belief.poses[h].inverse() @ posterior.means[k]).log()
     state, lasting = belief.covariance[h], belief.mean[h][:, _without_pose(camera)]
-    factor = np.sqrt(errors.lasting_share) * posterior.factors[k]
-    fresh = (1.0 - errors.lasting_share) * posterior.covariances[k]
+    factor = np.sqrt(errors.lasting_fraction) * posterior.factors[k]
+    fresh = (1.0 - errors.lasting_fraction) * posterior.covariances[k]
     innovation, joint, information, squared = _innovations(state, lasting, difference, factor, fresh, camera)
     log_det = -np.linalg.slogdet(information)[1]
     nu = errors.tail

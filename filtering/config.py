@@ -60,7 +60,7 @@ class LocalizerConfig:
     error."""
     converged_std_m: float | None = None
     """The same in metres, instead."""
-    converged_map_share: float = 0.5
+    converged_map_fraction: float = 0.5
     """And at most this fraction of the size of the map (`ErrorModel.map_size_m`): to know no more than the room is to
     know nothing."""
     converged_agreement: float = 0.7
@@ -90,7 +90,7 @@ class LocalizerConfig:
             least_weight=(0.0, 0.1),
             converged_weight=(0.0, 1.0),
             converged_std=(0.0, 1e6),
-            converged_map_share=(0.0, 1e6),
+            converged_map_fraction=(0.0, 1e6),
             converged_agreement=(0.0, 1.0),
             lost_agreement=(0.0, 1.0),
             agreement_s=(1e-6, 1e6),
@@ -104,4 +104,4 @@ class LocalizerConfig:
         """The largest standard deviation of the position, along its widest axis, of a converged belief, metres."""
         if self.converged_std_m is not None:
             return self.converged_std_m
-        return min(self.converged_std * max(errors.typical_std[:3]), self.converged_map_share * errors.map_size_m)
+        return min(self.converged_std * max(errors.typical_std[:3]), self.converged_map_fraction * errors.map_size_m)

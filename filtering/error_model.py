@@ -38,14 +38,14 @@ class ErrorModel:
     """Standard deviations of what the samples do not show."""
     tail: float = 6.0
     """Degrees of freedom of the Student t distribution; the fewer, the heavier the tails."""
-    outlier_share: float = 0.05
+    outlier_probability: float = 0.05
     """Probability that an image says nothing about where the camera is."""
     flat_log_density: float = -6.0
     """Log density of poses spread evenly over the map, per m³ rad³: where the camera is when an image says nothing."""
-    possible_share: float = 0.05
+    possible_fraction: float = 0.05
     """A place with this fraction of the samples counts half as possible as one with all of them: a network that learned
     from its best samples knows which places are possible, but not how likely each is."""
-    lasting_share: float = 0.7
+    lasting_fraction: float = 0.7
     """Fraction of the error's variance that lasts while the view stays the same."""
     length_m: float = 0.5
     """Distance over which that fades to 1/e, and a view becomes a new one, metres."""
@@ -54,7 +54,7 @@ class ErrorModel:
     mistaken_lengths: float = 1.0
     """Over so many of these lengths one image's mistake about the place is the next one's: what takes one floor for
     another does so along all of a corridor; less than 1 where mistakes fade sooner than errors."""
-    constant_share: float = 0.1
+    constant_fraction: float = 0.1
     """Fraction of the typical variance below which no number of images brings the uncertainty of a pose."""
     unfamiliar_power: float = 0.0
     """How errors grow with how unlike its training data an image is: standard deviations with this power of its score
@@ -71,14 +71,14 @@ class ErrorModel:
             radius_rad=(1e-6, 4.0),
             spread=(0.0, 1e6),
             tail=(1.0, 1e6),
-            outlier_share=(1e-9, 0.999999),
+            outlier_probability=(1e-9, 0.999999),
             flat_log_density=(-1e3, 1e3),
-            possible_share=(1e-9, 1e9),
-            lasting_share=(0.0, 0.999),
+            possible_fraction=(1e-9, 1e9),
+            lasting_fraction=(0.0, 0.999),
             length_m=(1e-9, 1e9),
             length_rad=(1e-6, 1e3),
             mistaken_lengths=(0.01, 1e3),
-            constant_share=(0.0, 1e3),
+            constant_fraction=(0.0, 1e3),
             unfamiliar_power=(0.0, 3.0),
             unfamiliar_score=(0.01, 1.0),
         )
@@ -101,7 +101,7 @@ class ErrorModel:
     @property
     def least_covariance(self) -> Float64[np.ndarray, "6 6"]:
         """What is added to every belief: the errors that no number of images takes away."""
-        return self.constant_share * np.diag(np.square(self.typical_std))
+        return self.constant_fraction * np.diag(np.square(self.typical_std))
 
     @property
     def map_size_m(self) -> float:

@@ -119,7 +119,7 @@ def born(
         mean[:, :7] = belief.mean[heaviest, :7]
         covariance[:, SLOW, SLOW] = belief.covariance[heaviest, SLOW, SLOW]
     covariance[:, POSE, POSE] = posterior.covariances
-    shared = -np.sqrt(posterior.errors.lasting_share) * posterior.factors
+    shared = -np.sqrt(posterior.errors.lasting_fraction) * posterior.factors
     covariance[:, POSE, bias(camera)] = shared
     covariance[:, bias(camera), POSE] = np.swapaxes(shared, 1, 2)
     possible = np.maximum(posterior.possible, 1e-300)

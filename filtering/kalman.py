@@ -140,8 +140,8 @@ class KalmanLocalizer:
         difference = (pose.inverse() @ posterior.means).log()
         shows = np.zeros((len(posterior.weights), 6, 19))  # error of the pose + factor · bias + fresh noise
         shows[:, :, POSE] = np.eye(6)
-        shows[:, :, bias(0)] = np.sqrt(errors.lasting_share) * posterior.factors
-        fresh = (1.0 - errors.lasting_share) * posterior.covariances
+        shows[:, :, bias(0)] = np.sqrt(errors.lasting_fraction) * posterior.factors
+        fresh = (1.0 - errors.lasting_fraction) * posterior.covariances
         innovation = difference - shows @ self._filter.x[:, 0]
         covariance = shows @ self._filter.P @ np.swapaxes(shows, 1, 2) + fresh
         squared = np.einsum("ki,ki->k", innovation, np.linalg.solve(covariance, innovation[:, :, None])[:, :, 0])

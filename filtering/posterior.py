@@ -128,7 +128,7 @@ class PosePosterior:
     @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:
         """How possible each place is, in [0, 1]: its weight, with the model's caution about weights."""
-        return self.weights / (self.weights + self.errors.possible_share)
+        return self.weights / (self.weights + self.errors.possible_fraction)
 
     @cached_property
     def factors(self) -> Float64[np.ndarray, "k 6 6"]:

@@ -50,18 +50,18 @@ class SmoothingConfig:
         require_within(self, rounds=(1, 1000), cover_s=(0.0, 1e9))
 
 
-def independence(ways: Float64[np.ndarray, " n"], lasting_share: float) -> Float64[np.ndarray, " n"]:
+def independence(ways: Float64[np.ndarray, " n"], lasting_fraction: float) -> Float64[np.ndarray, " n"]:
     """How much of an independent measurement each image of a sequence is, in (0, 1].
 
     These are the weights K⁻¹ 1 by which the images tell of one pose as precisely as can be, and their sum 1ᵀ K⁻¹ 1 is
-    how many independent images they are worth. K are the correlations of their errors, `lasting_share` · exp(−way
-    between them). Images taken standing are worth 1 / lasting_share together, and on a long way in even steps g each is
-    worth 1 / (1 − lasting_share + lasting_share · coth(g/2)).
+    how many independent images they are worth. K are the correlations of their errors, `lasting_fraction` · exp(−way
+    between them). Images taken standing are worth 1 / lasting_fraction together, and on a long way in even steps g
+    each is worth 1 / (1 − lasting_fraction + lasting_fraction · coth(g/2)).
 
     Args:
         ways: How far the camera came since the image before, in lengths over which the errors of images change; the
             first is not used.
-        lasting_share: Fraction of the error's variance that lasts, in [0, 1).
+        lasting_fraction: Fraction of the error's variance that lasts, in [0, 1).
     """
     n = len(ways)
     if n < 2:
@@ -74,8 +74,8 @@ def independence(ways: Float64[np.ndarray, " n"], lasting_share: float) -> Float
         diagonal[part] += inverse - 1.0
         alone[part] += 1.0 / (1.0 + kept) - 1.0
     banded = np.zeros((2, n))
-    banded[0, 1:] = -(1.0 - lasting_share) * kept * inverse
-    banded[1] = lasting_share + (1.0 - lasting_share) * diagonal
+    banded[0, 1:] = -(1.0 - lasting_fraction) * kept * inverse
+    banded[1] = lasting_fraction + (1.0 - lasting_fraction) * diagonal
     return np.clip(solveh_banded(banded, alone), 1e-9, 1.0)
 
 
@@ -153,7 +153,7 @@ def agreement(
         near = np.exp(-0.5 * np.einsum("ki,kij,kj->k", residual, information, residual) / PLACE**2)
         weight = np.array([mode.weight for mode in modes])
         untold = max(1.0 - weight.sum(), 0.0)  # of modes that were left out, one of which may be near
-        possible, most = (s / (s + errors.possible_share) for s in (weight @ near + untold, weight.max() + untold))
+        possible, most = (s / (s + errors.possible_fraction) for s in (weight @ near + untold, weight.max() + untold))
         fits[i] = min(possible / most, 1.0)
     at = np.arange(n)
     first = np.minimum(np.searchsorted(times_ns, times_ns - _ABOUT_NS), np.maximum(at - _ABOUT_IMAGES, 0))
@@ -201,7 +201,7 @@ class _ImageModes:
         counts = np.array([len(choices) for choices in modes])
         self.images = np.flatnonzero(counts)
         since = np.diff(np.cumsum(ways)[self.images], prepend=0.0)
-        worth = np.repeat(independence(since, errors.lasting_share), counts[self.images])
+        worth = np.repeat(independence(since, errors.lasting_fraction), counts[self.images])
         self._image = np.repeat(np.arange(len(modes)), counts)
         self._first = (np.cumsum(counts) - counts)[self.images]
         self.poses = Poses.stack([mode.world_from_camera for mode in flat]) if flat else Poses.identity(0)

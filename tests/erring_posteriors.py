@@ -12,7 +12,7 @@ from vapor.calibration.travel import Travel
 from vapor.checkpoints.scene_scale import default_errors
 
 ROOM = np.array([10.0, 6.0, 2.0])
-TRUE = ErrorModel(spread=2.0, floor=(0.05, 0.1, 0.03, 0.02, 0.03, 0.02), tail=5.0, outlier_share=0.1)
+TRUE = ErrorModel(spread=2.0, floor=(0.05, 0.1, 0.03, 0.02, 0.03, 0.02), tail=5.0, outlier_probability=0.1)
 UNIT = np.repeat([1.0, 0.5], 3)
 
 
@@ -34,7 +34,7 @@ def posteriors(
     for i, own in enumerate(normal):
         spread = 0.06 * UNIT * np.exp(rng.normal(0.0, 0.8))  # of the samples
         xi = np.sqrt(errors.spread * np.square(spread) + np.square(errors.floor)) * own
-        centre = anywhere(1, rng=rng)[0] if rng.random() < errors.outlier_share else truth[i] @ Poses.exp(-xi)
+        centre = anywhere(1, rng=rng)[0] if rng.random() < errors.outlier_probability else truth[i] @ Poses.exp(-xi)
         samples.append(centre @ Poses.exp(spread * rng.standard_normal((num_samples, 6))))
     return samples
 

@@ -14,8 +14,8 @@ ERRORS = ErrorModel(
     floor=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05),
     typical_std=(0.1, 0.1, 0.1, 0.05, 0.05, 0.05),
     tail=1e6,
-    constant_share=1e-9,
-    outlier_share=1e-3,
+    constant_fraction=1e-9,
+    outlier_probability=1e-3,
 )
 SLOW = SlowErrors(scale=0.03, relative_drift=1.0)
 ODOMETRY_STD = np.array([0.004] * 3 + [0.002] * 3)
@@ -57,7 +57,7 @@ def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=SLOW, s
             ways.append(way)
             bias = np.exp(-way) * bias + np.sqrt(-np.expm1(-2 * way)) * rng.standard_normal(6)
         fresh = rng.standard_normal(6)
-        error = std * (np.sqrt(errors.lasting_share) * bias + np.sqrt(1 - errors.lasting_share) * fresh)
+        error = std * (np.sqrt(errors.lasting_fraction) * bias + np.sqrt(1 - errors.lasting_fraction) * fresh)
         seen = truth[-1] @ Poses.exp(error)
         heights = unit * np.asarray(lifts(i))
         lift = heights[:, None] * np.array([0.0, 0.0, 1.0])

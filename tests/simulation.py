@@ -48,7 +48,7 @@ def image_errors(ways, errors, *, std=STD, rng):
     """Errors ξ (n, 6) of images taken along a way, the steps of which are told in lengths: lasting and fresh ones."""
     lasting = wandering(ways, 6, rng=rng)
     fresh = rng.standard_normal((len(ways) + 1, 6))
-    share = errors.lasting_share
+    share = errors.lasting_fraction
     return std * (np.sqrt(share) * lasting + np.sqrt(1.0 - share) * fresh)
 
 

@@ -46,7 +46,7 @@ def test_each_ablation_changes_what_it_says_and_nothing_else():
     }
     assert changed["full"] == (False, False, False, False)
     assert all(sum(change) == 1 for name, change in changed.items() if name != "full")
-    assert ABLATIONS["trusting-shares"].errors(ERRORS) == replace(ERRORS, possible_share=1.0)
+    assert ABLATIONS["trusting-shares"].errors(ERRORS) == replace(ERRORS, possible_fraction=1.0)
     assert ABLATIONS["no-tails"].errors(ERRORS) == replace(ERRORS, tail=1e6)
     slow = ABLATIONS["no-slow-errors"].localizer(config).slow_errors
     assert (slow.scale, slow.relative_drift, slow.drift) == (0.0, 0.0, None)
@@ -56,7 +56,7 @@ def test_each_ablation_changes_what_it_says_and_nothing_else():
 
 def test_without_lasting_errors_every_image_is_new_however_little_the_camera_moves():
     errors = ABLATIONS["no-lasting-errors"].errors(ERRORS)
-    assert errors.lasting_share == 0.0
+    assert errors.lasting_fraction == 0.0
     novelty = {}
     for name, of_ablation in (("full", ERRORS), ("no-lasting-errors", errors)):
         localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))

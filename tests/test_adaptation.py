@@ -165,7 +165,7 @@ def test_a_scatter_of_outliers_among_errors_that_follow_the_model_does_not_raise
 
 @pytest.mark.parametrize("tail", [3.0, 6.0, 1e6])
 def test_heavy_tails_that_are_modelled_are_neither_larger_nor_smaller_errors(tail):
-    errors = replace(ERRORS, tail=tail, lasting_share=0.0)
+    errors = replace(ERRORS, tail=tail, lasting_fraction=0.0)
     rng, scale, pose, factors = np.random.default_rng(2), ErrorScale(), THERE, []
     exact = motion(0.5, 0, 0, 0, 0, 0, std=np.zeros(6))
     for _ in range(400):
@@ -246,12 +246,12 @@ def test_of_images_of_different_growth_the_harmonic_mean_counts():
 def test_all_errors_that_the_model_states_are_multiplied_and_the_least_follow_what_images_tell():
     scale = replace(ErrorScale(), total=40.0, count=10.0, information=0.5)
     applied = scale.applied(ERRORS)
-    assert applied.constant_share == pytest.approx(2.0 * ERRORS.constant_share)
-    assert replace(applied, constant_share=ERRORS.constant_share) == ERRORS.inflated(4.0)
+    assert applied.constant_fraction == pytest.approx(2.0 * ERRORS.constant_fraction)
+    assert replace(applied, constant_fraction=ERRORS.constant_fraction) == ERRORS.inflated(4.0)
     np.testing.assert_allclose(applied.least_covariance, 8.0 * ERRORS.least_covariance)
     assert ErrorScale().applied(ERRORS) == ERRORS.inflated(1.0)
-    nothing = replace(ErrorScale(), information=0.0).applied(replace(ERRORS, constant_share=100.0))
-    assert nothing.constant_share == 1e3  # the most that a model may state
+    nothing = replace(ErrorScale(), information=0.0).applied(replace(ERRORS, constant_fraction=100.0))
+    assert nothing.constant_fraction == 1e3  # the most that a model may state
 
 
 # --- in the filter and the baseline -----------------------------------------------------------------

@@ -152,7 +152,7 @@ def test_twenty_images_are_enough():
     result = calibrate(network_for(images), images, images.poses, Calibration(), max_images=500, seed=0)
     assert (result.images, result.notes) == (20, ())
     errors = result.calibration.errors
-    assert errors.constant_share == pytest.approx(0.1 + 2.0 / result.effective_images)
+    assert errors.constant_fraction == pytest.approx(0.1 + 2.0 / result.effective_images)
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -194,7 +194,7 @@ def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model
     assert main(["calibrate", str(tiny_model), str(walk), "--output", str(output), "--device", "cpu"]) == 0
     printed = capsys.readouterr().out
     assert "60 held-out images" in printed
-    assert "lasting_share" in printed
+    assert "lasting_fraction" in printed
     assert "true poses in the 50, 90, 95 % regions of single images" in printed
     before, after = load_checkpoint(tiny_model), load_checkpoint(output)
     assert after.calibration.bandwidth_translation_m != before.calibration.bandwidth_translation_m

@@ -298,3 +298,17 @@ def test_models_are_found_by_path_or_by_the_name_they_ship_under(tmp_path, monke
     assert find_model(str(tmp_path / "ceiling.safetensors")) == tmp_path / "ceiling.safetensors"
     with pytest.raises(CheckpointError, match=r"atrium: no such model file.*ceiling, staircase"):
         find_model("atrium")
+
+
+def test_files_have_the_names_of_errors_that_they_had_at_first(tmp_path):
+    checkpoint = make_checkpoint()
+    save_checkpoint(tmp_path / "m.safetensors", checkpoint)
+    metadata, _ = read_safetensors(tmp_path / "m.safetensors")
+    stored = json.loads(metadata["config"])["calibration"]["errors"]
+    assert {name for name in stored if name.endswith("_share")} == {
+        "outlier_share",
+        "possible_share",
+        "lasting_share",
+        "constant_share",
+    }
+    assert load_checkpoint(tmp_path / "m.safetensors").calibration == checkpoint.calibration

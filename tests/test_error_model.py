@@ -15,7 +15,7 @@ def test_an_error_is_as_wide_as_the_samples_times_the_spread_and_the_floor_toget
 
 
 def test_what_no_number_of_images_takes_away_is_a_share_of_an_ordinary_images_error():
-    model = ErrorModel(constant_share=0.25, typical_std=(0.1, 0.2, 0.4, 0.01, 0.02, 0.04))
+    model = ErrorModel(constant_fraction=0.25, typical_std=(0.1, 0.2, 0.4, 0.01, 0.02, 0.04))
     np.testing.assert_allclose(np.sqrt(np.diag(model.least_covariance)), [0.05, 0.1, 0.2, 0.005, 0.01, 0.02])
 
 
@@ -42,8 +42,16 @@ def test_scaling_lengths_scales_lengths_and_the_flat_density_and_nothing_else():
     np.testing.assert_allclose(scaled.typical_std, [2.1] * 3 + [0.04] * 3)
     # One cubic metre holds 1/30³ of what it did.
     assert np.exp(scaled.flat_log_density) == pytest.approx(np.exp(model.flat_log_density) / factor**3)
-    same = ("radius_rad", "spread", "tail", "outlier_share", "possible_share", "lasting_share", "length_rad")
-    same = (*same, "constant_share", "unfamiliar_power", "unfamiliar_score")
+    same = (
+        "radius_rad",
+        "spread",
+        "tail",
+        "outlier_probability",
+        "possible_fraction",
+        "lasting_fraction",
+        "length_rad",
+    )
+    same = (*same, "constant_fraction", "unfamiliar_power", "unfamiliar_score")
     assert all(getattr(scaled, name) == getattr(model, name) for name in same)
 
 
@@ -61,14 +69,14 @@ def test_scaling_there_and_back_is_the_model_itself():
         {"radius_rad": 5.0},
         {"spread": -1.0},
         {"tail": 0.5},
-        {"outlier_share": 0.0},
-        {"outlier_share": 1.0},
+        {"outlier_probability": 0.0},
+        {"outlier_probability": 1.0},
         {"flat_log_density": float("inf")},
-        {"possible_share": 0.0},
-        {"lasting_share": 1.0},
+        {"possible_fraction": 0.0},
+        {"lasting_fraction": 1.0},
         {"length_m": float("nan")},
         {"length_rad": -0.1},
-        {"constant_share": -0.1},
+        {"constant_fraction": -0.1},
         {"unfamiliar_power": -0.5},
         {"unfamiliar_power": 11.0},
         {"unfamiliar_score": 0.0},

@@ -15,7 +15,9 @@ from filtering.motion import Odometry, SlowErrors
 from filtering.se3 import Poses
 from tests.simulation import seen_at
 
-ONE_PLACE = ErrorModel(tail=1e6, outlier_share=1e-9, flat_log_density=-500.0, constant_share=0.0, lasting_share=0.7)
+ONE_PLACE = ErrorModel(
+    tail=1e6, outlier_probability=1e-9, flat_log_density=-500.0, constant_fraction=0.0, lasting_fraction=0.7
+)
 SLOWLY = SlowErrors(scale=0.05, drift=(0.01, 0.02, 0.015, 1e-7, 2e-7, 3e-7), time_s=4.0)
 ALONE = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, adapt_errors=False, slow_errors=SLOWLY)
 IMAGE_STD = np.array([0.03, 0.05, 0.04, 2e-6, 1e-6, 3e-6])
@@ -46,14 +48,14 @@ def kalman_filter(step, cameras=1):
     kalman.P = np.eye(size)
     kalman.P[:6, :6] *= 1e3  # nothing is known of the pose
     kalman.P[6, 6] = SLOWLY.scale**2
-    kalman.R = (1 - ONE_PLACE.lasting_share) * np.diag(IMAGE_STD**2)
+    kalman.R = (1 - ONE_PLACE.lasting_fraction) * np.diag(IMAGE_STD**2)
     return kalman
 
 
 def seen_by(camera, size):
     h = np.zeros((6, size))
     h[:, :6] = np.eye(6)
-    h[:, 13 + 6 * camera : 19 + 6 * camera] = np.sqrt(ONE_PLACE.lasting_share) * np.diag(IMAGE_STD)
+    h[:, 13 + 6 * camera : 19 + 6 * camera] = np.sqrt(ONE_PLACE.lasting_fraction) * np.diag(IMAGE_STD)
     return h
 
 
@@ -117,7 +119,7 @@ def test_two_cameras_are_the_kalman_filter_with_two_independent_lasting_errors()
 
 def test_a_heavy_tail_or_outliers_make_another_filter_of_it():
     """The precondition of the exactness: it is these two settings that keep the filter from being a Kalman filter."""
-    for change in ({"tail": 3.0}, {"outlier_share": 0.3, "flat_log_density": 15.0}):
+    for change in ({"tail": 3.0}, {"outlier_probability": 0.3, "flat_log_density": 15.0}):
         errors, rng = replace(ONE_PLACE, **change), np.random.default_rng(0)
         localizers = [ParticleLocalizer(None, ALONE, rng=rng) for _ in range(2)]
         for t in range(10):

@@ -87,10 +87,10 @@ def test_a_newborn_errs_as_the_image_does_and_its_error_goes_with_the_images_las
     np.testing.assert_allclose(h.covariance[:, 6, 6], 0.03**2)
     np.testing.assert_allclose(h.covariance[0, range(7, 19), range(7, 19)], 1.0)
     # The pose minus what lasts of the image's error is uncertain by the fresh share alone.
-    factor = np.sqrt(ERRORS.lasting_share) * np.diag(STD)
+    factor = np.sqrt(ERRORS.lasting_fraction) * np.diag(STD)
     measured = np.hstack([np.eye(6), np.zeros((6, 7)), factor])
     np.testing.assert_allclose(
-        measured @ h.covariance[0] @ measured.T, (1.0 - ERRORS.lasting_share) * np.diag(STD**2), atol=1e-15
+        measured @ h.covariance[0] @ measured.T, (1.0 - ERRORS.lasting_fraction) * np.diag(STD**2), atol=1e-15
     )
     assert np.linalg.eigvalsh(h.covariance).min() > 0.0
 
@@ -309,5 +309,5 @@ def test_what_is_lighter_than_the_least_weight_goes_but_the_heaviest_stays():
 
 
 def test_an_error_model_without_lasting_errors_ties_a_newborn_to_no_bias():
-    h = born(seen_at(Poses.identity(1), errors=ErrorModel(lasting_share=0.0)), 0, 1, NEVER, None)
+    h = born(seen_at(Poses.identity(1), errors=ErrorModel(lasting_fraction=0.0)), 0, 1, NEVER, None)
     assert not h.covariance[0, POSE, bias(0)].any()

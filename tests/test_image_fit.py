@@ -23,28 +23,31 @@ def test_spread_floor_tail_and_outliers_of_known_errors_are_found():
     assert errors.spread == pytest.approx(TRUE.spread, rel=0.35)
     np.testing.assert_allclose(errors.floor, TRUE.floor, rtol=0.3)
     assert 3.0 < errors.tail < 10.0
-    assert errors.outlier_share == pytest.approx(TRUE.outlier_share, abs=0.05)  # three standard deviations
+    assert errors.outlier_probability == pytest.approx(TRUE.outlier_probability, abs=0.05)  # three standard deviations
     spread = 0.06 * UNIT * np.sqrt(TRUE.spread)
     np.testing.assert_allclose(errors.typical_std, np.hypot(spread, TRUE.floor), rtol=0.25)
     assert errors.flat_log_density == flat_log_density(simulated()[1])
-    assert errors.possible_share == 0.05
-    assert 0.1 < errors.constant_share < 0.2  # a little more than by default: the images are many
+    assert errors.possible_fraction == 0.05
+    assert 0.1 < errors.constant_fraction < 0.2  # a little more than by default: the images are many
     assert fitted().effective_images == len(simulated()[1])
 
 
 def test_regions_of_single_images_hold_as_many_true_poses_as_they_say_but_for_outliers():
-    right = np.array([0.5, 0.9, 0.95]) * (1 - TRUE.outlier_share)
+    right = np.array([0.5, 0.9, 0.95]) * (1 - TRUE.outlier_probability)
     np.testing.assert_allclose(fitted().coverage, right, atol=0.08)
 
 
 def test_what_changed_is_told_with_its_gain():
     image, lasting = fitted().changes
-    names = ("radius_m", "spread", "floor", "tail", "outlier_share", "unfamiliar_power")
+    names = ("radius_m", "spread", "floor", "tail", "outlier_probability", "unfamiliar_power")
     assert image.after == {name: getattr(fitted().errors, name) for name in names}
     assert image.before["tail"] == ErrorModel().tail
     assert image.gain is not None
     assert image.gain > 0.5
-    assert (set(lasting.after), lasting.gain) == ({"lasting_share", "length_m", "length_rad", "mistaken_lengths"}, None)
+    assert (set(lasting.after), lasting.gain) == (
+        {"lasting_fraction", "length_m", "length_rad", "mistaken_lengths"},
+        None,
+    )
     few = simulated(100)
     again = fit(*few, before=fit(*few).errors).changes[0]
     assert again.gain == pytest.approx(0.0, abs=1e-6)
@@ -54,7 +57,15 @@ def test_the_fit_is_the_same_in_a_scene_thirty_times_as_large():
     samples, truth = simulated(100)
     larger = [Poses(poses.rotation, 30.0 * poses.translation) for poses in (*samples, truth)]
     found, expected = fit(larger[:-1], larger[-1]).errors, fit(samples, truth).errors.scaled(30.0)
-    for name in ("radius_m", "spread", "tail", "outlier_share", "length_m", "lasting_share", "flat_log_density"):
+    for name in (
+        "radius_m",
+        "spread",
+        "tail",
+        "outlier_probability",
+        "length_m",
+        "lasting_fraction",
+        "flat_log_density",
+    ):
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=0.02), name
     np.testing.assert_allclose(found.floor, expected.floor, rtol=0.02)
     np.testing.assert_allclose(found.typical_std, expected.typical_std, rtol=0.02)
@@ -67,7 +78,7 @@ def test_a_posterior_that_cannot_decide_between_two_places_is_measured_by_the_ri
     both = [Poses.concatenate([poses[:half], (elsewhere @ poses)[half:]]) for poses in samples]
     found = fit(both, truth)
     np.testing.assert_allclose(found.errors.floor, fitted().errors.floor, rtol=0.2)
-    assert found.errors.outlier_share == pytest.approx(TRUE.outlier_share, abs=0.05)
+    assert found.errors.outlier_probability == pytest.approx(TRUE.outlier_probability, abs=0.05)
     np.testing.assert_allclose(found.coverage, fitted().coverage, atol=0.04)
 
 
@@ -139,7 +150,7 @@ def usable(errors: ErrorModel, samples) -> bool:
 def test_sixty_images_of_one_pass_are_worth_few_and_the_fit_is_cautious():
     rng = np.random.default_rng(3)
     truth = walk(60, 0.05, rng=rng)
-    errors = replace(TRUE, outlier_share=1e-9, floor=(0.05, 0.2, 0.05, 0.02, 0.02, 0.02))
+    errors = replace(TRUE, outlier_probability=1e-9, floor=(0.05, 0.2, 0.05, 0.02, 0.02, 0.02))
     samples = posteriors(truth, errors, np.tile(rng.standard_normal(6), (60, 1)), rng=rng)
     scene = Poses.concatenate([truth, anywhere(100, rng=rng)])
     travel = Travel.along(truth, np.zeros(60, np.int64))
@@ -154,9 +165,9 @@ def test_sixty_images_of_one_pass_are_worth_few_and_the_fit_is_cautious():
 def test_images_that_are_all_wrong_leave_nothing_to_be_believed():
     rng = np.random.default_rng(4)
     truth = anywhere(100, rng=rng)
-    samples = posteriors(truth, replace(TRUE, outlier_share=0.999999), rng.standard_normal((100, 6)), rng=rng)
+    samples = posteriors(truth, replace(TRUE, outlier_probability=0.999999), rng.standard_normal((100, 6)), rng=rng)
     found = fit(samples, truth).errors
-    assert found.outlier_share > 0.4 or min(found.typical_std[:3]) > 0.05 * scene_extent(truth)
+    assert found.outlier_probability > 0.4 or min(found.typical_std[:3]) > 0.05 * scene_extent(truth)
     assert usable(found, samples[0])
 
 

@@ -29,7 +29,7 @@ def lifted(posterior, metres):
 
 
 def test_with_one_place_per_image_it_is_the_particle_filter_with_one_hypothesis():
-    path = walk(60, rng=np.random.default_rng(0), errors=replace(ERRORS, tail=5.0, outlier_share=1e-9))
+    path = walk(60, rng=np.random.default_rng(0), errors=replace(ERRORS, tail=5.0, outlier_probability=1e-9))
     certain = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, slow_errors=SLOW)
     filtered = ParticleLocalizer(None, certain, rng=np.random.default_rng(0))
     kalman = KalmanLocalizer(replace(CONFIG, gate_probability=0.999999))

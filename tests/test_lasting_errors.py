@@ -72,7 +72,7 @@ def test_thousands_of_images_of_one_view_are_worth_one_image(how, shares, count)
     np.testing.assert_allclose(ended, begun, atol=0.01)
     assert all(estimate.status == "ambiguous" for estimate in estimates)
     for mode in estimates[-1].modes:
-        assert (stds_of(mode) > 0.98 * np.sqrt(ERRORS.lasting_share) * STD).all()
+        assert (stds_of(mode) > 0.98 * np.sqrt(ERRORS.lasting_fraction) * STD).all()
     assert sum(estimate.novelty for estimate in estimates[1:]) < 0.05
 
 
@@ -80,7 +80,7 @@ def test_thousands_of_images_of_one_view_are_worth_one_image(how, shares, count)
 def test_where_only_one_place_looks_so_standing_does_not_narrow_it_beyond_what_lasts_and_what_never_fades(how):
     localizer = ParticleLocalizer(None, rng=RNG(0))
     mode = stand(localizer, (1.0,), 1000, **WAYS_TO_STAND[how])[-1].modes[0]
-    least = ERRORS.lasting_share * STD**2 + np.diag(ERRORS.least_covariance)
+    least = ERRORS.lasting_fraction * STD**2 + np.diag(ERRORS.least_covariance)
     assert (np.diag(mode.covariance) > 0.97 * least).all()
     assert (np.diag(mode.covariance) < STD**2 + np.diag(ERRORS.least_covariance)).all()
 
@@ -163,11 +163,11 @@ def test_a_walk_at_3_10_and_30_images_a_second_gives_the_same_belief(seed):
 
 # --- what regions hold ------------------------------------------------------------------------------
 
-EXACT = replace(ERRORS, tail=1e6, outlier_share=1e-9, flat_log_density=-500.0, constant_share=0.0)
+EXACT = replace(ERRORS, tail=1e6, outlier_probability=1e-9, flat_log_density=-500.0, constant_fraction=0.0)
 SLOW = SlowErrors(scale=0.03, drift=(0.01,) * 3 + (0.004,) * 3, time_s=10.0)
 
 
-def squared_error(seed, rate, errors, config, *, outlier_share=0.0, seconds=6):
+def squared_error(seed, rate, errors, config, *, outlier_probability=0.0, seconds=6):
     """Squared Mahalanobis distance of the truth at the end of a walk of which all is drawn as the models say."""
     rng, count = RNG(seed), seconds * rate + 1
     step = Poses.exp(STEP_PER_S / rate)
@@ -184,7 +184,7 @@ def squared_error(seed, rate, errors, config, *, outlier_share=0.0, seconds=6):
             truth = truth @ step @ Poses.exp(erred)
             odometry = Odometry(step, np.diag(WHITE**2) / rate, 1 / rate)
         seen = truth @ Poses.exp(constant + error[i])
-        if rng.random() < outlier_share:
+        if rng.random() < outlier_probability:
             seen = Poses(seen.rotation, seen.translation + rng.uniform(-30, 30, 3))
         estimate = localizer.update(seen_at(seen, errors=errors), odometry)
     mode = estimate.modes[0]
@@ -205,7 +205,8 @@ def test_regions_hold_the_truth_as_often_as_they_say_where_all_is_as_the_model_s
 
 def test_regions_hold_at_least_what_they_say_with_outliers_and_the_defaults():
     squared = np.array([
-        squared_error(seed, 4, ERRORS, LocalizerConfig(slow_errors=SLOW), outlier_share=0.05) for seed in range(60)
+        squared_error(seed, 4, ERRORS, LocalizerConfig(slow_errors=SLOW), outlier_probability=0.05)
+        for seed in range(60)
     ])  # fmt: skip
     for probability in (0.5, 0.9, 0.95):
         held = (squared < chi2.ppf(probability, 6)).mean()

@@ -32,7 +32,7 @@ def lasting(count: int, length_m: float, fraction: float, *, rng: np.random.Gene
 def fit_walk(normal: np.ndarray, *, rng: np.random.Generator):
     """The fit of images along a straight walk with these errors (n, 6)."""
     truth = walk(len(normal), STEP, rng=rng)
-    samples = posteriors(truth, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
+    samples = posteriors(truth, replace(TRUE, outlier_probability=1e-9), normal, rng=rng)
     return fit(samples, truth, Travel.along(truth, np.zeros(len(normal), np.int64)))
 
 
@@ -41,10 +41,10 @@ def test_how_long_errors_last_is_found(length_m, fraction):
     rng = np.random.default_rng(1)
     found = fit_walk(lasting(500, length_m, fraction, rng=rng), rng=rng)
     assert length_m / 2 < found.errors.length_m < length_m * 2
-    assert found.errors.lasting_share == pytest.approx(fraction, abs=0.12)
+    assert found.errors.lasting_fraction == pytest.approx(fraction, abs=0.12)
     expected = 1 + STEP * 500 / (2 * found.errors.length_m)
     assert found.effective_images == pytest.approx(expected, rel=0.05)
-    assert found.errors.outlier_share == 0.05
+    assert found.errors.outlier_probability == 0.05
 
 
 def mistaking(
@@ -59,7 +59,7 @@ def mistaking(
         mood[i] = fade * mood[i - 1] + np.sqrt(1 - fade**2) * mood[i]
     seen = Poses(truth.rotation, truth.translation + np.outer(mood < -0.25, [0.0, 0.0, 45.0]))
     normal = lasting(count, errors_last, 0.6, rng=rng)
-    samples = posteriors(seen, replace(TRUE, outlier_share=1e-9), normal, rng=rng)
+    samples = posteriors(seen, replace(TRUE, outlier_probability=1e-9), normal, rng=rng)
     scene = Poses.concatenate([truth, Poses(truth.rotation, truth.translation + np.array([0.0, 0.0, 45.0]))])
     travel = Travel.along(truth, np.zeros(count, np.int64))
     before = default_errors(scene)
@@ -175,9 +175,9 @@ def test_a_segment_of_larger_errors_does_not_lengthen_how_long_they_last():
 def test_errors_of_independent_images_last_no_longer_than_they_must():
     rng = np.random.default_rng(2)
     truth = walk(300, 0.1, rng=rng)
-    samples = posteriors(truth, replace(TRUE, outlier_share=1e-9), rng.standard_normal((300, 6)), rng=rng)
+    samples = posteriors(truth, replace(TRUE, outlier_probability=1e-9), rng.standard_normal((300, 6)), rng=rng)
     found = fit(samples, truth, Travel.along(truth, np.zeros(300, np.int64))).errors
-    assert (found.lasting_share, found.length_m) == (0.5, pytest.approx(0.003 * scene_extent(truth)))
+    assert (found.lasting_fraction, found.length_m) == (0.5, pytest.approx(0.003 * scene_extent(truth)))
 
 
 def test_travel_counts_metres_and_radians_from_the_beginning_of_each_pass():

@@ -31,27 +31,27 @@ def filtered_and_smoothed(path, errors=ERRORS, modes=None):
 # --- what an image is worth --------------------------------------------------------------------------
 
 
-def of_one_pose(ways, lasting_share):
+def of_one_pose(ways, lasting_fraction):
     """What the images say together of one pose, in independent images: 1ᵀ K⁻¹ 1."""
     along = np.cumsum(ways)
-    correlation = lasting_share * np.exp(-np.abs(along[:, None] - along))
+    correlation = lasting_fraction * np.exp(-np.abs(along[:, None] - along))
     np.fill_diagonal(correlation, 1.0)
     return np.linalg.inv(correlation).sum()
 
 
-@pytest.mark.parametrize("lasting_share", [0.0, 0.5, 0.8, 0.999])
-def test_a_standing_camera_is_worth_little_more_than_one_image(lasting_share):
+@pytest.mark.parametrize("lasting_fraction", [0.0, 0.5, 0.8, 0.999])
+def test_a_standing_camera_is_worth_little_more_than_one_image(lasting_fraction):
     n = 500
-    worth = independence(np.zeros(n), lasting_share)
-    np.testing.assert_allclose(worth, 1 / (1 + (n - 1) * lasting_share), rtol=0.05)
+    worth = independence(np.zeros(n), lasting_fraction)
+    np.testing.assert_allclose(worth, 1 / (1 + (n - 1) * lasting_fraction), rtol=0.05)
 
 
 @pytest.mark.parametrize("step", [0.01, 0.1, 0.5, 2.0, 20.0])
 def test_on_a_long_way_an_image_is_worth_what_the_inverse_of_the_correlations_says(step):
-    n, lasting_share = 2000, 0.8
-    worth = independence(np.full(n, step), lasting_share)
-    assert worth[n // 2] == pytest.approx(1 / (1 - lasting_share + lasting_share / np.tanh(step / 2)), rel=1e-3)
-    assert worth.sum() == pytest.approx(of_one_pose(np.full(n, step), lasting_share), rel=1e-6)
+    n, lasting_fraction = 2000, 0.8
+    worth = independence(np.full(n, step), lasting_fraction)
+    assert worth[n // 2] == pytest.approx(1 / (1 - lasting_fraction + lasting_fraction / np.tanh(step / 2)), rel=1e-3)
+    assert worth.sum() == pytest.approx(of_one_pose(np.full(n, step), lasting_fraction), rel=1e-6)
 
 
 def test_a_stand_takes_nothing_from_images_on_the_way():

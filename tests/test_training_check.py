@@ -19,7 +19,9 @@ pytestmark = pytest.mark.usefixtures("unchecked")
 
 STD = np.array([0.1, 0.1, 0.1, 0.03, 0.03, 0.03])
 SIX = (0.1, 0.1, 0.1, 0.03, 0.03, 0.03)
-HONEST = ErrorModel(floor=SIX, typical_std=SIX, length_m=0.5, length_rad=0.5, lasting_share=0.5, flat_log_density=-4.0)
+HONEST = ErrorModel(
+    floor=SIX, typical_std=SIX, length_m=0.5, length_rad=0.5, lasting_fraction=0.5, flat_log_density=-4.0
+)
 
 
 @pytest.fixture(scope="module")

@@ -100,8 +100,8 @@ def fit_errors(
     errors = _cautious(errors, effective)
     errors = replace(
         errors,
-        outlier_share=max(errors.outlier_share, LEAST_OUTLIERS),
-        lasting_share=lasting.fraction,
+        outlier_probability=max(errors.outlier_probability, LEAST_OUTLIERS),
+        lasting_fraction=lasting.fraction,
         length_m=lasting.length_m,
         length_rad=lasting.length_rad,
         mistaken_lengths=mistaken_lengths(evidence, travel, lasting, same_conditions=same_conditions),
@@ -111,11 +111,11 @@ def fit_errors(
     if held_out.score is not None:
         formerly = formerly.grown(before, held_out.score)
     gain = float((places.log_density(errors) - formerly.log_density(before)).mean())
-    names = ("radius_m", "spread", "floor", "tail", "outlier_share", "unfamiliar_power")
+    names = ("radius_m", "spread", "floor", "tail", "outlier_probability", "unfamiliar_power")
     changes = (
         change_of("errors of an image", names, before, errors, gain),
         change_of(
-            "how long they last", ("lasting_share", "length_m", "length_rad", "mistaken_lengths"), before, errors
+            "how long they last", ("lasting_fraction", "length_m", "length_rad", "mistaken_lengths"), before, errors
         ),
     )
     return ErrorFit(errors, changes, places.coverage(errors), effective)
@@ -147,5 +147,5 @@ def _cautious(errors: ErrorModel, effective: float) -> ErrorModel:
         errors,
         spread=larger * errors.spread,
         floor=as_six(np.sqrt(larger * variances).ravel()),
-        constant_share=min(1.0, ErrorModel().constant_share + _UNSEEN / effective),
+        constant_fraction=min(1.0, ErrorModel().constant_fraction + _UNSEEN / effective),
     )

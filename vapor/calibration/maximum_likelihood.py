@@ -38,7 +38,7 @@ class FoundErrors:
         return {
             "spread": float(spread),
             "floor": as_six(floor * lengths),
-            "outlier_share": float(1.0 / (1.0 + np.exp(-outliers))),
+            "outlier_probability": float(1.0 / (1.0 + np.exp(-outliers))),
             "tail": float(tail),
         }
 

@@ -73,7 +73,7 @@ class Places:
     def log_density(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
         """Log density of the true pose of each image, per m³ rad³."""
         log_places = log_sums(torch.from_numpy(self._log_terms(errors)), torch.from_numpy(self.image)).numpy()
-        outliers = errors.outlier_share
+        outliers = errors.outlier_probability
         return np.logaddexp(np.log(outliers) + errors.flat_log_density, np.log1p(-outliers) + log_places)
 
     def evidence(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
@@ -82,8 +82,8 @@ class Places:
         solved = np.linalg.solve(covariance, self.residual[..., None])[..., 0]
         squared = np.einsum("pi,pi->p", self.residual, solved)
         support = np.bincount(self.image, self.fraction * np.exp(-0.5 * squared / PLACE**2))
-        possible = support / (support + errors.possible_share)
-        return np.log(errors.outlier_share + (1.0 - errors.outlier_share) * possible)
+        possible = support / (support + errors.possible_fraction)
+        return np.log(errors.outlier_probability + (1.0 - errors.outlier_probability) * possible)
 
     def residuals(self, errors: ErrorModel) -> tuple[Float64[np.ndarray, "n 6"], Bool[np.ndarray, " n"]]:
         """Errors of the likeliest places in standard deviations, and which images say more than a flat density.
@@ -97,7 +97,7 @@ class Places:
         normal = np.einsum("nij,nj->ni", np.swapaxes(vectors, 1, 2), self.residual[best] / unit)
         normal = np.einsum("nij,nj->ni", vectors, normal / np.sqrt(values))
         weight = (errors.tail + 6.0) / (errors.tail + np.square(normal).sum(axis=1))
-        log_odds = np.log1p(-errors.outlier_share) - np.log(errors.outlier_share)
+        log_odds = np.log1p(-errors.outlier_probability) - np.log(errors.outlier_probability)
         terms = torch.from_numpy(self._log_terms(errors))
         log_places = log_sums(terms, torch.from_numpy(self.image)).numpy()
         return normal * np.sqrt(np.minimum(weight, 1.0))[:, None], log_places + log_odds > errors.flat_log_density

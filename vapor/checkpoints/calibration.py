@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,13 @@ from vapor.checkpoints.stored_config import parse_config
 from vapor.tensor_files import CheckpointError
 
 _SIX = {"floor", "typical_std"}
+_STORED_NAMES = {
+    "outlier_probability": "outlier_share",
+    "possible_fraction": "possible_share",
+    "lasting_fraction": "lasting_share",
+    "constant_fraction": "constant_share",
+}
+_NAMES = {stored: name for name, stored in _STORED_NAMES.items()}
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,13 @@ class Calibration:
         return KernelDensity(samples, self.bandwidth_translation_m, self.bandwidth_rotation_rad)
 
 
+def stored_calibration(calibration: Calibration) -> dict[str, Any]:
+    """The calibration as a model file has it, JSON: fields of the error model by the names that they had at first."""
+    values = asdict(calibration)
+    errors = {_STORED_NAMES.get(name, name): value for name, value in values["errors"].items()}
+    return values | {"errors": errors}
+
+
 def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, float]) -> Calibration:
     """The calibration in a model file, from JSON: every field must be there, those of its parts too, and no other.
 
@@ -55,6 +69,7 @@ def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, float]) 
         return parse_config(path, "calibration", Calibration, values)  # which says what is wrong
     errors = values["errors"]
     if isinstance(errors, dict):
+        errors = {_NAMES.get(name, name): value for name, value in errors.items()}
         for name in _SIX & errors.keys():
             found = errors[name]
             if not (isinstance(found, list) and len(found) == 6 and all(type(v) in (int, float) for v in found)):

@@ -11,7 +11,7 @@ import torch
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
-from vapor.checkpoints.calibration import parse_calibration, parse_former_calibration
+from vapor.checkpoints.calibration import parse_calibration, parse_former_calibration, stored_calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.stored_config import parse_box, parse_camera, parse_config, parse_metadata
 from vapor.checkpoints.stored_tensors import (
@@ -64,7 +64,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool =
     config = {
         "network": asdict(checkpoint.network),
         "box": asdict(checkpoint.box),
-        "calibration": asdict(checkpoint.calibration),
+        "calibration": stored_calibration(checkpoint.calibration),
         "training": checkpoint.training,
         "camera": None if checkpoint.camera is None else asdict(checkpoint.camera),
     }

@@ -12,6 +12,11 @@ RENAMED: Mapping[str, str] = MappingProxyType(
         "--evolve": "--ewta-fraction",
         "--half": "--store-float16",
         "--validation-share": "--validation-fraction",
+        "--outlier-share": "--outlier-probability",
+        "--possible-share": "--possible-fraction",
+        "--lasting-share": "--lasting-fraction",
+        "--constant-share": "--constant-fraction",
+        "--converged-map-share": "--converged-map-fraction",
     }
 )
 """Old name -> new name, as on the command line, without the prefix of a group such as `train.` and without `no-`.

@@ -24,14 +24,14 @@ class EstimateConfig:
     """Stated standard deviation of rotation about each axis, degrees; one for all files or one for each."""
     tail: float = 4.0
     """Degrees of freedom of the Student t distribution of their errors: the fewer, the heavier the tails."""
-    outlier_share: float = 0.1
+    outlier_probability: float = 0.1
     """Fraction of the frames in which no estimate says where the camera is."""
     independent_after_s: float = 1.0
     """Frames so far apart err independently, at the speed that the camera has on the whole; frames of a camera that
     stands do not."""
 
     def __post_init__(self) -> None:
-        require_within(self, tail=(1.0, 1e6), outlier_share=(1e-6, 0.999999), independent_after_s=(1e-6, 1e6))
+        require_within(self, tail=(1.0, 1e6), outlier_probability=(1e-6, 0.999999), independent_after_s=(1e-6, 1e6))
         for name, high in (("std_m", 1e3), ("std_deg", 180.0)):
             for value in getattr(self, name):
                 if not 1e-4 <= value <= high:
@@ -91,9 +91,9 @@ def errors_of(sequence: EstimateSequence, trust: EstimateConfig) -> ErrorModel:
         radius_m=std_m,
         floor=typical,
         tail=trust.tail,
-        outlier_share=trust.outlier_share,
+        outlier_probability=trust.outlier_probability,
         flat_log_density=-float(np.log(volume)),
         length_m=max(sequence.speed_m_per_s * trust.independent_after_s, std_m),
-        constant_share=0.0,
+        constant_fraction=0.0,
         typical_std=typical,
     )

@@ -68,7 +68,7 @@ class _ToldOfKidnap:
 
 
 def _each_image_anew(errors: ErrorModel) -> ErrorModel:
-    return replace(errors, lasting_share=0.0, length_m=1e-6 * errors.length_m, length_rad=1e-6)
+    return replace(errors, lasting_fraction=0.0, length_m=1e-6 * errors.length_m, length_rad=1e-6)
 
 
 # To add one: a name, what is different, and a function of the settings.
@@ -83,7 +83,7 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
         ),
         "trusting-shares": Ablation(
             "a place is as probable as the fraction of the samples in it",
-            errors=lambda errors: replace(errors, possible_share=1.0),
+            errors=lambda errors: replace(errors, possible_fraction=1.0),
         ),
         "no-slow-errors": Ablation(
             "the odometry errs as white noise only",
