@@ -72,7 +72,7 @@ $(DATA)/staircase-middle.safetensors: $(DATA)/%-middle.safetensors: $(DATA)/%-sm
 	$(TRAIN) $(MIDDLE) --initial-model $< $(LATER_$*) --epochs 6
 
 $(DATA)/ceiling-middle.safetensors: $(DATA)/%-middle.safetensors: $(DATA)/staircase-small.safetensors $(LEARN_FROM)
-	$(TRAIN) $(MIDDLE) --pretrained-weights $< $(CEILING) --loss.alpha 0.05 --evolve 0.4 --epochs 10
+	$(TRAIN) $(MIDDLE) --pretrained-weights $< $(CEILING) --loss.alpha 0.05 --ewta-fraction 0.4 --epochs 10
 
 $(SCENES:%=$(DATA)/%-large.safetensors): $(DATA)/%-large.safetensors: $(DATA)/%-middle.safetensors $(LEARN_FROM)
 	$(TRAIN) $(FULL) --initial-model $< $(LATER_$*) --epochs 8

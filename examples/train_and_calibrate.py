@@ -10,8 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import vapor
-from vapor.calibration.calibrate_model import calibrate_model
-from vapor.training.presets import PRESETS
 
 
 def main() -> None:
@@ -23,9 +21,9 @@ def main() -> None:
     options = parser.parse_args()
 
     # `train` calibrates by itself on passes that it holds out. Whoever has a walk to spare calibrates on that.
-    config = replace(PRESETS["auto"], hours=options.hours, calibrate=False)
+    config = replace(vapor.PRESETS["auto"], hours=options.hours, calibrate=False)
     vapor.train(options.walks, options.output, config, validation=options.held_out)
-    result = calibrate_model(str(options.output), options.held_out, options.output, training=options.walks)
+    result = vapor.calibrate_model(str(options.output), options.held_out, options.output, training=options.walks)
 
     errors = result.calibration.errors
     print(f"an ordinary image is {100 * max(errors.typical_std[:3]):.0f} cm off")

@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from filtering.posterior import PosePosterior as PosePosterior
     from filtering.se3 import Poses as Poses
     from sequences.reader import SequenceReader as SequenceReader
+    from vapor.calibration.calibrate_model import calibrate_model as calibrate_model
     from vapor.observation import VaporObservationModel as VaporObservationModel
     from vapor.pipeline.fuse import fuse as fuse
     from vapor.pipeline.run import run as run
     from vapor.training.config import TrainConfig as TrainConfig
+    from vapor.training.presets import PRESETS as PRESETS
     from vapor.training.train import train as train
 
 _MODULES = {
@@ -34,12 +36,14 @@ _MODULES = {
     "ObservationModel": "filtering.posterior",
     "Odometry": "filtering.motion",
     "ParticleLocalizer": "filtering.localizer",
+    "PRESETS": "vapor.training.presets",
     "PosePosterior": "filtering.posterior",
     "Poses": "filtering.se3",
     "SequenceReader": "sequences.reader",
     "TrainConfig": "vapor.training.config",
     "VaporObservationModel": "vapor.observation",
     "VaporTrackError": "filtering.errors",
+    "calibrate_model": "vapor.calibration.calibrate_model",
     "fuse": "vapor.pipeline.fuse",
     "run": "vapor.pipeline.run",
     "train": "vapor.training.train",

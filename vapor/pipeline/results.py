@@ -11,7 +11,7 @@ from typing import Any
 
 from sequences.atomic import atomic_output
 from sequences.trajectories.tum import write_tum
-from vapor.reporting.pictures import write_pictures
+from vapor.reporting.pictures import PICTURES, write_pictures
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import build_report, doubtful_notice, write_report, write_status
 from vapor.tracking.methods import FILES
@@ -20,8 +20,8 @@ _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "ope
 RESULTS = frozenset(
     {
         *FILES.values(),
+        *PICTURES,
         *("ground_truth.tum", "status.csv", "config.json", "report.json", "estimate.mcap", "recording.rrd"),
-        *("trajectory.png", "particles.png", "errors.png"),
     }
 )
 """Names of all files that a run may write."""

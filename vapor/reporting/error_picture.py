@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sequences.frame import Trajectory
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS, convergence_s, pose_errors
 from vapor.reporting.colors import COLORS, INK
 from vapor.reporting.figures import add_title, new_figure, quiet_axes
@@ -18,8 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def error_figure(record: RunRecord, truth: Trajectory, title: str) -> Figure:
-    """Draw the errors of position and rotation over time, and the status above them."""
+def error_figure(record: RunRecord, title: str) -> Figure | None:
+    """Draw the errors of position and rotation over time, and the status above them; None without any true pose."""
+    if record.truth is None:
+        return None
     figure = new_figure(9.5, 5.6)
     band, *panels = figure.subplots(3, 1, sharex=True, height_ratios=[0.06, 1, 1])
     start_ns = int(record.times_ns[0])
@@ -28,7 +29,7 @@ def error_figure(record: RunRecord, truth: Trajectory, title: str) -> Figure:
         method = METHODS[name]
         if not method.error_curve:
             continue
-        times_ns, *errors = pose_errors(trajectory, truth)
+        times_ns, *errors = pose_errors(trajectory, record.truth)
         seconds = (times_ns - start_ns) / 1e9
         for ax, error in zip(panels, errors, strict=True):
             error = np.maximum(error, 1e-9)

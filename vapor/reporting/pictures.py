@@ -1,8 +1,11 @@
-"""Pictures of a run: the paths, the errors over time, and the particles at a few keyframes."""
+"""The pictures of a run. To add one: a function in a file of its own in this folder, and a row here."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from vapor.reporting.error_picture import error_figure
 from vapor.reporting.figures import save_figure
@@ -10,9 +13,21 @@ from vapor.reporting.particle_picture import particle_figure
 from vapor.reporting.record import RunRecord
 from vapor.reporting.trajectory_picture import trajectory_figure
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PICTURES: Mapping[str, Callable[[RunRecord, str], Figure | None]] = MappingProxyType(
+    {
+        "trajectory.png": trajectory_figure,
+        "particles.png": particle_figure,
+        "errors.png": error_figure,
+    }
+)
+"""File in a run's directory -> what draws it, given a title; None where the run has nothing to draw."""
+
 
 def write_pictures(record: RunRecord, directory: Path, *, title: str) -> list[Path]:
-    """Draw a run into `trajectory.png`, `particles.png` and, where true poses are known, `errors.png`.
+    """Draw a run: the pictures of `PICTURES` that it has something for.
 
     Args:
         record: The run.
@@ -25,7 +40,5 @@ def write_pictures(record: RunRecord, directory: Path, *, title: str) -> list[Pa
     Raises:
         SequenceError: a picture cannot be written.
     """
-    figures = {"trajectory.png": trajectory_figure(record, title), "particles.png": particle_figure(record, title)}
-    if record.truth is not None:
-        figures["errors.png"] = error_figure(record, record.truth, title)
-    return [save_figure(figure, directory / name) for name, figure in figures.items()]
+    figures = {name: draw(record, title) for name, draw in PICTURES.items()}
+    return [save_figure(figure, directory / name) for name, figure in figures.items() if figure is not None]
