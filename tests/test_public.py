@@ -13,7 +13,7 @@ def test_all_public_names_are_what_their_modules_define():
     for name in vapor.__all__:
         value = getattr(vapor, name)
         assert getattr(value, "__name__", name) == name
-        assert value.__doc__, f"{name} is public and says nothing of itself"
+        assert value.__doc__ or not callable(value), f"{name} is public and says nothing of itself"
         assert name in dir(vapor)
 
 
