@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
-from tests import checks
-from tests.checks import no_checks
+from tests.helpers import checks
+from tests.helpers.checkout import SHARED_DATA
+from tests.helpers.checks import no_checks
 
 if TYPE_CHECKING:
     from sequences.rendering.surface import LitScene
@@ -24,7 +25,7 @@ settings.load_profile("unhurried")
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Recorded data beside the checkout; tests that need it skip, saying so, where it is absent."""
-    path = Path(__file__).resolve().parents[2] / "shared" / "data"
+    path = SHARED_DATA
     if not path.is_dir():
         pytest.skip("recorded data is absent: ../shared/data beside the checkout")
     return path
@@ -33,7 +34,7 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def tiny_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A model file of a network with random weights, for the walk of `sequence_files`."""
-    from tests.tiny_model import write_tiny_model  # after the hook
+    from tests.helpers.tiny_model import write_tiny_model  # after the hook
 
     return write_tiny_model(tmp_path_factory.mktemp("model") / "tiny.safetensors")
 
@@ -41,7 +42,7 @@ def tiny_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def walk_of_25(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A sequence of 25 images with odometry, extrinsics and true poses."""
-    from tests.sequence_files import Walk
+    from tests.helpers.sequence_files import Walk
 
     return Walk(25).write(tmp_path_factory.mktemp("walk") / "walk.mcap", {"odometry": "exact, for tests"})
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from filtering.errors import VaporTrackError
 from tests.fuzz.damage import damage_of, pick
-from tests.fuzz.readers import READERS, Reader, Reading, UnsoundError
+from tests.fuzz.readers import READERS
+from tests.fuzz.reading import Reader, Reading, UnsoundError
 
 Changes = Mapping[str, bytes | None]
 """Content of files that are not as in the sample, by path; None for those that are gone."""

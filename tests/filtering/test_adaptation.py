@@ -1,0 +1,244 @@
+"""Whether images err more or less than modelled is told from odometry."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filtering.adaptation import ErrorScale
+from filtering.localizer import ParticleLocalizer
+from filtering.se3 import Poses
+from tests.helpers.modelled_walk import ERRORS
+from tests.helpers.scaled_errors import AHEAD, APART, looked, scale_along, shifted, simulated, understated
+from tests.helpers.simulation import lifted, motion, seen_at
+
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+STAY = motion(0, 0, 0, 0, 0, 0)
+
+THERE = Poses.identity(1)
+
+
+def compared(difference, *, errors=ERRORS, way=APART, start=None):
+    """The scale after two images some way apart, the second of which is so many standard deviations off along x."""
+    scale = looked(start or ErrorScale(), seen_at(THERE, errors=errors)).moved(AHEAD, way)
+    pose = THERE @ AHEAD.previous_from_current @ Poses.exp(np.array([0.1 * difference, 0, 0, 0, 0, 0]))
+    return looked(scale, seen_at(pose, errors=errors))
+
+
+# --- how much larger or smaller -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("per_image", [1, 3])
+def test_errors_that_follow_the_model_are_taken_as_they_are(per_image):
+    factors = [scale_along(simulated(seed, per_image=per_image)).factor for seed in range(3)]
+    assert min(factors) > 0.75
+    assert max(factors) < 1.25
+    assert np.mean(factors) == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("per_image", [1, 3])
+@pytest.mark.parametrize("factor", [0.25, 4.0])
+def test_errors_of_a_quarter_and_of_four_times_the_variance_are_found_out_at_any_rate(factor, per_image):
+    """As far as so many pairs tell: the model itself counts for five."""
+    scales = [scale_along(understated(simulated(seed, per_image=per_image), factor)) for seed in range(3)]
+    expected = [factor + (1.0 - factor) * 5.0 / scale.count for scale in scales]
+    np.testing.assert_allclose([scale.factor for scale in scales], expected, rtol=0.35)
+    assert np.mean([scale.factor for scale in scales]) == pytest.approx(np.mean(expected), rel=0.2)
+
+
+def test_errors_are_never_taken_as_less_than_a_tenth_of_the_variance():
+    assert replace(ErrorScale(), total=0.01, count=50.0).factor == 0.1
+    assert replace(ErrorScale(adapts=False), total=0.01, count=50.0).factor == 1.0
+    exact = motion(0.5, 0, 0, 0, 0, 0, std=np.zeros(6))
+    scale, pose = ErrorScale(), THERE
+    for _ in range(100):
+        pose = pose @ exact.previous_from_current
+        scale = looked(scale.moved(exact, APART), seen_at(pose))
+    assert scale.factor == 0.1
+
+
+def test_errors_that_become_as_modelled_again_are_taken_so_in_time():
+    larger = scale_along(understated(simulated(0), 4.0))
+    scale = replace(larger, place=None)
+    for seed in (1, 2, 0, 1):
+        scale = replace(scale_along(simulated(seed), scale), place=None)
+    assert larger.factor > 3.0
+    assert scale.factor < 1.4
+
+
+# --- what is compared -----------------------------------------------------------------------------
+
+
+def test_standing_changes_nothing_however_the_images_differ():
+    rng = np.random.default_rng(0)
+    localizer = ParticleLocalizer(None, rng=rng)
+    scale = compared(5.0)
+    factor = scale.factor
+    assert factor > 1.0
+    for _ in range(100):
+        seen = seen_at(Poses.exp(0.3 * rng.standard_normal((1, 6))))
+        scale = looked(scale.moved(STAY, 0.0), seen, 0.0)
+        estimate = localizer.update(seen, STAY)
+    assert scale.factor == factor
+    assert estimate.modes[0].widest_std_m < 0.2
+
+
+def test_images_less_than_two_lengths_apart_are_not_compared():
+    near, far = compared(5.0, way=1.9), compared(5.0, way=2.1)
+    assert near.count == ErrorScale().count
+    assert far.count == pytest.approx(ErrorScale().count + 1.0, abs=0.01)
+    assert far.factor > near.factor == 1.0
+
+
+def test_the_first_image_after_the_way_is_compared_and_the_next_ones_with_it():
+    scale = compared(5.0)
+    again = looked(scale, seen_at(THERE), 0.0)  # at once, so no comparison
+    assert again == scale
+    assert scale.place.translation[0] == pytest.approx(1.0)
+    assert scale.way == 0.0
+    assert scale.since is None
+
+
+@pytest.mark.parametrize("off", [12.0, 100.0, 1e6])
+def test_outliers_and_other_places_do_not_change_it(off):
+    start = compared(5.0)
+    assert compared(off, start=replace(start, place=None)).factor == start.factor
+
+
+def test_an_image_where_odometry_expects_it_lowers_it():
+    start = compared(5.0)
+    assert compared(0.0, start=replace(start, place=None)).factor < start.factor
+    assert compared(0.0).factor < 1.0
+
+
+def test_an_image_of_another_place_is_where_the_next_comparison_begins():
+    scale = compared(90.0)
+    assert scale.place.translation[0] == pytest.approx(9.5)
+    following = Poses(scale.place.rotation[None], scale.place.translation[None]) @ AHEAD.previous_from_current
+    later = looked(scale.moved(AHEAD, APART), seen_at(following))
+    assert later.count == pytest.approx(ErrorScale().count + 1.0, abs=0.01)
+    assert later.factor < 1.0
+
+
+def test_a_scatter_of_outliers_among_errors_that_follow_the_model_does_not_raise_it():
+    path, rng = simulated(1), np.random.default_rng(1)
+    scattered = [shifted(p, 9.0 * rng.standard_normal(3)) if rng.random() < 0.2 else p for p in path.posteriors]
+    assert scale_along(replace(path, posteriors=scattered)).factor < 1.25
+
+
+@pytest.mark.parametrize("tail", [3.0, 6.0, 1e6])
+def test_heavy_tails_that_are_modelled_are_neither_larger_nor_smaller_errors(tail):
+    errors = replace(ERRORS, tail=tail, lasting_fraction=0.0)
+    rng, scale, pose, factors = np.random.default_rng(2), ErrorScale(), THERE, []
+    exact = motion(0.5, 0, 0, 0, 0, 0, std=np.zeros(6))
+    for _ in range(400):
+        pose = pose @ exact.previous_from_current
+        error = np.array([0.1] * 3 + [0.05] * 3) * rng.standard_normal(6) / np.sqrt(rng.chisquare(tail) / tail)
+        scale = looked(scale.moved(exact, APART), seen_at(pose @ Poses.exp(error), errors=errors))
+        factors.append(scale.factor)
+    assert 0.8 < np.mean(factors) < 1.2
+
+
+def test_of_several_places_the_one_nearest_to_what_odometry_expects_is_compared():
+    scale = looked(ErrorScale(), seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.4, 0.6)))
+    assert scale.place.translation[2] == pytest.approx(3.0)  # the heaviest begins
+    ahead = AHEAD.previous_from_current
+    scale = looked(scale.moved(AHEAD, APART), seen_at(lifted(ahead, (0.0, 3.1, 6.0)), (0.8, 0.1, 0.1)))
+    assert scale.count == pytest.approx(ErrorScale().count + 1.0, abs=0.01)
+    assert scale.place.translation[2] == pytest.approx(3.1)
+    assert scale.factor < 1.0
+
+
+def test_places_a_floor_apart_tell_of_the_errors_as_one_place_does():
+    alone = understated(simulated(2), 4.0)
+    copies = [
+        replace(
+            posterior,
+            means=lifted(posterior.means[0], (-3.0, 0.0, 3.0)),
+            covariances=np.repeat(posterior.covariances, 3, axis=0),
+            weights=np.array([0.1, 0.7, 0.2]),
+        )
+        for posterior in alone.posteriors
+    ]
+    assert scale_along(replace(alone, posteriors=copies)).factor == pytest.approx(scale_along(alone).factor, rel=0.05)
+
+
+def test_odometry_that_knows_little_of_the_way_raises_nothing():
+    vague = motion(0.5, 0, 0, 0, 0, 0, std=np.full(6, 3.0))
+    scale = looked(ErrorScale(), seen_at(THERE)).moved(vague, APART)
+    assert looked(scale, seen_at(THERE @ Poses.exp(np.array([0.9, 0, 0, 0, 0, 0])))).factor == pytest.approx(
+        1.0, abs=0.01
+    )
+
+
+def test_a_motion_in_parts_is_compared_as_the_whole_is():
+    half = motion(0.25, 0, 0, 0, 0, 0, std=np.zeros(6))
+    whole = motion(0.5, 0, 0, 0, 0, 0, std=np.zeros(6))
+    start, end = looked(ErrorScale(), seen_at(THERE)), seen_at(THERE)
+    in_parts = looked(start.moved(half, 0.5 * APART).moved(half, 0.5 * APART), end)
+    assert in_parts.factor == pytest.approx(looked(start.moved(whole, APART), end).factor)
+
+
+def familiar_to(power_of_growth, *, errors=ERRORS):
+    return replace(seen_at(THERE, errors=errors), growth=power_of_growth)
+
+
+# --- how unfamiliar the images lately are ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("per_length", [1, 10])
+def test_what_images_tell_is_followed_over_five_lengths_at_any_rate(per_length):
+    scale = ErrorScale()
+    for _ in range(5 * per_length):
+        scale = looked(scale, familiar_to(0.25), 1.0 / per_length)
+    assert scale.information == pytest.approx(4.0 - 3.0 / np.e)
+    standing = scale
+    for _ in range(50):
+        standing = looked(standing, familiar_to(9.0), 0.0)
+    assert standing.information == scale.information
+
+
+def test_of_images_of_different_growth_the_harmonic_mean_counts():
+    """One that tells much among others that tell little: what they tell adds up, not their variances."""
+    scale = ErrorScale()
+    for i in range(2000):
+        scale = looked(scale, familiar_to((0.5, 8.0)[i % 2]), 0.05)
+    assert 1.0 / scale.information == pytest.approx(1.0 / np.mean([2.0, 0.125]), rel=0.01)
+
+
+def test_all_errors_that_the_model_states_are_multiplied_and_the_least_follow_what_images_tell():
+    scale = replace(ErrorScale(), total=40.0, count=10.0, information=0.5)
+    applied = scale.applied(ERRORS)
+    assert applied.constant_fraction == pytest.approx(2.0 * ERRORS.constant_fraction)
+    assert replace(applied, constant_fraction=ERRORS.constant_fraction) == ERRORS.inflated(4.0)
+    np.testing.assert_allclose(applied.least_covariance, 8.0 * ERRORS.least_covariance)
+    assert ErrorScale().applied(ERRORS) == ERRORS.inflated(1.0)
+    nothing = replace(ErrorScale(), information=0.0).applied(replace(ERRORS, constant_fraction=100.0))
+    assert nothing.constant_fraction == 1e3  # the most that a model may state
+
+
+# --- variances multiplied -------------------------------------------------------------------------
+
+
+def test_an_inflated_model_errs_by_so_much_more_variance_and_as_long():
+    errors = replace(ERRORS, spread=1.7)
+    inflated, samples = errors.inflated(4.0), np.diag([0.3, 0.2, 0.1, 0.1, 0.2, 0.3])[None]
+    np.testing.assert_allclose(inflated.covariance(samples), 4.0 * errors.covariance(samples))
+    np.testing.assert_allclose(inflated.least_covariance, 4.0 * errors.least_covariance)
+    np.testing.assert_allclose(inflated.typical_std, 2.0 * np.array(errors.typical_std))
+    same = {"spread": errors.spread, "floor": errors.floor, "typical_std": errors.typical_std}
+    assert replace(inflated, **same) == errors
+
+
+def test_an_inflated_posterior_has_the_same_places_of_larger_errors():
+    posterior = seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.3, 0.7), unfamiliarity=0.4)
+    inflated = posterior.inflated(4.0)
+    np.testing.assert_allclose(inflated.covariances, 4.0 * posterior.covariances)
+    np.testing.assert_allclose(inflated.factors, 2.0 * posterior.factors)
+    assert inflated.errors == posterior.errors.inflated(4.0)
+    assert inflated.means is posterior.means
+    assert inflated.samples is posterior.samples
+    assert (inflated.weights == posterior.weights).all()
+    assert inflated.unfamiliarity == 0.4
+    assert posterior.inflated(1.0) is posterior

@@ -1,0 +1,328 @@
+"""Bad input: each kind has a documented outcome, an error that carries the value or a defined status; never a NaN."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filtering.cameras import View
+from filtering.config import LocalizerConfig
+from filtering.density import KernelDensity
+from filtering.errors import VaporTrackError
+from filtering.localizer import ParticleLocalizer
+from filtering.motion import Odometry, require_odometry
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from tests.helpers.simulation import ERRORS, ODOMETRY_STD, STD, Oracle, climb, image_of, lifted, seen_at
+
+GOOD = np.diag(ODOMETRY_STD**2)
+
+
+def walking(num_frames, seed=0, num_before=3, floors=(0,)):
+    """A localizer that has taken the first steps of a walk, and the walk."""
+    rng = np.random.default_rng(seed)
+    truth, odometry = climb(num_frames, rng=rng)
+    localizer = ParticleLocalizer(Oracle(truth, floors, range(0)), rng=rng)
+    for i in range(num_before):
+        localizer.step(image_of(i), odometry[i])
+    return localizer, truth, odometry
+
+
+def assert_same(one, other):
+    np.testing.assert_array_equal(one.particles.translation, other.particles.translation)
+    np.testing.assert_array_equal(one.log_weights, other.log_weights)
+    np.testing.assert_array_equal(one.covariances, other.covariances)
+    assert (one.status, one.agreement, one.novelty, one.way) == (
+        other.status, other.agreement, other.novelty, other.way
+    )  # fmt: skip
+
+
+def assert_sound(estimate):
+    """Nothing in an estimate is NaN, weights are normalised, covariances are some."""
+    assert estimate.particles.is_finite().all()
+    assert np.exp(estimate.log_weights).sum() == pytest.approx(1.0)
+    assert 0.0 <= estimate.agreement <= 1.0
+    for mode in estimate.modes:
+        assert mode.world_from_camera.is_finite()
+        assert np.linalg.eigvalsh(mode.covariance).min() > 0.0
+    rotation = estimate.modes[0].world_from_camera.rotation
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+
+
+# --- odometry that is none --------------------------------------------------------------------------
+
+
+def increment(rotation=None, translation=(0.0, 0.0, 0.0), covariance=GOOD):
+    return Odometry(Poses(np.eye(3) if rotation is None else rotation, np.array(translation)), covariance, 0.1)
+
+
+BAD_ODOMETRY = [
+    (increment(covariance=np.full((6, 6), np.nan)), "covariance is not finite"),
+    (increment(covariance=np.diag([1.0] * 5 + [np.inf])), "covariance is not finite"),
+    (increment(covariance=np.diag([1.0, 1, 1, 1, 1, -0.5])), "negative eigenvalue -0.5"),
+    (increment(covariance=np.eye(6) + np.eye(6, k=1)), "not symmetric"),
+    (increment(translation=(np.nan, 0, 0)), r"increment is not finite: .*nan"),
+    (increment(translation=(0, np.inf, 0)), r"increment is not finite: .*inf"),
+    (increment(rotation=1.01 * np.eye(3)), r"1.01.* for a rotation, expected orthonormal"),
+    (increment(rotation=np.zeros((3, 3))), "expected orthonormal"),
+    (increment(rotation=np.diag([1.0, 1, -1])), "determinant 1"),
+    (Odometry(Poses.identity(), GOOD, -0.1), r"took -0.1 s, expected a finite duration"),
+    (Odometry(Poses.identity(), GOOD, float("nan")), r"took nan s, expected a finite duration"),
+    (Odometry(Poses.identity(2), GOOD, 0.1), r"batch shape \(2,\), expected \(\)"),
+]
+
+
+@pytest.mark.parametrize("ambiguous", [False, True])
+@pytest.mark.parametrize(("odometry", "message"), BAD_ODOMETRY)
+def test_odometry_that_is_none_is_refused_with_its_value_and_the_localizer_stays_as_it_was(
+    odometry, message, ambiguous
+):
+    floors = (0, 1, 2) if ambiguous else (0,)
+    (localizer, _, walked), (untouched, _, _) = walking(5, floors=floors), walking(5, floors=floors)
+    with pytest.raises(VaporTrackError, match=message):
+        localizer.step(image_of(3), odometry)
+    with pytest.raises(VaporTrackError, match=message):
+        localizer.predict(odometry)
+    for i in (3, 4):
+        assert_same(localizer.step(image_of(i), walked[i]), untouched.step(image_of(i), walked[i]))
+
+
+def test_odometry_of_a_first_step_is_not_used_whatever_it_is():
+    for odometry, _ in BAD_ODOMETRY:
+        localizer, truth, _ = walking(1, num_before=0)
+        estimate = localizer.step(image_of(0), odometry)
+        assert estimate.modes[0].world_from_camera.distance(truth[0])[0] < 0.2
+
+
+def test_a_rotation_in_single_precision_passes():
+    rotation = Poses.exp(np.array([0.0, 0, 0, 0.3, -0.2, 1.1])).rotation.astype(np.float32).astype(np.float64)
+    require_odometry(increment(rotation))
+
+
+# --- odometry that is odd ---------------------------------------------------------------------------
+
+ROOT = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [np.zeros((6, 6)), np.diag([1e-4, 0, 0, 0, 0, 0]), 1e-4 * np.outer(ROOT, ROOT), 1e-30 * np.eye(6)],
+)
+def test_a_covariance_of_rank_one_or_zero_is_fine(covariance):
+    localizer, truth, odometry = walking(30)
+    for i in range(3, 30):
+        estimate = localizer.step(image_of(i), replace(odometry[i], covariance=covariance))
+        assert_sound(estimate)
+    assert estimate.modes[0].world_from_camera.distance(truth[29])[0] < 0.3
+
+
+def test_a_motion_in_no_time_is_a_motion():
+    localizer, truth, odometry = walking(30)
+    for i in range(3, 30):
+        estimate = localizer.step(image_of(i), replace(odometry[i], duration_s=0.0))
+        assert_sound(estimate)
+    assert estimate.modes[0].world_from_camera.distance(truth[29])[0] < 0.3
+
+
+JUMP = Poses.exp(np.array([50.0, 0, 0, 0, 0, 0]))
+
+
+def after_a_jump(odometry_of_jump, true_jump, num_frames=150):
+    """Errors in metres and statuses from image 19 on of a walk whose odometry from image 19 to 20 is the given one."""
+    localizer, truth, odometry = walking(num_frames, num_before=0)
+    jumped = truth[19] @ true_jump @ truth[19].inverse()
+    truth = Poses.stack([jumped @ truth[i] if i >= 20 else truth[i] for i in range(num_frames)])
+    localizer.model = Oracle(truth, (0,), range(0))
+    error_m, statuses = [], []
+    for i in range(num_frames):
+        estimate = localizer.step(image_of(i), odometry_of_jump if i == 20 else odometry[i])
+        assert_sound(estimate)
+        error_m.append(float(estimate.modes[0].world_from_camera.distance(truth[i])[0]))
+        statuses.append(estimate.status)
+    assert max(error_m[:20]) < 0.5
+    return error_m[19:], statuses[19:]
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("std_m", [0.005, 50.0])
+def test_an_increment_of_50_m_that_is_wrong_is_no_reason_to_be_sure_and_images_bring_the_belief_back(std_m):
+    """It is a motion like any other. One that is stated to be as uncertain as it is long leaves the image to decide."""
+    covariance = np.diag([std_m**2] * 3 + [0.003**2] * 3)
+    error_m, statuses = after_a_jump(Odometry(JUMP, covariance, 0.1), Poses.identity())
+    away = np.array(error_m) > 10.0
+    assert away[1:5].tolist() == [std_m < 1.0] * 4
+    assert "converged" not in np.array(statuses)[away][4:]
+    assert max(error_m[60:]) < 0.6
+    assert statuses[-1] == "converged"
+
+
+def test_an_increment_of_50_m_that_is_true_is_followed_though_the_heading_is_uncertain():
+    error_m, statuses = after_a_jump(Odometry(JUMP, GOOD, 0.1), JUMP, num_frames=60)
+    assert max(error_m) < 1.5  # a hundredth of a radian is half a metre over 50 m
+    assert statuses[-1] == "converged"
+
+
+# --- long times -------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_ten_minutes_without_images_widen_the_belief_and_the_next_image_is_followed():
+    localizer, _, _ = walking(3)
+    before = localizer.predict(increment())
+    step = Odometry(Poses.exp(np.array([0.05, 0, 0, 0, 0, 0.01])), GOOD, 0.1)
+    for _ in range(1200):
+        estimate = localizer.predict(replace(step, duration_s=0.5))
+    assert_sound(estimate)
+    assert len(estimate.modes) == len(before.modes)
+    assert estimate.modes[0].widest_std_m > before.modes[0].widest_std_m
+    assert estimate.status != "converged"
+    pose = estimate.modes[0].world_from_camera
+    for i in range(30):
+        pose = pose @ step.previous_from_current
+        seen = pose @ Poses.exp(0.3 * STD * np.sin(i + np.arange(6)))
+        estimate = localizer.update(seen_at(seen), step)
+        assert_sound(estimate)
+    assert estimate.status == "converged"
+    assert estimate.modes[0].world_from_camera.distance(pose)[0] < 0.2
+
+
+def test_ten_minutes_without_odometry_leave_all_directions_open_and_images_find_the_camera_again():
+    localizer, _, odometry = walking(60)
+    gone = localizer.update(PosePosterior.nothing(), None, elapsed_s=600.0)
+    assert_sound(gone)
+    assert gone.modes[0].widest_std_m > 500.0
+    assert gone.status != "converged"
+    pose = Poses.exp(np.array([200.0, -100, 5, 0.1, 0.2, 2.5]))
+    for i in range(1, 60):
+        pose = pose @ odometry[i].previous_from_current
+        estimate = localizer.update(seen_at(pose @ Poses.exp(0.3 * STD * np.sin(i + np.arange(6)))), odometry[i])
+        assert_sound(estimate)
+    assert estimate.status == "converged"
+    assert estimate.modes[0].world_from_camera.distance(pose)[0] < 0.2
+
+
+def test_an_hour_of_hours_without_anything_is_still_a_belief():
+    localizer, _, odometry = walking(4)
+    for _ in range(5):
+        assert_sound(localizer.update(PosePosterior.nothing(), None, elapsed_s=3600.0))
+    assert_sound(localizer.step(image_of(3), odometry[3]))
+
+
+# --- posteriors that are odd ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        lambda pose: seen_at(pose, (0.0,)),
+        lambda pose: seen_at(pose, (1e-300,)),
+        lambda pose: seen_at(pose, std=[1e-9] * 6),
+        lambda pose: seen_at(pose, std=[1e6] * 3 + [3.0] * 3),
+        lambda pose: seen_at(Poses(pose.rotation, pose.translation + 1e9)),
+        lambda pose: seen_at(Poses.concatenate([lifted(pose, [0.0] * 40)]), [1 / 40] * 40),
+    ],
+    ids=["no share", "hardly a share", "as if exact", "anywhere", "a light second away", "forty times one place"],
+)
+def test_a_posterior_that_is_odd_gives_a_belief_that_is_sound(odd):
+    localizer, _, odometry = walking(12)
+    pose = localizer.predict(increment()).modes[0].world_from_camera
+    for i in range(4, 8):
+        pose = pose @ odometry[i].previous_from_current
+        assert_sound(localizer.update(odd(pose), odometry[i]))
+    for i in range(8, 12):
+        assert_sound(localizer.step(image_of(i), odometry[i]))
+
+
+def test_a_first_posterior_whose_shares_are_all_zero_begins_with_its_places():
+    localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
+    estimate = localizer.update(seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.0, 0.0)), None)
+    assert_sound(estimate)
+    assert [mode.weight for mode in estimate.modes] == pytest.approx([0.5, 0.5])
+
+
+# --- a step that raises -----------------------------------------------------------------------------
+
+
+class Refusing:
+    """A model that has drawn before it refuses an image, and the model that it stands for."""
+
+    def __init__(self, model):
+        self.model = model
+
+    def observe(self, image, *, rng):
+        rng.standard_normal(17)
+        raise VaporTrackError("no image of this camera")
+
+
+def test_an_image_that_the_model_refuses_leaves_the_localizer_as_it_was():
+    (localizer, _, walked), (untouched, _, _) = walking(6), walking(6)
+    good = localizer.model
+    localizer.model = Refusing(good)
+    with pytest.raises(VaporTrackError, match="no image of this camera"):
+        localizer.step(image_of(3), walked[3])
+    localizer.model = good
+    for i in range(3, 6):
+        assert_same(localizer.step(image_of(i), walked[i]), untouched.step(image_of(i), walked[i]))
+
+
+def test_an_image_whose_odometry_is_refused_is_not_taken_for_a_frozen_one_when_tried_again():
+    (localizer, _, walked), (untouched, _, _) = walking(6), walking(6)
+    with pytest.raises(VaporTrackError):
+        localizer.step(image_of(3), BAD_ODOMETRY[0][0])
+    again = localizer.step(image_of(3), walked[3])
+    assert again.novelty > 0.0
+    assert_same(again, untouched.step(image_of(3), walked[3]))
+
+
+def test_a_view_that_fails_after_the_first_was_taken_in_leaves_the_localizer_as_it_was(monkeypatch):
+    def rig():
+        localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
+        localizer.update([View(seen_at(Poses.identity(1)), Poses.identity(), "front")], None)
+        return localizer
+
+    localizer, untouched = rig(), rig()
+    step = increment(translation=(0.2, 0, 0))
+    good = [View(seen_at(Poses.exp(np.array([[0.2, 0, 0, 0, 0, 0]]))), Poses.identity(), k) for k in ("front", "back")]
+    broken = [good[0], replace(good[1], reference_from_camera=Poses(np.full((3, 3), np.nan), np.zeros(3)))]
+    with pytest.raises(VaporTrackError):
+        localizer.update(broken, step)
+    assert_same(localizer.update(good, step), untouched.update(good, step))
+
+
+def test_an_update_that_raises_draws_nothing(monkeypatch):
+    localizers = []
+    for _ in range(2):
+        localizer = ParticleLocalizer(None, LocalizerConfig(max_hypotheses=3), rng=np.random.default_rng(0))
+        localizer.update(seen_at(lifted(Poses.identity(), 3.0 * np.arange(3)), [0.3] * 3), None)
+        localizers.append(localizer)
+    step = increment(translation=(0.3, 0, 0))
+    seen = seen_at(lifted(Poses.exp(np.array([0.3, 0, 0, 0, 0, 0])), 3.0 * np.arange(6)), [0.15] * 6)
+    drawn = localizers[0]._filter_rng.bit_generator.state
+
+    def broken(*arguments):
+        assert localizers[0]._filter_rng.bit_generator.state != drawn  # precondition: it has drawn
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("filtering.localizer.describe_modes", broken)
+        with pytest.raises(KeyboardInterrupt):
+            localizers[0].update(seen, step)
+    for _ in range(3):
+        assert_same(*(localizer.update(seen, step) for localizer in localizers))
+
+
+def test_samples_and_weights_that_are_not_finite_make_no_density():
+    poses = Poses.identity(3)
+    poses.translation[1, 2] = np.nan
+    with pytest.raises(VaporTrackError, match=r"kernel centre 1 of 3 is not finite: .*nan"):
+        KernelDensity(poses, 0.1, 0.1)
+    for bad in (np.nan, np.inf):
+        with pytest.raises(VaporTrackError, match=f"log weight of kernel 0 of 2 is {bad}"):
+            KernelDensity(Poses.identity(2), 0.1, 0.1, np.array([bad, 0.0]))
+
+
+def test_a_view_from_another_rig_is_judged_by_its_own_error_model():
+    localizer = ParticleLocalizer(None, rng=np.random.default_rng(0))
+    coarse = ERRORS.scaled(10.0)
+    localizer.update(seen_at(Poses.identity(1), errors=coarse), None)
+    assert_sound(localizer.update(seen_at(Poses.identity(1), errors=ERRORS), increment(translation=(1.0, 0, 0))))

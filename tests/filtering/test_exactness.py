@@ -1,0 +1,132 @@
+"""The filter against an exact answer: where all is linear and Gaussian it is the Kalman filter, done with filterpy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from filtering.cameras import View
+from filtering.config import LocalizerConfig
+from filtering.error_model import ErrorModel
+from filtering.hypotheses import POSE, SLOW, bias
+from filtering.localizer import ParticleLocalizer
+from filtering.motion import Odometry, SlowErrors
+from filtering.se3 import Poses
+from tests.helpers.simulation import seen_at
+
+ONE_PLACE = ErrorModel(
+    tail=1e6, outlier_probability=1e-9, flat_log_density=-500.0, constant_fraction=0.0, lasting_fraction=0.7
+)
+SLOWLY = SlowErrors(scale=0.05, drift=(0.01, 0.02, 0.015, 1e-7, 2e-7, 3e-7), time_s=4.0)
+ALONE = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, adapt_errors=False, slow_errors=SLOWLY)
+IMAGE_STD = np.array([0.03, 0.05, 0.04, 2e-6, 1e-6, 3e-6])
+MOTION_STD = np.array([0.004, 0.003, 0.002, 2e-7, 3e-7, 1e-7])
+STEP = np.array([0.08, -0.03, 0.05, 0.0, 0.0, 0.0])
+SECONDS = 0.2
+
+
+def skew(v):
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def kalman_filter(step, cameras=1):
+    """State: position and rotation vector, scale error, drift, and each camera's lasting error; angles are tiny."""
+    size = 13 + 6 * cameras
+    kalman = KalmanFilter(size, 6)
+    kalman.F = np.eye(size)
+    kalman.F[:3, 3:6] = -skew(step[:3])  # a rotated camera goes another way
+    kalman.F[:3, 6] = -step[:3]
+    kalman.F[:6, 7:13] = -SECONDS * np.diag(SLOWLY.drift)
+    kept = np.exp(-SECONDS / SLOWLY.time_s)
+    kalman.F[range(7, 13), range(7, 13)] = kept
+    faded = np.exp(-np.linalg.norm(step[:3]) / ONE_PLACE.length_m)
+    kalman.F[range(13, size), range(13, size)] = faded
+    noise = np.concatenate([MOTION_STD**2, [0.0], np.full(6, 1 - kept**2), np.full(6 * cameras, 1 - faded**2)])
+    kalman.Q = np.diag(noise)
+    kalman.x = np.zeros((size, 1))
+    kalman.P = np.eye(size)
+    kalman.P[:6, :6] *= 1e3  # nothing is known of the pose
+    kalman.P[6, 6] = SLOWLY.scale**2
+    kalman.R = (1 - ONE_PLACE.lasting_fraction) * np.diag(IMAGE_STD**2)
+    return kalman
+
+
+def seen_by(camera, size):
+    h = np.zeros((6, size))
+    h[:, :6] = np.eye(6)
+    h[:, 13 + 6 * camera : 19 + 6 * camera] = np.sqrt(ONE_PLACE.lasting_fraction) * np.diag(IMAGE_STD)
+    return h
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_with_one_place_and_gaussian_errors_pose_slow_and_lasting_errors_are_those_of_the_kalman_filter(seed):
+    rng = np.random.default_rng(seed)
+    localizer = ParticleLocalizer(None, ALONE, rng=rng)
+    kalman = kalman_filter(STEP)
+    control = np.zeros((19, 1))
+    control[:6, 0] = STEP
+    true = np.zeros(6)
+    for t in range(60):
+        measured = true + rng.standard_normal(6) * IMAGE_STD
+        odometry = Odometry(Poses.exp(STEP), np.diag(MOTION_STD**2), SECONDS) if t else None
+        estimate = localizer.update(seen_at(Poses.exp(measured[None]), std=IMAGE_STD, errors=ONE_PLACE), odometry)
+        if t:
+            kalman.predict()
+            kalman.x = kalman.x + control
+        kalman.update(measured[:, None], H=seen_by(0, 19))
+        true = true + 0.96 * STEP + rng.standard_normal(6) * MOTION_STD
+
+        belief = localizer._belief
+        assert len(belief) == 1
+        std = np.sqrt(np.diag(kalman.P))
+        state = np.concatenate([belief.poses[0].log(), belief.mean[0]])
+        # The tolerance, in standard deviations, is for the curvature of SE(3).
+        np.testing.assert_allclose(state / std, kalman.x[:, 0] / std, atol=1e-3)
+        np.testing.assert_allclose(belief.covariance[0] / np.outer(std, std), kalman.P / np.outer(std, std), atol=1e-3)
+        np.testing.assert_allclose(estimate.modes[0].covariance, belief.covariance[0, POSE, POSE])
+    learned = np.sqrt(np.diag(belief.covariance[0]))
+    assert learned[SLOW][0] < 0.5 * SLOWLY.scale  # precondition: there was something to learn
+    assert (learned[bias(0)][:3] < 0.95).all()
+
+
+def test_two_cameras_are_the_kalman_filter_with_two_independent_lasting_errors():
+    rng = np.random.default_rng(5)
+    localizer = ParticleLocalizer(None, ALONE, rng=rng)
+    kalman = kalman_filter(STEP, cameras=2)
+    control = np.zeros((25, 1))
+    control[:6, 0] = STEP
+    for t in range(30):
+        measured = [t * STEP + rng.standard_normal(6) * IMAGE_STD for _ in range(2)]
+        odometry = Odometry(Poses.exp(STEP), np.diag(MOTION_STD**2), SECONDS) if t else None
+        views = [
+            View(seen_at(Poses.exp(m[None]), std=IMAGE_STD, errors=ONE_PLACE), Poses.identity(), name)
+            for m, name in zip(measured, ("left", "right"), strict=True)
+        ]
+        localizer.update(views, odometry)
+        if t:
+            kalman.predict()
+            kalman.x = kalman.x + control
+        for camera in range(2):
+            kalman.update(measured[camera][:, None], H=seen_by(camera, 25))
+        belief = localizer._belief
+        assert len(belief) == 1
+        std = np.sqrt(np.diag(kalman.P))
+        state = np.concatenate([belief.poses[0].log(), belief.mean[0]])
+        np.testing.assert_allclose(state / std, kalman.x[:, 0] / std, atol=1e-3)
+        np.testing.assert_allclose(belief.covariance[0] / np.outer(std, std), kalman.P / np.outer(std, std), atol=1e-3)
+
+
+def test_a_heavy_tail_or_outliers_make_another_filter_of_it():
+    """The precondition of the exactness: it is these two settings that keep the filter from being a Kalman filter."""
+    for change in ({"tail": 3.0}, {"outlier_probability": 0.3, "flat_log_density": 15.0}):
+        errors, rng = replace(ONE_PLACE, **change), np.random.default_rng(0)
+        localizers = [ParticleLocalizer(None, ALONE, rng=rng) for _ in range(2)]
+        for t in range(10):
+            measured = t * STEP + (6.0 if t == 9 else 1.0) * rng.standard_normal(6) * IMAGE_STD
+            odometry = Odometry(Poses.exp(STEP), np.diag(MOTION_STD**2), SECONDS) if t else None
+            poses = [
+                localizer.update(seen_at(Poses.exp(measured[None]), std=IMAGE_STD, errors=model), odometry).modes[0]
+                for localizer, model in zip(localizers, (ONE_PLACE, errors), strict=True)
+            ]
+        assert poses[0].world_from_camera.distance(poses[1].world_from_camera)[0] > 0.002

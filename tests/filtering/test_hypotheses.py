@@ -1,0 +1,313 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from filtering.error_model import ErrorModel
+from filtering.errors import VaporTrackError
+from filtering.hypotheses import (
+    POSE,
+    SLOW,
+    Hypotheses,
+    bias,
+    born,
+    concatenate,
+    log_sum,
+    moved,
+    reduced,
+    widened,
+    with_camera,
+)
+from filtering.motion import Odometry, SlowErrors
+from filtering.se3 import Poses
+from tests.helpers.simulation import ERRORS, STD, motion, seen_at
+
+NEVER = SlowErrors(scale=0.0, relative_drift=0.0)
+
+
+def random_covariances(count, size, *, seed, scale=1.0):
+    root = np.random.default_rng(seed).normal(size=(count, size, size)) / np.sqrt(size)
+    return scale**2 * (root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(size))
+
+
+def bank(count, *, seed=0, offset=1e-3, scale=0.05, weights=None):
+    """Hypotheses about one place, with all parts of a state correlated."""
+    rng = np.random.default_rng(seed)
+    poses = Poses.exp(np.array([3.0, 1, 2, 0.1, 0.2, 1.0])) @ Poses.exp(offset * rng.standard_normal((count, 6)))
+    weights = rng.dirichlet(np.ones(count)) if weights is None else np.array(weights)
+    covariance = random_covariances(count, 19, seed=seed, scale=scale)
+    return Hypotheses(poses, offset * rng.standard_normal((count, 13)), covariance, np.log(weights))
+
+
+def mixture_moments(h, about):
+    """Mean and covariance of the whole state of a mixture, poses in the tangent at one pose."""
+    centre = np.concatenate([(about.inverse() @ h.poses).log(), h.mean], axis=1)
+    mean = h.weights @ centre
+    residual = centre - mean
+    return mean, np.einsum("n,nij->ij", h.weights, h.covariance + residual[:, :, None] * residual[:, None, :])
+
+
+# --- weights ----------------------------------------------------------------------------------------
+
+
+def test_weights_are_normalised_and_zero_weights_are_fine_beside_others():
+    h = bank(4).with_log_weights(np.array([900.0, 901.0, -np.inf, 900.0]))
+    assert h.weights.sum() == pytest.approx(1.0)
+    assert h.weights[2] == 0.0
+    assert h.weights[1] / h.weights[0] == pytest.approx(np.e)
+
+
+@pytest.mark.parametrize(("bad", "message"), [(np.nan, "hypothesis 2 is nan"), (np.inf, "hypothesis 2 is inf")])
+def test_weights_that_are_not_finite_are_refused_and_named(bad, message):
+    with pytest.raises(VaporTrackError, match=message):
+        bank(4).with_log_weights(np.array([0.0, 0, bad, 0]))
+
+
+def test_all_zero_weights_are_refused():
+    with pytest.raises(VaporTrackError, match="all 4 weights are zero"):
+        bank(4).with_log_weights(np.full(4, -np.inf))
+
+
+def test_the_log_of_a_sum_neither_overflows_nor_vanishes():
+    assert log_sum(np.array([1000.0, 1000.0])) == pytest.approx(1000 + np.log(2))
+    assert log_sum(np.array([-1000.0, -1000.0])) == pytest.approx(-1000 + np.log(2))
+    assert log_sum(np.full(3, -np.inf)) == -np.inf
+
+
+# --- birth ------------------------------------------------------------------------------------------
+
+
+def test_a_newborn_errs_as_the_image_does_and_its_error_goes_with_the_images_lasting_one():
+    posterior = seen_at(Poses.identity(2), (0.7, 0.2))
+    h = born(posterior, 0, 1, SlowErrors(scale=0.03), None)
+    assert (h.weights / h.weights[0]).tolist() == pytest.approx([1.0, (0.2 / 0.25) / (0.7 / 0.75)])
+    np.testing.assert_array_equal(h.pose_covariance, posterior.covariances)
+    np.testing.assert_allclose(h.covariance[:, 6, 6], 0.03**2)
+    np.testing.assert_allclose(h.covariance[0, range(7, 19), range(7, 19)], 1.0)
+    # The pose minus what lasts of the image's error is uncertain by the fresh share alone.
+    factor = np.sqrt(ERRORS.lasting_fraction) * np.diag(STD)
+    measured = np.hstack([np.eye(6), np.zeros((6, 7)), factor])
+    np.testing.assert_allclose(
+        measured @ h.covariance[0] @ measured.T, (1.0 - ERRORS.lasting_fraction) * np.diag(STD**2), atol=1e-15
+    )
+    assert np.linalg.eigvalsh(h.covariance).min() > 0.0
+
+
+def test_a_newborn_knows_of_the_odometrys_errors_what_the_heaviest_hypothesis_knows():
+    belief = bank(3, weights=[0.2, 0.7, 0.1])
+    h = born(seen_at(Poses.identity(1)), 0, 1, SlowErrors(), belief)
+    np.testing.assert_array_equal(h.mean[0, :7], belief.mean[1, :7])
+    np.testing.assert_array_equal(h.covariance[0, SLOW, SLOW], belief.covariance[1, SLOW, SLOW])
+    assert not h.mean[0, 7:].any()
+    assert not h.covariance[0, POSE, SLOW].any()
+
+
+def test_one_more_camera_adds_its_errors_and_leaves_the_rest():
+    h = bank(3)
+    more = with_camera(h)
+    np.testing.assert_array_equal(more.covariance[:, :19, :19], h.covariance)
+    np.testing.assert_array_equal(more.mean[:, :13], h.mean)
+    assert not more.covariance[:, :19, 19:].any()
+    np.testing.assert_array_equal(more.covariance[1, bias(1), bias(1)], np.eye(6))
+
+
+# --- motion -----------------------------------------------------------------------------------------
+
+
+def test_what_moves_is_what_happens_to_draws_of_the_state():
+    """40 000 draws of pose, slow errors and lasting errors, moved one by one: mean and covariance within 4 %."""
+    rng = np.random.default_rng(0)
+    h = bank(1, weights=[1.0])
+    slow = SlowErrors(scale=0.03, drift=(0.05, 0.04, 0.03, 0.02, 0.03, 0.04), time_s=5.0)
+    covariance = random_covariances(1, 6, seed=1, scale=0.02)[0]
+    step = Odometry(Poses.exp(np.array([0.4, -0.1, 0.2, 0.1, 0.3, -0.2])), covariance, 0.8)
+    after = moved(h, step, slow, [0.6])
+
+    count = 40_000
+    draws = rng.standard_normal((count, 19)) @ np.linalg.cholesky(h.covariance[0]).T
+    states = h.mean[0] + draws[:, 6:]
+    errs = (
+        -np.hstack([states[:, :1] * step.previous_from_current.log()[:3], np.zeros((count, 3))])
+        - states[:, 1:7] * np.array(slow.drift) * 0.8
+    )
+    white = rng.standard_normal((count, 6)) @ np.linalg.cholesky(covariance).T
+    poses = h.poses[[0] * count] @ Poses.exp(draws[:, :6]) @ step.previous_from_current @ Poses.exp(errs + white)
+    kept = np.concatenate([[1.0], np.full(6, np.exp(-0.8 / 5.0)), np.full(6, np.exp(-0.6))])
+    states = kept * states + np.sqrt(1 - kept**2) * rng.standard_normal((count, 13))
+
+    drawn = np.hstack([(after.poses[0].inverse() @ poses).log(), states - after.mean[0]])
+    std = np.sqrt(np.diag(after.covariance[0]))
+    np.testing.assert_allclose(drawn.mean(axis=0) / std, 0.0, atol=0.03)
+    np.testing.assert_allclose(
+        np.cov(drawn.T) / np.outer(std, std), after.covariance[0] / np.outer(std, std), atol=0.04
+    )
+
+
+@settings(max_examples=30)
+@given(
+    seed=st.integers(0, 10_000),
+    cuts=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=5),
+)
+def test_two_motions_are_one_motion_that_is_both(seed, cuts):
+    """Without slow errors, hypotheses after the parts equal those after `then`."""
+    rng = np.random.default_rng(seed)
+    start = born(seen_at(Poses.exp(rng.standard_normal((3, 6))), (0.5, 0.3, 0.2)), 0, 1, NEVER, None)
+    parts = [
+        Odometry(Poses.exp(0.3 * rng.standard_normal(6)), random_covariances(1, 6, seed=seed + k, scale=0.05)[0], cut)
+        for k, cut in enumerate(cuts)
+    ]
+    whole = parts[0]
+    one = moved(start, parts[0], NEVER, [0.1])
+    for part in parts[1:]:
+        whole = whole.then(part)
+        one = moved(one, part, NEVER, [0.1])
+    both = moved(start, whole, NEVER, [0.1 * len(parts)])
+    np.testing.assert_allclose(one.poses.as_matrix(), both.poses.as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(one.covariance, both.covariance, atol=1e-9)
+    np.testing.assert_allclose(one.mean, both.mean, atol=1e-12)
+
+
+def test_a_steady_motion_in_any_parts_leaves_the_same_belief_slow_errors_and_all():
+    """The parts' slow errors are taken as constant over each part: 30 of them differ by less than 2 % of a std."""
+    slow = SlowErrors(scale=0.02, relative_drift=1.0, time_s=30.0)
+    std, tangent = np.array([0.02, 0.01, 0.01, 0.005, 0.005, 0.01]), np.array([2.0, 0, 0.1, 0, 0, 0.1])
+    stds = []
+    for count in (1, 3, 30):
+        h = born(seen_at(Poses.identity(1)), 0, 1, slow, None)
+        for _ in range(count):
+            h = moved(
+                h, motion(*(tangent / count), std=std / np.sqrt(count), duration_s=2.0 / count), slow, [4 / count]
+            )
+        stds.append(np.sqrt(np.diag(h.covariance[0])))
+    assert stds[0][0] > 1.1 * STD[0]  # precondition: the motion's errors count
+    np.testing.assert_allclose(stds[0], stds[2], rtol=0.03)
+    np.testing.assert_allclose(stds[1], stds[2], rtol=0.02)
+
+
+def test_odometry_that_is_sure_of_one_axis_leaves_it_sure():
+    std = np.array([0.10, 0.002, 0.002, 1e-4, 1e-4, 1e-4])
+    h = born(seen_at(Poses.identity(1), std=[1e-3] * 6), 0, 1, NEVER, None)
+    for _ in range(10):
+        h = moved(h, motion(0.5, 0, 0, 0, 0, 0, std=std), NEVER, [1.0])
+    stds = np.sqrt(np.diag(h.pose_covariance[0]))
+    assert stds[0] == pytest.approx(0.1 * np.sqrt(10), rel=0.01)
+    assert (stds[1:3] < 0.015).all()
+
+
+def test_after_a_quarter_turn_what_was_ahead_is_beside():
+    h = born(seen_at(Poses.identity(1), std=[0.5, 0.01, 0.02, 0.001, 0.001, 0.001]), 0, 1, NEVER, None)
+    turned = moved(h, motion(0, 0, 0, 0, 0, np.pi / 2, std=np.zeros(6)), NEVER, [0.0])
+    np.testing.assert_allclose(np.sqrt(np.diag(turned.pose_covariance[0]))[:3], [0.01, 0.5, 0.02], rtol=1e-6)
+
+
+def test_a_known_scale_error_shortens_what_is_reported_too_long():
+    h = born(seen_at(Poses.identity(1)), 0, 1, NEVER, None)
+    mean = h.mean.copy()
+    mean[:, 0] = 0.05
+    after = moved(replace(h, mean=mean), motion(2.0, 0, 0, 0, 0, 0), NEVER, [0.0])
+    assert after.poses[0].translation[0] == pytest.approx(1.9)
+
+
+def test_the_errors_of_standing_stay_and_those_of_a_way_fade():
+    h = born(seen_at(Poses.identity(1)), 0, 1, NEVER, None)
+    stood = moved(h, motion(0, 0, 0, 0, 0, 0, std=np.zeros(6), duration_s=3600.0), NEVER, [0.0])
+    np.testing.assert_allclose(stood.covariance[0][:6, 13:], h.covariance[0][:6, 13:])
+    walked = moved(h, motion(0, 0, 0, 0, 0, 0, std=np.zeros(6)), NEVER, [2.0])
+    np.testing.assert_allclose(walked.covariance[0][:6, 13:], np.exp(-2.0) * h.covariance[0][:6, 13:])
+    np.testing.assert_allclose(np.diag(walked.covariance[0])[13:], 1.0)
+
+
+def test_an_unknown_motion_adds_its_covariance_and_no_direction_is_known_less_than_none():
+    h = bank(2)
+    growth = np.diag([0.25] * 3 + [0.01] * 3)
+    grown = widened(h, growth)
+    np.testing.assert_allclose(grown.pose_covariance, h.pose_covariance + growth)
+    np.testing.assert_array_equal(grown.covariance[:, 6:, 6:], h.covariance[:, 6:, 6:])
+    wide = widened(h, np.diag([1e6] * 3 + [9e4] * 3))
+    np.testing.assert_allclose(np.sqrt(wide.covariance[0, range(3, 6), range(3, 6)]), 2.0)
+    assert np.linalg.eigvalsh(wide.covariance).min() > -1e-9
+
+
+# --- fewer ------------------------------------------------------------------------------------------
+
+
+def fewer(h, *, divergence=0.5, least_weight=0.0, most=100, seed=0):
+    return reduced(h, divergence=divergence, least_weight=least_weight, most=most, rng=np.random.default_rng(seed))
+
+
+def test_merging_keeps_weight_mean_and_covariance_of_the_mixture():
+    h = bank(20, offset=0.02, scale=0.1)
+    merged = fewer(h, divergence=100.0)
+    assert len(merged) < 5  # precondition: most were merged
+    assert merged.weights.sum() == pytest.approx(1.0)
+    about = h.poses[0]
+    (mean, covariance), (expected_mean, expected) = mixture_moments(merged, about), mixture_moments(h, about)
+    std = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(mean / std, expected_mean / std, atol=0.01)  # but for the curvature of SE(3)
+    np.testing.assert_allclose(covariance / np.outer(std, std), expected / np.outer(std, std), atol=0.02)
+
+
+def test_merging_groups_apart_keeps_the_weight_of_each():
+    here, there = bank(10, seed=1), bank(10, seed=2)
+    far = Poses.exp(np.array([9.0, 0, 0, 0, 0, 0]))
+    both = concatenate([here, replace(there, poses=far @ there.poses)])
+    both = both.with_log_weights(both.log_weights + np.repeat(np.log([0.8, 0.2]), 10))
+    at_far = both.poses.translation[:, 0] > 7.0
+    merged = fewer(both, divergence=100.0)
+    assert len(merged) < 6
+    assert merged.weights[merged.poses.translation[:, 0] > 7.0].sum() == pytest.approx(both.weights[at_far].sum())
+
+
+@pytest.mark.parametrize("weights", [(0.9, 0.1), (0.1, 0.9)])
+def test_a_tight_hypothesis_and_a_wide_one_at_one_spot_stay_two(weights):
+    h = bank(2, offset=0.0, weights=weights)
+    covariance = h.covariance.copy()
+    covariance[1] = covariance[0] * 9.0
+    assert len(fewer(replace(h, covariance=covariance), divergence=0.5)) == 2
+    covariance[1] = covariance[0] * 1.1
+    assert len(fewer(replace(h, covariance=covariance), divergence=0.5)) == 1
+
+
+def test_a_hypothesis_that_differs_by_more_than_its_covariance_stays_its_own():
+    h = bank(2, offset=0.0, weights=(0.5, 0.5))
+    covariance = np.repeat(h.covariance[:1], 2, 0)
+    std = np.sqrt(covariance[0, 0, 0])
+    for apart, expected in ((0.1, 1), (5.0, 2)):
+        poses = Poses(h.poses.rotation, h.poses.translation + np.array([[0.0, 0, 0], [apart * std, 0, 0]]))
+        assert len(fewer(replace(h, poses=poses, covariance=covariance))) == expected
+
+
+def test_fewer_hypotheses_come_by_falling_weight_as_many_as_asked_and_normalised():
+    h = bank(300, offset=3.0)
+    for most in (1, 10, 100):
+        few = fewer(h, divergence=0.0, most=most)
+        assert len(few) == most
+        assert few.weights.sum() == pytest.approx(1.0)
+        assert (np.diff(few.log_weights) <= 0).all()
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_thinning_out_hypotheses_is_unbiased():
+    weights = np.array([0.5, 0.2] + [0.3 / 28] * 28)
+    h = bank(30, offset=3.0, weights=weights)
+    sums = np.zeros(30)
+    for seed in range(1500):
+        few = fewer(h, divergence=0.0, most=8, seed=seed)
+        index = np.argmin(np.abs(few.poses.translation[:, None] - h.poses.translation).sum(axis=2), axis=1)
+        sums[index] += few.weights
+    error = 4 * np.sqrt(weights * 0.05) / np.sqrt(1500)  # a draw is 0.05 or nothing
+    assert (np.abs(sums / 1500 - weights) < error).all()
+
+
+def test_what_is_lighter_than_the_least_weight_goes_but_the_heaviest_stays():
+    h = bank(4, offset=3.0, weights=[0.9, 0.1 - 2e-9, 1e-9, 1e-9])
+    assert len(fewer(h, divergence=0.0, least_weight=1e-8)) == 2
+    even = bank(200, offset=3.0, weights=np.full(200, 1 / 200))
+    assert len(fewer(even, divergence=0.0, least_weight=0.1, most=1000)) == 200
+
+
+def test_an_error_model_without_lasting_errors_ties_a_newborn_to_no_bias():
+    h = born(seen_at(Poses.identity(1), errors=ErrorModel(lasting_fraction=0.0)), 0, 1, NEVER, None)
+    assert not h.covariance[0, POSE, bias(0)].any()

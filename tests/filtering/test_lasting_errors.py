@@ -1,0 +1,231 @@
+"""Neighbouring images share their errors: neither waiting nor a higher rate buys confidence, seeing more does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from filtering.config import LocalizerConfig
+from filtering.localizer import ParticleLocalizer
+from filtering.motion import Odometry, SlowErrors
+from filtering.se3 import Poses
+from tests.helpers.simulation import ERRORS, STD, image_errors, lifted, motion, seen_at, wandering
+
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+RNG = np.random.default_rng
+ALIKE = (0.0, 3.0, 6.0)
+PIXEL_NOISE = np.array([1e-3] * 3 + [5e-4] * 3)
+AT_REST = np.array([1e-4] * 3 + [5e-5] * 3)
+SURE = ((ALIKE[:1], (1.0,)),) * 60  # unique images: what the belief begins with
+
+
+def stds_of(mode):
+    """Standard deviations without those that no image takes away."""
+    return np.sqrt(np.diag(mode.covariance - ERRORS.least_covariance))
+
+
+def weights_of(estimate, heights_m=ALIKE):
+    """Shares of the belief at each height."""
+    nearest = np.argmin(np.abs(estimate.particles.translation[:, 2:] - np.array(heights_m)), axis=1)
+    return np.bincount(nearest, np.exp(estimate.log_weights), len(heights_m))
+
+
+def stand(localizer, shares, count, *, noise=None, jitter_m=0.0, seed=0, pose=None):
+    """Estimates of images of one view; the odometry trembles about one pose, the posterior as its pixels would."""
+    rng, estimates, last = RNG(seed), [], np.zeros(6)
+    pose = Poses.identity() if pose is None else pose
+    heights_m = ALIKE[: len(shares)]
+    for i in range(count):
+        seen = pose if noise is None else pose @ Poses.exp(noise * rng.standard_normal(6))
+        now = jitter_m * rng.uniform(-1, 1, 6) * np.repeat([1.0, 0.3], 3)
+        odometry = Odometry(Poses.exp(-last) @ Poses.exp(now), np.diag(AT_REST**2), 0.1)
+        last = now
+        first = i == 0 and localizer._belief is None
+        estimates.append(localizer.update(seen_at(lifted(seen, heights_m), shares), None if first else odometry))
+    return estimates
+
+
+WAYS_TO_STAND = {
+    "equal": {},
+    "with pixel noise": {"noise": PIXEL_NOISE},
+    "with odometry that trembles": {"noise": PIXEL_NOISE, "jitter_m": 0.004},
+}
+
+
+# --- standing ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("how", "shares", "count"),
+    [
+        ("equal", (0.4, 0.35, 0.25), 500),
+        ("with pixel noise", (0.5, 0.5), 500),
+        ("with odometry that trembles", (0.7, 0.3), 2000),
+    ],
+)
+def test_thousands_of_images_of_one_view_are_worth_one_image(how, shares, count):
+    localizer = ParticleLocalizer(None, rng=RNG(0))
+    estimates = stand(localizer, shares, count, **WAYS_TO_STAND[how])
+    begun, ended = weights_of(estimates[0], ALIKE[: len(shares)]), weights_of(estimates[-1], ALIKE[: len(shares)])
+    np.testing.assert_allclose(ended, begun, atol=0.01)
+    assert all(estimate.status == "ambiguous" for estimate in estimates)
+    for mode in estimates[-1].modes:
+        assert (stds_of(mode) > 0.98 * np.sqrt(ERRORS.lasting_fraction) * STD).all()
+    assert sum(estimate.novelty for estimate in estimates[1:]) < 0.05
+
+
+@pytest.mark.parametrize("how", ["with pixel noise", "with odometry that trembles"])
+def test_where_only_one_place_looks_so_standing_does_not_narrow_it_beyond_what_lasts_and_what_never_fades(how):
+    localizer = ParticleLocalizer(None, rng=RNG(0))
+    mode = stand(localizer, (1.0,), 1000, **WAYS_TO_STAND[how])[-1].modes[0]
+    least = ERRORS.lasting_fraction * STD**2 + np.diag(ERRORS.least_covariance)
+    assert (np.diag(mode.covariance) > 0.97 * least).all()
+    assert (np.diag(mode.covariance) < STD**2 + np.diag(ERRORS.least_covariance)).all()
+
+
+def test_walking_does_narrow_it():
+    localizer, rng, pose = ParticleLocalizer(None, rng=RNG(0)), RNG(1), Poses.identity()
+    standing = stand(localizer, (1.0,), 100, noise=PIXEL_NOISE)[-1].modes[0]
+    step = motion(0.1, 0, 0, 0, 0, 0.02, std=[1e-3] * 6)
+    for error in image_errors([0.21] * 59, ERRORS, rng=rng):
+        pose = pose @ step.previous_from_current
+        walked = localizer.update(seen_at(pose @ Poses.exp(error)), step).modes[0]
+    assert (stds_of(walked) < 0.7 * stds_of(standing)).all()
+
+
+def test_standing_does_not_take_back_what_the_way_has_told():
+    """A belief that knows where it is stops where two places look alike, and stays sure for a quarter of an hour."""
+    localizer = ParticleLocalizer(None, rng=RNG(0))
+    step = motion(0.2, 0, 0, 0, 0, 0, std=[1e-3] * 6)
+    pose = Poses.identity()
+    for heights_m, shares in SURE:
+        before = localizer.update(seen_at(lifted(pose, heights_m), shares), step)
+        pose = pose @ step.previous_from_current
+    assert before.status == "converged"  # precondition
+    begun = weights_of(before, ALIKE[:2])
+    pose = pose @ step.previous_from_current.inverse()
+    estimates = []
+    for _ in range(9):  # a quarter of an hour, ten images a second in some of it
+        localizer.predict(motion(0, 0, 0, 0, 0, 0, std=AT_REST * 30, duration_s=96.0))
+        estimates += stand(localizer, (0.5, 0.5), 40, pose=pose)
+    assert weights_of(estimates[-1], ALIKE[:2])[0] > begun[0] - 0.02
+    assert all(estimate.status == "converged" for estimate in estimates)
+
+
+# --- at any rate ------------------------------------------------------------------------------------
+
+STEP_PER_S = np.array([1.0, 0, 0, 0, 0, 0.2])
+WHITE = np.array([0.01] * 3 + [0.005] * 3)  # of odometry, after one second
+FASTEST = 30
+
+
+def walk_at_rates(seed, rates, seconds=6):
+    """The last estimate at each rate, of one walk past like places whose images err as the model says."""
+    rng, count = RNG(seed), seconds * FASTEST + 1
+    step = Poses.exp(STEP_PER_S / FASTEST)
+    way = np.hypot(1.0 / ERRORS.length_m, 0.2 / ERRORS.length_rad) / FASTEST
+    error = image_errors([way] * (count - 1), ERRORS, rng=rng)
+    truth = [Poses.identity()]
+    odometry = []
+    for _ in range(count - 1):
+        truth.append(truth[-1] @ step)
+        noise = Poses.exp(WHITE / np.sqrt(FASTEST) * rng.standard_normal(6))
+        odometry.append(Odometry(step @ noise, np.diag(WHITE**2) / FASTEST, 1 / FASTEST))
+    estimates = []
+    for rate in rates:
+        localizer, apart = ParticleLocalizer(None, rng=RNG(0)), FASTEST // rate
+        for i in range(0, count, apart):
+            since = None
+            for part in odometry[max(i - apart, 0) : i]:
+                since = part if since is None else since.then(part)
+            seen = lifted(truth[i] @ Poses.exp(error[i]), ALIKE)
+            estimate = localizer.update(seen_at(seen, (0.5, 0.25, 0.05)), since)
+        estimates.append(estimate)
+    return estimates
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_walk_at_3_10_and_30_images_a_second_gives_the_same_belief(seed):
+    """But for what the fresh share of the errors tells when it is seen ten times as often: a tenth of a std."""
+    estimates = walk_at_rates(seed, (3, 10, 30))
+    weights = np.array([weights_of(estimate) for estimate in estimates])
+    begun = np.array([0.5 / 0.55, 0.25 / 0.3, 0.5])
+    assert weights[0, 0] > 1.5 * begun[0] / begun.sum()  # precondition: the way has told something
+    np.testing.assert_allclose(weights, weights[[1] * 3], atol=0.02)
+    stds = np.array([np.sqrt(np.diag(estimate.modes[0].covariance)) for estimate in estimates])
+    np.testing.assert_allclose(stds, stds[[1] * 3], rtol=0.12)
+    poses = [estimate.modes[0].world_from_camera for estimate in estimates]
+    for pose, std in zip(poses, stds, strict=True):
+        assert (np.abs((poses[1].inverse() @ pose).log()) < 1.5 * std).all()
+
+
+# --- what regions hold ------------------------------------------------------------------------------
+
+EXACT = replace(ERRORS, tail=1e6, outlier_probability=1e-9, flat_log_density=-500.0, constant_fraction=0.0)
+SLOW = SlowErrors(scale=0.03, drift=(0.01,) * 3 + (0.004,) * 3, time_s=10.0)
+
+
+def squared_error(seed, rate, errors, config, *, outlier_probability=0.0, seconds=6):
+    """Squared Mahalanobis distance of the truth at the end of a walk of which all is drawn as the models say."""
+    rng, count = RNG(seed), seconds * rate + 1
+    step = Poses.exp(STEP_PER_S / rate)
+    way = np.hypot(1.0 / errors.length_m, 0.2 / errors.length_rad) / rate
+    error = image_errors([way] * (count - 1), errors, rng=rng)
+    constant = np.sqrt(np.diag(errors.least_covariance)) * rng.standard_normal(6)
+    scale = SLOW.scale * rng.standard_normal() * np.array([1.0, 1, 1, 0, 0, 0]) * STEP_PER_S
+    drift = wandering([1 / rate / SLOW.time_s] * (count - 1), 6, rng=rng) * np.array(SLOW.drift)
+    truth, localizer = Poses.identity(), ParticleLocalizer(None, config, rng=rng)
+    for i in range(count):
+        odometry = None
+        if i:
+            erred = -(scale + drift[i - 1]) / rate + WHITE / np.sqrt(rate) * rng.standard_normal(6)
+            truth = truth @ step @ Poses.exp(erred)
+            odometry = Odometry(step, np.diag(WHITE**2) / rate, 1 / rate)
+        seen = truth @ Poses.exp(constant + error[i])
+        if rng.random() < outlier_probability:
+            seen = Poses(seen.rotation, seen.translation + rng.uniform(-30, 30, 3))
+        estimate = localizer.update(seen_at(seen, errors=errors), odometry)
+    mode = estimate.modes[0]
+    off = (mode.world_from_camera.inverse() @ truth).log()
+    return off @ np.linalg.solve(mode.covariance, off)
+
+
+@pytest.mark.parametrize(("rate", "runs"), [(3, 100), (10, 40)])
+def test_regions_hold_the_truth_as_often_as_they_say_where_all_is_as_the_model_says(rate, runs):
+    config = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, slow_errors=SLOW)
+    squared = np.array([squared_error(seed, rate, EXACT, config) for seed in range(1000, 1000 + runs)])
+    assert squared.mean() == pytest.approx(6.0, abs=4 * np.sqrt(12 / runs))
+    for probability in (0.5, 0.9, 0.95):
+        held = (squared < chi2.ppf(probability, 6)).mean()
+        # Three standard errors of a share of so many runs.
+        assert held == pytest.approx(probability, abs=3 * np.sqrt(probability * (1 - probability) / runs))
+
+
+def test_regions_hold_at_least_what_they_say_with_outliers_and_the_defaults():
+    squared = np.array([
+        squared_error(seed, 4, ERRORS, LocalizerConfig(slow_errors=SLOW), outlier_probability=0.05)
+        for seed in range(60)
+    ])  # fmt: skip
+    for probability in (0.5, 0.9, 0.95):
+        held = (squared < chi2.ppf(probability, 6)).mean()
+        assert held > probability - 2 * np.sqrt(probability * (1 - probability) / 60)
+    assert squared.mean() > 3.0  # nor are they far too wide
+
+
+# --- one mistake along a corridor -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("mistaken_lengths", "kept"), [(1.0, False), (12.0, True)])
+def test_a_corridor_that_is_taken_for_another_is_one_mistake_if_such_mistakes_last(mistaken_lengths, kept):
+    errors = replace(ERRORS, mistaken_lengths=mistaken_lengths)
+    localizer = ParticleLocalizer(None, LocalizerConfig(), rng=RNG(0))
+    step = 0.5 * errors.length_m
+    poses = [Poses(np.eye(3), np.array([step * i, 0.0, 0.0])) for i in range(100)]
+    for i, pose in enumerate(poses):
+        shares = (1.0, 0.0) if i < 80 else (0.02, 0.98)  # ten lengths along which the other floor seems likelier
+        seen = replace(seen_at(lifted(pose, ALIKE[:2]), shares), errors=errors)
+        odometry = Odometry(Poses(np.eye(3), np.array([step, 0.0, 0.0])), np.diag(AT_REST**2), 0.5) if i else None
+        estimate = localizer.update(seen, odometry)
+    assert (weights_of(estimate, ALIKE[:2])[0] > 0.9) == kept

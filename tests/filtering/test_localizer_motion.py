@@ -1,0 +1,173 @@
+"""Odometry, its unit of length, and steps without any."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filtering.config import GapConfig, LocalizerConfig
+from filtering.errors import VaporTrackError
+from filtering.hypotheses import POSE
+from filtering.localizer import ParticleLocalizer
+from filtering.motion import Odometry, SlowErrors
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from tests.helpers.localizer_walks import AHEAD, FOREIGN, RNG, STAY, assert_same_belief, new_localizer, walk
+from tests.helpers.simulation import (
+    ERRORS,
+    STD,
+    image_errors,
+    lifted,
+    motion,
+    seen_at,
+)
+
+# --- odometry -------------------------------------------------------------------------------------
+
+
+def test_a_motion_in_parts_and_in_one_give_the_same_belief():
+    parts = [motion(0.3, 0.1 * k, 0, 0.1, 0, 0.4 - 0.2 * k, duration_s=0.5) for k in range(4)]
+    whole = parts[0].then(parts[1]).then(parts[2]).then(parts[3])
+    for slow, tolerance in ((SlowErrors(scale=0.0, relative_drift=0.0), 1e-9), (SlowErrors(), 0.02)):
+        stds, poses = [], []
+        for motions in (parts, [whole]):
+            localizer = new_localizer(slow_errors=slow)
+            estimate = localizer.update(seen_at(Poses.identity(1)), None)
+            for part in motions:
+                estimate = localizer.predict(part)
+            poses.append(estimate.modes[0].world_from_camera.as_matrix())
+            stds.append(np.sqrt(np.diag(estimate.modes[0].covariance)))
+        np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
+        np.testing.assert_allclose(stds[0], stds[1], rtol=tolerance)
+
+
+def test_odometry_that_errs_along_but_not_across_stays_so():
+    localizer = new_localizer(slow_errors=SlowErrors(scale=0.0, relative_drift=0.0))
+    localizer.update(seen_at(Poses.identity(1), std=[1e-3] * 6), None)
+    for _ in range(20):
+        estimate = localizer.predict(motion(0.5, 0, 0, 0, 0, 0, std=[0.10, 0.002, 0.002, 1e-5, 1e-5, 1e-5]))
+    along, across, up = np.sqrt(np.diag(estimate.modes[0].covariance - ERRORS.least_covariance))[:3]
+    assert along == pytest.approx(0.1 * np.sqrt(20), rel=0.01)
+    assert across < 0.02
+    assert up < 0.02
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("too_long", [0.05, -0.05])
+def test_odometry_that_is_5_percent_off_is_found_out(too_long):
+    localizer = new_localizer(slow_errors=SlowErrors(scale=0.05, relative_drift=0.1))
+    rng, true = RNG(0), Poses.identity()
+    step = motion(0.2, 0, 0, 0, 0, 0, std=[2e-3] * 3 + [1e-3] * 3)
+    reported = motion(0.2 * (1 + too_long), 0, 0, 0, 0, 0, std=[2e-3] * 3 + [1e-3] * 3)
+    for error in image_errors([0.4] * 149, ERRORS, rng=rng):
+        true = true @ step.previous_from_current
+        estimate = localizer.update(seen_at(true @ Poses.exp(error)), reported)
+    scale = localizer._belief.mean[0, 6 - POSE.stop]
+    assert scale == pytest.approx(too_long, abs=0.015)
+    assert estimate.status == "converged"
+    far = localizer.predict(motion(20 * (1 + too_long), 0, 0, 0, 0, 0, duration_s=10.0)).modes[0]
+    assert far.world_from_camera.translation[0] == pytest.approx(true.translation[0] + 20.0, abs=0.5)  # not 1 m off
+
+
+# --- unit of length -------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("factor", [0.1, 30.0, 1000.0])
+def test_nothing_depends_on_the_unit_of_length(factor):
+    """Another place every ten images, outliers, a gap: the same weights and statuses, and poses times the factor."""
+
+    def scaled(pose):
+        return Poses(pose.rotation, factor * pose.translation)
+
+    lengths = np.array([factor] * 3 + [1.0] * 3)
+    config = LocalizerConfig(max_hypotheses=20)
+    localizers = [
+        ParticleLocalizer(None, used, rng=RNG(0))
+        for used in (config, replace(config, gap=GapConfig(speed_m_per_s=1.4 * factor)))
+    ]
+    rng, pose, models = RNG(2), Poses.identity(), (ERRORS, ERRORS.scaled(factor))
+    statuses = set()
+    for i in range(60):
+        pose = pose @ AHEAD.previous_from_current
+        seen = lifted(pose @ Poses.exp(STD * rng.standard_normal(6)), (0.0, 3.0, 6.0))
+        if i % 9 == 8:
+            seen = Poses(seen.rotation, seen.translation + rng.uniform(-20, 20, 3))
+        shares = (0.5, 0.3, 0.1) if i < 30 else (0.9, 0.05, 0.01)
+        odometry = None if i == 20 else AHEAD
+        grown = odometry and Odometry(
+            scaled(AHEAD.previous_from_current), AHEAD.covariance * np.outer(lengths, lengths), AHEAD.duration_s
+        )
+        one = localizers[0].update(seen_at(seen, shares, errors=models[0]), odometry, elapsed_s=0.5)
+        other = localizers[1].update(
+            seen_at(scaled(seen), shares, std=STD * lengths, errors=models[1]), grown, elapsed_s=0.5
+        )
+        assert one.status == other.status
+        statuses.add(one.status)
+        np.testing.assert_allclose(other.log_weights, one.log_weights, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(
+            other.particles.translation / factor, one.particles.translation, rtol=1e-6, atol=1e-6
+        )
+        np.testing.assert_allclose(
+            [other.agreement, other.novelty, other.way], [one.agreement, one.novelty, one.way], rtol=1e-6, atol=1e-9
+        )
+        for mode, larger in zip(one.modes, other.modes, strict=True):
+            assert larger.weight == pytest.approx(mode.weight, rel=1e-6)
+            std = np.sqrt(np.diag(mode.covariance))
+            np.testing.assert_allclose(np.sqrt(np.diag(larger.covariance)), std * lengths, rtol=1e-6)
+    assert statuses == {"ambiguous", "converged"}  # precondition: something happened
+
+
+# --- gaps -----------------------------------------------------------------------------------------
+
+
+def test_without_odometry_the_belief_widens_by_the_stated_motion_and_keeps_its_hypotheses():
+    localizer = new_localizer(gap=GapConfig(speed_m_per_s=2.0, turn_rad_per_s=0.1))
+    before = localizer.update(seen_at(lifted(Poses.identity(), (0.0, 30.0)), (0.6, 0.4)), None)
+    after = localizer.update(PosePosterior.nothing(), None, elapsed_s=1.5)
+    assert len(after.particles) == len(before.particles) == 2
+    np.testing.assert_allclose(after.log_weights, before.log_weights)
+    np.testing.assert_allclose(after.particles.translation, before.particles.translation)
+    grown = np.diag([3.0**2] * 3 + [0.15**2] * 3)
+    np.testing.assert_allclose(after.covariances, before.covariances + grown, atol=1e-12)
+
+
+def test_after_a_gap_the_image_finds_the_camera_among_the_hypotheses_as_far_as_it_may_have_come():
+    localizer = new_localizer()
+    _, pose = walk(localizer, 30)
+    moved = pose @ Poses.exp(np.array([1.5, -0.5, 0, 0, 0, 0.6]))
+    found = localizer.update(seen_at(moved), None, elapsed_s=2.0)
+    assert found.modes[0].world_from_camera.distance(moved)[0] < 0.1
+    assert found.modes[0].weight > 0.9
+
+
+def test_a_belief_that_forgets_starts_anew_from_the_image():
+    localizer = new_localizer(gap=GapConfig(action="forget"))
+    walk(localizer, 30)
+    there = seen_at(Poses.exp(np.array([[40.0, 3, 0, 0, 0, 2]])))
+    assert_same_belief(localizer.update(there, None), new_localizer().update(there, None), atol=0)
+
+
+@pytest.mark.parametrize(
+    "nothing", [PosePosterior.nothing(), FOREIGN, seen_at(Poses.identity(1), unfamiliarity=2.0), []]
+)
+def test_a_belief_that_forgets_is_lost_until_an_image_says_something(nothing):
+    localizer = new_localizer(gap=GapConfig(action="forget"))
+    estimates, _ = walk(localizer, 30)
+    there = seen_at(Poses.exp(np.array([[40.0, 3, 0, 0, 0, 2]])))
+    after = localizer.update(nothing, None, elapsed_s=1.0)
+    assert after.status == "lost"
+    assert after.modes[0].world_from_camera.distance(estimates[-1].modes[0].world_from_camera)[0] < 0.01
+    assert after.modes[0].widest_std_m > 1.4
+    assert localizer.predict(AHEAD).status == "lost"
+    assert localizer.update(nothing, AHEAD).status == "lost"
+    assert_same_belief(localizer.update(there, AHEAD), new_localizer().update(there, None), atol=0)
+    assert localizer.update(there, STAY).status == "converged"
+
+
+@pytest.mark.parametrize("elapsed_s", [-1.0, float("nan"), float("inf")])
+def test_an_elapsed_time_that_is_none_is_refused(elapsed_s):
+    localizer = new_localizer()
+    localizer.update(seen_at(Poses.identity(1)), None)
+    with pytest.raises(VaporTrackError, match="since the previous step, expected a finite time"):
+        localizer.update(seen_at(Poses.identity(1)), None, elapsed_s=elapsed_s)

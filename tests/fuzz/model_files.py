@@ -1,0 +1,122 @@
+"""Small model files and training states: written, and read."""
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from filtering.se3 import Poses
+from tests.fuzz.damage import in_order
+from tests.fuzz.reading import NUM_IMAGES, Content, Reading, require
+from tests.helpers.sequence_files import CAMERA, Walk
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.evaluation.validation import Validation
+from vapor.regressors.base import PoseRegressor
+from vapor.regressors.familiarity import Familiarity, description_size
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.retrieval import RetrievalRegressor
+from vapor.regressors.scene_box import SceneBox
+from vapor.training.state import TrainingState, load_state, save_state
+
+_NETWORK = NetworkConfig(
+    "resnet18-quarter", image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4
+)
+
+
+def _numbers(like: Tensor, rng: np.random.Generator) -> Tensor:
+    """The same on every machine, as random numbers of torch and what is computed from them are not."""
+    return torch.from_numpy(rng.uniform(0.01, 0.1, tuple(like.shape)).astype(np.float32))
+
+
+def _regressor(network: NetworkConfig, box: SceneBox, rng: np.random.Generator) -> PoseRegressor:
+    regressor = make_regressor(network, box)
+    with torch.no_grad():
+        for weights in regressor.parameters():
+            weights.copy_(_numbers(weights, rng))
+    return regressor
+
+
+def make_model(folder: Path, *, retrieval: bool) -> Path:
+    poses = Poses.stack([pose for _, pose in Walk(NUM_IMAGES).truth])
+    box = SceneBox.around(poses)
+    network = replace(_NETWORK, head="retrieval", hidden_width=8, components=2) if retrieval else _NETWORK
+    rng = np.random.default_rng(0)
+    regressor, memory = _regressor(network, box, rng), None
+    size = description_size(regressor)
+    numbers = [rng.uniform(0.5, 1.0, shape).astype(np.float32) for shape in ((size,), (size,), (size, 4), (4,), (5, 4))]
+    if retrieval:
+        assert isinstance(regressor, RetrievalRegressor)
+        features = _numbers(torch.empty(len(poses), len(regressor.centre)), rng)
+        translation, rotation = (torch.from_numpy(each).float() for each in (poses.translation, poses.rotation))
+        regressor.eval().remember(features, translation, rotation)
+        memory = regressor.memory
+        assert memory is not None
+        memory = replace(memory, keys=_numbers(memory.keys, rng), views=_numbers(memory.views, rng))
+    told = {"familiarity": Familiarity(*numbers, 0.5, 1.0), "camera": CAMERA, "memory": memory}
+    checkpoint = Checkpoint(network, box, Calibration(), poses, regressor.state_dict(), **told)
+    save_checkpoint(folder / "model.safetensors", checkpoint, store_float16=True)
+    return _in_order(folder / "model.safetensors")
+
+
+def _in_order(file: Path) -> Path:
+    file.write_bytes(in_order(file.read_bytes()))
+    return file
+
+
+def load_model(path: Path) -> Reading:
+    loaded = load_checkpoint(path)
+    content = Content()
+    content.add(loaded.network, loaded.box, loaded.calibration, loaded.prior_poses, loaded.camera, loaded.training)
+    parts = dict(loaded.state_dict)
+    for part in (loaded.familiarity, loaded.memory):
+        parts |= vars(part) if part is not None else {}
+    for name, values in sorted(parts.items()):
+        array = np.asarray(values)
+        require(bool(np.isfinite(array).all()), "tensor", name)
+        content.add(name, array)
+    return Reading(content.digest, len(parts))
+
+
+_TRAINING = {"seed": 0}
+
+_BOX = SceneBox.around(Poses.stack([pose for _, pose in Walk(NUM_IMAGES).truth]))
+
+
+def _training(rng: np.random.Generator) -> TrainingState:
+    """A training that has yet to begin."""
+    network, average = _regressor(_NETWORK, _BOX, rng), make_regressor(_NETWORK, _BOX)
+    return TrainingState(network, average, torch.optim.AdamW(network.parameters()))
+
+
+def make_training_state(folder: Path) -> Path:
+    rng = np.random.default_rng(0)
+    state = _training(rng)
+    state.average.load_state_dict(state.network.state_dict())
+    for weights in state.network.parameters():
+        moments = {"exp_avg": _numbers(weights, rng), "exp_avg_sq": _numbers(weights, rng)}
+        state.optimizer.state[weights] = {"step": torch.tensor(3.0), **moments}
+    state.epochs, state.epoch, state.seconds = 3, 1, 2.5
+    state.history, state.best = [Validation(1, -0.5, 0.25, 0.5, -3.0)], dict(state.average.state_dict())
+    save_state(folder / "model.training.safetensors", state, _TRAINING)
+    return _in_order(folder / "model.training.safetensors")
+
+
+def load_training(path: Path) -> Reading:
+    state = _training(np.random.default_rng(1))
+    notices = load_state(path, state, _TRAINING)
+    # What a training that goes on does with it.
+    max(state.history, key=lambda figures: figures.log_density, default=None)
+    state.average.load_state_dict(state.best or state.average.state_dict())
+    content = Content()
+    content.add(state.epochs, state.epoch, state.seconds, state.history)
+    moments = [values for each in state.optimizer.state.values() for values in each.values()]
+    tensors = [*state.network.state_dict().values(), *state.average.state_dict().values(), *moments]
+    for values in tensors:
+        content.add(values.numpy())
+    return Reading(content.digest, len(tensors), Counter(f"notice: {notice}" for notice in notices))

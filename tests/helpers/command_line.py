@@ -1,0 +1,52 @@
+"""The command from outside: what it is called with, and what it may say when it refuses."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.tiny_model import SMALL
+from vapor.track import main
+
+
+def words_of_run(sequence: Path | str, model: Path | str, output: Path) -> list[str]:
+    return ["run", str(sequence), "--model", str(model), "--output", str(output), *SMALL, "--no-recording"]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def refuse(words: list[str], capsys: pytest.CaptureFixture[str], *said: object) -> str:
+    """Check that the command fails with status 1 and one line that says all of `said`; gives the line."""
+    capsys.readouterr()
+    status = main(words)
+    out, err = capsys.readouterr()
+    assert status == 1, err
+    assert out == ""
+    assert err.startswith(f"vapor-track {words[0]}: ")
+    assert err.endswith("\n")
+    assert err.count("\n") == 1
+    for words_said in said:
+        assert str(words_said) in err
+    return err
+
+
+def refuse_run(sequence: Path, model: Path | str, earlier: Path, capsys: pytest.CaptureFixture[str], *said: object):
+    """`refuse`, into a new directory and into one that holds a result: neither may change."""
+    inputs = contents(earlier.parent)
+    new = earlier.parent / "new"
+    line = refuse(words_of_run(sequence, model, new), capsys, *said)
+    assert not new.exists()
+    assert refuse(words_of_run(sequence, model, earlier), capsys) == line
+    assert contents(earlier.parent) == inputs
+
+
+def skipped_in_run(sequence: Path, model: Path, output: Path) -> tuple[int, dict[str, int]]:
+    assert main(words_of_run(sequence, model, output)) == 0
+    report = json.loads((output / "report.json").read_text())
+    return report["frames"], report["skipped"]
+
+
+def report_of(directory: Path) -> dict:
+    return json.loads((directory / "report.json").read_text())

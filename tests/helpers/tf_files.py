@@ -1,0 +1,125 @@
+"""Recordings of the walk of `sequence_files` by a robot, whose poses are in tf, in odometry, in a path or elsewhere."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from mcap_ros2.writer import Writer
+
+from filtering.se3 import Poses
+from sequences.recordings.message_definitions import schema_name, schema_text
+from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, world_from_base
+
+MS = 1_000_000
+MAP_FROM_ODOM = Poses.exp(np.array([5.0, -3.0, 0.2, 0.0, 0.0, 0.8]))
+
+
+class Event(NamedTuple):
+    """One message of a recording, logged at `time_ns`."""
+
+    time_ns: int
+    topic: str
+    type: str
+    message: dict[str, Any]
+
+
+def record(path: Path, *parts: Iterable[Event]) -> Path:
+    """Write messages in order of time."""
+    events = sorted((event for part in parts for event in part), key=lambda event: event.time_ns)
+    with open(path, "wb") as file, Writer(file, chunk_size=20_000) as writer:
+        schemas: dict[str, Any] = {}
+        for event in events:
+            if event.type not in schemas:
+                schemas[event.type] = writer.register_msgdef(schema_name(event.type), schema_text(event.type))
+            writer.write_message(event.topic, schemas[event.type], event.message, log_time=event.time_ns)
+    return path
+
+
+def stamps(num_images: int = 12, *, every_ms: int = 20, since_ms: int = -33) -> list[int]:
+    """Times from before the first image to after the last, off the images' stamps."""
+    return list(range(BEGIN_NS + since_ms * MS, BEGIN_NS + (100 * num_images + 60) * MS, every_ms * MS))
+
+
+def header(time_ns: int, frame: str) -> dict[str, Any]:
+    return {"stamp": {"sec": time_ns // 10**9, "nanosec": time_ns % 10**9}, "frame_id": frame}
+
+
+def pose(p: Poses) -> dict[str, Any]:
+    x, y, z, w = p.as_quat_xyzw().tolist()
+    px, py, pz = p.translation.tolist()
+    return {"position": {"x": px, "y": py, "z": pz}, "orientation": {"x": x, "y": y, "z": z, "w": w}}
+
+
+def transform(time_ns: int, parent: str, child: str, p: Poses) -> dict[str, Any]:
+    parts = pose(p)
+    moved = {"translation": parts["position"], "rotation": parts["orientation"]}
+    return {"header": header(time_ns, parent), "child_frame_id": child, "transform": moved}
+
+
+def images(num_images: int = 12, frame: str = "camera") -> list[Event]:
+    return [
+        Event(t, "/image/compressed", "sensor_msgs/CompressedImage", {"header": header(t, frame), "data": data})
+        for t, data in Walk(num_images).images
+    ]
+
+
+def tf(parent: str, child: str, times_ns: Iterable[int], at: Callable[[int], Poses], topic: str = "/tf") -> list[Event]:
+    return [
+        Event(t, topic, "tf2_msgs/TFMessage", {"transforms": [transform(t, parent, child, at(t))]}) for t in times_ns
+    ]
+
+
+def mounted(base: str = "base_link", camera: str = "camera") -> list[Event]:
+    """Where the camera sits, on /tf_static."""
+    return tf(base, camera, [BEGIN_NS - 40 * MS], lambda _: BASE_FROM_CAMERA, "/tf_static")
+
+
+def body(time_ns: int) -> Poses:
+    """Where the robot is in the map."""
+    return world_from_base(np.array(time_ns))
+
+
+def odometry(times_ns: Iterable[int]) -> list[Event]:
+    return [
+        Event(
+            t,
+            "/odom",
+            "nav_msgs/Odometry",
+            {"header": header(t, "odom"), "child_frame_id": "base_link", "pose": {"pose": pose(body(t))}},
+        )
+        for t in times_ns
+    ]
+
+
+def told_by(message_type: str, times_ns: Iterable[int], topic: str = "/truth", child: str = "base_link") -> list[Event]:
+    """The robot's poses in the map, as messages of one type; of nav_msgs/Path each message adds one."""
+    events = []
+    for t in times_ns:
+        stamped = {"header": header(t, "map"), "pose": pose(body(t))}
+        message = {
+            "geometry_msgs/PoseStamped": stamped,
+            "geometry_msgs/PoseWithCovarianceStamped": {**stamped, "pose": {"pose": pose(body(t))}},
+            "geometry_msgs/TransformStamped": transform(t, "map", child, body(t)),
+            "nav_msgs/Odometry": {**stamped, "child_frame_id": child, "pose": {"pose": pose(body(t))}},
+            "nav_msgs/Path": {"header": header(t, "map"), "poses": [stamped]},
+        }[message_type]
+        events.append(Event(t, topic, message_type, message))
+    return events
+
+
+def robot(path: Path, *, jump_ns: int | None = None, extra: list[Event] | None = None) -> Path:
+    """map -> odom every 90 ms, which may jump by 0.6 m, odom -> base_link at 50 Hz, base_link -> camera fixed."""
+
+    def map_from_odom(t: int) -> Poses:
+        shift = np.array([0.6, 0.0, 0.0]) if jump_ns is not None and t >= jump_ns else np.zeros(3)
+        return Poses(MAP_FROM_ODOM.rotation, MAP_FROM_ODOM.translation + shift)
+
+    return record(
+        path,
+        images(),
+        mounted(),
+        tf("map", "odom", stamps(every_ms=90, since_ms=-39), map_from_odom),
+        tf("odom", "base_link", stamps(), lambda t: MAP_FROM_ODOM.inverse() @ body(t)),
+        extra or [],
+    )

@@ -1,0 +1,102 @@
+"""All layouts of data sets: which is found, in which order, and how one is added."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from sequences.datasets import layouts
+from sequences.datasets.frames import posed_frames
+from sequences.datasets.listing import files_read, find_layouts, is_recording, list_images
+from sequences.errors import SequenceError
+from tests.helpers.data_sets import (
+    make_tum,
+    same,
+    write_image,
+)
+from tests.helpers.dot_checks import refuse
+
+
+def test_a_folder_or_file_of_no_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("none")
+    with pytest.raises(SequenceError, match="is a file, expected the folder of a data set or the list of a split"):
+        list(posed_frames(tmp_path / "notes.txt"))
+    with pytest.raises(SequenceError, match="no sequence or data set; looked for") as error:
+        list(posed_frames(tmp_path))
+    for file in (
+        *("metadata.yaml", "groundtruth.txt", "frame-*.pose.txt", "poses_seq*.txt", "poses.txt"),
+        *("dataset_train.txt", "images.bin"),
+    ):
+        assert file in str(error.value)
+
+
+def test_stamped_data_says_that_its_stamps_are_not_assumed(tmp_path: Path) -> None:
+    images = list_images(make_tum(tmp_path / "tum"))
+    assert (images.layout, images.assumed_hz, len(images.cameras)) == ("TUM RGB-D", None, 10)
+    some = images[2:8:3]
+    assert [file.name for file in some.files] == [images.files[2].name, images.files[5].name]
+    assert same(some.world_from_camera, images.world_from_camera[[2, 5]], 1e-12)
+
+
+def test_layouts_are_asked_in_an_order_that_each_of_them_states() -> None:
+    found = find_layouts()
+    assert [layout.name for layout in found] == [
+        *("TUM RGB-D", "EuRoC MAV", "7-Scenes", "Ambiguous Relocalization", "Ceiling", "Cambridge Landmarks"),
+        *("Stray Scanner", "Record3D", "nerfstudio", "COLMAP"),
+    ]
+    assert len({layout.order for layout in found}) == len(found)
+
+
+NEW_LAYOUT = """
+import numpy as np
+from filtering.se3 import Poses
+from sequences.datasets.layout import Layout
+from sequences.datasets.posed_images import PosedImages
+
+
+def list_images(path):
+    if not (path / "phone.txt").is_file():
+        return None
+    return PosedImages("Phone", [path / "0.png"], np.array([7]), Poses.identity(1), [None])
+
+
+LAYOUT = Layout("Phone", looked_for="phone.txt", order=85, list_images=list_images, list_suffixes=(".phone",))
+"""
+
+
+@pytest.fixture
+def new_layout(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """One more file among the layouts."""
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "phone.py").write_text(NEW_LAYOUT)
+    monkeypatch.setattr(layouts, "__path__", [*layouts.__path__, str(tmp_path / "more")])
+    find_layouts.cache_clear()
+    yield
+    find_layouts.cache_clear()
+
+
+@pytest.mark.usefixtures("new_layout")
+def test_a_new_layout_is_one_new_file(tmp_path: Path) -> None:
+    scan = tmp_path / "scan"
+    scan.mkdir()
+    write_image(scan / "0.png", 0)
+    with pytest.raises(SequenceError, match=r"odometry\.csv, \.r3d, phone\.txt, transforms\.json, images\.bin$"):
+        list_images(scan)
+    (scan / "phone.txt").write_text("")
+    (frame,) = posed_frames(scan)
+    assert (frame.time_ns, frame.image.shape) == (7, (24, 32, 3))
+    (scan / "list.phone").write_text("")
+    assert not is_recording(scan / "list.phone")
+    assert scan in files_read(scan / "list.phone")
+
+
+def test_layouts_are_not_imported_before_a_data_set_is_read() -> None:
+    imported = "[name for name in sys.modules if name.startswith('sequences.datasets.layouts.')]"
+    program = f"import sys; from sequences.datasets import frames; assert not {imported}"
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_a_folder_of_no_layout_is_told_of_these_too(tmp_path: Path) -> None:
+    refuse(tmp_path, "mav0/cam0/data.csv", "odometry.csv", ".r3d", "transforms.json", "images.bin")

@@ -1,0 +1,108 @@
+"""nerfstudio in its published form -> images, poses, cameras and stamps."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sequences.datasets.listing import list_images
+from sequences.errors import SequenceError
+from sequences.images.undistortion import Lens
+from tests.helpers.dot_checks import THIRTIETHS, check, check_conversion, edit_json, refuse
+from tests.helpers.dot_scene import FX, WIDTH
+from tests.helpers.phone_data_sets import NUM, make_nerfstudio
+
+
+def test_a_nerfstudio_folder_gives_its_images_in_the_order_of_their_names(tmp_path: Path) -> None:
+    folder = make_nerfstudio(tmp_path / "scene")
+    check(folder, list(range(NUM)), THIRTIETHS, within_px=0.4)
+    listed = list_images(folder)
+    assert (listed.layout, listed.assumed_hz, listed.skipped) == ("nerfstudio", 30, {})
+    check_conversion(folder, tmp_path, list(range(NUM)), within_px=0.4)
+
+
+def test_nerfstudio_intrinsics_of_single_frames_and_of_names_without_a_suffix(tmp_path: Path) -> None:
+    folder = make_nerfstudio(tmp_path / "scene")
+
+    def change(content: dict) -> None:
+        for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
+            value = content.pop(key)
+            for frame in content["frames"]:
+                frame[key] = value
+        for frame in content["frames"]:
+            frame["file_path"] = "./" + frame["file_path"].removesuffix(".png")
+
+    edit_json(folder / "transforms.json", change)
+    (folder / "transforms.json").rename(folder / "transforms_train.json")
+    check(folder / "transforms_train.json", list(range(NUM)), THIRTIETHS, within_px=0.4)
+    with pytest.raises(SequenceError, match="looked for"):
+        list_images(folder)
+
+
+def test_nerfstudio_camera_angle_and_applied_scale(tmp_path: Path) -> None:
+    folder = make_nerfstudio(tmp_path / "scene")
+
+    def change(content: dict) -> None:
+        del content["fl_x"], content["w"], content["h"]
+        content.update(camera_angle_x=2 * np.arctan(WIDTH / 2 / FX), applied_scale=0.25)
+        for frame in content["frames"]:
+            for row in frame["transform_matrix"][:3]:
+                row[3] *= 0.25
+
+    edit_json(folder / "transforms.json", change)
+    check(folder, list(range(NUM)), THIRTIETHS, within_px=0.4)
+
+
+def test_nerfstudio_distortion_is_in_opencv_s_order(tmp_path: Path) -> None:
+    folder = make_nerfstudio(tmp_path / "scene")
+    numbers = {"k1": 0.1, "k2": 0.02, "k3": 0.003, "p1": 0.004, "p2": 0.005}
+    edit_json(folder / "transforms.json", lambda content: content.update(numbers))
+    lens = list_images(folder).cameras[0]
+    assert isinstance(lens, Lens)
+    assert (lens.model, lens.coefficients) == ("plumb_bob", (0.1, 0.02, 0.004, 0.005, 0.003))
+    fisheye = {"camera_model": "OPENCV_FISHEYE", "k4": 0.006}
+    edit_json(folder / "transforms.json", lambda content: content.update(fisheye))
+    lens = list_images(folder).cameras[0]
+    assert isinstance(lens, Lens)
+    assert (lens.model, lens.coefficients) == ("equidistant", (0.1, 0.02, 0.003, 0.006))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda c: c.update(camera_model="EQUIRECTANGULAR"),
+            "frames[0]: camera_model 'EQUIRECTANGULAR', expected one of",
+        ),
+        (lambda c: c.update(k4=0.1), "frames[0]: k4 of OPENCV is not 0"),
+        (lambda c: c.update(fl_x="long"), "frames[0]: fl_x is 'long', expected a number"),
+        (lambda c: c.update(w=-4), "frames[0]: w is -4, expected a number between"),
+        (lambda c: c["frames"][1].pop("file_path"), "frames[1]: no file_path"),
+        (lambda c: c["frames"].append(c["frames"][0]), "frames[5]: 'images/frame_11.png' for the second time"),
+        (lambda c: c["frames"][2].pop("transform_matrix"), "frames[2]: transform_matrix: shape ()"),
+        (lambda c: c["frames"][2]["transform_matrix"].pop(), "frames[2]: transform_matrix: shape (3, 4)"),
+        (lambda c: c["frames"][2]["transform_matrix"][0].__setitem__(0, 9), "frames[2]: transform_matrix: the upper"),
+        (lambda c: c.update(frames=7), "no list of frames"),
+        (lambda c: c.update(applied_scale=0), "applied_scale is 0, expected a number between"),
+    ],
+)
+def test_what_is_wrong_with_a_nerfstudio_file_is_said(
+    change: Callable[[dict], object], said: str, tmp_path: Path
+) -> None:
+    folder = make_nerfstudio(tmp_path / "scene")
+    edit_json(folder / "transforms.json", change)
+    refuse(folder, "transforms.json", said)
+
+
+def test_what_a_nerfstudio_file_leaves_out_is_counted(tmp_path: Path) -> None:
+    folder = make_nerfstudio(tmp_path / "scene")
+
+    def change(content: dict) -> None:
+        content["frames"][0]["file_path"] = "images/gone.png"  # in place of frame 3
+        content["frames"][1]["transform_matrix"][0][3] = float("nan")  # frame 0
+
+    edit_json(folder / "transforms.json", change)
+    assert list_images(folder).skipped == {"no image": 1, "true pose not finite": 1, "image not in the list": 1}
+    (folder / "transforms.json").write_text("{")
+    refuse(folder, "transforms.json: ", "expected JSON")

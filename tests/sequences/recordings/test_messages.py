@@ -1,0 +1,279 @@
+"""ROS messages and their conventions."""
+
+import struct
+import zlib
+from collections.abc import Sequence
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.errors import SequenceError
+from sequences.images.decoding import decode_compressed_image, decode_image, decode_image_bytes
+from sequences.images.headers import DamagedImageError
+from sequences.recordings.message_definitions import DEFINITIONS, decoder, schema_text
+from sequences.recordings.messages import covariance_from_ros, covariance_to_ros, frame_name, odometry_from_message
+from tests.helpers.image_messages import image_message
+
+RGB = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+GREY = np.repeat(RGB[..., :1], 3, axis=2)
+ALPHA = np.full((6, 8, 1), 7, np.uint8)
+LAYOUTS = {
+    "rgb8": (RGB, RGB),
+    "bgr8": (RGB[..., ::-1], RGB),
+    "8UC3": (RGB[..., ::-1], RGB),
+    "rgba8": (np.concatenate([RGB, ALPHA], 2), RGB),
+    "bgra8": (np.concatenate([RGB[..., ::-1], ALPHA], 2), RGB),
+    "mono8": (RGB[..., 0], GREY),
+    "8UC1": (RGB[..., 0], GREY),
+    "mono16": (RGB[..., 0].astype(np.uint16) * 256 + 99, GREY),
+    "rgb16": (RGB.astype(np.uint16) * 256 + 99, RGB),
+    "bgr16": (RGB[..., ::-1].astype(np.uint16) * 256 + 99, RGB),
+}
+
+
+@pytest.mark.parametrize("padding", [0, 5])
+@pytest.mark.parametrize("encoding", LAYOUTS)
+def test_raw_images_become_rgb_whatever_their_layout_and_padding(encoding: str, padding: int) -> None:
+    pixels, expected = LAYOUTS[encoding]
+    big_endian = pixels.dtype.itemsize == 2 and padding == 5
+    image = decode_image(image_message(pixels, encoding, padding=padding, big_endian=big_endian))
+    np.testing.assert_array_equal(image, expected)
+    assert image.flags.writeable
+
+
+# Colour of the four pixels of a tile, row by row: 0 red, 1 green, 2 blue.
+MOSAICS = {
+    "bayer_rggb": [0, 1, 1, 2],
+    "bayer_bggr": [2, 1, 1, 0],
+    "bayer_gbrg": [1, 2, 0, 1],
+    "bayer_grbg": [1, 0, 2, 1],
+}
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("pattern", MOSAICS)
+def test_a_mosaic_made_by_hand_gets_its_colour_back(pattern: str, bits: int) -> None:
+    colour = np.array([200, 120, 30])
+    tile = colour[MOSAICS[pattern]].reshape(2, 2)
+    mosaic = np.tile(tile, (8, 8)).astype(np.uint8)
+    pixels = mosaic if bits == 8 else mosaic.astype(np.uint16) * 256
+    image = decode_image(image_message(pixels, f"{pattern}{bits}"))
+    np.testing.assert_array_equal(image[2:-2, 2:-2], np.broadcast_to(colour, (12, 12, 3)))
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("yuv422", [1, 0, 2, 0]), ("yuv422_yuy2", [0, 1, 0, 2])])
+def test_yuv_images_get_their_colour_back(encoding: str, order: list[int]) -> None:
+    colour = np.array([180, 60, 90], np.uint8)
+    y, v, u = cv2.cvtColor(colour[None, None], cv2.COLOR_RGB2YCrCb)[0, 0].astype(float)
+    # BT.601 in the narrow range of video.
+    yuv = np.array([16 + y * 219 / 255, 128 + (u - 128) * 224 / 255, 128 + (v - 128) * 224 / 255])
+    pixels = np.tile(np.round(yuv[order]).astype(np.uint8).reshape(2, 2), (4, 4, 1))
+    image = decode_image(image_message(pixels, encoding))
+    np.testing.assert_allclose(image.reshape(-1, 3), np.broadcast_to(colour, (32, 3)), atol=6)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"encoding": "32FC1"}, "encoding '32FC1'"),
+        ({"data": b"123"}, "3 bytes"),
+        ({"step": 5}, "rows of 5"),
+        ({"height": 0}, "8 x 0"),
+        ({"encoding": "yuv422", "width": 7}, "cannot be converted"),
+    ],
+)
+def test_raw_images_that_cannot_be_are_named(change: dict, said: str) -> None:
+    message = image_message(RGB, "rgb8")
+    message.__dict__.update(change)
+    with pytest.raises(SequenceError, match=said):
+        decode_image(message)
+
+
+def test_png_and_jpeg_become_rgb() -> None:
+    png = cv2.imencode(".png", RGB[..., ::-1])[1].tobytes()
+    np.testing.assert_array_equal(decode_compressed_image(SimpleNamespace(data=png, format="png")), RGB)
+    flat = np.broadcast_to(np.array([200, 100, 20], np.uint8), (16, 16, 3))
+    jpeg = cv2.imencode(".jpg", np.ascontiguousarray(flat[..., ::-1]))[1].tobytes()
+    image = decode_compressed_image(SimpleNamespace(data=jpeg, format="jpeg"))
+    np.testing.assert_allclose(image, flat, atol=3)
+
+
+def jpeg_of_noise(options: Sequence[int] = ()) -> bytes:
+    noise = np.random.default_rng(1).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    return cv2.imencode(".jpg", noise, options)[1].tobytes()
+
+
+@pytest.mark.parametrize("data", [b"", b"no image", b"\xff\xd8\xff", b"BM", b"\x89PNG\r\n\x1a\n" + bytes(40)])
+def test_compressed_images_that_are_none_are_refused(data: bytes) -> None:
+    with pytest.raises(SequenceError) as caught:
+        decode_image_bytes(data)
+    assert not isinstance(caught.value, DamagedImageError)
+
+
+@pytest.mark.parametrize("options", [[], [cv2.IMWRITE_JPEG_RST_INTERVAL, 3]])
+def test_a_jpeg_that_lacks_pixels_is_damaged_though_it_decodes(options: list[int]) -> None:
+    whole = jpeg_of_noise(options)
+    assert decode_image_bytes(whole).shape == (64, 64, 3)
+    middle = len(whole) // 2
+    assert whole.rindex(b"\xff\xda") < len(whole) - 500
+    for damaged in (
+        whole[:middle],  # cut off
+        whole[: whole.index(b"\xff\xda") + 400] + b"\xff\xd9",  # and closed again
+        whole[:-300] + b"\xff\x37" + whole[-298:],  # a marker that cannot be there
+    ):
+        with pytest.raises(DamagedImageError, match="JPEG of"):
+            decode_image_bytes(damaged)
+
+
+def test_a_jpeg_with_a_grey_corner_is_whole() -> None:
+    grey = np.full((64, 64, 3), 128, np.uint8)
+    np.testing.assert_array_equal(decode_image_bytes(cv2.imencode(".jpg", grey)[1].tobytes()), grey)
+
+
+def of_size(kind: str, width: int, height: int) -> bytes:
+    """An image that states another size than it has."""
+    data = bytearray(jpeg_of_noise() if kind == "jpg" else cv2.imencode(f".{kind}", RGB)[1].tobytes())
+    if kind == "jpg":
+        at = data.index(b"\xff\xc0") + 5
+        data[at : at + 4] = struct.pack(">HH", height, width)
+    elif kind == "png":
+        data[16:24] = struct.pack(">II", width, height)
+        data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    elif kind == "bmp":
+        data[18:26] = struct.pack("<ii", width, -height)
+    else:
+        assert data[12:16] == b"VP8L"
+        data[21:25] = struct.pack("<I", (width - 1) | (height - 1) << 14)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("kind", ["jpg", "png", "bmp", "webp"])
+def test_an_image_that_states_more_than_a_hundred_megapixels_is_not_decoded(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    size = (60_000, 60_000) if kind != "webp" else (16_000, 16_000)
+    monkeypatch.setattr(cv2, "imdecode", None)
+    with pytest.raises(SequenceError, match=rf"image: {size[0]} x {size[1]} pixels, expected at most 100 megapixels"):
+        decode_image_bytes(of_size(kind, *size))
+
+
+def test_lossy_and_extended_webp_state_their_size() -> None:
+    lossy = cv2.imencode(".webp", np.zeros((20, 30, 3), np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 50])[1].tobytes()
+    assert lossy[12:16] == b"VP8 "
+    assert decode_image_bytes(lossy).shape == (20, 30, 3)
+    size = (20_000 - 1).to_bytes(3, "little")
+    with pytest.raises(SequenceError, match="image: 20000 x 20000 pixels"):
+        decode_image_bytes(b"RIFF0000WEBPVP8X" + bytes(8) + size + size)
+
+
+def test_a_raw_image_of_more_than_a_hundred_megapixels_is_refused() -> None:
+    message = image_message(RGB, "rgb8")
+    message.width = message.height = 10_001
+    with pytest.raises(SequenceError, match="10001 x 10001 pixels, expected at most 100 megapixels"):
+        decode_image(message)
+
+
+def test_a_jpeg_of_more_scans_than_any_camera_writes_is_refused() -> None:
+    data = jpeg_of_noise([cv2.IMWRITE_JPEG_PROGRESSIVE, 1])
+    assert decode_image_bytes(data).shape == (64, 64, 3)
+    last = data[data.rindex(b"\xff\xda") : -2]
+    with pytest.raises(SequenceError, match="more than 100 scans"):
+        decode_image_bytes(data[:-2] + 100 * last + data[-2:])
+
+
+def odometry_message(**change: object) -> SimpleNamespace:
+    values = {"position": [1.0, 2.0, 3.0], "quat": [0.0, 0.0, 0.6, 0.8], "covariance": [0.0] * 36, **change}
+    p, q = values["position"], values["quat"]
+    pose = SimpleNamespace(
+        position=SimpleNamespace(x=p[0], y=p[1], z=p[2]),
+        orientation=SimpleNamespace(x=q[0], y=q[1], z=q[2], w=q[3]),
+    )
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=1_700_000_000, nanosec=123_456_789), frame_id="odom"),
+        pose=SimpleNamespace(pose=pose, covariance=[9.0] * 36),
+        twist=SimpleNamespace(covariance=values["covariance"]),
+    )
+
+
+def test_odometry_keeps_its_stamp_pose_and_twist_covariance() -> None:
+    covariance = np.diag([1.0, 2, 3, 4, 5, 6])
+    sample = odometry_from_message(odometry_message(covariance=covariance.ravel().tolist()))
+    assert sample.time_ns == 1_700_000_000_123_456_789
+    np.testing.assert_array_equal(sample.twist_covariance, covariance)
+    np.testing.assert_allclose(sample.odom_from_base.apply(np.array([1.0, 0, 0])), [1.28, 2.96, 3.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("placeholder", [10.0, 100.0, 500.0, 999.0, 1e3, 99999.0, 1e6])
+def test_axes_with_a_placeholder_for_a_variance_are_infinite_and_the_others_stay(placeholder: float) -> None:
+    covariance = np.diag([0.1, placeholder, placeholder, placeholder, 0.2, 0.3])
+    covariance[0, 5] = covariance[5, 0] = 0.01
+    covariance[0, 1] = covariance[1, 0] = 5.0
+    sample = odometry_from_message(odometry_message(covariance=covariance.ravel().tolist()))
+    expected = np.diag([0.1, np.inf, np.inf, np.inf, 0.2, 0.3])
+    expected[0, 5] = expected[5, 0] = 0.01
+    np.testing.assert_array_equal(sample.twist_covariance, expected)
+
+
+def test_a_placeholder_hides_no_negative_variance() -> None:
+    covariance = np.diag([-1e-4, 0.1, 1e6, 1e6, 1e6, 0.1])
+    with pytest.raises(VaporTrackError, match="negative eigenvalue"):
+        odometry_from_message(odometry_message(covariance=covariance.ravel().tolist()))
+
+
+def test_a_covariance_marked_as_unknown_becomes_zero() -> None:
+    sample = odometry_from_message(odometry_message(covariance=[-1.0] + [0.0] * 35))
+    assert not sample.twist_covariance.any()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"position": [np.nan, 0.0, 0.0]},
+        {"quat": [0.0, 0.0, np.inf, 1.0]},
+        {"quat": [0.0] * 4},
+        {"quat": [0.0, 0.0, 0.0, 1e300]},
+        {"position": [1e300, 0.0, 0.0]},
+        {"covariance": [1e300] * 36},
+        {"covariance": [np.nan] * 36},
+        {"covariance": (-np.eye(6) * 2).ravel().tolist()},
+    ],
+)
+def test_odometry_that_is_no_motion_is_refused(change: dict) -> None:
+    with pytest.raises(VaporTrackError):
+        odometry_from_message(odometry_message(**change))
+
+
+def test_covariance_of_a_pose_turns_to_the_axes_of_its_parent() -> None:
+    # Uncertain along the camera's view and about it; the camera looks along the map's x axis (z -> x, x -> −y).
+    map_from_camera = Poses(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([5.0, 6, 7]))
+    covariance = np.diag([0.0, 0, 4.0, 0, 0, 0.25])
+    np.testing.assert_allclose(covariance_to_ros(covariance, map_from_camera), np.diag([4.0, 0, 0, 0.25, 0, 0]))
+
+
+def test_covariance_to_ros_and_back_is_the_same() -> None:
+    rng = np.random.default_rng(2)
+    root = rng.normal(size=(6, 6))
+    pose = Poses.exp(rng.normal(size=6))
+    back = covariance_from_ros(covariance_to_ros(root @ root.T, pose), pose)
+    np.testing.assert_allclose(back, root @ root.T, atol=1e-12)
+
+
+def test_frame_names_lose_their_leading_slash() -> None:
+    assert frame_name("/base_link") == frame_name("base_link") == "base_link"
+
+
+@pytest.mark.parametrize("message_type", DEFINITIONS)
+def test_every_definition_names_all_types_within_it(message_type: str) -> None:
+    text = schema_text(message_type)
+    named = {line.removeprefix("MSG: ") for line in text.splitlines() if line.startswith("MSG: ")}
+    used = {line.split()[0].removesuffix("[]") for line in text.splitlines() if "/" in line and "MSG:" not in line}
+    assert used == named
+
+
+def test_bytes_that_are_no_message_do_not_decode() -> None:
+    with pytest.raises(Exception, match=r"."):
+        decoder("nav_msgs/Odometry")(b"\x00\x01\x00\x00garbage")

@@ -1,0 +1,250 @@
+"""`vapor-track benchmark localization` from end to end, with a network that knows nothing."""
+
+import json
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+
+from filtering.localizer import ParticleLocalizer
+from tests.helpers.checks import no_checks
+from vapor.benchmark.localization.summary import failed
+from vapor.benchmark.recordings import record
+from vapor.benchmark.trials import kinds, setup
+from vapor.benchmark.trials import run as trial_run
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.track import main
+from vapor.tracking.methods import METHODS
+
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+OPTIONS = [
+    "--runs", "1", "--frames", "50", "--width", "32", "--height", "24", "--num-samples", "40", "--workers", "1",
+    "--first-seed", "700", "--localizer.max-hypotheses", "30",
+]  # fmt: skip
+
+KINDS = ["cue", "no-cue", "kidnap"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, tiny_model):
+    """Of a benchmark that is done: the tests go on from there, each on its own and in any order."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    with no_checks():
+        assert run(folder, tiny_model) == 0
+    return folder
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """How often something was recorded and localized; each can be made to be interrupted at a call."""
+    counter: Counter[str] = Counter()
+    interrupt_at: dict[str, int] = {}
+
+    def counted(name, original):
+        def call(*arguments):
+            counter[name] += 1
+            if counter[name] == interrupt_at.get(name):
+                raise KeyboardInterrupt
+            return original(*arguments)
+
+        return call
+
+    for module, name in ((record, "record_synthetic"), (trial_run, "localize")):
+        monkeypatch.setattr(module, name, counted(name, getattr(module, name)))
+    counter.interrupt_at = interrupt_at  # pyright: ignore[reportAttributeAccessIssue]
+    return counter
+
+
+def run(folder, tiny_model, *more: str) -> int:
+    words = ["benchmark", "localization", "ceiling", "--models", str(tiny_model), "--output", str(folder)]
+    return main([*words, *OPTIONS, *more])
+
+
+def test_an_interrupted_benchmark_goes_on_and_a_finished_one_computes_nothing(tmp_path, tiny_model, calls, capsys):
+    asked = ["--kinds", "cue", "no-cue"]
+    calls.interrupt_at.update(record_synthetic=2)
+    assert run(tmp_path, tiny_model, *asked) == 130
+    assert calls == {"record_synthetic": 2}  # one of them done
+    calls.interrupt_at.clear()
+    calls.interrupt_at.update(localize=2)
+    assert run(tmp_path, tiny_model, *asked) == 130
+    needed = len(list((tmp_path / "recordings").iterdir()))
+    assert calls == {"record_synthetic": 1 + needed, "localize": 2}
+    assert not (tmp_path / "summary.json").exists()
+    calls.interrupt_at.clear()
+    capsys.readouterr()
+    assert run(tmp_path, tiny_model, *asked) == 0
+    assert calls == {"record_synthetic": 1 + needed, "localize": 2 + 2 - 1}
+    printed, summary = capsys.readouterr().out, (tmp_path / "summary.json").read_bytes()
+    assert run(tmp_path, tiny_model, *asked) == 0
+    assert calls == {"record_synthetic": 1 + needed, "localize": 2 + 2 - 1}
+    assert (capsys.readouterr().out, (tmp_path / "summary.json").read_bytes()) == (printed, summary)
+
+
+def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model, capsys):
+    assert run(folder, tiny_model) == 0
+    out = capsys.readouterr().out
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["settings"]["localizer"]["max_hypotheses"] == 30
+    assert summary["summary"].keys() == {"ceiling"}
+    assert summary["summary"]["ceiling"].keys() == set(KINDS)
+    runs = summary["runs"]
+    assert Counter((each["kind"], each["variant"]) for each in runs) == {(kind, "full"): 1 for kind in KINDS}
+    for each in runs:
+        assert each["images"] == 50
+        assert (each["cue_images"] == 0) == (each["kind"] == "no-cue")
+        assert (each["belief"]["filter"]["kidnap"] is None) == (each["kind"] != "kidnap")
+        if failed(each):
+            assert each["name"] in out
+    for said in ("something unique in the first half: 1 runs", "nothing unique: 1 runs", "carried off: 1 runs"):
+        assert f"ceiling, {said}" in out
+
+
+@pytest.mark.parametrize(
+    ("more", "again"),
+    [
+        (("--errors.tail", "30"), "localize"),
+        (("--localizer.switch-ratio", "2"), "localize"),
+        (("--num-samples", "41"), "record_synthetic"),
+    ],
+)
+def test_other_settings_use_no_result_of_these(more, again, folder, tiny_model, calls, tmp_path):
+    assert run(folder, tiny_model, "--kinds", "no-cue", *more) == 0
+    assert calls[again] == 1
+    assert calls["record_synthetic"] == (again == "record_synthetic")
+
+
+def test_ablations_are_compared_in_a_table_of_their_own(folder, tiny_model, calls, capsys):
+    assert run(folder, tiny_model, "--kinds", "no-cue", "--ablations", "full", "no-tails") == 0
+    assert calls == {"localize": 1}  # the full one is there
+    out = capsys.readouterr().out
+    assert len([line for line in out.splitlines() if line.split()[:1] in (["full"], ["no-tails"])]) == 2
+    summary = json.loads((folder / "summary.json").read_text())["summary"]["ceiling"]["no-cue"]
+    assert summary.keys() == {"full", "no-tails"}
+
+
+def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_model, monkeypatch, capsys):
+    told = []
+    update = ParticleLocalizer.update
+
+    def watched(localizer, posterior, odometry, **timing):
+        told.append(posterior.errors)
+        return update(localizer, posterior, odometry, **timing)
+
+    monkeypatch.setattr(ParticleLocalizer, "update", watched)
+    monkeypatch.setattr(setup, "results_code", lambda: "of errors")
+    floor = ["0.01", "0.02", "0.03", "0.04", "0.05", "0.06"]
+    more = ["--kinds", "no-cue", "--errors.outlier-probability", "0.25", "--errors.floor", *floor]
+    assert run(folder, tiny_model, *more) == 0
+    own = load_checkpoint(tiny_model).calibration.errors
+    assert set(told) == {replace(own, outlier_probability=0.25, floor=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06))}
+    settings = json.loads((folder / "summary.json").read_text())["settings"]
+    assert settings["errors"] == {"outlier_probability": 0.25, "floor": [float(value) for value in floor]}
+    assert run(folder, tiny_model, "--kinds", "no-cue", "--errors.outlier-probability", "2") == 1
+    assert "outlier_probability is 2" in capsys.readouterr().err
+
+
+def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, calls, capsys):
+    assert run(tmp_path, tiny_model, "--kinds", "rate-3", "rate-10", "rate-30") == 0
+    assert calls == {"record_synthetic": 1, "localize": 3}
+    assert "ceiling, 3 images a second: 1 runs" in capsys.readouterr().out
+    runs = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    assert {each["kind"]: each["images"] for each in runs} == {"rate-3": 15, "rate-10": 50, "rate-30": 150}
+
+
+@pytest.mark.usefixtures("rough_light")
+def test_walks_where_floors_look_alike_are_evaluated_but_for_the_floor_and_once_on_it(tiny_model, tmp_path, capsys):
+    words = ["benchmark", "localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
+    assert main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "0.02"]) == 0
+    out = capsys.readouterr().out
+    assert "corridor, whole walks, something unique early: 1 runs" in out
+    assert "once on its" in out
+    (each,) = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    assert each["images"] == 50
+    for name, method in each["methods"].items():
+        assert method["floor"]["settled_images"] <= 50
+        if name in each["belief"]:
+            assert each["belief"][name]["on_floor"]["images"] == method["floor"]["settled_images"]
+    (settings,) = (tmp_path / "recordings").glob("*/settings.json")
+    assert json.loads(settings.read_text())["odometry_scale"] == 0.02
+    with pytest.raises(SystemExit):
+        main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "-2"])
+    assert "odometry_scale is -2" in capsys.readouterr().err
+
+
+def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(kinds, "STAND_S", 3.0)
+    monkeypatch.setattr(kinds, "STAND_AFTER", 10)
+    assert run(tmp_path, tiny_model, "--kinds", "standing", "standing-cue", "--ablations", "full", "no-tails") == 0
+    out = capsys.readouterr().out
+    assert "ceiling, standing where nothing is unique: 1 runs" in out
+    assert "ceiling, standing before something unique: 1 runs" in out
+    runs = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    for each in runs:
+        if each["kind"] == "standing":
+            assert (each["images"], each["cue_images"]) == (40, 0)
+        else:
+            assert each["images"] >= 40
+            assert each["cue_images"] >= 30
+
+
+def test_a_run_at_another_scale_has_the_results_of_the_unscaled_one(folder, tiny_model, calls, capsys):
+    scaled = ("scale-0.1", "scale-30")
+    assert run(folder, tiny_model, "--kinds", "cue", *scaled) == 0
+    assert calls == {"localize": 2}  # no recording is made
+    assert "the filter by kind of run" in capsys.readouterr().out
+    runs = {each["kind"]: each for each in json.loads((folder / "summary.json").read_text())["runs"]}
+    assert load_checkpoint(tiny_model).calibration.odometry is None
+    for kind in scaled:
+        for name in METHODS:
+            ours, theirs = runs[kind]["methods"][name], runs["cue"]["methods"][name]
+            same = pytest.approx(theirs["median_translation_m"], rel=1e-4 if name == "smoothed" else 1e-6)
+            assert ours["median_translation_m"] == same
+            assert ours["recall"] == theirs["recall"]
+        assert runs[kind]["belief"]["filter"]["status"] == runs["cue"]["belief"]["filter"]["status"]
+
+
+def test_only_a_filter_that_is_told_of_a_kidnap_starts_anew_there(folder, tiny_model, monkeypatch):
+    anew, update = [], ParticleLocalizer.update
+
+    def watched(localizer, posterior, odometry, **timing):
+        if type(localizer) is ParticleLocalizer:  # the Gaussian sum is told nothing
+            anew.append(odometry is None)
+        return update(localizer, posterior, odometry, **timing)
+
+    monkeypatch.setattr(ParticleLocalizer, "update", watched)
+    monkeypatch.setattr(setup, "results_code", lambda: "watched")
+    assert run(folder, tiny_model, "--kinds", "kidnap", "--ablations", "full", "told-of-kidnap") == 0
+    assert len(anew) == 100  # two runs of 50 images, of which the last third is elsewhere
+    assert [i for i, told in enumerate(anew) if told] == [50 + 33]
+
+
+def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, monkeypatch):
+    monkeypatch.setattr(setup, "results_code", lambda: "another")
+    assert run(folder, tiny_model, "--kinds", "cue") == 0
+    assert calls == {"localize": 1}
+
+
+def test_processes_give_the_results_of_one(folder, tiny_model, tmp_path):
+    asked = ("--kinds", "cue", "no-cue")
+    assert run(folder, tiny_model, *asked) == 0
+    alone = json.loads((folder / "summary.json").read_text())["runs"]
+    assert run(tmp_path, tiny_model, *asked, "--workers", "2") == 0
+    together = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    assert len(together) == 2
+    for ours, theirs in zip(alone, together, strict=True):
+        assert ours | {"step_ms": 0} == theirs | {"step_ms": 0}
+
+
+def test_a_recording_of_something_else_is_refused(folder, tiny_model, capsys):
+    of_seed_700 = (folder / "recordings").glob("ceiling-none-700-*/settings.json")
+    settings = next(file for file in of_seed_700 if json.loads(file.read_text())["num_samples"] == 40)
+    before = settings.read_text()
+    settings.write_text(before.replace('"seed": 700', '"seed": 701'))
+    more = ("--kinds", "no-cue", "--localizer.switch-ratio", "3")
+    try:
+        assert run(folder, tiny_model, *more) == 1
+    finally:
+        settings.write_text(before)
+    assert "recorded with seed 701, expected 700; remove it to make it anew" in capsys.readouterr().err

@@ -1,0 +1,164 @@
+"""The summary of a benchmark: fractions, intervals, floors, and the tables."""
+
+import pytest
+
+from vapor.benchmark.localization.summary import failed, summarise
+from vapor.commands import console
+from vapor.commands.benchmark.localization_tables import tables
+from vapor.commands.console import show
+
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+
+def consistency(images: int, wrong: float = 0.0) -> dict:
+    if images == 0:
+        return {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
+    return {
+        "images": images,
+        "wrong": wrong,
+        "coverage": {"50%": 0.4, "90%": 0.8, "95%": 1 - wrong},
+        "median_nees": 5.0,
+    }
+
+
+def result(
+    kind: str, *, converged: float, wrong: float, success: bool = True, recovered: int | None = None, walk: int = 0
+) -> dict:
+    """Of a run of 100 images."""
+    recall = {"0.1m/10deg": 0.2, "0.2m/15deg": 0.4, "0.3m/20deg": 0.6}
+    metrics = {"median_translation_m": 0.1, "median_rotation_deg": 2.0, "ape_rmse_m": 0.3, "recall": recall}
+    tracked = metrics | {
+        "success": success,
+        "converged_at_s": 3.0 if success else None,
+        "after_convergence": {"images": 70, "recall": dict.fromkeys(recall, 0.9)} if success else None,
+    }
+    belief = {
+        "status": {"converged": converged, "ambiguous": 1 - converged, "lost": 0.0},
+        "said_converged": consistency(round(100 * converged), wrong),
+        "after_convergence": consistency(70 if success else 0),
+        "truth_among_modes": 0.9,
+        "longest_wrong_s": 10 * converged * wrong,
+        "false_recoveries": 1,
+        "kidnap": {"right_before": True, "images": recovered} if kind == "kidnap" else None,
+    }
+    methods = dict.fromkeys(("single_image", "dead_reckoning"), metrics)
+    methods |= dict.fromkeys(("kalman", "gaussian_sum", "filter", "smoothed"), tracked)
+    return {
+        "name": f"ceiling-{kind}-{converged}", "scene": "ceiling", "kind": kind, "walk": walk, "variant": "full",
+        "images": 100, "cue_images": 3, "methods": methods,
+        "belief": dict.fromkeys(("filter", "kalman", "gaussian_sum"), belief),
+        "image_truth_among_modes": 0.8, "particles": 100, "step_ms": 4.0,
+    }  # fmt: skip
+
+
+def test_fractions_of_images_are_weighed_by_how_many_images_there_were():
+    both = [
+        result("cue", converged=0.9, wrong=0.0),
+        result("cue", converged=0.1, wrong=1.0, success=False),
+        result("cue", converged=0.0, wrong=0.0),
+    ]
+    total = summarise(both)["ceiling"]["cue"]["full"]
+    said = total["belief"]["filter"]["said_converged"]
+    assert (said["images"], said["wrong"]) == (100, pytest.approx(0.1))
+    assert said["coverage"]["95%"] == pytest.approx(0.9)
+    assert total["belief"]["filter"]["status"]["converged"] == pytest.approx(1 / 3)
+    assert total["belief"]["filter"]["runs_wrongly_converged"] == 1
+    assert total["belief"]["filter"]["false_recoveries"] == 3
+    assert total["methods"]["filter"]["successes"] == 2
+    assert total["methods"]["filter"]["recall_after_convergence"]["0.1m/10deg"] == pytest.approx(0.9)
+    assert "successes" not in total["methods"]["single_image"]
+    assert total["failed"] == ["ceiling-cue-0.1"]
+
+
+def test_a_wrong_place_counts_in_any_image_and_in_a_twentieth_of_them():
+    runs = [result("no-cue", converged=share, wrong=0.5) for share in (0.02, 0.08, 0.1, 0.3)]
+    total = summarise(runs)["ceiling"]["no-cue"]["full"]
+    assert total["belief"]["filter"]["runs_wrongly_converged"] == 4
+    assert total["belief"]["filter"]["runs_wrongly_converged_often"] == 2
+    assert total["belief"]["filter"]["longest_wrong_s"] == pytest.approx(1.5)
+    assert total["belief"]["filter"]["rightly_converged"] == pytest.approx(0.0625)
+    assert total["failed"] == ["ceiling-no-cue-0.1", "ceiling-no-cue-0.3"]
+
+
+def test_recovery_counts_up_to_the_fiftieth_image():
+    runs = [
+        result("kidnap", converged=share, wrong=0.1, recovered=images)
+        for share, images in ((0.1, 1), (0.2, 50), (0.3, 51), (0.4, None))
+    ]
+    kidnap = summarise(runs)["ceiling"]["kidnap"]["full"]["belief"]["filter"]["kidnap"]
+    intervals = kidnap.pop("intervals")
+    assert kidnap == {"right_before": 4, "recovered_in_time": 2, "recovered": 3, "median_images": 50.0}
+    assert intervals == {"recovered_in_time": None}  # of one walk
+    assert [each["name"] for each in runs if failed(each)] == ["ceiling-kidnap-0.3", "ceiling-kidnap-0.4"]
+
+
+def test_intervals_of_alike_runs_have_no_width_and_those_of_others_hold_the_figure():
+    runs = [
+        result("cue", converged=0.5 + 0.01 * walk, wrong=0.02 * walk, success=walk < 8, walk=walk)
+        for walk in range(10)
+        for _ in range(3)
+    ]
+    total = summarise(runs)["ceiling"]["cue"]["full"]
+    method, said = total["methods"]["filter"], total["belief"]["filter"]["said_converged"]
+    assert (total["runs"], total["walks"]) == (30, 10)
+    assert method["intervals"]["median_translation_m"] == (0.1, 0.1)
+    for interval, figure in (
+        (method["intervals"]["successes"], method["successes"]),
+        (said["intervals"]["wrong"], said["wrong"]),
+        (said["intervals"]["coverage"]["95%"], said["coverage"]["95%"]),
+        (total["belief"]["filter"]["intervals"]["rightly_converged"], total["belief"]["filter"]["rightly_converged"]),
+    ):
+        assert interval[0] < figure < interval[1]
+
+
+def on_floor(each: dict, right: float) -> dict:
+    """A result of where floors look alike: as many images once on it are right as are said."""
+    floor = {"but_for_it": right, "settled_images": 90, "settled_right": right}
+    methods = {name: method | {"floor": floor} for name, method in each["methods"].items()}
+    belief = {name: found | {"on_floor": consistency(90, 1.0 - right)} for name, found in each["belief"].items()}
+    return each | {"methods": methods, "belief": belief}
+
+
+def test_floors_are_summed_up_over_the_images_on_them_with_intervals():
+    runs = [
+        on_floor(result("walk", converged=0.5 + 0.01 * walk, wrong=0.0, walk=walk), 0.5 + 0.04 * walk)
+        for walk in range(10)
+    ]
+    never = on_floor(result("walk", converged=0.9, wrong=0.0, walk=10), 0.1)
+    nowhere = {"but_for_it": 0.1, "settled_images": 0, "settled_right": None}
+    never["methods"] = {name: method | {"floor": nowhere} for name, method in never["methods"].items()}
+    never["belief"] = {name: found | {"on_floor": consistency(0)} for name, found in never["belief"].items()}
+    total = summarise([*runs, never])["ceiling"]["walk"]["full"]
+    floor, belief = total["methods"]["smoothed"]["floor"], total["belief"]["filter"]["on_floor"]
+    assert (floor["settled_images"], belief["images"]) == (900, 900)
+    assert floor["settled_right"] == pytest.approx(0.68)
+    assert belief["wrong"] == pytest.approx(0.32)
+    assert floor["but_for_it"] == pytest.approx((6.8 + 0.1) / 11)
+    for name in ("but_for_it", "settled_right"):
+        low, high = floor["intervals"][name]
+        assert low < floor[name] < high
+    elsewhere = summarise([result("walk", converged=0.5, wrong=0.0)])["ceiling"]["walk"]["full"]
+    assert "floor" not in elsewhere["methods"]["filter"]
+    assert "on_floor" not in elsewhere["belief"]["filter"]
+
+
+@pytest.mark.parametrize("width", [90, 100])
+def test_the_tables_fit_a_terminal(width, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setattr(console, "_MIN_WIDTH", width)
+    rates = [
+        result(
+            kind, converged=0.5 + 0.04 * walk, wrong=0.01 * walk, success=walk < 9, recovered=40 + 2 * walk, walk=walk
+        )
+        for kind in ("rate-3", "rate-10", "rate-30", "kidnap", "standing", "standing-30")
+        for walk in range(10)
+    ]
+    rates = [on_floor(each, 0.9 + 0.01 * each["walk"]) for each in rates]
+    for table in tables(summarise(rates)):
+        show(table)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    for kind in ("rate-3", "rate-10", "rate-30"):
+        row = next(line for line in lines if line.split()[:1] == [kind])
+        assert row.split()[1] == "9/10"
+    assert not [line for line in lines if "…" in line]

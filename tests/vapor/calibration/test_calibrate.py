@@ -1,0 +1,233 @@
+"""Calibration of a network on held-out images: from data to a model file."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from filtering.error_model import ErrorModel
+from filtering.se3 import Poses
+from tests.helpers.climbing_frames import frames_of
+from tests.helpers.data_sets import make_7scenes
+from tests.helpers.sequence_files import Walk, rewrite
+from vapor.calibration import calibrate as calibrate_module
+from vapor.calibration.calibrate import calibrate
+from vapor.calibration.familiarity import learn_familiarity
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.scene_scale import default_errors
+from vapor.regressors.familiarity import Familiarity
+from vapor.regressors.loss import LossConfig
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.variational import VariationalPoseRegressor
+from vapor.tensor_files import read_safetensors
+from vapor.track import main
+from vapor.training import check as training_check
+from vapor.training.config import TrainConfig
+from vapor.training.train import train_on
+from vapor.training_data.load import load_training_set
+
+NETWORK = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
+
+
+def network_for(images):
+    torch.manual_seed(0)
+    return VariationalPoseRegressor(NETWORK, SceneBox.around(images.poses)).eval()
+
+
+@pytest.fixture(autouse=True)
+def few_samples(monkeypatch):
+    for module in (calibrate_module, training_check):
+        monkeypatch.setattr(module, "NUM_SAMPLES", 100)
+
+
+def test_too_few_images_keep_the_calibration_and_say_so():
+    images = load_training_set({"a": frames_of(19)}, (36, 36))
+    before = Calibration(0.3, 0.2, ErrorModel(tail=3.7))
+    result = calibrate(network_for(images), images, images.poses, before, max_images=500, seed=0)
+    assert result.calibration == before
+    assert (result.images, result.changes, result.coverage) == (0, (), None)
+    assert "19 held-out images, at least 20" in result.notes[0]
+
+
+def test_errors_are_fitted_on_images_and_odometry_on_what_leads_between_them():
+    images = load_training_set({str(k): frames_of(45, seed=k) for k in range(3)}, (36, 36))
+    seen = []
+    result = calibrate(
+        network_for(images),
+        images,
+        images.poses,
+        Calibration(),
+        max_images=80,
+        seed=0,
+        advance=lambda done, total: seen.append((done, total)),
+    )
+    assert result.images == 80
+    assert (seen[0], seen[-1]) == ((1, 80), (80, 80))
+    assert 1.0 <= result.effective_images <= 80
+    assert [change.what for change in result.changes] == ["kernel widths", "errors of an image", "how long they last"]
+    assert result.coverage is not None
+    assert 0.0 <= result.coverage[0] <= result.coverage[1] <= result.coverage[2] <= 1.0
+    errors = result.calibration.errors
+    assert errors != ErrorModel()
+    # A network of random weights is anywhere in the scene: what it says is worth little.
+    extent = np.ptp(images.poses.translation, axis=0)
+    assert max(errors.typical_std[:3]) > 0.1 * extent.max()
+    odometry = result.calibration.odometry
+    assert odometry is not None
+    assert (result.odometry, odometry.increments, odometry.recordings) == ("held-out data", 132, 3)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_without_odometry_in_held_out_data_that_of_the_training_data_is_taken():
+    bare = load_training_set({"a": frames_of(60, odometry=False)}, (36, 36))
+    network, before = network_for(bare), Calibration(errors=default_errors(bare.poses))
+    none = calibrate(network, bare, bare.poses, before, max_images=60, seed=0)
+    assert (none.odometry, none.calibration.odometry) == ("none", None)
+    training = load_training_set({"b": frames_of(120)}, (36, 36))
+    result = calibrate(network, bare, bare.poses, before, training=training, max_images=60, seed=0)
+    assert result.odometry == "training data"
+    assert result.calibration.odometry is not None
+    assert result.calibration.errors == none.calibration.errors
+    kept = calibrate(network, bare, bare.poses, result.calibration, max_images=60, seed=0)
+    assert (kept.odometry, kept.calibration.odometry) == ("none", result.calibration.odometry)
+
+
+def errs_by(score, factor):
+    """In place of a network: samples about poses that are off by 10 cm and 0.1 times a factor of the image's score."""
+
+    def predict(network, images, num_samples, seed):
+        rng = np.random.default_rng(len(images))
+        own = score(len(images))
+        for i in range(len(images)):
+            off = np.repeat([0.1, 0.05], 3) * factor(own[i]) * rng.standard_normal(6)
+            yield images.poses[i] @ Poses.exp(off) @ Poses.exp(0.005 * rng.standard_normal((40, 6)))
+
+    return predict
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("factor", "power"), [(lambda score: score / 0.5, 1.0), (lambda score: 1.0, 0.0)], ids=["growing", "alike"]
+)
+def test_how_errors_grow_with_the_score_is_fitted_where_images_trained_on_are_at_hand(factor, power, monkeypatch):
+    held_out = load_training_set({"a": frames_of(80, seed=1)}, (36, 36))
+    training = load_training_set({"b": frames_of(60, seed=2)}, (36, 36))
+    network = network_for(held_out)
+    familiarity = learn_familiarity(network, training, held_out)
+
+    def score(count):
+        return np.full(count, 0.1) if count == 60 else np.linspace(0.2, 0.9, count)
+
+    monkeypatch.setattr(Familiarity, "unfamiliarity", lambda self, descriptions: score(len(descriptions)))
+    monkeypatch.setattr(calibrate_module, "predict", errs_by(score, factor))
+    seen = []
+    result = calibrate(
+        network,
+        held_out,
+        held_out.poses,
+        Calibration(),
+        training=training,
+        familiarity=familiarity,
+        max_images=80,
+        seed=0,
+        advance=lambda done, total: seen.append((done, total)),
+    )
+    errors = result.calibration.errors
+    assert errors.unfamiliar_power == pytest.approx(power, abs=0.25)
+    assert errors.unfamiliar_score == pytest.approx(0.55)
+    assert result.changes[1].after["unfamiliar_power"] == errors.unfamiliar_power
+    assert (seen[0], seen[-1]) == ((1, 140), (140, 140))  # those trained on are looked at as well
+    without = calibrate(
+        network, held_out, held_out.poses, Calibration(), training=training, max_images=80, seed=0
+    ).calibration.errors
+    assert (without.unfamiliar_power, without.unfamiliar_score) == (0.0, ErrorModel().unfamiliar_score)
+
+
+def test_twenty_images_are_enough():
+    images = load_training_set({"a": frames_of(20)}, (36, 36))
+    result = calibrate(network_for(images), images, images.poses, Calibration(), max_images=500, seed=0)
+    assert (result.images, result.notes) == (20, ())
+    errors = result.calibration.errors
+    assert errors.constant_fraction == pytest.approx(0.1 + 2.0 / result.effective_images)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
+    config = TrainConfig(NETWORK, LossConfig(num_samples=16), epochs=1, precision="float32", device="cpu")
+    held_out = {str(k): frames_of(45, seed=k) for k in range(3)}
+    stages = []
+    result = train_on(
+        {"a": [*frames_of(45), *frames_of(45, seed=1), *frames_of(45, seed=2)]},
+        tmp_path / "m.safetensors",
+        config,
+        validation=held_out,
+        progress=lambda p: stages.append(p.stage),
+    )
+    calibrated = result.calibration
+    assert calibrated is not None
+    assert (calibrated.images, calibrated.odometry) == (135, "held-out data")
+    assert list(dict.fromkeys(stages)) == ["reading", "holding out", "training", "calibrating", "checking"]
+    stored = load_checkpoint(tmp_path / "m.safetensors")
+    assert result.check is not None
+    assert stored.training["check"] == json.loads(json.dumps(result.check.as_json))
+    assert stored.training["check"]["images"] == 135
+    if result.check.inflation == 1.0 and not result.check.assumed:
+        assert stored.calibration == calibrated.calibration
+    told = [change["what"] for change in stored.training["calibration"]["changes"]]
+    assert told == ["kernel widths", "errors of an image", "how long they last"]
+    assert stored.training["calibration"] == json.loads(json.dumps(calibrated.provenance))
+    off = replace(config, calibrate=False, bandwidth_translation_m=0.3)
+    without = train_on({"a": frames_of(45)}, tmp_path / "n.safetensors", off, validation=held_out)
+    assert without.calibration is None
+    assert without.checkpoint.calibration == Calibration(0.3, 0.1, default_errors(without.checkpoint.prior_poses))
+
+
+# --- the command -----------------------------------------------------------------------------------
+
+
+def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model, tmp_path, capsys):
+    walk, output = Walk(60).write(tmp_path / "walk.mcap"), tmp_path / "m.safetensors"
+    assert main(["calibrate", str(tiny_model), str(walk), "--output", str(output), "--device", "cpu"]) == 0
+    printed = capsys.readouterr().out
+    assert "60 held-out images" in printed
+    assert "lasting_fraction" in printed
+    assert "true poses in the 50, 90, 95 % regions of single images" in printed
+    before, after = load_checkpoint(tiny_model), load_checkpoint(output)
+    assert after.calibration.bandwidth_translation_m != before.calibration.bandwidth_translation_m
+    assert after.calibration.errors != before.calibration.errors
+    assert after.training["calibration"]["data"] == ["walk.mcap"]
+    old, new = read_safetensors(tiny_model)[1], read_safetensors(output)[1]
+    assert old.keys() == new.keys()
+    assert all(old[name].dtype == new[name].dtype and torch.equal(old[name], new[name]) for name in old)
+
+
+def test_the_command_tells_what_it_left_out_of_the_data(tiny_model, tmp_path, capsys):
+    names = ("seq-01", "seq-02", "seq-03")
+    scene = make_7scenes(tmp_path / "chess", num_images=20, sequences=names)
+    (scene / "seq-01" / "frame-000003.pose.txt").unlink()
+    (scene / "seq-03" / "frame-000009.color.png").write_bytes(b"no image")
+    data, output = [str(scene / name) for name in names], tmp_path / "m.safetensors"
+    assert main(["calibrate", str(tiny_model), *data, "--output", str(output), "--device", "cpu"]) == 0
+    printed = capsys.readouterr().out
+    assert "skipped 1: no true pose" in printed
+    assert "skipped 1: undecodable image" in printed
+    assert "skipped" not in json.dumps(load_checkpoint(output).training)
+
+
+@pytest.mark.parametrize(
+    ("num_images", "posed", "said"),
+    [(60, False, "no true poses found"), (19, True, "19 images with true poses, expected at least 20")],
+)
+def test_the_command_refuses_data_without_poses_or_too_little(num_images, posed, said, tiny_model, tmp_path, capsys):
+    whole = Walk(num_images).write(tmp_path / "whole.mcap")
+    data, output = tmp_path / "walk.mcap", tmp_path / "m.safetensors"
+    rewrite(whole, data, keep=lambda topic, _: posed or topic != "/ground_truth/pose")
+    assert main(["calibrate", str(tiny_model), str(data), "--output", str(output)]) == 1
+    error = capsys.readouterr().err
+    assert "walk.mcap" in error
+    assert said in error
+    assert not output.exists()

@@ -1,0 +1,314 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from filtering.se3 import Poses
+from sequences.odometry_fit.result import OdometryFit
+from tests.helpers.checkpoints import SMALL, make_checkpoint
+from vapor.checkpoints import shipped_models
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.checkpoints.scene_scale import default_errors
+from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.thinning import thin_poses
+from vapor.regressors.network_config import NetworkConfig
+from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
+
+SIX = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+ODOMETRY = OdometryFit(SIX, (0.0,) * 6, SIX, 30.0, -0.01, 0.02, SIX, SIX, SIX, 0.1, 500, 2, 50.0, 40.0, 3)
+
+
+def test_a_model_file_gives_back_exactly_what_was_saved(tmp_path):
+    saved = make_checkpoint()
+    save_checkpoint(tmp_path / "m.safetensors", saved)
+    loaded = load_checkpoint(tmp_path / "m.safetensors")
+    assert (loaded.network, loaded.box, loaded.calibration) == (saved.network, saved.box, saved.calibration)
+    assert loaded.training == saved.training
+    np.testing.assert_array_equal(loaded.prior_poses.as_matrix(), saved.prior_poses.as_matrix())
+    assert loaded.state_dict.keys() == saved.state_dict.keys()
+    assert all(torch.equal(loaded.state_dict[k], v) for k, v in saved.state_dict.items())
+    assert list(tmp_path.iterdir()) == [tmp_path / "m.safetensors"]
+
+
+def test_a_fit_of_odometry_comes_back_as_well(tmp_path):
+    path, plain = tmp_path / "m.safetensors", make_checkpoint()
+    save_checkpoint(path, replace(plain, calibration=replace(plain.calibration, odometry=ODOMETRY)))
+    assert load_checkpoint(path).calibration.odometry == ODOMETRY
+
+
+def test_a_half_precision_demo_model_fits_in_eight_megabytes_and_predicts_the_same_to_millimetres(tmp_path):
+    path = tmp_path / "m.safetensors"
+    saved = make_checkpoint(NetworkConfig(), num_poses=5000)
+    save_checkpoint(path, saved, store_float16=True)
+    assert path.stat().st_size <= 8_000_000
+    loaded = load_checkpoint(path)
+    assert len(loaded.prior_poses) == 2000
+    assert all(v.dtype == torch.float32 for v in loaded.state_dict.values() if v.is_floating_point())
+    images, noise = torch.randn(2, 3, 128, 128), torch.randn(2, 10, 16)
+    with torch.inference_mode():
+        before, after = saved.build_network()(images, noise), load_checkpoint(path).build_network()(images, noise)
+    assert (before[0] - after[0]).abs().max() < 5e-3
+    assert (before[1] - after[1]).abs().max() < 5e-3
+
+
+def test_thinned_poses_are_evenly_spaced_and_keep_both_ends():
+    poses = Poses(np.broadcast_to(np.eye(3), (101, 3, 3)).copy(), np.arange(303.0).reshape(101, 3))
+    np.testing.assert_array_equal(thin_poses(poses, 11).translation[:, 0], np.arange(0, 303, 30))
+    assert thin_poses(poses, 101) is poses
+
+
+def test_an_error_while_saving_leaves_the_old_model_and_no_other_file(tmp_path):
+    path = tmp_path / "m.safetensors"
+    save_checkpoint(path, make_checkpoint())
+    before = path.read_bytes()
+    broken = replace(make_checkpoint(), training={"recall": float("nan")})
+    with pytest.raises(ValueError, match="JSON"):
+        save_checkpoint(path, broken)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def _without(mapping, key):
+    return {k: v for k, v in mapping.items() if k != key}
+
+
+def _edit_config(metadata, change):
+    config = json.loads(metadata["config"])
+    change(config)
+    return {**metadata, "config": json.dumps(config)}
+
+
+def _edit_errors(metadata, change):
+    return _edit_config(metadata, lambda config: change(config["calibration"]["errors"]))
+
+
+HEAD = "network.latent_mean.weight"
+MALFORMED = {
+    "no metadata": (lambda t, m: (t, {}), "format is None"),
+    "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '8', '7' or '6', or '4'"),
+    "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
+    "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "expected JSON"),
+    "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
+    "surplus tensor": (lambda t, m: ({**t, "network.extra": torch.zeros(1)}, m), "surplus tensor network.extra"),
+    "wrong shape": (lambda t, m: ({**t, HEAD: torch.zeros(4, 15)}, m), r"shape \(4, 15\), expected \(4, 16\)"),
+    "tensor with NaN": (lambda t, m: ({**t, HEAD: torch.full((4, 16), torch.nan)}, m), f"{HEAD} has values that are"),
+    "no training poses": (
+        lambda t, m: ({**t, "prior_poses.translation": torch.zeros(0, 3)}, m), "at least one training pose"
+    ),
+    "fewer rotations": (
+        lambda t, m: ({**t, "prior_poses.rotation": torch.zeros(29, 3, 3)}, m), r"expected \(30, 3, 3\)"
+    ),
+    "missing setting": (lambda t, m: (t, _edit_config(m, lambda c: c["network"].pop("latent_dim"))), "latent_dim"),
+    "surplus setting": (lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(x=1))), r"surplus \['x'\]"),
+    "setting that is no number": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(bandwidth_rotation_rad="much"))),
+        "bandwidth_rotation_rad 'much', expected a number",
+    ),
+    "missing errors": (lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].pop("errors"))), r"lacks \['errors"),
+    "errors that are none": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(errors=[1.0]))), "calibration.errors config"
+    ),
+    "missing part of errors": (lambda t, m: (t, _edit_errors(m, lambda e: e.pop("tail"))), r"lacks \['tail'\]"),
+    "surplus part of errors": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(a=1))), r"surplus \['a'\]"),
+    "tail that is no number": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(tail="6"))), "tail '6', expect"),
+    "tail of NaN": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(tail=float("nan")))), "tail is nan"),
+    "floor of five": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=[0.1] * 5))), "expected six num"),
+    "floor of words": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=["a"] * 6))), "expected six numbers"),
+    "floor of zeros": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=[0.0] * 6))), "six positive numbers"),
+    "no word of odometry": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].pop("odometry"))), r"lacks \['odometry'\]"
+    ),
+    "odometry that is none": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(odometry=3))), "calibration.odometry is 3"
+    ),
+    "part of a fit of odometry": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(odometry={"scale": 0.1}))),
+        "calibration.odometry configuration: fit of odometry with",
+    ),
+    "unknown backbone": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(backbone="vgg"))), "network configuration"
+    ),
+    "number that must be whole": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(latent_dim=4.5))), "latent_dim 4.5, expected a w"
+    ),
+    "switch that is none": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(shortcut=1))), "shortcut 1, expected true or"
+    ),
+    "absurd size": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(hidden_width=10**12))), "hidden_width is 10000"
+    ),
+    "bandwidth of zero": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(bandwidth_rotation_rad=0.0))),
+        "bandwidth_rotation_rad is 0.0",
+    ),
+    "box turned inside out": (
+        lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(lower=[2, 0, 2]))), "box from"
+    ),
+    "endless box": (lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(upper=[1, 10, 1e400]))), "box from"),
+    "whole numbers for weights": (
+        lambda t, m: ({**t, HEAD: torch.zeros(4, 16, dtype=torch.int64)}, m), f"{HEAD} is of torch.int64"
+    ),
+    "training poses with NaN": (
+        lambda t, m: ({**t, "prior_poses.translation": torch.full((30, 3), torch.nan)}, m), "not finite"
+    ),
+    "training poses that mirror": (
+        lambda t, m: ({**t, "prior_poses.rotation": -t["prior_poses.rotation"]}, m), "30 matrices that are not rot"
+    ),
+    "training poses that scale": (
+        lambda t, m: ({**t, "prior_poses.rotation": 1.01 * t["prior_poses.rotation"]}, m), "not rotations, the f"
+    ),
+    "flat box": (lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(lower=[0, 1]))), "three numbers"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MALFORMED)
+def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(tmp_path, case):
+    change, message = MALFORMED[case]
+    good, bad = tmp_path / "good.safetensors", tmp_path / "bad.safetensors"
+    save_checkpoint(good, make_checkpoint())
+    metadata, tensors = read_safetensors(good)
+    write_safetensors(bad, tensors, metadata)
+    load_checkpoint(bad)  # unchanged, it is good
+    write_safetensors(bad, *change(tensors, metadata))
+    with pytest.raises(CheckpointError, match=rf"bad\.safetensors: .*{message}"):
+        load_checkpoint(bad)
+
+
+def _as_before(path, version, change=lambda config: None):
+    """Turn a model file into one of an earlier format."""
+    metadata, tensors = read_safetensors(path)
+
+    def former(config):
+        config["calibration"] = {"bandwidth_translation_m": 0.2, "bandwidth_rotation_rad": 0.1, "temper": 0.3}
+        change(config)
+
+    write_safetensors(path, tensors, _edit_config({**metadata, "version": version}, former))
+
+
+@pytest.mark.parametrize("version", ["4", "5"])
+def test_of_models_of_an_earlier_filter_the_kernel_widths_stay_and_errors_follow_from_the_scene(version, tmp_path):
+    path, again = tmp_path / "m.safetensors", tmp_path / "again.safetensors"
+    saved = make_checkpoint(replace(SMALL, shortcut=False))
+    save_checkpoint(path, saved)
+    _as_before(path, version, lambda c: c["network"].pop("shortcut") if version == "4" else None)
+    loaded = load_checkpoint(path)
+    assert loaded.calibration == Calibration(0.2, 0.1, default_errors(saved.prior_poses))
+    assert loaded.network_sha256() == saved.network_sha256()
+    save_checkpoint(again, loaded)
+    assert load_checkpoint(again).calibration == loaded.calibration
+
+
+def test_in_models_from_before_growth_errors_do_not_depend_on_the_score(tmp_path):
+    path, saved = tmp_path / "m.safetensors", make_checkpoint()
+    grown = replace(saved.calibration.errors, unfamiliar_power=0.75, unfamiliar_score=0.3, mistaken_lengths=3.0)
+    save_checkpoint(path, replace(saved, calibration=replace(saved.calibration, errors=grown, odometry=ODOMETRY)))
+    metadata, tensors = read_safetensors(path)
+    assert metadata["version"] == "8"
+    assert load_checkpoint(path).calibration.errors == grown
+
+    def before_mistakes(config):
+        config["calibration"]["errors"].pop("mistaken_lengths")
+
+    def former(config):
+        for name in ("unfamiliar_power", "unfamiliar_score", "mistaken_lengths"):
+            config["calibration"]["errors"].pop(name)
+
+    write_safetensors(path, tensors, _edit_config({**metadata, "version": "7"}, before_mistakes))
+    assert load_checkpoint(path).calibration.errors == replace(grown, mistaken_lengths=1.0)
+    write_safetensors(path, tensors, _edit_config({**metadata, "version": "6"}, former))
+    loaded = load_checkpoint(path)
+    expected = replace(grown, unfamiliar_power=0.0, unfamiliar_score=0.5, mistaken_lengths=1.0)
+    assert loaded.calibration.errors == expected
+    assert (loaded.calibration.odometry, loaded.network_sha256()) == (ODOMETRY, saved.network_sha256())
+    save_checkpoint(path, loaded)
+    assert load_checkpoint(path).calibration == loaded.calibration
+    write_safetensors(path, tensors, _edit_config(metadata, former))  # of format 8 all are expected
+    with pytest.raises(CheckpointError, match=r"lacks .*mistaken_lengths"):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize("calibration", [None, {"bandwidth_translation_m": 0.2}])
+def test_a_model_of_an_earlier_filter_without_kernel_widths_is_refused(calibration, tmp_path):
+    save_checkpoint(tmp_path / "m.safetensors", make_checkpoint())
+    _as_before(tmp_path / "m.safetensors", "5", lambda c: c.update(calibration=calibration))
+    with pytest.raises(CheckpointError, match=r"m\.safetensors: calibration configuration lacks"):
+        load_checkpoint(tmp_path / "m.safetensors")
+
+
+def test_errors_of_an_uncalibrated_model_are_in_proportion_to_the_scene():
+    rng = np.random.default_rng(0)
+    poses = Poses.exp(rng.standard_normal((200, 6)))
+    small, large = default_errors(poses), default_errors(Poses(poses.rotation, 30.0 * poses.translation))
+    expected = small.scaled(30.0)
+    assert large.length_m == pytest.approx(expected.length_m)
+    assert large.flat_log_density == pytest.approx(expected.flat_log_density)
+    np.testing.assert_allclose([large.floor, large.typical_std], [expected.floor, expected.typical_std])
+    assert 0.1 < small.radius_m < 1.0  # of about nine metres
+    assert default_errors(Poses.identity(5)).radius_m > 0  # a camera that only turns, or stands
+
+
+def test_models_from_before_the_shortcut_have_none(tmp_path):
+    old = tmp_path / "old.safetensors"
+    without = make_checkpoint(replace(SMALL, shortcut=False))
+    save_checkpoint(old, without)
+    _as_before(old, "4", lambda config: config["network"].pop("shortcut"))
+    loaded = load_checkpoint(old)
+    assert loaded.network == without.network
+    assert not loaded.network.shortcut
+    save_checkpoint(tmp_path / "again.safetensors", loaded)
+    assert load_checkpoint(tmp_path / "again.safetensors").network == loaded.network
+    with_one = replace(loaded, network=replace(loaded.network, shortcut=True))
+    assert loaded.network_sha256() != with_one.network_sha256()
+
+
+def test_a_network_with_a_shortcut_is_the_same_after_saving(tmp_path):
+    path = tmp_path / "m.safetensors"
+    saved = make_checkpoint(replace(SMALL, shortcut=True))
+    assert saved.state_dict["pose_map.shortcut.weight"].shape == (9, SMALL.latent_dim)
+    save_checkpoint(path, saved)
+    images, noise = torch.randn(2, 3, 32, 32), torch.randn(2, 10, 4)
+    with torch.inference_mode():
+        before, after = saved.build_network()(images, noise), load_checkpoint(path).build_network()(images, noise)
+    assert torch.equal(before[0], after[0])
+    assert torch.equal(before[1], after[1])
+
+
+@pytest.mark.parametrize("damage", ["absent", "empty", "text", "truncated", "folder"])
+def test_what_is_no_safetensors_file_is_refused(tmp_path, damage):
+    path = tmp_path / "m.safetensors"
+    if damage == "folder":
+        path.mkdir()
+    elif damage != "absent":
+        save_checkpoint(path, make_checkpoint())
+        content = path.read_bytes()
+        path.write_bytes({"empty": b"", "text": b"hello, world", "truncated": content[: len(content) // 2]}[damage])
+    with pytest.raises(CheckpointError, match=r"m\.safetensors: .*expected a safetensors file"):
+        load_checkpoint(path)
+
+
+def test_models_are_found_by_path_or_by_the_name_they_ship_under(tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped_models, "SHIPPED", tmp_path)
+    for name in ("staircase", "ceiling"):
+        (tmp_path / f"{name}.safetensors").write_bytes(b"")
+    assert find_model("staircase") == tmp_path / "staircase.safetensors"
+    assert find_model(str(tmp_path / "ceiling.safetensors")) == tmp_path / "ceiling.safetensors"
+    with pytest.raises(CheckpointError, match=r"atrium: no such model file.*ceiling, staircase"):
+        find_model("atrium")
+
+
+def test_files_have_the_names_of_errors_that_they_had_at_first(tmp_path):
+    checkpoint = make_checkpoint()
+    save_checkpoint(tmp_path / "m.safetensors", checkpoint)
+    metadata, _ = read_safetensors(tmp_path / "m.safetensors")
+    stored = json.loads(metadata["config"])["calibration"]["errors"]
+    assert {name for name in stored if name.endswith("_share")} == {
+        "outlier_share",
+        "possible_share",
+        "lasting_share",
+        "constant_share",
+    }
+    assert load_checkpoint(tmp_path / "m.safetensors").calibration == checkpoint.calibration

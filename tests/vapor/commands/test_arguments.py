@@ -1,0 +1,145 @@
+"""Arguments: wrong ones are refused with status 2, and every command explains its own."""
+
+import pytest
+
+from vapor.track import COMMANDS, main
+from vapor.training.presets import PRESETS
+
+
+def status_of(words: list[str]) -> object:
+    """Status of the process that these words would end, however that comes about."""
+    try:
+        return main(words)
+    except SystemExit as end:
+        return end.code
+
+
+WRONG = {
+    "no command": ([], ""),
+    "unknown command": (["localise"], "unknown command 'localise', expected one of run, demo"),
+    "unknown option": (["run", "a.mcap", "--model", "m", "--output", "o", "--nonsense", "1"], "nonsense"),
+    "misspelt option": (
+        ["run", "a.mcap", "--model", "m", "--output", "o", "--localizer.max-hypthoses", "9"],
+        "hypthoses",
+    ),
+    "missing model": (["run", "a.mcap", "--output", "o"], "--model"),
+    "missing sequence": (["run", "--model", "m", "--output", "o"], "MCAP file or rosbag2"),
+    "value that is no number": (["run", "a.mcap", "--model", "m", "--output", "o", "--seed", "one"], "one"),
+    "no hypotheses": (
+        ["run", "a.mcap", "--model", "m", "--output", "o", "--localizer.max-hypotheses", "0"],
+        "max_hypotheses is 0",
+    ),
+    "no samples": (["run", "a.mcap", "--model", "m", "--output", "o", "--num-samples", "0"], "num_samples is 0"),
+    "negative seed": (["run", "a.mcap", "--model", "m", "--output", "o", "--seed", "-1"], "seed is -1"),
+    "no threads": (["run", "a.mcap", "--model", "m", "--output", "o", "--threads", "0"], "threads is 0"),
+    "setting out of range": (
+        ["run", "a.mcap", "--model", "m", "--output", "o", "--localizer.modes.max-modes", "0"],
+        "max_modes is 0, expected between 1",
+    ),
+    "setting of NaN": (["run", "a.mcap", "--model", "m", "--output", "o", "--duration-s", "nan"], "duration_s is nan"),
+    "no odometry topic": (
+        ["run", "a.mcap", "--model", "m", "--output", "o", "--odometry-topic", ""],
+        "odometry_topic is '', expected the name of a topic",
+    ),
+    "no image topic": (["run", "a.mcap", "--model", "m", "--output", "o", "--image-topic", ""], "image_topic is ''"),
+    "extrinsics without a rotation": (
+        ["run", "a.mcap", "--model", "m", "--output", "o", "--base-from-camera", *"1230000"],
+        "--base-from-camera: ",
+    ),
+    "unknown scene": (["synthesize", "attic", "s.mcap"], "attic"),
+    "building without a number": (["synthesize", "building", "s.mcap"], "such as building-7"),
+    "benchmark of an unknown scene": (
+        ["benchmark", "localization", "building-x", "--output", "o"],
+        "unknown scene 'building-x', expected one of staircase, ceiling, corridor, building-N",
+    ),
+    "benchmark of a table": (
+        ["benchmark", "localization", "round-table", "--output", "o"],
+        "unknown scene 'round-table'",
+    ),
+    "unknown cues": (["synthesize", "ceiling", "s.mcap", "--cues", "some"], "some"),
+    "no such rate": (["synthesize", "staircase", "s.mcap", "--rate", "0"], "0 images a second"),
+    "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),
+    "negative seed of a scene": (["synthesize", "staircase", "s.mcap", "--seed", "-1"], "seed -1"),
+    "demo of no frames": (["demo", "--frames", "0"], "0 frames"),
+    "unknown preset": (["train", "a.mcap", "--output", "m.safetensors", "--preset", "fast"], "expected one of auto"),
+    "preset without name": (["train", "a.mcap", "--output", "m.safetensors", "--preset"], "preset"),
+    "no training data": (["train", "--output", "m.safetensors"], "no training data"),
+    "no model to write": (["train", "a.mcap"], "--output"),
+    "no epochs": (["train", "a.mcap", "--output", "m.safetensors", "--epochs", "0"], "epochs is 0"),
+    "both odometries": (["convert", "d", "o.mcap", "--odometry", "a.tum", "--odometry-noise"], "exclude each other"),
+    "noise of no odometry": (["convert", "d", "o.mcap", "--noise.scale", "0.1"], "expected --odometry-noise with them"),
+    "malformed frames": (["convert", "d", "o.mcap", "--frames", "1-9"], "expected START:STOP"),
+    "no directory": (["evaluate"], "What `vapor-track run` wrote"),
+    "no workers": (["benchmark", "localization", "ceiling", "--output", "o", "--workers", "0"], "workers is 0"),
+    "no runs": (["benchmark", "localization", "ceiling", "--output", "o", "--runs", "-1"], "runs is -1"),
+    "no frames of a benchmark": (
+        ["benchmark", "localization", "ceiling", "--output", "o", "--frames", "49"],
+        "frames is 49, expected at least 50",
+    ),
+    "no scene": (["benchmark", "localization", "--output", "o"], "expected each at most once, and one"),
+    "a scene twice": (["benchmark", "localization", *["ceiling"] * 2, "--output", "o"], "scenes are ceiling, ceiling"),
+    "unknown ablation": (
+        ["benchmark", "localization", "ceiling", "--output", "o", "--ablations", "best"],
+        "unknown ablation 'best', expected one of full,",
+    ),
+    "no kinds": (["benchmark", "localization", "ceiling", "--output", "o", "--kinds"], "kinds are none"),
+    "more models than scenes": (
+        ["benchmark", "localization", "ceiling", "--output", "o", "--models", "a", "b"],
+        "2 models for 1 scenes, expected one for each",
+    ),
+    "no repetitions": (["benchmark", "step", "--repetitions", "0"], "repetitions is 0"),
+    "a filter of no hypotheses": (["benchmark", "step", "--hypotheses", "10", "0"], "hypotheses are (10, 0)"),
+    "a network of no preset": (
+        ["benchmark", "step", "--preset", "fast"],
+        "unknown preset 'fast', expected one of auto",
+    ),
+    "unknown benchmark": (["benchmark", "everything"], "expected one of step, localization"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_arguments_end_with_2_and_say_what_is_wrong(case, tmp_path, monkeypatch, capsys):
+    words, said = WRONG[case]
+    monkeypatch.chdir(tmp_path)
+    assert status_of(words) == 2
+    out, err = capsys.readouterr()
+    assert said in err
+    assert "Traceback" not in out + err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_overview_lists_every_command(capsys):
+    assert main(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(f"  {name} " in out for name in COMMANDS)
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("vapor-track 0.")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_its_options(command, capsys):
+    assert status_of([command, "--help"]) == 0
+    out, err = capsys.readouterr()
+    assert f"usage: vapor-track {command}" in out
+    assert err == ""
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("run", "SEQUENCE"),
+        ("convert", "DATASET OUT.mcap"),
+        ("synthesize", "OUT.mcap"),
+        ("evaluate", "DIRECTORY"),
+        ("train", "DATA ..."),
+    ],
+)
+def test_the_usage_names_what_to_give(command, said, capsys):
+    assert status_of([command, "--help"]) == 0
+    assert f" {said}" in capsys.readouterr().out.splitlines()[0]
+
+
+def test_the_help_of_train_lists_the_presets(capsys):
+    assert status_of(["train", "--help"]) == 0
+    out = "".join(capsys.readouterr().out.replace("│", "").split())
+    assert f"--preset{{{','.join(PRESETS)}}}" in out

@@ -1,0 +1,30 @@
+"""`vapor-track demo`, with the models that ship."""
+
+import json
+
+import pytest
+
+from tests.helpers.command_line import refuse
+from vapor.checkpoints import shipped_models
+from vapor.track import main
+
+
+def test_a_demo_into_a_file_is_refused(tmp_path, capsys):
+    (tmp_path / "file").write_text("mine")
+    refuse(["demo", "--output", str(tmp_path / "file")], capsys, tmp_path / "file")
+
+
+@pytest.mark.usefixtures("rough_light")
+@pytest.mark.parametrize("scene", ["staircase", "ceiling"])
+def test_the_demo_runs_with_the_model_that_ships(scene, tmp_path, monkeypatch, capsys):
+    assert (shipped_models.SHIPPED / f"{scene}.safetensors").is_file(), f"no model ships for {scene}"
+    assert (shipped_models.SHIPPED / f"{scene}.safetensors").stat().st_size <= 8_000_000
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", scene, "--frames", "6"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    for words in ("single image", "dead reckoning", "particle filter", "recording.rrd", "particles.png"):
+        assert words in out
+    report = json.loads((tmp_path / "demo" / scene / "report.json").read_text())
+    assert report["frames"] == 6
+    assert report["single_image"]["median_translation_m"] < 30  # within the scene

@@ -1,0 +1,52 @@
+"""Models that a run refuses, and outputs that it cannot write to."""
+
+import pytest
+import torch
+
+from tests.helpers.command_line import contents, refuse, refuse_run, words_of_run
+from tests.helpers.tiny_model import altered
+from vapor.checkpoints import shipped_models
+
+HEAD = "network.latent_mean.weight"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t, m: m.update(version="1"), "format version is '1', expected '8', '7' or '6', or '4' or '5' of which"),
+        (lambda t, m: m.update(format="other"), "format is 'other'"),
+        (lambda t, m: t.pop(HEAD), f"lacks tensor {HEAD} (1 such), expected exactly the"),
+        (lambda t, m: t.update({"network.more": torch.zeros(1)}), "has surplus tensor network.more"),
+        (lambda t, m: t.update({HEAD: torch.zeros(4, 15)}), f"{HEAD} has shape (4, 15), expected (4, 16)"),
+        (lambda t, m: t.update({HEAD: torch.full((4, 16), torch.nan)}), f"{HEAD} has values that are not finite"),
+    ],
+)
+def test_a_model_of_other_content_is_refused(change, said, walk_of_25, tiny_model, earlier, capsys):
+    model = altered(tiny_model, earlier.parent / "other.safetensors", change)
+    refuse_run(walk_of_25, model, earlier, capsys, model, said)
+
+
+@pytest.mark.parametrize("content", [b"", b"no model", b"\x80\x04pickled" * 100])
+def test_a_model_that_is_no_safetensors_file_is_refused(content, walk_of_25, earlier, capsys):
+    model = earlier.parent / "m.safetensors"
+    model.write_bytes(content)
+    refuse_run(walk_of_25, model, earlier, capsys, model, "expected a safetensors file")
+
+
+def test_an_unknown_model_is_refused_with_a_list_of_those_that_ship(walk_of_25, tmp_path, capsys, monkeypatch):
+    shipped = tmp_path / "models"
+    shipped.mkdir()
+    for name in ("staircase", "ceiling"):
+        (shipped / f"{name}.safetensors").write_bytes(b"")
+    monkeypatch.setattr(shipped_models, "SHIPPED", shipped)
+    refuse(words_of_run(walk_of_25, "atrium", tmp_path / "out"), capsys, "atrium: no such model", "ceiling, staircase")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_output_that_is_or_lies_in_a_file_is_refused(walk_of_25, tiny_model, tmp_path, capsys):
+    (tmp_path / "file").write_text("mine")
+    words = words_of_run(walk_of_25, tiny_model, tmp_path / "file")
+    refuse(words, capsys, tmp_path / "file", "is a file, expected a directory")
+    words = words_of_run(walk_of_25, tiny_model, tmp_path / "file" / "out")
+    refuse(words, capsys, tmp_path / "file" / "out", "cannot write", "expected a directory")
+    assert contents(tmp_path) == {"file": b"mine"}

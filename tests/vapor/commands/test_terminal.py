@@ -1,0 +1,294 @@
+"""What the command prints and how it ends, whatever its output is and whatever signal comes."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.table import Table
+
+from filtering.errors import MAX_MESSAGE, shortened
+from filtering.se3 import Poses
+from sequences.frame import Trajectory
+from sequences.trajectories.tum import write_tum
+from tests.helpers.checkout import CHECKOUT
+from tests.helpers.simulated_run import simulated_steps
+from vapor.commands import console
+from vapor.commands.signals import Signals
+from vapor.commands.terminal import say
+from vapor.track import main
+
+ROOT = CHECKOUT
+COMMAND = [sys.executable, "-c", "from vapor.track import main; raise SystemExit(main())"]
+SLEEPING = """
+import sys, time, vapor.commands
+from types import ModuleType
+def work(_):
+    try:
+        print("working", flush=True)
+        while True:
+            time.sleep(0.01)
+    finally:
+        print("undone", flush=True)
+sys.modules["vapor.commands.evaluate"] = command = ModuleType("evaluate")
+command.main = work
+sys.argv[1:] = ["evaluate"]
+from vapor.track import main
+raise SystemExit(main())
+"""
+
+
+def started(words, **options):
+    """A process that takes signals as one at a terminal does, also where tests run in the background or by nohup."""
+
+    def foreground():
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment.update(options.pop("env", {}))
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "encoding": "latin-1"}
+    return subprocess.Popen(words, env=environment, preexec_fn=foreground, **{**pipes, **options})
+
+
+# --- signals -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_undoes_what_the_command_began_and_ends_it_with_a_line_and_128_plus_its_number(name):
+    number = getattr(signal, name)
+    process = started([sys.executable, "-c", SLEEPING])
+    assert process.stdout.readline() == "working\n"
+    process.send_signal(number)
+    process.send_signal(number)  # what a terminal that closes does
+    out, err = process.communicate(timeout=20)
+    assert process.returncode in (
+        128 + number,
+        -number,
+    )  # the second may come when Python has ended: a shell says 128 + n
+    assert out == "undone\n"
+    by = "" if name == "SIGINT" else f" by {name}"
+    assert err == f"vapor-track evaluate: interrupted{by}\n"
+
+
+SIGNALLED = """
+import os, sys
+class Signalled:
+    def find_spec(self, name, *_):
+        if name == "vapor.commands.signals":
+            os.kill(os.getpid(), int(sys.argv.pop()))
+sys.meta_path.insert(0, Signalled())
+from vapor.track import main
+raise SystemExit(main())
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_before_the_handlers_are_there_ends_the_command_at_once_without_a_traceback(name):
+    number = getattr(signal, name)
+    process = started([sys.executable, "-c", SIGNALLED, "evaluate", "nowhere", str(int(number))])
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, out, err) == (-number, "", "")
+
+
+def test_nothing_is_imported_before_the_command_takes_the_signals():
+    imported = "import sys; before = {*sys.modules}; import vapor.track; print(*sorted({*sys.modules} - before))"
+    out, err = started([sys.executable, "-c", imported]).communicate(timeout=20)
+    assert (out.split(), err) == (["__future__", "vapor", "vapor.track"], "")
+
+
+def test_a_signal_while_the_command_is_imported_leaves_no_traceback():
+    process = started([*COMMAND, "run", "absent.mcap", "--model", "staircase", "--output", "nowhere"])
+    # From then on the handlers are there: the imports of the command itself begin.
+    mapped = Path(f"/proc/{process.pid}/status")
+    until = time.monotonic() + 20
+    while not int(mapped.read_text().split("SigCgt:")[1].split()[0], 16) & 1 << signal.SIGTERM - 1:
+        assert time.monotonic() < until
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=20)
+    assert (process.returncode, err) == (130, "vapor-track run: interrupted\n")
+
+
+def test_a_signal_that_is_ignored_as_by_nohup_stays_so():
+    process = started(["nohup", sys.executable, "-c", SLEEPING])
+    assert process.stdout.readline() == "working\n"
+    process.send_signal(signal.SIGHUP)
+    time.sleep(0.2)
+    assert process.poll() is None
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=20)
+    assert process.returncode == 128 + signal.SIGTERM
+
+
+def test_a_signal_that_came_while_a_destructor_ran_ends_the_command_all_the_same():
+    lost = """
+class Lost:
+    def __del__(self):
+        import os, signal
+        os.kill(os.getpid(), signal.SIGTERM)
+        for _ in range(1000):
+            pass
+"""
+    swallowed = lost + SLEEPING.replace('print("working", flush=True)', 'it = Lost(); del it; print("on", flush=True)')
+    out, err = started([sys.executable, "-c", swallowed]).communicate(timeout=20)
+    assert err == "vapor-track evaluate: interrupted by SIGTERM\n"
+    assert out.endswith("undone\n")
+
+
+def test_signals_within_a_python_program_stay_its_own(capsys):
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    assert main(["--help"]) == 0
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+    assert Signals("x").tell() == 130
+    assert capsys.readouterr().err == "x: interrupted\n"
+
+
+WORKERS = """
+import time
+from vapor.parallel import in_parallel
+try:
+    list(in_parallel(time.sleep, [(30,)] * 4, 2))
+except KeyboardInterrupt:
+    raise SystemExit(130) from None
+"""
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3])
+def test_ctrl_c_at_a_terminal_is_answered_by_one_process_also_while_workers_start(delay):
+    process = started([sys.executable, "-c", WORKERS], start_new_session=True)
+    until = time.monotonic() + 20
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while len(children.read_text().split()) < 2:
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    time.sleep(delay)
+    workers = children.read_text().split()
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=20)
+    assert (process.returncode, err) == (130, "")
+    time.sleep(0.2)
+    assert not [pid for pid in workers if Path(f"/proc/{pid}/exe").exists()]
+
+
+# --- outputs -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "unbuffered"), [(["--help"], ""), (["evaluate", "--help"], ""), (["evaluate", "{run}"], "1")]
+)
+def test_a_full_device_is_told_in_one_line(words, unbuffered, tmp_path):
+    steps = simulated_steps(3)
+    frames = [frame for frame, *_ in steps]
+    walk = Trajectory(np.array([f.time_ns for f in frames]), Poses.stack([f.world_from_camera for f in frames]))
+    for name in ("trajectory.tum", "ground_truth.tum"):
+        write_tum(tmp_path / name, walk)
+    words = [word.format(run=tmp_path) for word in words]
+    with Path("/dev/full").open("w") as full:
+        process = started([*COMMAND, *words], stdout=full, env={"PYTHONUNBUFFERED": unbuffered})
+        _, err = process.communicate(timeout=60)
+    prefix = "vapor-track" if words == ["--help"] else "vapor-track evaluate"
+    assert (process.returncode, err) == (1, f"{prefix}: standard output: No space left on device\n")
+
+
+def test_an_error_keeps_its_status_where_it_cannot_be_told():
+    with Path("/dev/full").open("w") as full:
+        process = started([*COMMAND, "nonsense"], stderr=full)
+        process.communicate(timeout=20)
+    assert process.returncode == 2
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_help_tables_and_errors_are_printed_on_terminals_of_any_encoding(encoding, tmp_path):
+    process = started([*COMMAND, "--help"], env={"PYTHONIOENCODING": encoding})
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
+    assert "?" in out
+    (tmp_path / "trajectory.tum").write_text("".join(f"{i}.0 {i} 0 0 0 0 0 1\n" for i in range(5)))
+    words = ["evaluate", ".", "--ground-truth", "trajectory.tum"]
+    process = started([*COMMAND, *words], env={"PYTHONIOENCODING": encoding}, cwd=tmp_path)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "particle filter" in out
+    process = started([*COMMAND, "αβγ"], env={"PYTHONIOENCODING": encoding})
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert "unknown command '???'" in err
+
+
+# --- messages and tables -------------------------------------------------------------------------------
+
+
+def test_messages_are_shortened_where_they_are_longest_and_keep_both_ends(capsys):
+    path, token = "/data/walk.mcap", "x" * 100_000
+    found = shortened(f"{path}: topic is {token!r}, expected the name of a topic")
+    assert len(found) == MAX_MESSAGE
+    assert found.startswith(f"{path}: topic is 'xxx")
+    assert found.endswith("xxx', expected the name of a topic")
+    assert len(shortened("word " * 1000)) == MAX_MESSAGE
+    assert len(shortened(" ".join([token] * 20))) == MAX_MESSAGE
+    fits = "y" * MAX_MESSAGE
+    assert shortened(fits) == fits
+    say(f"two\nlines {token}")
+    err = capsys.readouterr().err
+    assert (err.count("\n"), len(err)) == (1, MAX_MESSAGE + 1)
+
+
+LONG = "9" * 3000
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([LONG], "unknown command '999"),
+        (["evaluate", LONG], "File name too long"),
+        (["evaluate", "a", f"--{LONG}"], "Unrecognized options: --999"),
+        (["synthesize", "ceiling", "s.mcap", "--seed", f"{LONG}x"], "Error parsing --seed: invalid literal"),
+    ],
+)
+def test_no_message_is_longer_than_300_characters(words, said, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    with contextlib.suppress(SystemExit):
+        assert main(words) in (1, 2)
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+    assert len(err) <= MAX_MESSAGE + 1
+
+
+def test_notices_and_reasons_that_quote_a_file_are_one_short_line_each(capsys):
+    console.show_notices([f"topic /{LONG}\nis not read", "a word"])
+    console.show_skipped({f"odometry from {LONG}": 3})
+    lines = capsys.readouterr().out.splitlines()
+    assert [line[:12] for line in lines] == ["  topic /999", "  a word", "  skipped 3:"]
+    assert max(map(len, lines)) == MAX_MESSAGE
+
+
+def test_wrong_arguments_are_told_in_a_line_without_the_help_of_what_is_there(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["synthesize", "ceiling", "s.mcap", "--sead", "1"])
+    assert end.value.code == 2
+    err = capsys.readouterr().err
+    assert err.startswith("vapor-track synthesize: Unrecognized options: --sead, 1; Perhaps you meant: --seed")
+    assert not set("│╭─") & set(err)
+
+
+@pytest.mark.parametrize("width", [20, 40, 200])
+@pytest.mark.parametrize("no_wrap", [False, True])
+def test_nothing_of_a_table_is_cut_on_a_narrow_terminal(width, no_wrap, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    table = Table(title="a title of several words")
+    cells = [f"{'median translation' if i == 3 else 'value'}{i} {1000.123 + i}" for i in range(6)]
+    for i in range(6):
+        table.add_column(f"column{i}", no_wrap=no_wrap)
+    table.add_row(*cells)
+    console.show(table)
+    out = capsys.readouterr().out
+    assert "…" not in out
+    for word in ["column0", "column5", *" ".join(cells).split()]:
+        assert word in out

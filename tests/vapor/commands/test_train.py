@@ -1,0 +1,76 @@
+"""`vapor-track train`: interrupted ones go on, and what cannot be is refused."""
+
+import pytest
+
+from tests.helpers.command_line import refuse, skipped_in_run
+from tests.helpers.sequence_files import TRUTH, rewrite
+from vapor.track import main
+from vapor.training import trainer as trainer_module
+
+TRAINING = [
+    *("--network.image-width", "32", "--network.image-height", "32", "--network.shortest-edge", "36"),
+    *("--network.feature-dim", "32", "--network.latent-dim", "4", "--loss.num-samples", "32"),
+    *(
+        "--epochs",
+        "2",
+        "--batch-size",
+        "8",
+        "--validation-fraction",
+        "0.2",
+        "--precision",
+        "float32",
+        "--device",
+        "cpu",
+    ),
+]
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_a_training_that_was_interrupted_goes_on_and_its_model_runs(walk_of_25, tmp_path, capsys, monkeypatch):
+    model = tmp_path / "model.safetensors"
+    words = ["train", str(walk_of_25), "--output", str(model), *TRAINING]
+    epochs = []
+
+    def interrupted(state, *rest, original=trainer_module.train_epoch, **more):
+        epochs.append(state.epoch)
+        if epochs == [0, 1]:
+            raise KeyboardInterrupt
+        return original(state, *rest, **more)
+
+    monkeypatch.setattr(trainer_module, "train_epoch", interrupted)
+    assert main(words) == 130
+    assert capsys.readouterr().err.splitlines()[-1].startswith("vapor-track train: interrupted")
+    assert not model.exists()
+    assert main(words) == 0
+    assert epochs == [0, 1, 1]  # the first epoch is not done again
+    assert "nothing is held out" in capsys.readouterr().err
+    assert {path.name for path in tmp_path.iterdir()} == {"model.safetensors"}
+
+    assert skipped_in_run(walk_of_25, model, tmp_path / "out") == (25, {})
+
+
+def test_a_model_file_can_be_read_by_others_than_its_owner(tiny_model, tmp_path):
+    (tmp_path / "any").write_bytes(b"")
+    assert tiny_model.stat().st_mode == (tmp_path / "any").stat().st_mode
+
+
+@pytest.mark.parametrize(
+    ("data", "output", "said"),
+    [
+        ("absent.mcap", "m.safetensors", ["absent.mcap", "no such f"]),
+        ("blind.mcap", "m.safetensors", ["blind.mcap", "no true poses found", "--ground-truth-topic /odom"]),
+        ("walk.mcap", "folder/m.safetensors", ["m.safetensors: cannot be written", "expected the folder"]),
+        ("walk.mcap", "taken", ["taken: is a folder, expected the name of a model file"]),
+    ],
+)
+def test_a_training_that_cannot_be_is_refused(data, output, said, walk_of_25, tmp_path, capsys):
+    (tmp_path / "walk.mcap").symlink_to(walk_of_25)
+    (tmp_path / "taken").mkdir()
+    rewrite(walk_of_25, tmp_path / "blind.mcap", keep=lambda topic, _: topic != TRUTH)
+    refuse(["train", str(tmp_path / data), "--output", str(tmp_path / output), *TRAINING], capsys, *said)
+    assert {path.name for path in tmp_path.iterdir()} == {"walk.mcap", "taken", "blind.mcap"}
+
+
+def test_frames_of_training_data_that_are_no_numbers_are_told(tmp_path, capsys):
+    words = ["train", f"{tmp_path}/walk.mcap@a:b", "--output", str(tmp_path / "m.safetensors")]
+    refuse(words, capsys, "walk.mcap@a:b", "expected START:STOP after @ to be whole numbers")

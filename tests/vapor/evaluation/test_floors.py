@@ -1,0 +1,56 @@
+"""Whether a pose is counted on the right floor, and right but for it."""
+
+import numpy as np
+import pytest
+
+from filtering.estimate import Mode
+from filtering.se3 import Poses
+from tests.helpers.simulated_run import true_walk
+from vapor.evaluation.consistency import evaluate_belief
+from vapor.evaluation.floors import evaluate_floor, floors_off, on_true_floor, once_on_floor
+from vapor.tracking.belief import Belief
+
+HEIGHT = 3.0
+
+
+def raised(truth: Poses, metres: list[float], along: float = 0.0) -> Poses:
+    return Poses(truth.rotation, truth.translation + np.array([[along, 0.0, up] for up in metres]))
+
+
+def test_a_floor_is_the_nearest_one():
+    truth = true_walk(6)
+    poses = raised(truth, [0.0, 1.4, 1.6, -1.6, 5.9, -0.2])
+    assert floors_off(poses, truth, HEIGHT).tolist() == [0, 0, 1, -1, 2, 0]
+    left = on_true_floor(poses, truth, HEIGHT).translation[:, 2] - truth.translation[:, 2]
+    np.testing.assert_allclose(left, [0.0, 1.4, -1.4, 1.4, -0.1, -0.2], atol=1e-12)
+
+
+def test_from_when_on_the_floor_is_right_counts_to_the_end():
+    truth = true_walk(5)
+    assert once_on_floor(raised(truth, [3, 0, 3, 0.1, 0]), truth, HEIGHT).tolist() == [False] * 3 + [True] * 2
+    assert once_on_floor(truth, truth, HEIGHT).all()
+    assert not once_on_floor(raised(truth, [0, 0, 0, 0, 3]), truth, HEIGHT).any()
+
+
+def test_poses_are_right_but_for_their_floor_and_once_on_it():
+    truth = true_walk(5)
+    poses = raised(truth, [3, 3, 0.5, 0.5, 0])
+    assert evaluate_floor(poses, truth, HEIGHT) == {
+        "but_for_it": 0.6, "settled_images": 3, "settled_right": pytest.approx(1 / 3)
+    }  # fmt: skip
+    never = evaluate_floor(raised(truth, [3] * 5, along=1.0), truth, HEIGHT)
+    assert never == {"but_for_it": 0.0, "settled_images": 0, "settled_right": None}
+
+
+def test_a_belief_is_evaluated_once_on_its_floor():
+    truth = true_walk(5)
+    poses = raised(truth, [3, 3, 0.5, 0, 0])
+    modes = [(Mode(poses[i], 0.01 * np.eye(6), 1.0),) for i in range(5)]
+    times_ns = 100_000_000 * np.arange(5)
+    found = evaluate_belief(
+        Belief(modes, ["ambiguous"] * 5), times_ns, truth, converged_at_s=None, kidnap_index=None, floor_height_m=HEIGHT
+    )["on_floor"]
+    assert (found["images"], found["wrong"]) == (3, pytest.approx(1 / 3))
+    assert found["coverage"]["95%"] == pytest.approx(2 / 3)
+    plain = evaluate_belief(Belief(modes, ["ambiguous"] * 5), times_ns, truth, converged_at_s=None, kidnap_index=None)
+    assert "on_floor" not in plain

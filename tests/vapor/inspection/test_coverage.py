@@ -1,0 +1,85 @@
+"""What recordings show: by which of them, on which floors, how often and looking which way."""
+
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from tests.helpers.corridors import corridor, recorded, stairwell
+from vapor.evaluation.floors import find_floors
+from vapor.inspection.coverage import Coverage
+from vapor.inspection.plan import Plan
+from vapor.training.holding_out import shown_by
+
+
+def test_a_floor_that_one_walk_alone_shows_is_said_with_its_images_and_height():
+    coverage = Coverage.of(stairwell(top=(4,)))
+    (segment,) = coverage.alone()
+    assert str(segment) == "walk4: images 300 to 399 (height 9.0 m)"
+    assert [floor.names for floor in coverage.floors()][-1] == ("walk4",)
+    assert len(coverage.floors()) == 4
+    np.testing.assert_array_equal(coverage.others == 0, coverage.images.poses.translation[:, 2] > 8.9)
+
+
+def test_a_top_floor_where_all_walks_end_is_told_with_who_shows_it_and_how_late():
+    walks = [
+        Poses.concatenate(
+            [corridor(0, 10, y_m=0.1 * i, z_m=3.0 * floor) for floor in range(3)] + [corridor(0, 3, y_m=0.1 * i, z_m=9)]
+        )
+        for i in range(5)
+    ]
+    coverage = Coverage.of(recorded(*walks))
+    assert coverage.alone() == []
+    top = coverage.floors()[-1]
+    assert (len(top.names), top.trained, top.images) == (5, 4, 150)
+    assert top.late == pytest.approx(30 / 330)
+    assert (coverage.split.held_out_mask & (coverage.floor == 3)).sum() == 30
+
+
+def test_what_is_shown_is_what_holding_out_calls_so():
+    images = stairwell(top=(0, 1))
+    coverage = Coverage.of(images)
+    for number in np.unique(images.sequence[coverage.split.held_out_mask]):
+        held_out = coverage.split.held_out_mask & (images.sequence == number)
+        assert (coverage.others[held_out] > 0).all()
+
+
+def test_another_pass_of_the_same_walk_counts_and_a_straight_one_does_not():
+    once = recorded(corridor(0, 20))
+    assert not shown_by(once, 1.0).any()
+    twice = recorded(Poses.concatenate([corridor(0, 20), corridor(20, 0, y_m=0.2)]))
+    assert shown_by(twice, 1.0).mean() > 0.8
+    assert Coverage.of(twice).passes[len(Coverage.of(twice).passes) // 4].passes == 2
+    backwards = recorded(Poses.concatenate([corridor(0, 20), corridor(20, 0, y_m=0.2, ahead=False)]))
+    assert not shown_by(backwards, 1.0).any()
+
+
+def test_cells_count_the_walks_through_them_and_which_way_they_looked():
+    coverage = Coverage.of(recorded(*(corridor(0, 10, y_m=0.02 * i) for i in range(3)), corridor(10, 5, ahead=False)))
+    middle = [cell for cell in coverage.passes if coverage.plan.cell_m * cell.column < 4.0]
+    far = [cell for cell in coverage.passes if 6.0 < coverage.plan.cell_m * cell.column < 9.0]
+    assert {cell.passes for cell in middle} == {3}
+    assert {cell.passes for cell in far} == {4}
+    assert all(dict(cell.looked) == {0: 3, 4: 1} for cell in far)
+
+
+@pytest.mark.parametrize(
+    ("rotation", "names", "looking"),
+    [(np.eye(3), ("x", "y"), "east"), (np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).T, ("x", "-z"), "+x")],
+)
+def test_up_is_where_cameras_are_upright(rotation, names, looking):
+    poses = corridor(0, 10)
+    turned = Poses(rotation @ poses.rotation, poses.translation @ rotation.T)
+    plan = Plan.of(turned, 0.5)
+    np.testing.assert_allclose(plan.axes[2], rotation[:, 2], atol=1e-12)
+    assert plan.names == names
+    assert {plan.direction(sector) for sector in plan.sectors(turned).tolist()} == {looking}
+
+
+def test_floors_are_found_where_places_lie_above_each_other():
+    x = np.linspace(0.0, 10.0, 101)
+    cells = np.concatenate([np.floor(x), np.floor(x)]).astype(np.int64)
+    floor, count = find_floors(np.concatenate([0 * x, 0 * x + 3.0]), cells)
+    assert count == 2
+    np.testing.assert_array_equal(floor, np.repeat([0, 1], 101))
+    assert find_floors(0.5 * np.concatenate([x, x]), cells)[1] == 1  # a ramp
+    assert find_floors(np.concatenate([0 * x, 0 * x + 0.8]), cells)[1] == 1  # a camera held higher

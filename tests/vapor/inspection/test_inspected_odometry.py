@@ -1,0 +1,179 @@
+"""Odometry and clocks inspected: figures against what is known of simulated recordings."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+from sequences.odometry import OdometryNoise, simulate_odometry
+from sequences.scenes.staircase.walk import walk_stairs
+from sequences.trajectories.interpolation import interpolate
+from sequences.writer import SequenceWriter
+from tests.helpers.inspected import BEGIN_NS, CAMERA, LEVEL, SECOND, scenery
+from vapor.inspection.inspect import inspect
+from vapor.inspection.odometry import OdometryCheck, check_odometry
+from vapor.training_data.training_set import TrainingSet
+
+
+def compared(
+    *, scale: float = 0.0, late_s: float = 0.0, turned: np.ndarray | None = None, seconds: float = 30.0
+) -> OdometryCheck:
+    """Odometry of a simulated walk of stairs at ten images a second, wrong as asked for, against its true poses."""
+    rng = np.random.default_rng(3)
+    path = walk_stairs(seconds + 2.0, rng=rng)
+    path_ns = BEGIN_NS + np.arange(len(path)) * (SECOND // 50)
+    noise = OdometryNoise(fixed_scale=scale, translation_bias_m_per_s=0.001, heading_bias_rad_per_s=0.0002)
+    odometry, covariances = simulate_odometry(path_ns, path, noise, rng=rng)
+    about = Poses(np.eye(3) if turned is None else turned, np.zeros(3))
+    times_ns = BEGIN_NS + SECOND + np.arange(int(10 * seconds)) * (SECOND // 10)
+    truth, _ = interpolate(path_ns, path, times_ns, max_gap_s=1.0)
+    reported, _ = interpolate(path_ns, odometry, times_ns - round(late_s * SECOND), max_gap_s=1.0)
+    reported = about.inverse() @ reported @ about
+    steps = [None]
+    for i in range(1, len(times_ns)):
+        steps.append(Odometry(reported[i - 1].inverse() @ reported[i], 0.1 * covariances[1] * 0.1, 0.1))
+    images = TrainingSet(
+        np.zeros((len(times_ns), 1, 1, 3), np.uint8),
+        np.arange(len(times_ns)),
+        truth,
+        np.zeros(len(times_ns), np.int64),
+        ("walk",),
+        (1, 1),
+        times_ns,
+        tuple(steps),
+    )
+    found = check_odometry(images)
+    assert found is not None
+    return found
+
+
+# --- odometry ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("unchecked", "no_odometry_fit")
+@pytest.mark.parametrize("late_s", [0.041, -0.12])
+def test_odometry_that_is_late_is_said_to_be_by_as_many_milliseconds(late_s):
+    found = compared(late_s=late_s, seconds=60.0)
+    assert found.typical_late_ms == pytest.approx(1e3 * late_s, abs=8.0)
+    assert found.axes is not None
+    assert not found.axes.swapped
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_scale_error_of_three_percent_is_found():
+    found = compared(scale=0.03)
+    assert found.fit is not None
+    assert found.fit.scale == pytest.approx(0.03, abs=0.008)
+    assert found.axes is not None
+    assert found.axes.correlation > 0.95
+    assert not any((found.axes.swapped, found.axes.tilted, found.axes.unlike))
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_swapped_axes_are_named_and_put_right_before_errors_are_fitted():
+    left = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # odometry's z is the true poses' -x
+    found = compared(turned=left, scale=0.03)
+    assert found.axes is not None
+    assert found.axes.swapped
+    np.testing.assert_allclose(found.axes.turned, left)
+    assert found.axes.said().startswith("odometry's forward looks like the true poses' left")
+    assert found.fit is not None
+    assert found.fit.scale == pytest.approx(0.03, abs=0.008)
+
+
+@pytest.mark.usefixtures("unchecked", "no_odometry_fit")
+def test_a_camera_turned_by_less_on_its_base_is_noticed_too():
+    turned = Poses.exp(np.array([0.0, 0.0, 0.0, 0.0, np.radians(25.0), 0.0])).rotation
+    found = compared(turned=turned)
+    assert found.axes is not None
+    assert found.axes.tilted
+    assert np.degrees(found.axes.off_rad) == pytest.approx(25.0, abs=2.0)
+
+
+# --- clocks --------------------------------------------------------------------------------------------
+
+SKY = np.zeros((180, 360), np.float32)
+for size in (6, 15, 45, 180):
+    noise = np.random.default_rng(size).uniform(0.0, 255.0 / 4, (size, 2 * size)).astype(np.float32)
+    SKY += cv2.resize(noise, (360, 180), interpolation=cv2.INTER_CUBIC)
+
+
+def panorama(pose: Poses) -> np.ndarray:
+    """What a camera sees that is far away: bright or dark by the direction, coarse and fine."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1) @ pose.rotation.T
+    around = 180 + np.degrees(np.arctan2(rays[..., 1], rays[..., 0]))
+    down = 90 - np.degrees(np.arctan2(rays[..., 2], np.hypot(rays[..., 0], rays[..., 1])))
+    seen = cv2.remap(SKY, around.astype(np.float32), down.astype(np.float32), cv2.INTER_LINEAR, None, cv2.BORDER_WRAP)
+    return np.repeat(np.asarray(seen).clip(0, 255).astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def clocked(path: Path, *, seconds: float = 30.0, image: Callable[[Poses], np.ndarray] = panorama, **late_s: float):
+    """A walk of stairs: images and true poses at 10 Hz, odometry at 50, each by a clock of its own."""
+    rng = np.random.default_rng(3)
+    walk = walk_stairs(seconds, rng=rng)
+    times_ns = BEGIN_NS + np.arange(len(walk)) * (SECOND // 50)
+    odometry, covariances = simulate_odometry(times_ns, walk, OdometryNoise(), rng=rng)
+    base_from_camera = Poses(LEVEL, np.zeros(3))
+    with SequenceWriter(path, camera=CAMERA, base_from_camera=base_from_camera, metadata={}) as writer:
+
+        def write_image(time_ns: int, i: int) -> None:
+            writer.write_image(time_ns, image(walk[i] @ base_from_camera))
+
+        def write_odometry(time_ns: int, i: int) -> None:
+            writer.write_odometry(time_ns, odometry[i], covariances[i])
+
+        def write_pose(time_ns: int, i: int) -> None:
+            writer.write_true_pose(time_ns, walk[i] @ base_from_camera)
+
+        every = {"odometry": (1, write_odometry), "poses": (5, write_pose), "images": (5, write_image)}
+        due = [
+            (int(times_ns[i]) + round(late_s.get(what, 0.0) * SECOND), i, tell)
+            for what, (step, tell) in every.items()
+            for i in range(0, len(walk), step)
+        ]
+        for time_ns, i, tell in sorted(due, key=lambda each: each[:2]):
+            tell(time_ns, i)
+    return path
+
+
+@pytest.mark.usefixtures("unchecked", "no_odometry_fit")
+@pytest.mark.parametrize(
+    ("late_s", "odometry_ms", "images_ms"),
+    [
+        ({}, 0.0, 0.0),
+        ({"images": 0.5}, 0.0, 500.0),
+        ({"images": -1.5}, 0.0, -1500.0),
+        ({"odometry": 0.5}, 500.0, -500.0),
+        ({"poses": 0.5}, -500.0, 0.0),
+        ({"poses": 0.5, "images": 0.5}, -500.0, 500.0),
+    ],
+)
+def test_a_clock_that_is_off_is_found_and_named(late_s, odometry_ms, images_ms, tmp_path):
+    found = inspect([clocked(tmp_path / "w.mcap", **late_s)])
+    (clock,) = found.clocks
+    assert clock.against == "odometry"
+    assert clock.late_ms == pytest.approx(images_ms, abs=30.0)
+    assert found.odometry is not None
+    assert found.odometry.typical_late_ms == pytest.approx(odometry_ms, abs=8.0)
+    said = [sentence for sentence in found.verdict if " against the " in sentence]
+    assert len(said) == (odometry_ms != 0) + (images_ms != 0)
+    if odometry_ms:
+        assert re.match(rf"odometry is {OFF[odometry_ms > 0]} against the true poses", said[0])
+    if images_ms:
+        assert re.match(rf"the images of w\.mcap are {OFF[images_ms > 0]} against the odometry", said[-1])
+
+
+OFF = (r"\d+ ms early", r"\d+ ms late")
+
+
+@pytest.mark.usefixtures("unchecked", "no_odometry_fit")
+def test_images_whose_view_does_not_shift_as_the_camera_turns_tell_no_clock(tmp_path):
+    found = inspect([clocked(tmp_path / "w.mcap", image=lambda _: scenery(0), images=0.5)])
+    assert [clock.late_ms for clock in found.clocks] == [None]
+    assert not any("clock" in sentence or "against" in sentence for sentence in found.verdict)

@@ -1,0 +1,204 @@
+"""Recordings inspected as a whole: what is said of good and bad ones."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from filtering.error_model import ErrorModel
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from sequences.reading.counts import OUTSIDE
+from tests.helpers.corridors import corridor
+from tests.helpers.data_sets import make_tum
+from tests.helpers.inspected import LEVEL, detailed, only, scenery, walked, write
+from tests.helpers.sequence_files import BEGIN_NS, rewrite
+from vapor.inspection.inspect import inspect
+from vapor.inspection.reading import posed_images, read_walks
+from vapor.inspection.verdict import GOOD_ENOUGH
+from vapor.track import main
+
+pytestmark = pytest.mark.usefixtures("no_odometry_fit")
+
+
+# --- images --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("blur_px", [1.5, 6.0])
+def test_a_gap_a_blurred_segment_and_dark_images_are_counted_where_they_are(blur_px, tmp_path):
+    def image(index: int) -> np.ndarray:
+        if 30 <= index < 50:
+            return cv2.GaussianBlur(detailed(index), (0, 0), blur_px)
+        return detailed(index) // 40 if index >= 110 else detailed(index)
+
+    times_s = 0.1 * np.arange(120) + 3.0 * (np.arange(120) >= 70)
+    path = write(tmp_path / "w.mcap", walked(), image=image, times_s=times_s)
+    found = inspect([path])
+    (walk,) = found.walks
+    assert walk.gaps == [(pytest.approx(6.9), pytest.approx(3.1))]
+    np.testing.assert_array_equal(np.flatnonzero(walk.looks.blurred), np.arange(30, 50))
+    np.testing.assert_array_equal(np.flatnonzero(walk.looks.dark), np.arange(110, 120))
+    np.testing.assert_array_equal(np.flatnonzero(walk.looks.jumps), [110])
+    assert walk.path_m == pytest.approx(8 * np.pi, rel=0.01)
+    only(found, "17 % of the images of w.mcap are blurred")
+    only(found, "8 % of the images of w.mcap are nearly black")
+    only(found, "a gap of 3.1 s, 6.9 s after its start")
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_dull_view_is_not_taken_for_blur(tmp_path):
+    def image(index: int) -> np.ndarray:
+        return detailed(index) if index < 80 else 100 + detailed(index) // 3
+
+    (walk,) = read_walks([write(tmp_path / "w.mcap", walked(), image=image)])
+    assert not walk.looks.blurred.any()
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_images_all_alike_and_frozen_ones_are_said(tmp_path):
+    same = inspect([write(tmp_path / "same.mcap", walked(), image=lambda _: scenery(0))])
+    assert same.verdict[0] == "record same.mcap again: its 120 images are all one and the same"
+    frozen = inspect([write(tmp_path / "f.mcap", walked(), image=lambda i: scenery(i if i < 40 else max(i, 60)))])
+    assert frozen.walks[0].frozen == [(40, 60)]
+    only(frozen, "20 images of f.mcap repeat the one before, such as 40 to 60")
+
+
+# --- recordings that lack something --------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_good_recording_is_good_enough(tmp_path):
+    paths = [write(tmp_path / f"w{i}.mcap", walked(60, at=(0.05 * i, 0.0, 0.0))) for i in range(4)]
+    assert inspect(paths).verdict == (GOOD_ENOUGH,)
+
+
+def test_without_true_poses_all_else_is_said_and_what_to_give(tmp_path):
+    found = inspect([write(tmp_path / "w.mcap", None, count=30)])
+    assert found.coverage is None
+    assert found.odometry is None
+    assert len(found.walks[0]) == 30
+    assert found.verdict[0].startswith("give w.mcap true poses, which `train` needs: no ")
+    json.dumps(found.as_json(), allow_nan=False)
+
+
+@pytest.mark.parametrize("count", [1, 10])
+def test_few_images_are_no_error(count, tmp_path):
+    found = inspect([write(tmp_path / "w.mcap", walked(count))])
+    only(found, "record more: ", f"{count} image")
+    only(found, "nothing can be held out")
+    json.dumps(found.as_json(), allow_nan=False)
+
+
+def test_a_camera_that_stands_is_told_to_walk(tmp_path):
+    still = Poses(np.tile(LEVEL, (110, 1, 1)), np.zeros((110, 3)))
+    found = inspect([write(tmp_path / "w.mcap", still)])
+    only(found, "the camera does not move (by 0.0 cm")
+    assert found.odometry is not None
+    assert found.odometry.axes is None
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_poses_far_from_zero_give_the_same_figures(tmp_path):
+    near, far = (
+        inspect([write(tmp_path / f"{name}.mcap", walked(at=at))])
+        for name, at in (("near", (0.0, 0.0, 0.0)), ("far", (1e5, -1e5, 0.0)))
+    )
+    assert near.coverage is not None
+    assert far.coverage is not None
+    np.testing.assert_array_equal(near.coverage.others, far.coverage.others)
+    assert [cell.passes for cell in near.coverage.passes] == [cell.passes for cell in far.coverage.passes]
+    assert far.notices
+    assert "from zero" in far.notices[0]
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_range_takes_the_images_that_training_takes(tmp_path):
+    path = write(tmp_path / "w.mcap", walked())
+    images = posed_images(read_walks([f"{path}@20:50", f"{path}@60:"]))
+    assert images is not None
+    assert np.bincount(images.sequence).tolist() == [30, 60]
+    assert [i for i, step in enumerate(images.odometry) if step is None] == [0, 30]
+    np.testing.assert_allclose(images.poses[0].translation, walked()[20].translation, atol=1e-9)
+
+
+def test_images_are_counted_as_a_run_counts_them(walk_of_25, tmp_path, capfd):
+    damaged = BEGIN_NS + 300_000_000
+    path = rewrite(
+        walk_of_25,
+        tmp_path / "w.mcap",
+        data=lambda topic, time_ns, data: b"" if topic.startswith("/camera/image") and time_ns == damaged else data,
+    )
+    assert main(["inspect", str(path)]) == 0
+    said = capfd.readouterr().out
+    assert "images     25 stated, 25 read, 24 used, 1 skipped" in said
+    assert "skipped 1: undecodable image" in said
+    assert main(["inspect", f"{path}@:10", f"{walk_of_25}@5:", "--json"]) == 0
+    first, second = (walk["counts"] for walk in json.loads(capfd.readouterr().out)["walks"])
+    assert (first["stated"], first["used"]) == (25, 10)
+    assert first["skipped"] == {"undecodable image": 1, OUTSIDE: 14}
+    assert (second["stated"], second["used"], second["skipped"]) == (25, 20, {OUTSIDE: 5})
+
+
+def test_a_data_set_on_disk_is_inspected_as_well(tmp_path):
+    found = inspect([make_tum(tmp_path / "desk")])
+    assert found.coverage is not None
+    assert found.odometry is None
+    assert not any("odometry" in sentence for sentence in found.verdict)
+
+
+# --- with a model --------------------------------------------------------------------------------------
+
+
+class Mistaken:
+    """Knows where each image is, in turn, but for a segment that it puts elsewhere."""
+
+    def __init__(self, poses: Poses, wrong: slice) -> None:
+        self._poses, self._wrong, self._next = poses, range(*wrong.indices(len(poses))), 0
+
+    def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
+        pose = self._poses[self._next]
+        off = np.array([2.0, 0.0, 0.0]) * (self._next in self._wrong)
+        self._next += 1
+        return PosePosterior.from_samples(Poses(pose.rotation[None], pose.translation[None] + off), ErrorModel())
+
+
+def test_where_a_model_errs_is_said_with_place_direction_and_passes(tmp_path):
+    poses = corridor(0, 12)
+    path = write(tmp_path / "w.mcap", poses)
+    found = inspect([path], model=Mistaken(poses, slice(40, 50)))
+    assert found.predictions is not None
+    assert found.predictions.right.mean() == pytest.approx(1 - 10 / 120)
+    sentence = only(found, "another walk should show")
+    assert "looking east: median error 2 m over" in sentence
+    assert "of one pass only" in sentence
+    x = float(sentence.split("near (")[1].split(",")[0])
+    assert 4.0 <= x <= 5.0
+
+
+# --- the command ---------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_report_and_map_and_says_its_verdict(tmp_path, tiny_model, walk_of_25, capfd):
+    words = ["inspect", str(walk_of_25), "--output", str(tmp_path / "out" / "deeper")]
+    assert main([*words, "--model", str(tiny_model), "--num-samples", "20"]) == 0
+    said = capfd.readouterr().out
+    assert "Verdict" in said
+    assert "1. record more: 25 images with true poses" in said
+    report = json.loads((tmp_path / "out" / "deeper" / "report.json").read_text())
+    assert report["walks"][0]["images"] == 25
+    assert report["model"]["images"] == 25
+    picture = cv2.imread(str(tmp_path / "out" / "deeper" / "map.png"))
+    assert picture is not None
+    assert picture.std() > 10
+    assert main(["inspect", str(walk_of_25), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["verdict"] == report["verdict"][: len(report["verdict"])]
+
+
+def test_the_command_refuses_what_it_cannot_read_with_one_line(tmp_path, capfd):
+    assert main(["inspect", str(tmp_path / "none.mcap"), "--output", str(tmp_path / "out")]) == 1
+    assert capfd.readouterr().err.count("\n") <= 2
+    assert not (tmp_path / "out").exists()
+    assert main(["inspect", str(tmp_path / "none.mcap@1:x")]) == 1
+    assert "expected START:STOP" in capfd.readouterr().err

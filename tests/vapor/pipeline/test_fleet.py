@@ -1,0 +1,223 @@
+"""Several sequences in one call of `vapor-track run`: which are found, what each leaves, and what is said of them."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.data_sets import make_7scenes
+from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
+from tests.helpers.tiny_model import SMALL
+from vapor.commands.run import _show_outcomes
+from vapor.pipeline import fleet as fleet_module
+from vapor.pipeline import model as model_module
+from vapor.pipeline.find_sequences import find_sequences, is_fleet
+from vapor.pipeline.fleet import Outcome
+from vapor.track import main
+
+
+def run(sequences: list[Path], model: Path, output: Path, *words: str) -> int:
+    paths = [str(path) for path in sequences]
+    return main(["run", *paths, "--model", str(model), "--output", str(output), *SMALL, "--no-recording", *words])
+
+
+def summary_of(output: Path) -> dict:
+    return json.loads((output / "summary.json").read_text())
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def touch(folder: Path, *names: str) -> None:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"")
+
+
+# --- which sequences -----------------------------------------------------------------------------------
+
+
+def test_a_folder_stands_for_all_recordings_in_it_but_not_for_parts_and_results(tmp_path):
+    bags = tmp_path / "bags"
+    touch(bags, "b.mcap", "a.mcap", "notes.txt", "monday/bag/metadata.yaml", "monday/bag/bag_0.mcap", ".trash/c.mcap")
+    touch(bags, "old/estimate.mcap", "old/report.json", "results/a/estimate.mcap", "demo/sequence.mcap")
+    touch(bags, "demo/report.json", "demo/estimate.mcap", "other/estimate.mcap")
+    found = find_sequences([bags], bags / "results")
+    assert {name: str(path.relative_to(bags)) for name, path in found.items()} == {
+        "a": "a.mcap",
+        "b": "b.mcap",
+        "sequence": "demo/sequence.mcap",
+        "bag": "monday/bag",
+        "estimate": "other/estimate.mcap",
+    }
+    assert list(found) == ["a", "b", "sequence", "bag", "estimate"]
+    assert is_fleet([bags])
+    assert not is_fleet([bags / "monday" / "bag"])
+    assert not is_fleet([bags / "a.mcap"])
+    assert not is_fleet([tmp_path / "absent"])
+
+
+def test_a_folder_with_one_recording_is_a_fleet_so_that_results_lie_alike_tomorrow(tmp_path):
+    touch(tmp_path, "bags/one.mcap")
+    assert is_fleet([tmp_path / "bags"])
+
+
+def test_a_data_set_is_one_sequence(tmp_path):
+    scene = make_7scenes(tmp_path / "scene", num_images=1)
+    assert not is_fleet([scene])
+    touch(tmp_path, "a.mcap")
+    assert list(find_sequences([scene, tmp_path / "a.mcap"], tmp_path / "out")) == ["scene", "a"]
+
+
+def test_names_are_unique_and_as_short_as_they_can_be(tmp_path):
+    touch(tmp_path, "r1/mon/walk.mcap", "r1/tue/walk.mcap", "r2/mon/walk.mcap", "r2/mon/other.mcap", "x/Other2.mcap")
+    touch(tmp_path, "x/y/other2.mcap", "z/summary.json.mcap")
+    assert set(find_sequences([tmp_path], tmp_path / "out")) == {
+        *("r1-mon-walk", "tue-walk", "r2-mon-walk", "other", "x-Other2", "y-other2", "z-summary.json"),
+    }
+
+
+def test_what_is_named_twice_is_localized_once_and_twins_are_numbered(tmp_path):
+    touch(tmp_path, "bags/a.mcap", "bags/b.mcap", "bags/a/metadata.yaml")
+    found = find_sequences([tmp_path / "bags" / "b.mcap", tmp_path / "bags"], tmp_path / "out")
+    assert next(iter(found)) == "b"
+    assert len(found) == 3
+    assert len(set(found)) == 3
+    assert sorted(name[-4:] for name in found if name != "b") == ["-a-1", "-a-2"]
+
+
+# --- what comes of them --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two recordings, one of them without true poses, and two files that are none."""
+    folder = tmp_path_factory.mktemp("bags")
+    (folder / "kitchen").mkdir()
+    Walk(8).write(folder / "kitchen" / "walk.mcap")
+    source = Walk(6).write(folder.parent / "hall.mcap")
+    as_split_folder(
+        rewrite(source, folder.parent / "blind.mcap", keep=lambda topic, _: topic != "/ground_truth/pose"), folder
+    )
+    (folder / "broken.mcap").write_bytes(b"not a recording at all")
+    return folder
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_a_fleet_gives_each_sequence_what_it_gets_alone_and_one_summary(
+    bags, tiny_model, tmp_path, capsys, monkeypatch
+):
+    loads: list[str] = []
+    load = model_module.find_model
+    monkeypatch.setattr(model_module, "find_model", lambda name: loads.append(name) or load(name))
+    out = tmp_path / "results"
+    assert run([bags], tiny_model, out) == 1
+    assert len(loads) == 1
+    printed = capsys.readouterr()
+    assert printed.err.splitlines()[-1] == "vapor-track run: 1 of 3 sequences failed: broken"
+    assert "broken: failed:" in printed.out
+    assert "expected the MCAP magic" in printed.out
+    rows = {line.split()[1]: line for line in printed.out.splitlines() if line.startswith("│")}
+    assert set(rows) == {"bag", "broken", "walk"}
+    assert " failed " in rows["broken"]
+    assert " 8 " in rows["walk"]
+    assert "°" in rows["walk"]
+    assert "°" not in rows["bag"]
+    assert "3 sequences, 14 images" in printed.out
+    assert names(out) == {"bag", "walk", "summary.json"}
+
+    summary = summary_of(out)
+    assert (summary["model"], summary["sequences_done"], summary["sequences_in_all"]) == ("tiny.safetensors", 3, 3)
+    by_name = {row["name"]: row for row in summary["sequences"]}
+    assert {name: row["error"] is None for name, row in by_name.items()} == {"bag": True, "broken": False, "walk": True}
+    report = json.loads((out / "walk" / "report.json").read_text())
+    assert by_name["walk"]["median_translation_m"] == report["filter"]["median_translation_m"]
+    assert by_name["walk"]["status"] == report["status"]
+    assert by_name["walk"]["success"] == report["filter"]["success"]
+    assert by_name["bag"]["median_translation_m"] is None
+    assert by_name["bag"]["final_status"] in ("converged", "ambiguous", "lost")
+    assert (summary["total"]["failed"], summary["total"]["images"], summary["total"]["judged"]) == (1, 14, 1)
+
+    assert run([bags / "bag"], tiny_model, tmp_path / "alone") == 0
+    assert names(tmp_path / "alone") == names(out / "bag")
+    for name in ("trajectory.tum", "smoothed.tum", "config.json", "estimate.mcap"):
+        assert (tmp_path / "alone" / name).read_bytes() == (out / "bag" / name).read_bytes()
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_an_interrupted_fleet_keeps_what_was_finished_whole(bags, tiny_model, tmp_path, capsys, monkeypatch):
+    real, out = fleet_module.run, tmp_path / "out"
+
+    def interrupted(sequence, model, output, config, *, progress, **options):
+        def stop(done: int, of: int) -> None:
+            progress(done, of)
+            if sequence.name == "walk.mcap" and done == 3:
+                raise KeyboardInterrupt
+
+        return real(sequence, model, output, config, progress=stop, **options)
+
+    monkeypatch.setattr(fleet_module, "run", interrupted)
+    assert run([bags / "bag", bags / "kitchen"], tiny_model, out) == 130
+    printed = capsys.readouterr()
+    assert printed.err.splitlines()[-1] == "vapor-track run: interrupted"
+    assert "1 sequence, 6 images" in printed.out
+    assert names(out) == {"bag", "summary.json"}
+    assert (out / "bag" / "report.json").is_file()
+    summary = summary_of(out)
+    assert (summary["sequences_done"], summary["sequences_in_all"]) == (1, 2)
+
+
+def test_a_model_that_cannot_be_used_is_told_once_and_nothing_is_written(bags, tmp_path, capsys):
+    assert run([bags], tmp_path / "none.safetensors", tmp_path / "out") == 1
+    printed = capsys.readouterr()
+    assert "no such model file" in printed.err
+    assert printed.out == ""
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_in_place_of_the_output_is_refused(bags, tiny_model, tmp_path, capsys):
+    (tmp_path / "out").write_text("mine")
+    assert run([bags], tiny_model, tmp_path / "out") == 1
+    assert "is a file, expected a directory" in capsys.readouterr().err
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_folders_without_a_recording_and_absent_files_fail_each_in_its_row(tiny_model, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert run([tmp_path / "empty", tmp_path / "gone.mcap"], tiny_model, tmp_path / "out") == 1
+    printed = capsys.readouterr()
+    assert "folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder" in printed.out
+    assert "gone.mcap: no such file or folder" in printed.out
+    assert printed.err.endswith("2 of 2 sequences failed: empty, gone\n")
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_a_sequence_that_used_hardly_any_of_its_images_fails_unless_it_may(tiny_model, tmp_path, capsys):
+    bags = tmp_path / "bags"
+    bags.mkdir()
+    walk = Walk(30)
+    walk.odometry = [(t, pose) for t, pose in walk.odometry if t < BEGIN_NS + 150_000_000]
+    walk.write(bags / "attic.mcap")
+    Walk(6).write(bags / "hall.mcap")
+    assert run([bags], tiny_model, tmp_path / "out") == 1
+    printed = capsys.readouterr()
+    assert "attic.mcap: Only 2 of 30 images were used: 28 were skipped, odometry does not cover. Exp" in printed.out
+    assert printed.err.splitlines()[-1] == "vapor-track run: 1 of 2 sequences failed: attic"
+    assert names(tmp_path / "out") == {"hall", "summary.json"}
+    assert run([bags], tiny_model, tmp_path / "out", "--allow-few-images") == 0
+    last = "Fewer than half of the images were used in 1 of 2 sequences: attic."
+    assert capsys.readouterr().out.splitlines()[-1] == last
+    assert {row["name"]: row["images"] for row in summary_of(tmp_path / "out")["sequences"]} == {"attic": 2, "hall": 6}
+
+
+def test_sequences_that_used_few_of_their_images_are_named_last(tmp_path, capsys):
+    few = "Only 9 of 40 images were used: 30 were skipped, odometry does not cover."
+    status = {"converged": 1.0, "ambiguous": 0.0, "lost": 0.0}
+    whole = Outcome("hall", "hall.mcap", images=30, status=status, final_status="converged")
+    _show_outcomes([whole, replace(whole, name="attic", images=9, few_images=few)], tmp_path)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "Fewer than half of the images were used in 1 of 2 sequences: attic."
+    assert lines[lines.index("attic") + 1].strip() == few
+    assert "hall" not in lines

@@ -1,0 +1,146 @@
+"""What happens on the way of a run: gaps, wrong odometry, images of elsewhere, black frames."""
+
+import csv
+import itertools
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from filtering.posterior import ObservationModel
+from filtering.se3 import Poses
+from sequences.reader import SequenceReader
+from tests.helpers.command_line import report_of
+from tests.helpers.sequence_files import BEGIN_NS, Walk, rewrite
+from tests.helpers.simulation import ERRORS, lifted, seen_at
+from tests.helpers.tiny_model import NETWORK
+from vapor.calibration.familiarity import learn_familiarity
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.commands.run import show_run
+from vapor.observation import VaporObservationModel
+from vapor.pipeline.config import FilteringConfig
+from vapor.pipeline.localize import localize
+from vapor.pipeline.results import write_results
+from vapor.reporting.record import RunRecord
+from vapor.training_data.load import load_training_set
+
+
+class Floors:
+    """Says where the camera is, and from some image on the same a floor higher as well: one image after the other."""
+
+    def __init__(self, truth: Poses, *, alone: int, unfamiliar: range = range(0)) -> None:
+        self.truth, self.alone, self.unfamiliar = truth, alone, unfamiliar
+        self.count = -1
+
+    def observe(self, image, *, rng):
+        self.count += 1
+        floors = [0.0] if self.count < self.alone else [0.0, 6.0]
+        share = 1.0 / len(floors)
+        unfamiliarity = 3.0 if self.count in self.unfamiliar else 0.2
+        return seen_at(lifted(self.truth[self.count], floors), [share] * len(floors), unfamiliarity=unfamiliarity)
+
+
+def floors_of(sequence: Path, **options) -> Floors:
+    return Floors(Poses.stack([frame.world_from_camera for frame in SequenceReader(sequence)]), **options)
+
+
+def follow(sequence: Path, directory: Path, model: ObservationModel) -> RunRecord:
+    directory.mkdir()
+    return localize(SequenceReader(sequence), model, directory, FilteringConfig(recording=False), ERRORS)
+
+
+def test_a_gap_in_the_odometry_widens_the_belief_but_does_not_forget_it(walk_of_25, tmp_path):
+    begins, ends = BEGIN_NS + 1_020_000_000, BEGIN_NS + 1_780_000_000
+    gappy = rewrite(walk_of_25, tmp_path / "g.mcap", keep=lambda topic, t: topic != "/odom" or not begins < t < ends)
+    record = follow(gappy, tmp_path / "out", floors_of(gappy, alone=8))
+    assert record.skipped["odometry does not cover"] > 3
+    (after,) = np.flatnonzero(np.diff(record.times_ns) > 300_000_000) + 1
+    assert 8 < after < len(record.times_ns) - 5  # two floors are possible by then, if the belief began anew
+    std = np.sqrt(record.covariance[:, 0, 0])
+    assert std[after] > 1.1 * std[after - 1]
+    assert record.best_weight[after:].min() > 0.9
+    assert record.methods["filter"].poses.distance(record.truth.poses)[0].max() < 0.2
+
+
+def wrong_odometry(kind: str, poses: list[tuple[int, Poses]], begin: int, end: int) -> list[tuple[int, Poses]]:
+    """Odometry that is wrong from increment `begin` to `end`; or set back at `begin` to an origin 5 m away."""
+    times_ns, given = zip(*poses, strict=True)
+    told = [Poses.exp(np.array([4.0, 3.0, 0.0, 0.0, 0.0, 0.0]))]
+    for i, (before, after) in enumerate(itertools.pairwise(given), start=1):
+        step = before.inverse() @ after
+        if kind != "reset" and begin <= i < end:
+            step = Poses.identity() if kind == "stuck" else Poses.exp(3.0 * step.log())
+        told.append(Poses.identity() if kind == "reset" and i == begin else told[-1] @ step)
+    return list(zip(times_ns, told, strict=True))
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+@pytest.mark.parametrize("kind", ["right", "stuck", "slipping", "reset"])
+def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, capsys):
+    walk, begin = Walk(60, twist_covariance=1e-6 * np.eye(6)), 150  # 50 Hz: three seconds
+    if kind != "right":
+        walk.odometry = wrong_odometry(kind, walk.odometry, begin, begin + 75)
+    sequence = walk.write(tmp_path / "walk.mcap")
+    record = follow(sequence, tmp_path / "out", floors_of(sequence, alone=60))
+    off_m = record.methods["smoothed"].poses.distance(record.truth.poses)[0]
+    result = write_results(record, tmp_path / "out", {}, title=kind)
+    with (tmp_path / "out" / "status.csv").open() as file:
+        doubtful = np.array([row["smoothed"] == "doubtful" for row in csv.DictReader(file)])
+    assert report_of(tmp_path / "out")["smoothed_doubtful"] == doubtful.sum()
+    show_run(result, tmp_path / "out", title=kind, recording=False)
+    printed = capsys.readouterr().out
+    if kind == "right":
+        assert off_m.max() < 0.1
+        assert not doubtful.any()
+        assert "doubtful" not in printed
+        return
+    assert (off_m > 0.5).sum() > 3
+    assert doubtful[off_m > 0.5].all()
+    assert doubtful[off_m < 0.1].mean() < 0.1  # images about a pose count, too
+    assert f"{doubtful.sum()} of 60 smoothed poses are doubtful: images about them do not fit (status.csv)" in printed
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_foreign_images_make_a_run_lost_and_it_recovers(tmp_path):
+    sequence = Walk(60).write(tmp_path / "walk.mcap")
+    record = follow(sequence, tmp_path / "out", floors_of(sequence, alone=60, unfamiliar=range(20, 40)))
+    assert record.unfamiliarity.tolist() == [3.0 if 20 <= i < 40 else 0.2 for i in range(60)]
+    assert set(record.status[10:20]) == {"converged"}
+    assert record.status[39] == "lost"
+    assert record.status[59] == "converged"
+    assert record.agreement[39] < 0.3 < 0.7 < record.agreement[59]
+
+
+@dataclass(frozen=True)
+class KnowsWhatIsForeign:
+    """Posteriors of one model, with the unfamiliarity of another."""
+
+    says: Floors
+    knows: VaporObservationModel
+
+    def observe(self, image, *, rng):
+        unfamiliarity = self.knows.observe(image, rng=rng).unfamiliarity
+        return replace(self.says.observe(image, rng=rng), unfamiliarity=unfamiliarity)
+
+
+@pytest.mark.usefixtures("unchecked", "plain_results")
+def test_black_frames_are_lost_where_the_model_knows_what_is_familiar(tiny_model, tmp_path):
+    """They are equal, pixel by pixel: a camera that freezes on a picture of the place is not lost."""
+    walk = Walk(60)
+    black = cv2.imencode(".png", np.zeros((32, 48, 3), np.uint8))[1].tobytes()
+    walk.images = [(time_ns, data if i < 30 else black) for i, (time_ns, data) in enumerate(walk.images)]
+    sequence = walk.write(tmp_path / "black.mcap")
+    checkpoint = load_checkpoint(tiny_model)
+    images = load_training_set({"walk": list(SequenceReader(sequence))[:30] * 3}, NETWORK.frame_size)
+    knowing = replace(checkpoint, familiarity=learn_familiarity(checkpoint.build_network(), images, images))
+    status = {}
+    for name, known in (("knowing", knowing), ("unknowing", checkpoint)):
+        model = KnowsWhatIsForeign(
+            floors_of(sequence, alone=60), VaporObservationModel(known, num_samples=1, device="cpu")
+        )
+        status[name] = follow(sequence, tmp_path / name, model).status
+    assert status["knowing"][10:30] == status["unknowing"][10:30] == ("converged",) * 20
+    assert status["knowing"][50:] == ("lost",) * 10
+    assert "lost" not in status["unknowing"]

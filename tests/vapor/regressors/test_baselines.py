@@ -1,0 +1,267 @@
+"""The regressors beside the variational one: what they predict, what they are trained with, and that they learn."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import ks_2samp
+
+from filtering.density import KernelDensity
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.observation import VaporObservationModel
+from vapor.regressors.loss import LossConfig
+from vapor.regressors.mixture_density import log_rotation_normaliser
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.scene_box import SceneBox
+from vapor.training.pairs import paired
+from vapor.training.presets import METHODS
+from vapor.training.train import train_on
+
+BOX = SceneBox((-2.0, -1.0, 0.0), (2.0, 3.0, 1.0))
+SMALL = NetworkConfig(image_width=32, image_height=32, shortest_edge=32, feature_dim=32, latent_dim=4, components=5)
+HEADS = ("variational", "deterministic", "point", "dropout", "mixture", "flow")
+IMAGES = torch.randn(3, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+
+
+def network_with(head, **changes):
+    torch.manual_seed(1)
+    return make_regressor(replace(SMALL, head=head, **changes), BOX).eval()
+
+
+def draw(network, count: int, seed: int = 0):
+    noise = torch.randn(3, count, network.noise_dim, generator=torch.Generator().manual_seed(seed))
+    with torch.no_grad():
+        return network(IMAGES, noise)
+
+
+def truth_of(count: int):
+    poses = Poses.exp(np.random.default_rng(0).uniform(-1, 1, (count, 6)))
+    return torch.from_numpy(poses.translation).float(), torch.from_numpy(poses.rotation).float()
+
+
+# --- predictions -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_every_head_gives_rigid_poses_the_same_for_the_same_noise(head):
+    network = network_with(head)
+    translation, rotation = draw(network, 7)
+    assert translation.shape == (3, 7, 3)
+    assert rotation.shape == (3, 7, 3, 3)
+    torch.testing.assert_close(rotation @ rotation.mT, torch.eye(3).expand(3, 7, 3, 3), atol=1e-5, rtol=0)
+    again = draw(network, 7)
+    assert torch.equal(translation, again[0])
+    assert (translation[0] - translation[1]).abs().max() > 1e-4  # the image matters
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_only_heads_with_noise_spread(head):
+    translation, _ = draw(network_with(head), 50)
+    spread = translation.std(dim=1).max()
+    assert spread > 1e-3 if head in ("variational", "dropout", "mixture", "flow") else spread < 1e-6
+
+
+def test_dropout_leaves_out_its_share_of_the_units():
+    network = network_with("dropout", dropout=0.9, feature_dim=512)
+    kept = []
+    network.pose_map.hidden.register_forward_hook(lambda _, inputs, __: kept.append(inputs[0]))
+    draw(network, 200)
+    alive = kept[0][:, :, kept[0].abs().amax(dim=(0, 1)) > 0]  # units that the ReLU lets through for some image
+    feature = network.extract_features(IMAGES)[:, kept[0].abs().amax(dim=(0, 1)) > 0]
+    share = ((alive > 0) | (feature[:, None] == 0)).float().mean() - (feature == 0).float().mean()
+    assert share / (feature > 0).float().mean() == pytest.approx(0.1, abs=0.01)
+    torch.testing.assert_close(alive.mean(dim=1).mean(), feature.mean(), rtol=0.1, atol=0)  # and the mean stays
+
+
+def test_draws_of_a_mixture_follow_its_weights_and_kernels():
+    network = network_with("mixture", components=3)
+    with torch.no_grad():
+        for name, bias in (("logits", [2.0, 1.0, 0.0]), ("log_widths", [-1.0, -1.0, 0.0, 0.5, -2.0, 2.0])):
+            layer = getattr(network, name)
+            layer.weight.zero_()
+            layer.bias.copy_(torch.tensor(bias))
+        network.translation.weight.zero_()
+        network.translation.bias.copy_(torch.tensor([-9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0]))
+        feature = network.extract_features(IMAGES)
+        log_weights, _, _, widths = (part[0].double().numpy() for part in network.components(feature))
+    assert widths[0, 0] < widths[1, 0] < 0.3
+    translation, rotation = (part[0].double().numpy() for part in draw(network, 40_000))
+    with torch.no_grad():
+        centres = Poses(*(part[0].double().numpy() for part in network.components(feature)[2:0:-1]))
+    log_weights -= np.logaddexp.reduce(log_weights)  # float32 leaves a rest
+    density = KernelDensity(centres, widths[:, 0], widths[:, 1], log_weights)
+    ours = density.sample(40_000, rng=np.random.default_rng(0))
+    # The same density, drawn by another route: the log density of its draws has the same distribution.
+    drawn, expected = (density.log_density(p) for p in (Poses(rotation, translation), ours))
+    assert ks_2samp(drawn, expected).statistic < 0.015  # 1.36 √(2/40000) would be passed by one test in twenty
+    near = [centres[[k]].distance(Poses(rotation, translation))[0] < 4 * widths[k, 0] for k in range(2)]
+    np.testing.assert_allclose([n.mean() for n in near], np.exp(log_weights[:2]), atol=0.02)
+
+
+@pytest.mark.parametrize("width", [0.02, 0.3, 1.5])
+def test_the_rotation_normaliser_is_that_of_the_kernel_density(width):
+    density = KernelDensity(Poses.identity(1), 1.0, width)
+    log_position = 1.5 * np.log(2 * np.pi)
+    ours = float(log_rotation_normaliser(torch.tensor(width)))
+    assert ours == pytest.approx(density.log_normaliser[0] - log_position, abs=1e-3)
+
+
+# --- losses ----------------------------------------------------------------------------------------
+
+
+def test_the_likelihood_of_a_single_component_is_its_kernel_density():
+    network = network_with("mixture", components=1)
+    truth = truth_of(3)
+    loss = network.loss(IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig())
+    components = network.components(network.extract_features(IMAGES))
+    _, translation, rotation, widths = (part.detach().double().numpy() for part in components)
+    for_each = [
+        KernelDensity(Poses(rotation[i], translation[i]), *widths[i, 0]).log_density(
+            Poses(truth[1].double().numpy()[[i]], truth[0].double().numpy()[[i]])
+        )[0]
+        for i in range(3)
+    ]
+    assert float(loss.total.detach()) == pytest.approx(-np.mean(for_each), rel=1e-3)
+
+
+def test_only_the_best_component_learns_but_for_the_relaxation():
+    network = network_with("mixture")
+    truth = truth_of(3)
+    best = network.loss(IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig(relaxation=0.0))
+    best.total.backward()
+    moved = (network.translation.weight.grad.unflatten(0, (5, 3)).abs().amax(dim=(1, 2)) > 0).sum()
+    assert 1 <= moved <= 3  # of five components, at most one an image
+    network.zero_grad()
+    network.loss(IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig(relaxation=0.2)).total.backward()
+    assert (network.translation.weight.grad.unflatten(0, (5, 3)).abs().amax(dim=(1, 2)) > 0).all()
+
+
+def test_errors_of_position_and_rotation_are_weighted_by_scales_that_learn():
+    network = network_with("point")
+    truth = truth_of(3)
+    loss = network.loss(IMAGES, *truth, torch.zeros(3, 1, 0), LossConfig(position_unit="metre"))
+    translation, rotation = (part[:, 0] for part in draw(network, 1))
+    metres = (translation - truth[0]).norm(dim=-1).mean()
+    chord = (rotation - truth[1]).flatten(1).norm(dim=-1).mean()
+    torch.testing.assert_close(loss.total.detach(), metres + 0.0 + chord * np.exp(3.0) - 3.0, rtol=1e-4, atol=0)
+    loss.total.backward()
+    assert (network.log_scale.grad != 0).all()
+
+
+def test_relative_poses_of_a_pair_do_not_depend_on_the_frame_of_the_map():
+    network = network_with("point")
+    images = torch.cat([IMAGES, IMAGES.flip(0)])
+    truth = truth_of(6)
+    noise = torch.zeros(6, 1, 0)
+    plain, paired = (
+        network.loss(images, *truth, noise, LossConfig(position_unit="metre", relative=relative))
+        for relative in (0.0, 2.0)
+    )
+    with torch.no_grad():
+        poses = network(images, noise)
+    here, there = (
+        [Poses(r.double().numpy(), t.double().numpy()) for t, r in zip(*pair, strict=True)]
+        for pair in ((poses[0][:, 0], poses[1][:, 0]), truth)
+    )
+    errors = []
+    for i in range(3):
+        mine, its = here[i].inverse() @ here[i + 3], there[i].inverse() @ there[i + 3]
+        errors.append(
+            [np.linalg.norm(mine.translation - its.translation), np.linalg.norm(mine.rotation - its.rotation)]
+        )
+    metres, chord = np.mean(errors, axis=0)
+    expected = 2.0 * (metres + chord * np.exp(3.0) - 3.0)
+    assert float((paired.total - plain.total).detach()) == pytest.approx(expected, rel=1e-4)
+
+
+def test_in_units_of_the_box_relative_positions_are_scaled_along_the_axes_of_the_map():
+    network = network_with("point")
+    network.box = SceneBox((0.0, 0.0, 0.0), (8.0, 8.0, 2.0))
+    images, truth, noise = torch.cat([IMAGES, IMAGES.flip(0)]), truth_of(6), torch.zeros(6, 1, 0)
+    scale = torch.tensor([1.0, 1.0, 4.0])
+    paired, plain = (
+        network.loss(images, *truth, noise, LossConfig(relative=relative, position_unit="box"))
+        for relative in (1.0, 0.0)
+    )
+    with torch.no_grad():
+        translation, rotation = (part[:, 0] for part in network(images, noise))
+    absolute = ((translation - truth[0]) * scale).norm(dim=-1).mean()
+    chord = (rotation - truth[1]).flatten(1).norm(dim=-1).mean()
+    torch.testing.assert_close(plain.total.detach(), absolute + chord * np.exp(3.0) - 3.0, rtol=1e-4, atol=0)
+    turned = truth[1][:3] @ rotation[:3].mT  # from the map as the first image is thought to see it to the map
+    shift = (turned @ (translation[3:] - translation[:3])[..., None])[..., 0]
+    relative = ((shift - (truth[0][3:] - truth[0][:3])) * scale).norm(dim=-1).mean()
+    chord = (rotation[:3].mT @ rotation[3:] - truth[1][:3].mT @ truth[1][3:]).flatten(1).norm(dim=-1).mean()
+    expected = relative + chord * np.exp(3.0) - 3.0
+    torch.testing.assert_close((paired.total - plain.total).detach(), expected, rtol=1e-4, atol=0)
+
+
+def test_pairs_are_of_one_sequence_and_near_each_other():
+    sequence = np.repeat([0, 1, 2], [30, 30, 1])
+    rng = np.random.default_rng(0)
+    gaps = []
+    for _ in range(200):
+        batch = paired(rng.permutation(61)[:20], sequence, 4, rng=rng)
+        first, second = batch[:10], batch[10:]
+        np.testing.assert_array_equal(sequence[first], sequence[second])
+        gaps += [abs(a - b) for a, b in zip(first, second, strict=True) if a != 60]
+    assert set(gaps) == {1, 2, 3, 4}  # never with itself, but for the image that is alone
+
+
+# --- training and use ------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("method", [method for method in METHODS if method != "mixture-50"])  # here like mixture-10
+def test_every_method_learns_where_images_are_and_drives_a_posterior(method, tmp_path):
+    frames = make_frames(3, seed=3)
+    head = METHODS[method](TINY).network.head
+    density = method in ("mixture-10", "flow")  # which image it is makes little of their loss, and is learned last
+    epochs = 12 if density else 8 if head == "dropout" else 6
+    repeats, rate = (80, 2e-3) if density else (60, 6e-3) if head == "dropout" else (45, 6e-3)
+    config = replace(TINY, augment=STILL, epochs=epochs, batch_size=12, learning_rate=rate, ema_decay=0.9)
+    config = METHODS[method](config)
+    config = replace(config, validation_fraction=0.0, resume=False, loss=replace(config.loss, pair_gap=2))
+    network = replace(config.network, dropout=0.1, components=min(config.network.components, 4))
+    path = tmp_path / "m.safetensors"
+    result = train_on({"a": frames * repeats}, path, replace(config, network=network))
+    model = VaporObservationModel.from_checkpoint(load_checkpoint(path), num_samples=200, device="cpu")
+    errors = []
+    for i, frame in enumerate(frames):
+        samples = model.observe(frame.image, rng=np.random.default_rng(i)).samples
+        errors.append(np.median(samples.distance(pose(frame))[0]))
+    spread = np.std([pose(frame).translation for frame in frames], axis=0)
+    assert np.mean(errors) < 0.5 * np.linalg.norm(spread)
+    assert result.checkpoint.network.head == network.head
+
+
+def test_relative_poses_are_asked_of_point_regressors_only():
+    mapnet = METHODS["mapnet"](TINY)
+    with pytest.raises(VaporTrackError, match="expected head point or dropout"):
+        replace(mapnet, network=replace(TINY.network, head="variational"))
+
+
+def test_no_two_methods_are_the_same_whatever_the_configuration_says():
+    config = replace(TINY, network=replace(TINY.network, head="point"), loss=replace(TINY.loss, relative=1.0))
+    made = [method(config) for method in METHODS.values()]
+    assert all(a != b for k, a in enumerate(made) for b in made[:k])
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_losses_are_the_same_under_eight_bit_autocast_but_for_the_encoder(head):
+    network = network_with(head)
+    images, truth = torch.cat([IMAGES, IMAGES.flip(0)]), truth_of(6)
+    count = 8 if head == "variational" else 1
+    noise = torch.randn(6, count, network.noise_dim, generator=torch.Generator().manual_seed(0))
+    features = network.extract_features(images).detach()
+    network.extract_features = lambda _: features
+    config = LossConfig(num_samples=8, relative=1.0 if head in ("point", "dropout") else 0.0)
+    exact = network.loss(images, *truth, noise, config).total
+    with torch.autocast("cpu", torch.bfloat16):
+        under = network.loss(images, *truth, noise, config).total
+    torch.testing.assert_close(under, exact, rtol=1e-5, atol=1e-5)

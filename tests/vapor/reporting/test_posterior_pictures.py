@@ -1,0 +1,88 @@
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses, rotation_from_rotvec
+from sequences.synthesize import synthesize, write_synthetic
+from tests.helpers.tiny_model import write_tiny_model
+from vapor.reporting.posterior_pictures import draw_posterior, hopf_coordinates, level_axis
+from vapor.reporting.rerun_shapes import frusta
+from vapor.track import main
+
+LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # a camera that looks along the world's x
+
+
+def about(axis: list[float], degrees: float) -> np.ndarray:
+    return rotation_from_rotvec(np.radians(degrees) * np.array([axis], float))[0]
+
+
+@pytest.mark.parametrize(("heading", "pitch"), [(0.0, 0.0), (70.0, 20.0), (-130.0, -45.0)])
+def test_longitude_and_latitude_say_where_an_axis_points(heading, pitch):
+    rotation = about([0, 0, 1], heading) @ about([0, -1, 0], pitch) @ LEVEL
+    longitude, latitude, _ = hopf_coordinates(rotation[None], axis=2)
+    assert np.degrees([longitude[0], latitude[0]]) == pytest.approx([heading, pitch])
+
+
+def test_turning_about_the_axis_changes_the_angle_alone_and_by_as_much():
+    rotations = np.stack([about([0, 0, 1], 40.0) @ LEVEL @ about([0, 0, 1], roll) for roll in (0.0, 30.0, 200.0)])
+    longitude, latitude, angle = hopf_coordinates(rotations, axis=2)
+    assert np.ptp(longitude) < 1e-9
+    assert np.ptp(latitude) < 1e-9
+    turned = np.degrees(angle - angle[0]) % 360.0
+    assert {tuple(np.round(turned)), tuple(np.round(-turned % 360.0))} & {(0.0, 30.0, 200.0)}
+
+
+def test_every_rotation_comes_back_from_its_coordinates():
+    rotations = Poses.exp(np.random.default_rng(0).standard_normal((50, 6))).rotation
+    longitude, latitude, angle = hopf_coordinates(rotations, axis=1)
+    axis = np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=1
+    )
+    east = np.stack([-np.sin(longitude), np.cos(longitude), 0 * longitude], axis=1)
+    north = np.cross(axis, east)
+    np.testing.assert_allclose(axis, rotations[:, :, 1], atol=1e-9)
+    np.testing.assert_allclose(
+        np.cos(angle)[:, None] * east + np.sin(angle)[:, None] * north, rotations[:, :, 2], atol=1e-9
+    )
+
+
+def test_the_axis_that_is_shown_is_a_level_one():
+    assert level_axis(LEVEL[None]) in (0, 2)
+    upward = np.stack([about([0, 0, 1], turn) @ np.diag([1.0, -1.0, -1.0]) for turn in (10.0, 200.0)])
+    assert level_axis(upward) in (0, 1)
+
+
+def test_a_frustum_has_every_edge_of_a_camera_that_looks_ahead():
+    pose = Poses(LEVEL, np.array([1.0, 2.0, 3.0]))
+    (line,) = frusta(Poses.stack([pose]), size_m=0.4)
+    corners = {tuple(np.round(p, 4)) for p in line}
+    assert (1.0, 2.0, 3.0) in corners
+    assert len(corners) == 5
+    assert sum(abs(x - 1.4) < 1e-4 for x, _, _ in corners) == 4  # the image lies ahead
+    steps = {frozenset((tuple(np.round(a, 4)), tuple(np.round(b, 4)))) for a, b in itertools.pairwise(line)}
+    assert len(steps) == 8
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_picture_is_drawn_even_of_a_scene_without_extent(tmp_path, known):
+    samples = Poses(np.broadcast_to(LEVEL, (30, 3, 3)).copy(), np.full((30, 3), 2.0))
+    image = np.full((30, 40, 3), 128, np.uint8)
+    truth = samples[0] if known else None
+    path = tmp_path / "p.png"
+    draw_posterior(path, samples, image=image, surroundings=np.full((5, 3), 2.0), truth=truth, title="flat")
+    picture = cv2.imread(str(path))
+    assert picture is not None
+    assert picture.std() > 10
+
+
+def test_the_command_draws_one_image_and_says_how_good_its_posterior_is(tmp_path, capfd):
+    write_synthetic(synthesize("dinner-table", seed=0, num_frames=4, width=64, height=48), tmp_path / "s.mcap")
+    model = write_tiny_model(tmp_path / "m.safetensors")
+    words = ["posterior", str(tmp_path / "s.mcap"), "--model", str(model), "--output", str(tmp_path / "p.png")]
+    assert main([*words, "--image", "3", "--num-samples", "40"]) == 0
+    assert "off; fewer than 10% of the samples within 0.3m/20deg" in capfd.readouterr().out
+    assert (tmp_path / "p.png").stat().st_size > 5000
+    assert main([*words, "--image", "4"]) == 1
+    assert "no image with a true pose in frames 4:5" in capfd.readouterr().err

@@ -1,0 +1,206 @@
+"""What a run leaves behind: the record, report.json, the table and the pictures."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from filtering.errors import VaporTrackError
+from tests.helpers.simulated_run import simulated_record, simulated_steps
+from vapor.reporting.keyframes import choose_keyframes
+from vapor.reporting.pictures import write_pictures
+from vapor.reporting.recorder import RunRecorder
+from vapor.reporting.report import build_report, format_table, is_report, write_report
+from vapor.tracking.dead_reckoning import dead_reckoning
+
+
+@pytest.fixture(scope="module")
+def record():
+    return simulated_record(150)
+
+
+def rendered(report) -> str:
+    console = Console(width=120, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(format_table(report))
+    return console.export_text()
+
+
+# --- record ---------------------------------------------------------------------------------------------
+
+
+def test_the_record_holds_every_image_in_order(record):
+    frames, steps = zip(*simulated_steps(150), strict=True)
+    singles = [step.image_modes[0].world_from_camera for step in steps]
+    estimates = [step.estimate for step in steps]
+    assert record.times_ns.tolist() == [frame.time_ns for frame in frames]
+    assert np.array_equal(
+        record.methods["single_image"].poses.translation, np.stack([pose.translation for pose in singles])
+    )
+    assert np.array_equal(
+        record.methods["filter"].poses.rotation[70], estimates[70].modes[0].world_from_camera.rotation
+    )
+    assert record.status == tuple(estimate.status for estimate in estimates)
+    assert record.num_modes.tolist() == [len(estimate.modes) for estimate in estimates]
+    assert record.step_ms.tolist() == [step.step_ms for step in steps]
+    for name in ("agreement", "unfamiliarity", "effective_sample_size"):
+        assert getattr(record, name).tolist() == [getattr(estimate, name) for estimate in estimates]
+    expected = dead_reckoning(frames[0].world_from_camera, [frame.odometry for frame in frames])
+    assert np.allclose(record.methods["dead_reckoning"].poses.as_matrix(), expected.as_matrix(), atol=1e-12)
+
+
+def test_a_record_of_no_image_is_refused():
+    with pytest.raises(VaporTrackError, match="no image was localized, 4 were skipped"):
+        RunRecorder().finish(skipped={"undecodable_image": 4})
+
+
+def test_without_odometry_and_truth_those_parts_are_absent():
+    record = simulated_record(30, with_truth=False, with_odometry=False)
+    assert record.truth is None
+    assert list(record.methods) == ["single_image", "filter"]
+
+
+def test_however_long_the_run_few_keyframes_are_kept_with_the_first_and_last_among_them(record):
+    assert len(record.keyframes) == 24
+    assert record.keyframes[0].time_ns == record.times_ns[0]
+    assert record.keyframes[-1].time_ns == record.times_ns[-1]
+    assert all(len(keyframe.cloud) == 300 for keyframe in record.keyframes)
+
+
+def test_keyframes_show_the_ambiguous_belief_and_the_resolved_one(record):
+    chosen = choose_keyframes(list(record.keyframes), 5)
+    assert len(chosen) == 5
+    assert len(chosen[0].modes) == 5
+    collapse_ns = record.times_ns[next(i for i, s in enumerate(record.status) if s == "converged")]
+    before = [keyframe for keyframe in chosen if keyframe.time_ns < collapse_ns]
+    assert 2 <= len(before) <= 4
+
+
+def test_thumbnails_are_small_and_do_not_share_the_frames_buffer():
+    frame, step = next(simulated_steps(1))
+    large = np.full((1000, 2000, 3), 7, np.uint8)
+    for image, shape in ((large, (160, 320, 3)), (frame.image.copy(), frame.image.shape)):
+        recorder = RunRecorder()
+        recorder.add(type(frame)(frame.time_ns, image), step)
+        before = image.flat[0]
+        image[:] = 99
+        thumbnail = recorder.finish().keyframes[0].thumbnail
+        assert thumbnail.shape == shape
+        assert thumbnail.flat[0] == before != 99
+
+
+# --- report ---------------------------------------------------------------------------------------------
+
+
+def test_the_report_has_the_keys_of_its_specification(record):
+    report = build_report(record)
+    assert report["frames"] == report["frames_with_true_pose"] == 150
+    assert report["skipped"] == {"undecodable_image": 2}
+    assert report["peak_rss_mb"] == 512.0
+    assert report["step_ms"]["p50"] <= report["step_ms"]["p95"]
+    for method in ("single_image", "dead_reckoning"):
+        assert set(report[method]) == {
+            "median_translation_m",
+            "median_rotation_deg",
+            "ape_rmse_m",
+            "recall",
+            "worse_than",
+        }
+    assert report["filter"]["success"] is True
+    assert report["filter"]["recall"]["0.3m/20deg"] > report["single_image"]["recall"]["0.3m/20deg"] + 0.2
+    assert "kalman" not in report
+    assert "smoothed" not in report
+
+
+def test_smoothed_kalman_and_gaussian_sum_are_evaluated_where_they_exist():
+    recorder = RunRecorder()
+    for frame, step in simulated_steps(40):
+        recorder.add(frame, replace(step, baselines={"gaussian_sum": step.image_modes, "kalman": step.image_modes}))
+    record = recorder.finish()
+    finished = record.with_methods({"smoothed": record.truth.poses})
+    report = build_report(finished)
+    assert report["smoothed"]["converged_at_s"] == 0.0
+    assert report["kalman"]["ape_rmse_m"] == report["single_image"]["ape_rmse_m"]
+    assert report["gaussian_sum"] == report["kalman"]
+    tracking = ["kalman", "gaussian_sum", "filter", "smoothed"]
+    assert list(finished.methods) == ["single_image", "dead_reckoning", *tracking]
+    assert [key for key in report if key in tracking] == tracking
+    assert "Gaussian sum" in rendered(report)
+
+
+def test_without_true_poses_no_method_is_evaluated():
+    report = build_report(simulated_record(30, with_truth=False))
+    assert report["frames_with_true_pose"] == 0
+    assert not {"single_image", "dead_reckoning", "filter"} & set(report)
+    assert "single image" not in rendered(report)
+
+
+def test_the_same_run_gives_the_same_report_bytes(tmp_path):
+    for name in ("a.json", "b.json"):
+        write_report(tmp_path / name, build_report(simulated_record(40)))
+    text = (tmp_path / "a.json").read_bytes()
+    assert text == (tmp_path / "b.json").read_bytes()
+    content = json.loads(text)
+    assert list(content) == sorted(content)
+    assert content["filter"]["recall"].keys() == {"0.1m/10deg", "0.2m/15deg", "0.3m/20deg"}
+
+
+def test_a_report_that_is_no_json_leaves_the_old_one_in_place(tmp_path):
+    write_report(tmp_path / "report.json", {"frames": 1})
+    with pytest.raises(ValueError, match="JSON"):
+        write_report(tmp_path / "report.json", {"frames": float("nan")})
+    assert json.loads((tmp_path / "report.json").read_text()) == {"frames": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_the_table_names_every_method_with_its_recall(record):
+    report = build_report(record)
+    text = rendered(report)
+    for label in ("single image", "dead reckoning", "particle filter"):
+        assert label in text
+    assert f"{100 * report['filter']['recall']['0.3m/20deg']:.0f} %" in text
+    assert f"{report['filter']['converged_at_s']:.1f} s" in text
+
+
+def test_a_file_that_is_too_large_to_be_a_report_is_none(tmp_path, monkeypatch):
+    path = tmp_path / "report.json"
+    path.write_text('{"frames": 1, "more": "' + "x" * 1000 + '"}')
+    assert is_report(path, "frames")
+    assert not is_report(path, "frames", "images")
+    monkeypatch.setattr("sequences.files.structured._MAX_JSON", 1000)
+    assert not is_report(path, "frames")
+    assert not is_report(tmp_path / "nowhere.json")
+
+
+# --- pictures -------------------------------------------------------------------------------------------
+
+
+def ink(path) -> float:
+    """Fraction of the picture that is not white."""
+    return float((np.asarray(cv2.imread(str(path))) < 250).any(axis=-1).mean())
+
+
+@pytest.mark.parametrize("with_truth", [True, False])
+def test_pictures_are_drawn_with_and_without_true_poses(tmp_path, with_truth):
+    record = simulated_record(40, with_truth=with_truth)
+    paths = write_pictures(record, tmp_path, title="staircase")
+    expected = {"trajectory.png", "particles.png"} | ({"errors.png"} if with_truth else set())
+    assert {path.name for path in paths} == expected == {path.name for path in tmp_path.iterdir()}
+    assert all(0.02 < ink(path) < 0.6 for path in paths)
+
+
+def test_a_run_of_one_image_has_its_pictures(tmp_path):
+    assert len(write_pictures(simulated_record(1), tmp_path, title="one image")) == 3
+
+
+def test_the_same_run_gives_the_same_picture_bytes(tmp_path):
+    record = simulated_record(20)
+    first, second = ([path.read_bytes() for path in write_pictures(record, tmp_path, title="twice")] for _ in range(2))
+    assert first == second
+
+
+def test_pictures_into_a_missing_folder_are_refused_by_name(tmp_path):
+    with pytest.raises(VaporTrackError, match="nowhere"):
+        write_pictures(simulated_record(2), tmp_path / "nowhere", title="")

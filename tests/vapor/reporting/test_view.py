@@ -1,0 +1,143 @@
+"""The viewers: one that shows nothing, one that writes a Rerun recording."""
+
+import resource
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from filtering.errors import VaporTrackError
+from sequences.frame import Frame
+from tests.helpers.simulated_run import simulated_steps
+from vapor.reporting.rerun_viewer import RerunViewer
+from vapor.reporting.viewer import NullViewer
+
+
+@pytest.fixture(scope="module")
+def steps():
+    return list(simulated_steps(25))
+
+
+def columns_of(path) -> set[str]:
+    """Entity paths in a recording, as the viewer's own tool reads them."""
+    command = [sys.executable, "-m", "rerun_cli", "rrd", "print", str(path)]
+    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return {line.split(" - ")[1].strip() for line in text.splitlines() if line.startswith("Chunk(")}
+
+
+def test_the_null_viewer_takes_every_image_and_leaves_nothing(tmp_path, monkeypatch, steps):
+    monkeypatch.chdir(tmp_path)
+    with NullViewer() as viewer:
+        for frame, step in steps:
+            viewer.log(frame, step.estimate, None)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_appears_under_its_name_only_when_closed(tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    viewer = RerunViewer(path)
+    for frame, step in steps:
+        viewer.log(frame, step.estimate, step.estimate.particles)
+    assert not path.exists()
+    viewer.close()
+    assert path.read_bytes()[:4] == b"RRF2"
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.stat().st_size < 25 * 40_000
+
+
+def test_a_recording_holds_image_belief_paths_and_plots(tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    with RerunViewer(path) as viewer:
+        for frame, step in steps:
+            viewer.log(frame, step.estimate, step.estimate.particles)
+    entities = columns_of(path)
+    for entity in (
+        "/world/camera",
+        "/world/particles",
+        "/world/posterior",
+        "/world/posterior/cameras",
+        "/world/modes",
+        "/world/truth",
+        "/world/path/filter",
+        "/world/path/truth",
+        "/belief/best_weight",
+        "/belief/status",
+        "/error/translation_m",
+        "/error/rotation_deg",
+    ):
+        assert entity in entities
+
+
+def test_without_truth_camera_posterior_and_with_large_images_the_rest_is_recorded(tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    with RerunViewer(path) as viewer:
+        for i, (_, step) in enumerate(steps[:3]):
+            viewer.log(Frame(i * 10**8, np.full((960, 1280, 3), 90, np.uint8)), step.estimate, None)
+    entities = columns_of(path)
+    assert {"/world/camera", "/world/particles", "/world/path/filter"} <= entities
+
+
+def test_an_error_in_the_loop_leaves_no_recording_and_keeps_the_old_one(tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    path.write_bytes(b"old")
+
+    def fail():
+        with RerunViewer(path) as viewer:
+            viewer.log(steps[0][0], steps[0][1].estimate, None)
+            raise OSError("camera unplugged")
+
+    with pytest.raises(OSError, match="camera unplugged"):
+        fail()
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@contextmanager
+def room_for(num_bytes):
+    """No file of this process may become larger: as on a disk that is full, but with another word for it."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("num_bytes", [0, 20_000])
+def test_a_recording_for_which_there_is_no_room_is_an_error_and_leaves_nothing(num_bytes, tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    viewer = RerunViewer(path)
+
+    def record():
+        with viewer:
+            for frame, step in 40 * steps:  # more than a pipe holds
+                viewer.log(frame, step.estimate, step.estimate.particles)
+
+    said = r"recording\.rrd: the recording cannot be written: File too large.*--no-recording"
+    with room_for(num_bytes), pytest.raises(VaporTrackError, match=said):
+        record()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_whose_last_bytes_find_no_room_is_an_error_and_leaves_nothing(tmp_path, steps):
+    viewer = RerunViewer(tmp_path / "recording.rrd")
+    viewer.log(steps[0][0], steps[0][1].estimate, None)
+    with room_for(0), pytest.raises(VaporTrackError, match=r"recording\.rrd: the recording cannot be written"):
+        viewer.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_closing_twice_is_harmless(tmp_path, steps):
+    with RerunViewer(tmp_path / "recording.rrd") as viewer:
+        viewer.log(steps[0][0], steps[0][1].estimate, None)
+        viewer.close()
+    assert (tmp_path / "recording.rrd").exists()
+
+
+def test_a_viewer_of_nothing_and_a_missing_folder_are_refused(tmp_path):
+    with pytest.raises(VaporTrackError, match="got neither"):
+        RerunViewer()
+    with pytest.raises(VaporTrackError, match="nowhere"):
+        RerunViewer(tmp_path / "nowhere" / "recording.rrd")

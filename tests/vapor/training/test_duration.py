@@ -1,0 +1,98 @@
+"""As much training as there is time for, and on everything in the end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from sequences.frame import Frame
+from tests.helpers.checks import no_checks
+from tests.helpers.short_training import Interrupted, same_weights, train_on_most
+from tests.helpers.tiny_training import TINY, make_frames
+from vapor.training.presets import PRESETS
+from vapor.training.train import train_on
+
+
+def walks() -> dict[str, list[Frame]]:
+    """Four walks of 24 images along the same line, of which one is held out."""
+    frames = make_frames(96)
+    poses = [Poses(np.eye(3), np.array([0.1 * i, 0.0, 0.0])) for i in range(24)]
+    moved = [replace(frame, world_from_camera=poses[i % 24]) for i, frame in enumerate(frames)]
+    return {name: moved[24 * i : 24 * (i + 1)] for i, name in enumerate("abcd")}
+
+
+EVERYTHING = replace(TINY, calibrate=False, finish=0.5)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A training on everything in the end, and all that it told on the way."""
+    told = []
+    with no_checks():
+        return train_on(walks(), tmp_path_factory.mktemp("w") / "m.safetensors", EVERYTHING, progress=told.append), told
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_model_that_was_judged_learns_from_what_was_held_out(finished, tmp_path):
+    result, told = finished
+    stages = [p.stage for p in told if p.epoch]
+    assert stages == ["training"] * 4 * 9 + ["training on everything"] * 2 * 12  # 72 and 96 images
+    assert [p.done for p in told if p.epoch] == list(range(1, 61))
+    assert [p.epoch for p in result.history] == [1, 2, 3, 4]
+    assert result.checkpoint.training["training_images"] == 96
+    assert result.checkpoint.training["images_seen"] == result.images_seen == 4 * 72 + 2 * 96
+    without = train_on(walks(), tmp_path / "n.safetensors", replace(EVERYTHING, finish=0.0))
+    assert (without.history, without.images_seen) == (result.history, 4 * 72)
+    assert not same_weights(result.checkpoint, without.checkpoint)
+
+
+def test_held_out_data_that_were_given_are_never_learned_from(tmp_path):
+    parts = walks()
+    held_out = {"d": parts.pop("d")}
+    result = train_on(parts, tmp_path / "m.safetensors", EVERYTHING, validation=held_out)
+    assert result.checkpoint.training["training_images"] == 72
+    assert result.images_seen == 4 * 72
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_interrupted_before_and_after_it_was_judged_a_training_ends_with_the_same_weights(finished, tmp_path):
+    for step in (20, 50):
+
+        def progress(p, step=step):
+            if p.epoch and p.done == step:
+                raise Interrupted
+
+        with pytest.raises(Interrupted):
+            train_on(walks(), tmp_path / "m.safetensors", EVERYTHING, progress=progress)
+    assert same_weights(train_on(walks(), tmp_path / "m.safetensors", EVERYTHING).checkpoint, finished[0].checkpoint)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_epochs_that_are_not_given_fit_into_the_hours(tmp_path, monkeypatch):
+    now = iter(np.arange(0.0, 1e6, 0.1))  # as if every step took so long, and nothing else any time
+    monkeypatch.setattr("vapor.training.duration.perf_counter", lambda: float(next(now)))
+    config = replace(EVERYTHING, epochs=None, hours=10.0 / 3600)
+    found = train_on(walks(), tmp_path / "m.safetensors", config)
+    seconds = 0.1 / 8 * found.images_seen
+    assert 6.0 < seconds < 10.0  # judging takes the rest
+    assert found.checkpoint.training["config"]["epochs"] == len(found.history) * (found.history[1].epoch - 1)
+    assert train_on(walks(), tmp_path / "n.safetensors", replace(config, hours=1e-9)).history[-1].epoch == 4
+
+
+def test_given_hours_images_are_larger_but_not_than_the_camera_s():
+    auto = PRESETS["auto"]
+    sizes = [
+        (network.image_width, network.image_height)
+        for config in (auto, replace(auto, hours=2.0), replace(auto, hours=2.0, epochs=5), replace(auto, hours=0.9))
+        for network in (config.network_for(640, 480),)
+    ]
+    assert sizes == [(128, 96), (224, 168), (128, 96), (128, 96)]
+    small = replace(auto, hours=2.0).network_for(160, 120)
+    assert (small.image_width, small.image_height) == (160, 120)
+
+
+def test_the_network_sees_the_camera_s_aspect_with_as_many_pixels(tmp_path):
+    config = replace(TINY, aspect="camera", epochs=1)
+    network = train_on_most(make_frames(24), tmp_path / "m.safetensors", config).checkpoint.network
+    assert (network.image_width, network.image_height, network.shortest_edge) == (40, 32, 36)  # images are 48 x 36

@@ -1,0 +1,99 @@
+"""Schedules, presets and settings of training."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from filtering.errors import VaporTrackError
+from vapor.checkpoints.calibration import Calibration
+from vapor.regressors.loss import LossConfig
+from vapor.training.augment import AugmentConfig
+from vapor.training.config import TrainConfig
+from vapor.training.precision import uses_bfloat16
+from vapor.training.presets import PRESETS
+from vapor.training.schedule import learning_rate, samples_per_image
+
+
+def test_the_papers_rate_decays_by_a_factor_every_n_epochs_ten_times():
+    config = PRESETS["paper-7scenes"]
+    rates = [learning_rate(config, epoch * 7 + step, 7) for epoch in range(120) for step in range(7)]
+    expected = [1e-4 * 0.8 ** min(epoch // 10, 10) for epoch in range(120) for _ in range(7)]
+    np.testing.assert_allclose(rates, expected)
+
+
+def test_one_cycle_rises_to_the_peak_and_falls_to_nothing():
+    config = TrainConfig(epochs=10, warmup=0.2, learning_rate=1e-3)
+    rates = np.array([learning_rate(config, step, 10) for step in range(100)])
+    assert (np.diff(rates[:20]) > 0).all()
+    assert (np.diff(rates[20:]) < 0).all()
+    assert rates.max() == pytest.approx(1e-3, rel=0.01)
+    assert rates[0] < 1e-5
+    assert rates[-1] < 1e-6
+
+
+def test_samples_grow_from_the_winners_to_all_of_them_and_by_default_do_not():
+    config = TrainConfig(loss=LossConfig(alpha=0.05, num_samples=400), epochs=10, ewta_fraction=0.5)
+    samples = [samples_per_image(config, step, 10) for step in range(100)]
+    assert samples[0] == config.loss.num_winners == 20
+    assert samples[25] == int(20 * 20**0.5)  # half way in the growth
+    assert (np.diff(samples) >= 0).all()
+    assert set(samples[50:]) == {400}
+    assert {samples_per_image(TrainConfig(epochs=30), step, 10) for step in range(300)} == {
+        TrainConfig().loss.num_samples
+    }
+
+
+def test_arithmetic_is_chosen_by_hardware_and_network_unless_it_is_told(monkeypatch):
+    cpu = torch.device("cpu")
+    lite = PRESETS["efficientnet-lite0"]
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda **_: True)
+    assert uses_bfloat16(lite, torch.device("cuda"))
+    for capable in (False, True):
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda capable=capable: {"amx_bf16": capable})
+        assert uses_bfloat16(TrainConfig(), cpu) == capable
+        assert not uses_bfloat16(lite, cpu)
+        assert uses_bfloat16(replace(lite, precision="bfloat16"), cpu)
+        assert not uses_bfloat16(TrainConfig(precision="float32"), cpu)
+
+
+@pytest.mark.parametrize(
+    ("name", "lambda_r", "batch", "epochs", "n", "alpha", "layers"),
+    [
+        ("paper-7scenes", 10, 64, 100, 10, 0.2, 3),
+        ("paper-cambridge", 100, 64, 500, 50, 0.2, 3),
+        ("paper-ambiguous", 2, 4, 500, 50, 0.2, 3),
+        ("paper-ceiling", 2, 4, 2000, 50, 0.05, 9),
+        ("paper-synthetic", 2, 4, 500, 50, 0.2, 3),
+    ],
+)
+def test_paper_presets_have_the_papers_numbers(name, lambda_r, batch, epochs, n, alpha, layers):
+    c = PRESETS[name]
+    assert (c.loss.lambda_translation, c.loss.lambda_rotation, c.loss.alpha) == (5, lambda_r, alpha)
+    assert (c.loss.beta, c.loss.num_samples, c.batch_size, c.epochs) == (0.01, 1000, batch, epochs)
+    assert (c.schedule, c.learning_rate, c.decay_factor, c.decay_epochs, c.decay_times) == ("steps", 1e-4, 0.8, n, 10)
+    assert (c.network.backbone, c.network.latent_dim, c.network.hidden_layers) == ("resnet18", 16, layers)
+    assert (c.network.feature_dim, c.network.hidden_width) == (2048, 128)
+    assert (c.network.image_width, c.network.image_height, c.network.frame_size) == (224, 224, (256, 256))
+    assert c.augment.crop == "anywhere"
+    assert (c.weight_decay, c.ema_decay, c.precision) == (0.0, 0.0, "float32")
+    assert (c.network.shortcut, c.loss.position_unit, c.initial_log_variance) == (False, "metre", 0.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        (LossConfig, {"alpha": 0.0}),
+        (LossConfig, {"lambda_rotation": float("nan")}),
+        (LossConfig, {"num_samples": 0}),
+        (AugmentConfig, {"brightness": -0.1}),
+        (AugmentConfig, {"blur_probability": 1.5}),
+        (Calibration, {"bandwidth_rotation_rad": 0.0}),
+        (TrainConfig, {"bandwidth_translation_m": -1.0}),
+    ],
+)
+def test_settings_out_of_range_are_refused(kind, change):
+    ((name, value),) = change.items()
+    with pytest.raises(VaporTrackError, match=rf"^{name} is {value}, expected between "):
+        kind(**change)

@@ -1,0 +1,187 @@
+import mmap
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from sequences.frame import Frame
+from tests.helpers.data_sets import make_7scenes
+from tests.helpers.sequence_files import Walk, as_split_folder
+from tests.helpers.tiny_training import TINY, make_frames, pose
+from vapor.evaluation.validation import predict
+from vapor.regressors.registry import make_regressor
+from vapor.regressors.scene_box import SceneBox
+from vapor.track import main
+from vapor.training.pairs import paired
+from vapor.training.train import train, train_on
+from vapor.training_data.entries import open_sequences
+from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.load import load_training_set
+from vapor.training_data.training_set import TrainingError
+
+
+def test_training_images_are_scaled_to_cover_the_frame_and_keep_their_order():
+    frames = make_frames(5)
+    whole = load_training_set({"a": frames[:2], "b": frames[2:]}, (18, 18), central=False)
+    assert whole.images.shape == (5, 18, 24, 3)
+    np.testing.assert_array_equal(whole.sequence, [0, 0, 1, 1, 1])
+    np.testing.assert_array_equal(whole.poses[3].as_matrix(), pose(frames[3]).as_matrix())
+    means = frames[3].image.reshape(18, 2, 24, 2, 3).mean(axis=(1, 3))  # halved: each pixel the mean of four
+    np.testing.assert_allclose(whole.images[3], means, atol=0.5)
+    square = load_training_set({"a": frames}, (18, 18))
+    np.testing.assert_array_equal(square.images, whole.images[:, :, 3:21])
+    flat = load_training_set({"a": frames}, (24, 12))
+    np.testing.assert_array_equal(flat.images, whole.images[:, 3:15])
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="what a process shares of memory is told by Linux")
+def test_unloaded_images_leave_memory_and_come_back_when_they_are_used():
+    training = load_training_set({"a": make_frames(2) * 60}, (400, 300))
+    images = training.images
+    before = images.sum()
+    loaded = shared_memory_bytes()
+    training.unload()
+    assert loaded - shared_memory_bytes() > 0.9 * images.nbytes
+    assert images.sum() == before
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="what a process shares of memory is told by Linux")
+def test_a_part_of_the_images_is_not_copied_into_memory():
+    training = load_training_set({"a": make_frames(2) * 60}, (400, 300))
+    part = training.select(np.arange(0, 120, 2)).select(np.arange(1, 60))
+    assert part.images is training.images
+    np.testing.assert_array_equal(part.rows, np.arange(2, 120, 2))
+
+
+def test_a_selection_is_judged_by_its_own_images():
+    loaded = load_training_set({"a": make_frames(12)}, TINY.network.frame_size)
+    network = make_regressor(TINY.network, SceneBox.around(loaded.poses))
+    wanted = np.array([2, 5, 11])
+    alone = load_training_set({"a": [make_frames(12)[i] for i in wanted]}, TINY.network.frame_size)
+    of_part, of_alone = (list(predict(network, images, 5, 0)) for images in (loaded.select(wanted), alone))
+    for a, b in zip(of_part, of_alone, strict=True):
+        np.testing.assert_allclose(a.translation, b.translation, atol=1e-5)
+    assert not np.allclose(of_part[0].translation, next(iter(predict(network, loaded, 5, 0))).translation, atol=1e-5)
+
+
+def test_without_odometry_the_same_images_and_poses_are_read(walk_of_25):
+    whole, bare = (
+        load_training_set(open_sequences([walk_of_25], None, odometry), (32, 24)) for odometry in ("optional", "unread")
+    )
+    assert any(step is not None for step in whole.odometry)
+    assert not any(step is not None for step in bare.odometry)
+    np.testing.assert_array_equal(bare.images, whole.images)
+    np.testing.assert_array_equal(bare.poses.as_matrix(), whole.poses.as_matrix())
+    np.testing.assert_array_equal(bare.times_ns, whole.times_ns)
+
+
+def test_each_sequence_of_a_split_has_its_own_name_and_pairs(tmp_path):
+    scene = make_7scenes(tmp_path / "chess", sequences=("seq-01", "seq-02"))
+    (scene / "TrainSplit.txt").write_text("sequence1\nsequence2\n")
+    loaded = load_training_set(open_sequences([scene / "TrainSplit.txt", scene / "seq-01"]), (32, 24))
+    np.testing.assert_array_equal(loaded.sequence, np.repeat([0, 1, 2], 10))
+    assert loaded.names == ("chess/TrainSplit.txt, sequence 1", "chess/TrainSplit.txt, sequence 2", "seq-01")
+    rng = np.random.default_rng(0)
+    first, second = np.split(paired(rng.permutation(30).repeat(2)[:60], loaded.sequence, 5, rng=rng), 2)
+    np.testing.assert_array_equal(loaded.sequence[first], loaded.sequence[second])
+
+
+def test_what_is_left_out_of_the_data_is_told(tmp_path, capsys):
+    scene = make_7scenes(tmp_path / "chess", num_images=24)
+    (scene / "seq-01" / "frame-000003.pose.txt").unlink()
+    (scene / "seq-01" / "frame-000007.color.png").unlink()
+    (scene / "seq-01" / "frame-000009.color.png").write_bytes(b"no image")
+    config = replace(TINY, calibrate=False, epochs=1)
+    result = train([scene / "seq-01"], tmp_path / "model.safetensors", config)
+    assert result.images_seen == 21  # nothing is held out of one pass
+    assert result.skipped == {"no true pose": 1, "no image": 1, "undecodable image": 1}
+    words = ["--network.image-width", "32", "--network.image-height", "32", "--network.shortest-edge", "34"]
+    words += ["--epochs", "1", "--no-calibrate"]
+    main(["train", str(scene / "seq-01"), "--output", str(tmp_path / "again.safetensors"), *words])
+    printed = capsys.readouterr().out
+    assert "skipped 1: no true pose" in printed
+    assert "skipped 1: undecodable image" in printed
+
+
+def test_images_that_are_trained_on_are_not_taken_for_held_out_ones(tmp_path, monkeypatch):
+    recording, scene = Walk(12).write(tmp_path / "walk.mcap"), make_7scenes(tmp_path / "chess")
+    (tmp_path / "again.mcap").symlink_to(recording)
+    as_split_folder(recording, tmp_path)
+    (scene / "TrainSplit.txt").write_text("sequence1\n")
+    monkeypatch.chdir(tmp_path)
+    for data, held_out in (
+        ([scene / "seq-01"], ["chess/seq-01@8:"]),
+        ([scene / "TrainSplit.txt"], [f"{scene}/seq-01@3:"]),
+        ([f"{recording}@:9"], ["walk.mcap@8:"]),
+        ([recording], ["again.mcap"]),
+        (["bag"], [next((tmp_path / "bag").glob("*.mcap"))]),
+        ([f"{recording}@:9", recording], []),  # of both the last part is held out
+    ):
+        with pytest.raises(TrainingError, match=r"shares images with .*, which is trained on; expected none of them"):
+            train(data, tmp_path / "model.safetensors", TINY, validation=held_out)
+    require_no_leakage([f"{recording}@:9", scene / "seq-01"], [f"{recording}@9:"])
+    require_no_leakage([tmp_path / "absent"])
+
+
+def test_fewer_images_than_a_batch_are_one_batch_and_a_batch_of_one_is_refused(tmp_path):
+    config = replace(TINY, batch_size=64, calibrate=False, validation_fraction=0.0, epochs=2)
+    result = train_on({"a": make_frames(5)}, tmp_path / "model.safetensors", config)
+    assert result.images_seen == 10
+    with pytest.raises(TrainingError, match="batch_size is 1, expected at least 2"):
+        replace(TINY, batch_size=1)
+
+
+def shared_memory_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[2]) * mmap.PAGESIZE
+
+
+def test_images_of_different_size_are_cropped_alike_or_refused():
+    frames = make_frames(2)
+    frames[1] = replace(frames[1], image=np.zeros((100, 90, 3), np.uint8))
+    assert load_training_set({"a": frames}, (36, 36)).images.shape == (2, 36, 36, 3)
+    with pytest.raises(TrainingError, match="a: image 2, at 1 ns, is 36 x 40 after scaling, expected 48 x 36"):
+        load_training_set({"a": frames}, (36, 36), central=False)
+
+
+def test_sequences_without_usable_poses_are_refused_by_name():
+    frames = [replace(f, world_from_camera=None) for f in make_frames(3)]
+    with pytest.raises(TrainingError, match="b: no image with a true pose"):
+        load_training_set({"a": make_frames(3), "b": frames}, (36, 36))
+    frames[1] = replace(frames[1], world_from_camera=Poses(np.eye(3), np.array([0.0, np.nan, 0.0])))
+    with pytest.raises(TrainingError, match="b: true pose at 1 ns is not finite"):
+        load_training_set({"b": frames}, (36, 36))
+
+
+def _variety(count: int, *, moving: bool = True, seeing: bool = True, at: float = 0.0) -> dict[str, list[Frame]]:
+    rng = np.random.default_rng(0)
+    images = (
+        rng.integers(0, 256, (count, 36, 48, 3), dtype=np.uint8)
+        if seeing
+        else rng.integers(9, 12, (count, 36, 48, 3), np.uint8)
+    )
+    where = [np.array([at + 0.1 * i * moving, 0.0, 0.0]) for i in range(count)]
+    return {"walk.mcap": [Frame(i, images[i], None, Poses(np.eye(3), where[i])) for i in range(count)]}
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (_variety(30, moving=False), "walk.mcap: the camera does not move: all 30 true poses are within 5 mm and 0.5°"),
+        (_variety(30, seeing=False), "walk.mcap: all 30 images are alike, to within a level of grey"),
+        (_variety(30, at=5e6), "positions up to 5e\\+06 m from zero.*--ground-truth-origin"),
+    ],
+)
+def test_data_from_which_nothing_can_be_learned_are_refused(data, said, tmp_path):
+    with pytest.raises(TrainingError, match=said):
+        train_on(data, tmp_path / "m.safetensors", TINY)
+    assert not list(tmp_path.iterdir())
+
+
+def test_few_images_are_learned_from_and_told(tmp_path):
+    config = replace(TINY, epochs=1, calibrate=False)
+    assert train_on(_variety(10), tmp_path / "m.safetensors", config).notices == (
+        "10 images to learn from: a place takes hundreds, along every path that will be walked",
+    )
+    assert train_on(_variety(100), tmp_path / "n.safetensors", config).notices == ()
