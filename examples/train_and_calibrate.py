@@ -17,11 +17,12 @@ def main() -> None:
     parser.add_argument("walks", nargs="+", type=Path, help="recordings with true poses to learn from")
     parser.add_argument("--held-out", nargs="+", type=Path, required=True, help="others, to calibrate on")
     parser.add_argument("--hours", type=float, default=0.1, help="how long to train")
+    parser.add_argument("--epochs", type=int, help="how often to see each image; default: as often as time allows")
     parser.add_argument("--output", type=Path, default=Path("place.safetensors"))
     options = parser.parse_args()
 
     # `train` calibrates by itself on passes that it holds out. Whoever has a walk to spare calibrates on that.
-    config = replace(vapor.PRESETS["auto"], hours=options.hours, calibrate=False)
+    config = replace(vapor.PRESETS["auto"], hours=options.hours, epochs=options.epochs, calibrate=False)
     vapor.train(options.walks, options.output, config, validation=options.held_out)
     result = vapor.calibrate_model(str(options.output), options.held_out, options.output, training=options.walks)
 
