@@ -42,7 +42,7 @@ def replace_folder(work: Path, directory: Path, names: Collection[str], reads: I
             return
         if foreign_files(directory, reads):
             raise OSError(errno.ENOTEMPTY, "files were added meanwhile")
-        _exchange(new, directory)
+        exchange(new, directory)
     except OSError as error:
         if error.errno not in _NOT_EXCHANGEABLE or not directory.is_dir():
             raise
@@ -74,7 +74,7 @@ def replace_files(work: Path, names: Collection[str], reads: Iterable[Path]) -> 
     move_in(work, [*new, MANIFEST], instead_of=[*first, *gone])
 
 
-def _exchange(one: Path, other: Path) -> None:
+def exchange(one: Path, other: Path) -> None:
     """Let two paths change places, as one.
 
     Raises:

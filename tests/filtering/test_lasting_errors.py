@@ -37,13 +37,12 @@ def stand(localizer, shares, count, *, noise=None, jitter_m=0.0, seed=0, pose=No
     rng, estimates, last = RNG(seed), [], np.zeros(6)
     pose = Poses.identity() if pose is None else pose
     heights_m = ALIKE[: len(shares)]
-    for i in range(count):
+    for _ in range(count):
         seen = pose if noise is None else pose @ Poses.exp(noise * rng.standard_normal(6))
         now = jitter_m * rng.uniform(-1, 1, 6) * np.repeat([1.0, 0.3], 3)
         odometry = Odometry(Poses.exp(-last) @ Poses.exp(now), np.diag(AT_REST**2), 0.1)
         last = now
-        first = i == 0 and localizer._belief is None
-        estimates.append(localizer.update(seen_at(lifted(seen, heights_m), shares), None if first else odometry))
+        estimates.append(localizer.update(seen_at(lifted(seen, heights_m), shares), odometry))
     return estimates
 
 

@@ -177,7 +177,7 @@ def replay() -> Iterator[tuple[str, Verdict]]:
                 if entry["reader"] == name:
                     files = entry["files"].items()
                     try:
-                        changes = {file: _spliced(sample.files[file], splice) for file, splice in files}
+                        changes = {file: put_in(sample.files[file], splice) for file, splice in files}
                     except (KeyError, OtherSampleError):
                         yield name, Verdict("failure", "kept of another sample", damage=entry["damage"])
                     else:
@@ -186,7 +186,7 @@ def replay() -> Iterator[tuple[str, Verdict]]:
 
 def keep(sample: Sample, changes: Changes, verdict: Verdict) -> bool:
     """Add a case to those that are kept; False where it is too large or there already."""
-    files = {name: _splice(sample.files[name], data) for name, data in changes.items()}
+    files = {name: difference(sample.files[name], data) for name, data in changes.items()}
     line = json.dumps({"reader": sample.name, "cause": verdict.cause, "damage": verdict.damage[:200], "files": files})
     known = _CORPUS.read_text(encoding="ascii").splitlines() if _CORPUS.exists() else []
     if len(line) > _MOST_KEPT or any(json.loads(each)["files"] == files for each in known):
@@ -195,7 +195,7 @@ def keep(sample: Sample, changes: Changes, verdict: Verdict) -> bool:
     return True
 
 
-def _splice(whole: bytes, data: bytes | None) -> Any:
+def difference(whole: bytes, data: bytes | None) -> Any:
     """Where a file begins and ends to differ, what stands there instead, and a digest of the sample's file; None for a
     file that is gone."""
     if data is None:
@@ -204,7 +204,7 @@ def _splice(whole: bytes, data: bytes | None) -> Any:
     return [begin, end, base64.b85encode(zlib.compress(data[begin : len(data) - end], 9)).decode(), _digest(whole)]
 
 
-def _spliced(whole: bytes, splice: Any) -> bytes | None:
+def put_in(whole: bytes, splice: Any) -> bytes | None:
     if splice is None:
         return None
     begin, end, middle, digest = splice

@@ -72,7 +72,7 @@ def filling(room: int) -> Iterator[Disk]:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("mkdir", "rename", "replace"):
             patch.setattr(os, name, disk.taking(getattr(os, name)))
-        patch.setattr(replacing, "_exchange", disk.taking(replacing._exchange))
+        patch.setattr(replacing, "exchange", disk.taking(replacing.exchange))
         for module in (io, builtins):
             patch.setattr(module, "open", open_file)
         yield disk

@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 from sequences.errors import SequenceError
 from tests.fuzz import __main__ as command
 from tests.fuzz import cases
-from tests.fuzz.cases import Sample, Verdict, _splice, _spliced, keep
+from tests.fuzz.cases import Sample, Verdict, difference, keep, put_in
 from tests.fuzz.damage import with_checksum
 from tests.fuzz.mcap_damage import put_together, stated_images, take_apart
 from tests.fuzz.readers import READERS
@@ -133,8 +133,8 @@ def test_what_is_kept_of_a_file_gives_it_back() -> None:
         whole = rng.bytes(int(rng.integers(0, 40)))
         at = sorted(rng.integers(0, len(whole) + 1, 2))
         for data in (whole[: at[0]] + rng.bytes(int(rng.integers(0, 5))) + whole[at[1] :], whole + whole, b""):
-            assert _spliced(whole, _splice(whole, data)) == data
-    assert _spliced(b"whole", _splice(b"whole", None)) is None
+            assert put_in(whole, difference(whole, data)) == data
+    assert put_in(b"whole", difference(b"whole", None)) is None
 
 
 def test_a_case_that_was_kept_of_another_sample_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -115,13 +115,14 @@ def _run_fleet(options: Options) -> None:
                 outcomes.append(outcome)
     finally:  # after Ctrl-C too: what is done is whole
         if outcomes:
-            _show_outcomes(outcomes, options.output)
+            show_outcomes(outcomes, options.output)
     failed = [outcome.name for outcome in outcomes if outcome.error is not None]
     if failed:
         raise VaporTrackError(f"{len(failed)} of {len(outcomes)} sequences failed: {', '.join(failed)}")
 
 
-def _show_outcomes(outcomes: Sequence[Outcome], output: Path) -> None:
+def show_outcomes(outcomes: Sequence[Outcome], output: Path) -> None:
+    """Print the table of a fleet, and what of each sequence was left out or failed."""
     show(format_fleet(outcomes))
     for outcome in outcomes:
         few = [] if outcome.few_images is None else [outcome.few_images]

@@ -15,4 +15,4 @@ def one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(one: Path, other: Path) -> None:
         raise OSError(errno.EBUSY, "Device or resource busy")
 
-    monkeypatch.setattr(replacing, "_exchange", fails)
+    monkeypatch.setattr(replacing, "exchange", fails)

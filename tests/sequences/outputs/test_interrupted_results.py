@@ -79,7 +79,7 @@ from sequences.outputs.results import results_folder
 if sys.argv[2] == "one by one":
     def fails(one, other):
         raise OSError(16, "busy")
-    replacing._exchange = fails
+    replacing.exchange = fails
 for number in range(10**6):
     with results_folder(Path(sys.argv[1]), "run", writes=("a.tum", "b.json", "sometimes.png")) as new:
         for name in ("a.tum", "b.json") + ("sometimes.png",) * (number % 2):

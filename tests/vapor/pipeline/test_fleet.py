@@ -9,7 +9,7 @@ import pytest
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.helpers.tiny_model import SMALL
-from vapor.commands.run import _show_outcomes
+from vapor.commands.run import show_outcomes
 from vapor.pipeline import fleet as fleet_module
 from vapor.pipeline import model as model_module
 from vapor.pipeline.find_sequences import find_sequences, is_fleet
@@ -216,7 +216,7 @@ def test_sequences_that_used_few_of_their_images_are_named_last(tmp_path, capsys
     few = "Only 9 of 40 images were used: 30 were skipped, odometry does not cover."
     status = {"converged": 1.0, "ambiguous": 0.0, "lost": 0.0}
     whole = Outcome("hall", "hall.mcap", images=30, status=status, final_status="converged")
-    _show_outcomes([whole, replace(whole, name="attic", images=9, few_images=few)], tmp_path)
+    show_outcomes([whole, replace(whole, name="attic", images=9, few_images=few)], tmp_path)
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "Fewer than half of the images were used in 1 of 2 sequences: attic."
     assert lines[lines.index("attic") + 1].strip() == few
