@@ -38,7 +38,10 @@ class GapConfig:
 
 @dataclass(frozen=True)
 class LocalizerConfig:
-    """Settings of the filter; lengths follow from how the images err (`ErrorModel`)."""
+    """Settings of the filter; lengths follow from how the images err (`ErrorModel`).
+
+    Whatever is stated in metres is also scaled in `vapor.evaluation.lengths`.
+    """
 
     max_hypotheses: int = 50
     """Particles that carry the belief, each a hypothesis with a Gaussian of its own: at most so many."""

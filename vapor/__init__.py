@@ -9,6 +9,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
+    from filtering.cameras import View as View
     from filtering.config import LocalizerConfig as LocalizerConfig
     from filtering.error_model import ErrorModel as ErrorModel
     from filtering.errors import VaporTrackError as VaporTrackError
@@ -43,6 +44,7 @@ _MODULES = {
     "TrainConfig": "vapor.training.config",
     "VaporObservationModel": "vapor.observation",
     "VaporTrackError": "filtering.errors",
+    "View": "filtering.cameras",
     "calibrate_model": "vapor.calibration.calibrate_model",
     "fuse": "vapor.pipeline.fuse",
     "run": "vapor.pipeline.run",

@@ -43,6 +43,11 @@ def list_images(path: Path) -> PosedImages:
     return images
 
 
+def is_list(path: Path) -> bool:
+    """Whether a path is named like a file by which some layout lists what lies beside it."""
+    return any(path.suffix in layout.list_suffixes for layout in find_layouts())
+
+
 def files_read(path: Path) -> Iterator[Path]:
     """Files and folders that a recording or data set is read from, for outputs: they must be none of these.
 
@@ -53,7 +58,7 @@ def files_read(path: Path) -> Iterator[Path]:
     yield path
     if is_recording(path):
         return
-    folder = path.parent if any(path.suffix in layout.list_suffixes for layout in find_layouts()) else path
+    folder = path.parent if is_list(path) else path
     yield folder
     yield from (above / "intrinsics.json" for above in folder.absolute().parents[:INTRINSICS_LEVELS])
     with suppress(SequenceError):

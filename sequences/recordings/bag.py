@@ -13,7 +13,7 @@ from mcap.records import Schema
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.recordings import encodings, foxglove
+from sequences.recordings import foxglove, serializations
 from sequences.recordings.mcap_file import McapFile
 from sequences.recordings.messages import frame_name
 from sequences.recordings.rosbag2 import read_listing
@@ -86,7 +86,7 @@ class RawMessage:
 
     def decode(self) -> SimpleNamespace:
         """Its fields, named as in ROS 2. What it raises where it is damaged depends on the encoding."""
-        message = encodings.decoder(self.type, self.encoding, self.definition)(self.data)
+        message = serializations.decoder(self.type, self.encoding, self.definition)(self.data)
         if self.restamped:
             sec, nanosec = divmod(self.log_time_ns, 1_000_000_000)
             for stamped in getattr(message, "transforms", [message]):

@@ -18,7 +18,7 @@ from sequences.files import structured
 from sequences.files.structured import parse_json, read_arrays
 from sequences.files.text import read_lines
 from sequences.frame import Camera
-from sequences.recordings.encodings import decoder
+from sequences.recordings.serializations import decoder
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.trajectories.tum import read_tum
 from sequences.values import is_number, natural, parse_number, parse_numbers, parse_time_ns

@@ -22,7 +22,7 @@ from vapor.commands.console import OutputPath, Overwrite, parse, show, show_noti
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.trajectory import THRESHOLDS
 from vapor.observation import Device, VaporObservationModel
-from vapor.reporting.figures import is_picture
+from vapor.reporting.drawing import is_picture
 from vapor.reporting.posterior_pictures import draw_posterior
 
 

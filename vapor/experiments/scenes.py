@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from sequences.datasets.listing import is_list
 from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
 from vapor.parallel import in_parallel
 from vapor.training_data.entries import parse_entry
@@ -42,7 +43,7 @@ def identities(entries: Sequence[str]) -> list[list[str | int]]:
 def identity(entry: str) -> list[str | int]:
     """Where an entry lies, and sizes and times of change of its files: of a folder or a split, all of the folder."""
     path, _ = parse_entry(entry)
-    folder = path.parent if path.suffix == ".txt" else path
+    folder = path.parent if is_list(path) else path
     walked = (Path(at, name) for at, _, names in os.walk(folder, followlinks=True) for name in names)
     about: list[list[str | int]] = []
     for file in sorted(walked if folder.is_dir() else [path]):

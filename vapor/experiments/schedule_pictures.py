@@ -7,7 +7,7 @@ from pathlib import Path
 
 from vapor.experiments.schedule import DEFAULT, PAPER, Point
 from vapor.reporting.colors import COLORS
-from vapor.reporting.figures import new_figure, save_figure
+from vapor.reporting.drawing import new_figure, save_figure
 
 _COLOR = {DEFAULT: COLORS["filter"], PAPER: COLORS["other"]}
 

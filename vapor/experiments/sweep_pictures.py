@@ -13,7 +13,7 @@ from filtering.se3 import Poses
 from sequences.scenes import find_scene
 from vapor.experiments.sweep import MODES, by_value
 from vapor.reporting.colors import COLORS
-from vapor.reporting.figures import new_figure, save_figure
+from vapor.reporting.drawing import new_figure, save_figure
 
 # Medians read off the paper's figure of recall at 0.1 m / 10° over α, at 0.01 and then in steps of 0.05.
 PAPER_MEDIANS: Mapping[str, tuple[float, ...]] = MappingProxyType(

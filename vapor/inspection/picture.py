@@ -12,7 +12,7 @@ from vapor.inspection.plan import SECTORS
 from vapor.inspection.predictions import Predictions
 from vapor.inspection.regions import height
 from vapor.reporting.colors import COLORS
-from vapor.reporting.figures import new_figure, save_figure
+from vapor.reporting.drawing import new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

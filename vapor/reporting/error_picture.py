@@ -8,7 +8,7 @@ import numpy as np
 
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS, convergence_s, pose_errors
 from vapor.reporting.colors import COLORS, INK
-from vapor.reporting.figures import add_title, new_figure, quiet_axes
+from vapor.reporting.drawing import add_title, new_figure, quiet_axes
 from vapor.reporting.record import RunRecord
 from vapor.tracking.methods import METHODS
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from vapor.reporting.drawing import save_figure
 from vapor.reporting.error_picture import error_figure
-from vapor.reporting.figures import save_figure
 from vapor.reporting.particle_picture import particle_figure
 from vapor.reporting.record import RunRecord
 from vapor.reporting.trajectory_picture import trajectory_figure

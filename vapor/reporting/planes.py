@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.se3 import Poses
-from vapor.reporting.figures import quiet_axes
+from vapor.reporting.drawing import quiet_axes
 from vapor.reporting.record import RunRecord
 
 if TYPE_CHECKING:

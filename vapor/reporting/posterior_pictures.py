@@ -14,7 +14,7 @@ from jaxtyping import Float64, UInt8
 
 from filtering.se3 import Poses
 from vapor.reporting.colors import COLORS
-from vapor.reporting.figures import new_figure, save_figure
+from vapor.reporting.drawing import new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vapor.reporting.colors import COLORS
-from vapor.reporting.figures import add_title, new_figure
+from vapor.reporting.drawing import add_title, new_figure
 from vapor.reporting.planes import AXES, choose_planes, draw_path, extent_of, prepare_plane
 from vapor.reporting.record import RunRecord
 from vapor.tracking.methods import METHODS

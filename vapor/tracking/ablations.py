@@ -9,12 +9,12 @@ from types import MappingProxyType
 import numpy as np
 
 from filtering.config import LocalizerConfig
+from filtering.doubting import DoubtingLocalizer
 from filtering.error_model import ErrorModel
 from filtering.estimate import Estimate
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry, SlowErrors
 from filtering.posterior import PosePosterior
-from filtering.rivals import DoubtingLocalizer
 from vapor.tracking.loop import Localizer
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from filtering.config import LocalizerConfig
 from filtering.estimate import Mode
+from filtering.gaussian_sum import GaussianSumLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
-from filtering.rivals import GaussianSumLocalizer
 
 
 class KalmanTracker:

@@ -41,7 +41,7 @@ def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
     named: dict[str, tuple[Path, slice]] = {}
     for number, entry in enumerate(data):
         path, frames = parse_entry(entry)
-        parts = Path(str(entry)).parts[-2 if path.suffix == ".txt" else -1 :]  # lists of splits are all named alike
+        parts = Path(str(entry)).parts[-2 if listing.is_list(path) else -1 :]  # lists of splits are all named alike
         name = "/".join(parts)
         named[name if name not in named else f"{name} ({number + 1})"] = path, frames
     return named

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from filtering.config import LocalizerConfig
+from filtering.doubting import DoubtingLocalizer
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
-from filtering.rivals import DoubtingLocalizer
 from filtering.se3 import Poses
 from tests.helpers.simulation import ERRORS
 from vapor.tracking.ablations import ABLATIONS

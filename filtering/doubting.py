@@ -1,7 +1,6 @@
-"""Filters that share all of the particle filter's models, to see what its hypotheses and its births are worth.
+"""The particle filter with hypotheses born as in AMCL: only where images agree with the belief less than usual.
 
-Sources: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", 1972; Thrun, Burgard
-and Fox, "Probabilistic robotics", 2005, § 8.3.3 (augmented Monte Carlo localization).
+Source: Thrun, Burgard and Fox, "Probabilistic robotics", 2005, § 8.3.3 (augmented Monte Carlo localization).
 """
 
 from __future__ import annotations
@@ -13,35 +12,10 @@ import numpy as np
 from filtering.cameras import View
 from filtering.config import LocalizerConfig
 from filtering.estimate import Estimate
-from filtering.hypotheses import Hypotheses, reduced
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import ObservationModel
 
-GAUSSIANS = 15
-"""So many has the bank of the Gaussian sum."""
-
 _USUAL_S = 10.0  # time over which images usually agree with the belief as they do
-
-
-class GaussianSumLocalizer(ParticleLocalizer):
-    """A bank of Gaussians that begin at the places of the first image; none is born later.
-
-    Of more than 15 the heaviest go on. `max_hypotheses` and `kidnap_per_view` do not count.
-    """
-
-    def _fraction_anew(self, novelty: float, agreement: float) -> float:
-        return 0.0
-
-    def _reduced(self, belief: Hypotheses) -> Hypotheses:
-        c = self.config
-        merged = reduced(
-            belief,
-            divergence=c.merge_divergence,
-            least_weight=c.least_weight,
-            most=len(belief),
-            rng=self._filter_rng,
-        )
-        return merged[:GAUSSIANS].with_log_weights(merged.log_weights[:GAUSSIANS])
 
 
 class DoubtingLocalizer(ParticleLocalizer):

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from filtering.config import LocalizerConfig
+from filtering.doubting import DoubtingLocalizer
+from filtering.gaussian_sum import GAUSSIANS, GaussianSumLocalizer
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
-from filtering.rivals import GAUSSIANS, DoubtingLocalizer, GaussianSumLocalizer
 from filtering.se3 import Poses
 from tests.helpers.modelled_walk import SLOW, walk
 
