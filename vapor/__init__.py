@@ -7,8 +7,6 @@ they are used, so that `import vapor` takes no time and loads no torch.
 # Nothing is imported here: the command starts by this file, and takes the signals before it imports anything.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from typing import Any
-
     from filtering.cameras import View as View
     from filtering.config import LocalizerConfig as LocalizerConfig
     from filtering.error_model import ErrorModel as ErrorModel
@@ -54,14 +52,16 @@ _MODULES = {
 __all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-def __getattr__(name: str) -> "Any":
-    if name not in _MODULES:
-        raise AttributeError(f"module 'vapor' has no attribute {name!r}")
-    from importlib import import_module
+if not TYPE_CHECKING:  # which shall tell of a name that is misspelt
 
-    value = globals()[name] = getattr(import_module(_MODULES[name]), name)
-    return value
+    def __getattr__(name: str) -> object:
+        if name not in _MODULES:
+            raise AttributeError(f"module 'vapor' has no attribute {name!r}")
+        from importlib import import_module
+
+        value = globals()[name] = getattr(import_module(_MODULES[name]), name)
+        return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES})
+    return sorted({*(name for name in globals() if name.startswith("__")), *_MODULES})

@@ -1,3 +1,4 @@
+import json
 import re
 import subprocess
 import sys
@@ -50,3 +51,10 @@ def test_the_documentation_lists_what_is_public():
     rows = (Path(vapor.__file__).parents[1] / "docs" / "api.md").read_text(encoding="utf-8").splitlines()
     listed = [name for row in rows if row.startswith("| `") for name in re.findall(r"`(\w+)`", row.split("|")[1])]
     assert sorted(listed) == sorted(vapor.__all__)
+
+
+def test_files_may_be_named_by_strings(walk_of_25, tiny_model, tmp_path, no_pictures):
+    result = vapor.run(str(walk_of_25), str(tiny_model), str(tmp_path / "out"))
+    assert len(result.record.status) == 25
+    stored = json.loads((tmp_path / "out" / "config.json").read_text())["run"]["localizer"]
+    assert "converged_map_share" in stored, "config.json has the names that it had at first"

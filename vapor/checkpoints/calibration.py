@@ -14,16 +14,10 @@ from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.checkpoints.stored_config import parse_config
+from vapor.stored_names import NAMES, with_stored_names
 from vapor.tensor_files import CheckpointError
 
 _SIX = {"floor", "typical_std"}
-_STORED_NAMES = {
-    "outlier_probability": "outlier_share",
-    "possible_fraction": "possible_share",
-    "lasting_fraction": "lasting_share",
-    "constant_fraction": "constant_share",
-}
-_NAMES = {stored: name for name, stored in _STORED_NAMES.items()}
 
 
 @dataclass(frozen=True)
@@ -49,9 +43,7 @@ class Calibration:
 
 def stored_calibration(calibration: Calibration) -> dict[str, Any]:
     """The calibration as a model file has it, JSON: fields of the error model by the names that they had at first."""
-    values = asdict(calibration)
-    errors = {_STORED_NAMES.get(name, name): value for name, value in values["errors"].items()}
-    return values | {"errors": errors}
+    return with_stored_names(asdict(calibration))
 
 
 def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, float]) -> Calibration:
@@ -69,7 +61,7 @@ def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, float]) 
         return parse_config(path, "calibration", Calibration, values)  # which says what is wrong
     errors = values["errors"]
     if isinstance(errors, dict):
-        errors = {_NAMES.get(name, name): value for name, value in errors.items()}
+        errors = {NAMES.get(name, name): value for name, value in errors.items()}
         for name in _SIX & errors.keys():
             found = errors[name]
             if not (isinstance(found, list) and len(found) == 6 and all(type(v) in (int, float) for v in found)):

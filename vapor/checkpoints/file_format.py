@@ -31,6 +31,7 @@ from vapor.checkpoints.thinning import thin_poses
 from vapor.regressors.familiarity import description_size
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import make_regressor
+from vapor.stored_names import with_stored_names
 from vapor.tensor_files import CHECKSUM, CheckpointError, format_of, read_safetensors, write_safetensors
 
 FORMAT = "vapor-track model"
@@ -65,7 +66,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool =
         "network": asdict(checkpoint.network),
         "box": asdict(checkpoint.box),
         "calibration": stored_calibration(checkpoint.calibration),
-        "training": checkpoint.training,
+        "training": with_stored_names(checkpoint.training),
         "camera": None if checkpoint.camera is None else asdict(checkpoint.camera),
     }
     metadata = {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config, allow_nan=False)}

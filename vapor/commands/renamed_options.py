@@ -30,13 +30,14 @@ def with_new_names(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
         arguments: Words such as `--train.evolve`, `--evolve=0.4` or `--no-half`.
     """
     words, notices = [], []
-    for word in arguments:
+    options = arguments[: arguments.index("--")] if "--" in arguments else arguments  # behind it, words are no options
+    for word in options:
         old, equals, value = word.partition("=")
         new = _renamed(old)
         if new != old:
             notices.append(f"{old} is now {new}")
         words.append(new + equals + value)
-    return words, list(dict.fromkeys(notices))
+    return [*words, *arguments[len(options) :]], list(dict.fromkeys(notices))
 
 
 def _renamed(option: str) -> str:

@@ -17,13 +17,13 @@ from vapor.pipeline.results import RESULTS, RunResult, write_results
 
 
 def fuse(
-    estimates: Sequence[Path],
-    output: Path,
+    estimates: Sequence[Path | str],
+    output: Path | str,
     config: FilteringConfig | None = None,
     *,
-    odometry: Path | None = None,
-    simulate_odometry: Path | None = None,
-    ground_truth: Path | None = None,
+    odometry: Path | str | None = None,
+    simulate_odometry: Path | str | None = None,
+    ground_truth: Path | str | None = None,
     trust: EstimateConfig | None = None,
     reading: EstimateOptions | None = None,
     overwrite: bool = False,
@@ -47,13 +47,15 @@ def fuse(
         VaporTrackError: unusable files or output, or fewer than one in ten of the estimated frames left to localize.
     """
     config, trust, reading = config or FilteringConfig(), trust or EstimateConfig(), reading or EstimateOptions()
-    reads = [path for path in (*estimates, odometry, simulate_odometry, ground_truth) if path is not None]
-    with results_folder(output, "fuse", writes=RESULTS, reads=reads, overwrite=overwrite) as directory:
+    files = [Path(path) for path in estimates]
+    beside = [None if path is None else Path(path) for path in (odometry, simulate_odometry, ground_truth)]
+    reads = [path for path in (*files, *beside) if path is not None]
+    with results_folder(Path(output), "fuse", writes=RESULTS, reads=reads, overwrite=overwrite) as directory:
         sequence = EstimateSequence(
-            estimates,
-            odometry=odometry,
-            simulate_odometry_from=simulate_odometry,
-            ground_truth=ground_truth,
+            files,
+            odometry=beside[0],
+            simulate_odometry_from=beside[1],
+            ground_truth=beside[2],
             options=reading,
             seed=config.seed,
         )

@@ -14,6 +14,7 @@ from sequences.trajectories.tum import write_tum
 from vapor.reporting.pictures import PICTURES, write_pictures
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import build_report, doubtful_notice, write_report, write_status
+from vapor.stored_names import with_stored_names
 from vapor.tracking.methods import FILES
 
 _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
@@ -59,7 +60,9 @@ def write_results(record: RunRecord, directory: Path, settings: dict[str, Any], 
     pictures = write_pictures(record, directory, title=title)
     versions = {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in _PACKAGES}
     with atomic_output(directory / "config.json") as partial:
-        partial.write_text(json.dumps(settings | {"versions": versions}, indent=2) + "\n", encoding="utf-8")
+        partial.write_text(
+            json.dumps(with_stored_names(settings) | {"versions": versions}, indent=2) + "\n", encoding="utf-8"
+        )
     report = build_report(record)
     write_report(directory / "report.json", report)
     notice = doubtful_notice(record)

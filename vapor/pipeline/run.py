@@ -19,9 +19,9 @@ from vapor.training_data.ground import told_unshown
 
 
 def run(
-    sequence: Path,
+    sequence: Path | str,
     model: str | LoadedModel,
-    output: Path,
+    output: Path | str,
     config: RunConfig | None = None,
     *,
     reading: SequenceOptions | None = None,
@@ -44,6 +44,7 @@ def run(
     Raises:
         VaporTrackError: unusable sequence, model or output, or fewer than one in ten of the images left to localize.
     """
+    sequence, output = Path(sequence), Path(output)
     config = config or RunConfig()
     loaded = load_model(model, config) if isinstance(model, str) else model
     reads = files_read(sequence, loaded, reading)

@@ -12,17 +12,11 @@ from vapor.observation import Device
 from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import REGRESSORS, regressor_class
+from vapor.stored_names import STORED_NAMES
 from vapor.training.augment import AugmentConfig
 from vapor.training_data.training_set import TrainingError
 
 _LARGER = 1.75  # edges of images, where a training may take longer
-_STORED_NAMES = {
-    "ewta_fraction": "evolve",
-    "ema_decay": "average",
-    "validation_fraction": "validation_share",
-    "store_float16": "half",
-}
-"""Setting -> its name in files, of those that had another one when files were first written with them."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +171,7 @@ class TrainConfig:
 
     def as_stored(self) -> dict[str, Any]:
         """All settings, by the names that they have in files."""
-        return {_STORED_NAMES.get(name, name): value for name, value in asdict(self).items()}
+        return {STORED_NAMES.get(name, name): value for name, value in asdict(self).items()}
 
     def settings(self) -> dict[str, Any]:
         """What makes a training this one: all but where it runs, by the names that they have in files."""

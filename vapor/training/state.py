@@ -18,6 +18,7 @@ from sequences.values import parse_number
 from vapor.checkpoints.stored_config import parse_config, parse_metadata
 from vapor.evaluation.validation import Validation
 from vapor.regressors.base import PoseRegressor
+from vapor.stored_names import NAMES
 from vapor.tensor_files import CHECKSUM, CheckpointError, format_of, read_safetensors, write_safetensors
 from vapor.training.memory import TrainingFeatures
 
@@ -108,7 +109,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     expected = json.loads(json.dumps(identity))
     other = config.get("identity")
     if other != expected:
-        differs = [k for k in expected if not isinstance(other, dict) or other.get(k) != expected[k]]
+        differs = [NAMES.get(k, k) for k in expected if not isinstance(other, dict) or other.get(k) != expected[k]]
         raise CheckpointError(
             f"{path}: interrupted training differs in {', '.join(differs) or 'its configuration'}, expected the same"
             f" configuration and data; {_ANEW}"

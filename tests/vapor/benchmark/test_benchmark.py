@@ -140,7 +140,7 @@ def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_m
     own = load_checkpoint(tiny_model).calibration.errors
     assert set(told) == {replace(own, outlier_probability=0.25, floor=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06))}
     settings = json.loads((folder / "summary.json").read_text())["settings"]
-    assert settings["errors"] == {"outlier_probability": 0.25, "floor": [float(value) for value in floor]}
+    assert settings["errors"] == {"outlier_share": 0.25, "floor": [float(value) for value in floor]}
     assert run(folder, tiny_model, "--kinds", "no-cue", "--errors.outlier-probability", "2") == 1
     assert "outlier_probability is 2" in capsys.readouterr().err
 

@@ -78,3 +78,10 @@ def test_no_command_has_an_option_by_an_old_name_which_it_could_not_be_given(com
         words = {word.strip(",|[]").rpartition(".")[2] for word in capsys.readouterr().out.split() if "--" in word}
         names = {f"--{word.removeprefix('--').removeprefix('no-')}" for word in words}
         assert not names & RENAMED.keys()
+
+
+def test_words_behind_two_dashes_are_no_options():
+    assert with_new_names(["--half", "--", "--half"]) == (
+        ["--store-float16", "--", "--half"],
+        ["--half is now --store-float16"],
+    )

@@ -202,7 +202,7 @@ def test_the_command_bridges_a_run_of_wrong_estimates(tmp_path, truth, capsys, r
     assert config["estimates"] == [{"name": "one.txt", "frames": 120}, {"name": "two.txt", "frames": 110}]
     assert config["trust"]["tail"] == 4.0
     assert config["errors"]["radius_m"] == pytest.approx(0.035)
-    assert config["errors"]["outlier_probability"] == 0.1
+    assert config["errors"]["outlier_share"] == 0.1
     assert len(read_tum(output / "trajectory.tum")) == 2 * FRAMES
     written = {path.name for path in output.iterdir()}
     assert written >= {*FILES.values(), "ground_truth.tum"}

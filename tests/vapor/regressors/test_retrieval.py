@@ -14,7 +14,6 @@ from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel
-from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import make_regressor
 from vapor.regressors.retrieval import RetrievalRegressor
@@ -63,17 +62,6 @@ def made(count: int = 20) -> tuple[RetrievalRegressor, torch.Tensor, Poses]:
     poses = Poses.exp(np.random.default_rng(0).uniform(-1, 1, (count, 6)))
     network.remember(features, torch.from_numpy(poses.translation).float(), torch.from_numpy(poses.rotation).float())
     return network, features, poses
-
-
-def test_features_far_beyond_those_of_the_training_give_gradients_that_are_numbers():
-    network, _, poses = made()
-    network.train()
-    far = 1e4 * torch.randn(4, len(network.centre))
-    truth = torch.from_numpy(poses.translation[:4]).float(), torch.from_numpy(poses.rotation[:4]).float()
-    network.loss_of_features(far, *truth, None, LossConfig()).total.backward()
-    gradients = [weight.grad for weight in network.parameters() if weight.grad is not None]
-    assert gradients
-    assert all(bool(torch.isfinite(gradient).all()) for gradient in gradients)
 
 
 def walk(count: int, *, begin: float, seed: int) -> list[Frame]:

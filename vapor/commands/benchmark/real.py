@@ -16,6 +16,7 @@ from vapor.benchmark.real.summary import summarise
 from vapor.commands.benchmark.real_tables import tables
 from vapor.commands.console import OutputPath, Overwrite, parse, progress_of, show
 from vapor.reporting.report import write_report
+from vapor.stored_names import with_stored_names
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str]) -> None:
             for of_draw in measure([row], context, o.config):
                 results += of_draw
     summary = summarise(results)
-    settings = asdict(o.config) | {"data": o.data.name, "left_out": missing}
+    settings = with_stored_names(asdict(o.config) | {"data": o.data.name, "left_out": missing})
     write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "draws": results})
     for table in tables(summary):
         show("")

@@ -15,6 +15,7 @@ from sequences.scenes import find_scene, is_scene, scene_names
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import OutputPath, Overwrite
 from vapor.reporting.report import write_report
+from vapor.stored_names import with_stored_names
 
 Config = TypeVar("Config")
 
@@ -94,5 +95,9 @@ def write_summary(
     o: SceneOptions, settings: Mapping[str, Any], summary: Mapping[str, Any], results: Sequence[Any], **more: Any
 ) -> None:
     """Write summary.json."""
-    settings = {**settings, "models": o.model_of or o.models, "errors": o.replaced}
+    settings = {
+        **with_stored_names(settings),
+        "models": o.model_of or o.models,
+        "errors": with_stored_names(o.replaced),
+    }
     write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "runs": results, **more})
