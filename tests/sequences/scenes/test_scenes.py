@@ -228,6 +228,7 @@ def test_walks_about_a_table_see_it_from_all_sides():
 # --- poses and images agree ------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("rough_light")
 def test_depth_carries_the_picture_of_one_pose_onto_that_of_the_next(name):
     sequence = synthesize(name, seed=4, num_frames=60)
     scene, camera = sequence.scene, Camera(160, 120, 100.0, 100.0, 79.5, 59.5)

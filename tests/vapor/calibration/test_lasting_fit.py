@@ -1,6 +1,7 @@
 """How long errors and mistakes about the place last, found from posteriors along simulated walks."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -47,6 +48,7 @@ def test_how_long_errors_last_is_found(length_m, fraction):
     assert found.errors.outlier_probability == 0.05
 
 
+@cache
 def mistaking(
     lasts: float, *, errors_last: float = 0.5, count: int = 500, seed: int = 0, same_conditions: bool = False
 ) -> ErrorModel:
