@@ -44,7 +44,7 @@ def test_a_posterior_of_ones_own_is_ambiguous_until_a_door_of_another_colour(exa
 
 def test_a_model_is_trained_and_calibrated(example, tmp_path):
     walks = [Walk(count).write(tmp_path / f"walk{i}.mcap") for i, count in enumerate((8, 8, 21))]
-    lines = example("train_and_calibrate", *walks[:2], "--held-out", walks[2], "--epochs", "2")
+    lines = example("train_and_calibrate", *walks[:2], "--held-out", walks[2], "--epochs", "1")
     assert lines[0].startswith("an ordinary image is ")
     load_checkpoint(tmp_path / "place.safetensors")
 
