@@ -80,7 +80,10 @@ class Poses:
     @staticmethod
     def stack(parts: Sequence[Poses]) -> Poses:
         """Stack equally shaped batches along a new first axis."""
-        return Poses(np.stack([p.rotation for p in parts]), np.stack([p.translation for p in parts]))
+        joined, batch = Poses.concatenate(parts), parts[0].batch_shape  # np.stack looks at every part
+        return Poses(
+            joined.rotation.reshape(len(parts), *batch, 3, 3), joined.translation.reshape(len(parts), *batch, 3)
+        )
 
     # --- accessors ---------------------------------------------------------------------------------
 

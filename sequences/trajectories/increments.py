@@ -49,9 +49,11 @@ def odometry_between(
         raise SequenceError(f"odometry from {start_ns} ns to {end_ns} ns, expected the end not to be before the start")
     if end_ns == start_ns:
         return Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
-    inner = times_ns[(times_ns > start_ns) & (times_ns < end_ns)]
-    knots_ns = np.concatenate([[start_ns], inner, [end_ns]]).astype(np.int64)
-    odom_from_knots, _ = interpolate(times_ns, odom_from_base, knots_ns, max_gap_s=np.inf)
+    ends_ns = np.array([start_ns, end_ns], np.int64)
+    ends, _ = interpolate(times_ns, odom_from_base, ends_ns, max_gap_s=np.inf)
+    inner = slice(np.searchsorted(times_ns, start_ns, "right"), np.searchsorted(times_ns, end_ns))
+    knots_ns = np.concatenate([ends_ns[:1], times_ns[inner], ends_ns[1:]])
+    odom_from_knots = Poses.concatenate([ends[:1], odom_from_base[inner], ends[1:]])
     previous_from_current = odom_from_knots[0].inverse() @ odom_from_knots[-1]
 
     message = np.searchsorted(times_ns, knots_ns[1:], side="left")

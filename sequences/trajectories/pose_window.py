@@ -95,12 +95,23 @@ class PoseWindow:
 
     def at(self, time_ns: int) -> Poses | None:
         """The pose at one time; None where it is not covered."""
-        if not self._times_ns:
-            return None
-        after = min(bisect_left(self._times_ns, time_ns), len(self._times_ns) - 1)
+        after = bisect_left(self._times_ns, time_ns)
         near = slice(max(after - 1, 0), after + 1)
-        times_ns, poses = np.array(self._times_ns[near], np.int64), Poses.stack(self._poses[near])
-        return pose_at(times_ns, poses, time_ns, max_gap_s=self.max_gap_s, still_gap_s=self.still_gap_s)
+        return pose_at(
+            self._times_ns[near],
+            self._poses[near],
+            time_ns,
+            max_gap_s=self.max_gap_s,
+            still_gap_s=self.still_gap_s,
+        )
+
+    def covers(self, time_ns: int) -> bool:
+        """Whether there is a pose at one time, by `max_gap_s` alone."""
+        after = bisect_left(self._times_ns, time_ns)
+        if after == len(self._times_ns):
+            return False
+        is_known = self._times_ns[after] == time_ns
+        return is_known or (after > 0 and self._times_ns[after] - self._times_ns[after - 1] <= self.max_gap_s * 1e9)
 
     def jumps_at(self, time_ns: int) -> bool:
         """Whether a time lies between two poses with a jump between them."""
@@ -121,7 +132,7 @@ class PoseWindow:
         return odometry_between(
             np.array(self._times_ns, np.int64),
             Poses.stack(self._poses),
-            np.stack(self._covariances),
+            np.concatenate(self._covariances).reshape(-1, 6, 6),
             start_ns,
             end_ns,
             base_from_camera=base_from_camera,
