@@ -129,10 +129,11 @@ class PoseWindow:
         self, start_ns: int, end_ns: int, *, base_from_camera: Poses, motion_noise: MotionNoise
     ) -> Odometry:
         """`odometry_between` two covered times, the first of which was not yet forgotten."""
+        told = slice(bisect_right(self._times_ns, start_ns) - 1, bisect_left(self._times_ns, end_ns) + 1)
         return odometry_between(
-            np.array(self._times_ns, np.int64),
-            Poses.stack(self._poses),
-            np.concatenate(self._covariances).reshape(-1, 6, 6),
+            np.array(self._times_ns[told], np.int64),
+            Poses.stack(self._poses[told]),
+            np.concatenate(self._covariances[told]).reshape(-1, 6, 6),
             start_ns,
             end_ns,
             base_from_camera=base_from_camera,
