@@ -28,9 +28,8 @@ def interpolate(
     Returns:
         Poses (m,), and which of them are covered; those that are not are one of the neighbours.
     """
-    after = np.clip(np.searchsorted(times_ns, query_ns, side="left"), 0, len(times_ns) - 1)
-    exact = times_ns[after] == query_ns
-    before = np.where(exact, after, np.maximum(after - 1, 0))
+    after = np.minimum(np.searchsorted(times_ns, query_ns, side="left"), len(times_ns) - 1)
+    before = np.maximum(after - (times_ns[after] != query_ns), 0)
     gap_ns = times_ns[after] - times_ns[before]
     inside = (times_ns[before] <= query_ns) & (query_ns <= times_ns[after])
     fraction = np.where(inside, (query_ns - times_ns[before]) / np.maximum(gap_ns, 1), 0.0)
