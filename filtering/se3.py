@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -192,21 +191,6 @@ def rotation_from_quat_xyzw(quat_xyzw: Float64[np.ndarray, "*batch 4"]) -> Float
     """Rotation matrices of unit quaternions in x, y, z, w order."""
     flat = Rotation.from_quat(quat_xyzw.reshape(-1, 4)).as_matrix()
     return flat.reshape(*quat_xyzw.shape[:-1], 3, 3)
-
-
-def rotation_of_quat(x: float, y: float, z: float, w: float) -> Float64[np.ndarray, "3 3"]:
-    """Rotation matrix of one quaternion in plain numbers: the same to the last bit, a tenth of the time."""
-    norm = math.sqrt(x * x + y * y + z * z + w * w)
-    x, y, z, w = x / norm, y / norm, z / norm, w / norm
-    xx, yy, zz, ww = x * x, y * y, z * z, w * w
-    xy, xz, yz, xw, yw, zw = x * y, x * z, y * z, x * w, y * w, z * w
-    return np.array(
-        [
-            [xx - yy - zz + ww, 2 * (xy - zw), 2 * (xz + yw)],
-            [2 * (xy + zw), -xx + yy - zz + ww, 2 * (yz - xw)],
-            [2 * (xz - yw), 2 * (yz + xw), -xx - yy + zz + ww],
-        ]
-    )
 
 
 def rotation_from_rotvec(rotvec: Float64[np.ndarray, "*batch 3"]) -> Float64[np.ndarray, "*batch 3 3"]:

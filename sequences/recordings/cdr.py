@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from functools import cache
 from itertools import islice
 from types import SimpleNamespace
@@ -41,10 +41,12 @@ class Layout:
     """How the messages of a type are laid out.
 
     Attributes:
+        made: Class of its messages as they are read; with slots, as paths have many poses.
         fields: Its fields.
         parts: What its bytes consist of: numbers in a row, by their codes, and lists.
     """
 
+    made: type[SimpleNamespace]
     fields: tuple[Field, ...]
     parts: tuple[str | List, ...]
 
@@ -79,7 +81,9 @@ def layout_of(message_type: str, definitions: Mapping[str, str]) -> Layout:
                 parts[-1] += part
             else:
                 parts.append(part)
-    return Layout(tuple(fields), tuple(parts))
+    names = [field.name for field in fields]
+    made = make_dataclass(message_type.rpartition("/")[2], names, bases=(SimpleNamespace,), slots=True)
+    return Layout(made, tuple(fields), tuple(parts))
 
 
 @cache
@@ -139,16 +143,15 @@ def _read(layout: Layout, data: bytes, at: int, order: str) -> tuple[SimpleNames
 
 
 def _named(layout: Layout, values: Iterator[Any]) -> SimpleNamespace:
-    message = SimpleNamespace()
-    fields = message.__dict__
-    for name, kind, _ in layout.fields:
-        if kind is None:
-            fields[name] = next(values)
-        elif isinstance(kind, int):
-            fields[name] = list(islice(values, kind))
-        else:
-            fields[name] = _named(kind, values)
-    return message
+    fields = [
+        next(values)
+        if kind is None
+        else _named(kind, values)
+        if isinstance(kind, Layout)
+        else list(islice(values, kind))
+        for _, kind, _ in layout.fields
+    ]
+    return layout.made(*fields)
 
 
 # --- writing --------------------------------------------------------------------------------------

@@ -15,7 +15,13 @@ from sequences.errors import SequenceError
 from sequences.images.decoding import decode_compressed_image, decode_image, decode_image_bytes
 from sequences.images.headers import DamagedImageError
 from sequences.recordings.message_definitions import DEFINITIONS, decoder, schema_text
-from sequences.recordings.messages import covariance_from_ros, covariance_to_ros, frame_name, odometry_from_message
+from sequences.recordings.messages import (
+    covariance_from_ros,
+    covariance_to_ros,
+    frame_name,
+    odometry_from_message,
+    pose_from_message,
+)
 from tests.helpers.image_messages import image_message
 
 RGB = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
@@ -183,6 +189,19 @@ def test_a_jpeg_of_more_scans_than_any_camera_writes_is_refused() -> None:
     last = data[data.rindex(b"\xff\xda") : -2]
     with pytest.raises(SequenceError, match="more than 100 scans"):
         decode_image_bytes(data[:-2] + 100 * last + data[-2:])
+
+
+def test_the_pose_of_a_message_is_to_the_last_bit_that_of_a_batch() -> None:
+    rng = np.random.default_rng(5)
+    quats, translations = rng.normal(size=(200, 4)), rng.normal(size=(200, 3))
+    quats[:4] = [0, 0, 0, 1], [0, 0, 1, 0], [0.5, 0.5, -0.5, 0.5], [0, 0, 0, -1.0]
+    quats *= rng.uniform(0.91, 1.09, (200, 1)) / np.linalg.norm(quats, axis=-1, keepdims=True)
+    found = [
+        pose_from_message(odometry_message(position=t, quat=q).pose.pose)
+        for t, q in zip(translations.tolist(), quats.tolist(), strict=True)
+    ]
+    expected = Poses.from_quat_xyzw(translations, quats)
+    np.testing.assert_array_equal(Poses.stack(found).as_matrix(), expected.as_matrix())
 
 
 def odometry_message(**change: object) -> SimpleNamespace:
