@@ -253,8 +253,11 @@ def reduced(
 def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     """For every hypothesis, by falling weight, the heavier one that it is merged into, or itself."""
     count, covariance = len(h), h.pose_covariance
-    heavy, light = np.nonzero(np.triu(_near(h), 1))
     leader = np.arange(count)
+    if divergence == 0.0:
+        return leader
+    # A divergence is at least half the squared distance.
+    heavy, light = np.nonzero(np.triu(_near(h, min(_NEAR, 2.0 * divergence)), 1))
     if len(heavy) == 0:
         return leader
     information = np.linalg.inv(covariance)
@@ -274,29 +277,36 @@ def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     return leader
 
 
-def _near(h: Hypotheses) -> Bool[np.ndarray, "n n"]:
-    """Of which hypotheses (rows) others (columns) are near enough to be worth a closer look."""
+def _near(h: Hypotheses, reach: float) -> Bool[np.ndarray, "n n"]:
+    """Of which hypotheses (rows) others (columns) may be within a squared distance, in standard deviations."""
     variance_m, variance_rad = h.variances
     position, turned = h.poses.translation, h.poses.rotation.reshape(-1, 9)
     squares = np.vecdot(position, position)
     apart = squares[:, None] + squares - 2.0 * position @ position.T
-    return (apart < _NEAR * variance_m[:, None]) & (3.0 - turned @ turned.T < _NEAR * variance_rad[:, None])
+    return (apart < reach * variance_m[:, None]) & (3.0 - turned @ turned.T < reach * variance_rad[:, None])
 
 
 def _merged(h: Hypotheses, leader: Int64[np.ndarray, " n"]) -> Hypotheses:
     """One hypothesis for each leader, with the mean and covariance of those that it leads."""
-    order = np.argsort(leader, kind="stable")
-    h, leader = h[order], leader[order]
-    starts = np.flatnonzero(np.diff(leader, prepend=-1))
-    sizes = np.diff(starts, append=len(h))
-    total = np.add.reduceat(h.weights, starts)
-    weight = (h.weights / np.repeat(total, sizes))[:, None]
-    first = np.repeat(starts, sizes)  # the leader of a group is its first
-    offset = np.concatenate([h.poses[first].between(h.poses).log(), h.mean - h.mean[first]], axis=1)
-    mean = np.add.reduceat(weight * offset, starts)
+    leads = leader == np.arange(len(h))
+    members = np.flatnonzero(np.bincount(leader, minlength=len(h))[leader] > 1)
+    members = members[np.argsort(leader[members], kind="stable")]  # group by group, the leader first
+    starts = np.flatnonzero(np.diff(leader[members], prepend=-1))
+    sizes = np.diff(starts, append=len(members))
+    first = leader[members]
+    weights = h.weights[members]
+    total = np.add.reduceat(weights, starts)
+    weights = (weights / np.repeat(total, sizes))[:, None]
+    offset = np.concatenate([h.poses[first].between(h.poses[members]).log(), h.mean[members] - h.mean[first]], axis=1)
+    mean = np.add.reduceat(weights * offset, starts)
     residual = offset - np.repeat(mean, sizes, axis=0)
-    spread = residual[:, :, None] * residual[:, None, :]
-    spread += h.covariance
-    spread *= weight[:, :, None]
-    poses = h.poses[starts] @ Poses.exp(mean[:, :6])
-    return Hypotheses(poses, h.mean[starts] + mean[:, 6:], np.add.reduceat(spread, starts), np.log(total))
+    spread = h.covariance[members] + residual[:, :, None] * residual[:, None, :]
+    covariance = np.add.reduceat(weights[:, :, None] * spread, starts)
+    poses = h.poses[first[starts]] @ Poses.exp(mean[:, POSE])
+
+    merged = h[np.flatnonzero(leads)]
+    at = (np.cumsum(leads) - 1)[first[starts]]
+    merged.poses.rotation[at], merged.poses.translation[at] = poses.rotation, poses.translation
+    merged.mean[at] += mean[:, 6:]
+    merged.covariance[at], merged.log_weights[at] = covariance, np.log(total)
+    return merged
