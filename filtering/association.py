@@ -94,10 +94,7 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
     log_place_weights = np.log(np.maximum(posterior.weights, 1e-300))
     log_seen = np.log1p(-errors.outlier_probability) + log_place_weights[pairs.place] + pairs.log_density
     log_unseen = np.log(errors.outlier_probability) + errors.flat_log_density
-    table = np.full((count, len(posterior.weights) + 1), -np.inf)
-    table[:, -1] = log_unseen
-    table[pairs.hypothesis, pairs.place] = log_seen
-    log_total = np.logaddexp.reduce(table, axis=1)
+    log_total = _log_total(log_seen, pairs.hypothesis, log_unseen, count)
     log_weights = belief.log_weights + novelty * log_evidence
     unseen = np.exp(log_unseen - log_total)
     aside = np.flatnonzero(unseen > _LEAST)
@@ -161,6 +158,14 @@ def _corrected(
     covariance -= gain @ np.swapaxes(joint, 1, 2)
     poses = belief.poses[parent] @ Poses.exp(change[:, POSE])
     return Hypotheses(poses, belief.mean[parent] + change[:, 6:], covariance, log_weights)
+
+
+def _log_total(log_parts: np.ndarray, of: Int64[np.ndarray, " p"], log_rest: float, count: int) -> np.ndarray:
+    """Log of what the parts of each of so many add up to with a rest that each has."""
+    largest = np.full(count, log_rest)
+    np.maximum.at(largest, of, log_parts)
+    parts = np.bincount(of, np.exp(log_parts - largest[of]), minlength=count)
+    return largest + np.log(parts + np.exp(log_rest - largest))
 
 
 def _squared(vectors: Float64[np.ndarray, "p 6"], information: Float64[np.ndarray, "p 6 6"]) -> np.ndarray:

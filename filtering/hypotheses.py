@@ -84,16 +84,16 @@ class Hypotheses:
         Raises:
             VaporTrackError: a weight is NaN or +∞, or all are zero.
         """
-        bad = np.isnan(log_weights) | (log_weights == np.inf)
-        if bad.any():
+        total = log_sum(log_weights)
+        if total == -np.inf:
+            raise VaporTrackError(f"all {len(log_weights)} weights are zero, expected at least one positive")
+        if not np.isfinite(total):
+            bad = np.isnan(log_weights) | (log_weights == np.inf)
             first = int(np.argmax(bad))
             raise VaporTrackError(
                 f"log weight of hypothesis {first} is {log_weights[first]}, expected a finite number or −∞ "
                 f"({int(bad.sum())} of {len(bad)} are so)"
             )
-        total = log_sum(log_weights)
-        if total == -np.inf:
-            raise VaporTrackError(f"all {len(log_weights)} weights are zero, expected at least one positive")
         return replace(self, log_weights=log_weights - total)
 
 
