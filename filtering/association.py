@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from scipy.special import gammaln
 
 from filtering.hypotheses import POSE, Hypotheses, bias, concatenate
@@ -117,11 +117,9 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
 
 def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: float) -> _Pairs:
     errors = posterior.errors
-    variances = [mine[:, None] + its for mine, its in zip(belief.variances, posterior.variances, strict=True)]
-    offset = belief.poses.translation[:, None] - posterior.means.translation
-    aligned = belief.poses.rotation.reshape(-1, 9) @ posterior.means.rotation.reshape(-1, 9).T
-    near = (np.vecdot(offset, offset) < _GATE * variances[0]) & (3.0 - aligned < _GATE * variances[1])
-    h, k = np.nonzero(near)
+    apart = belief.poses.squared_distances(posterior.means)
+    metres, radians = zip(apart, belief.variances, posterior.variances, strict=True)
+    h, k = np.nonzero(_within_gate(*metres) & _within_gate(*radians))
     difference = belief.poses[h].between(posterior.means[k]).log()
     with_pose, with_bias = belief.covariance[:, :, POSE][h], belief.covariance[:, :, bias(camera)][h]
     lasting = belief.mean[:, _without_pose(camera)][h]
@@ -158,6 +156,10 @@ def _corrected(
     covariance -= gain @ np.swapaxes(joint, 1, 2)
     poses = belief.poses[parent] @ Poses.exp(change[:, POSE])
     return Hypotheses(poses, belief.mean[parent] + change[:, 6:], covariance, log_weights)
+
+
+def _within_gate(apart: np.ndarray, variance: np.ndarray, place_variance: np.ndarray) -> Bool[np.ndarray, "n k"]:
+    return apart < _GATE * (variance[:, None] + place_variance)
 
 
 def _log_total(log_parts: np.ndarray, of: Int64[np.ndarray, " p"], log_rest: float, count: int) -> np.ndarray:

@@ -193,7 +193,10 @@ def moved(hypotheses: Hypotheses, odometry: Odometry, slow: SlowErrors, ways: Se
     step = odometry.previous_from_current
     kept = np.diag(transition)[6:]
     poses = hypotheses.poses @ (step @ Poses.exp(hypotheses.mean[:, :7] @ transition[POSE, SLOW].T))
-    covariance = _carried(hypotheses.covariance, transition[POSE, :13], kept) + noise
+    covariance = _carried(hypotheses.covariance, transition[POSE, :13], kept)
+    covariance[:, POSE, POSE] += noise[POSE, POSE]
+    rest = np.arange(6, len(noise))
+    covariance[:, rest, rest] += np.diag(noise)[6:]
     return Hypotheses(poses, hypotheses.mean * kept, covariance, hypotheses.log_weights)
 
 
@@ -236,26 +239,29 @@ def reduced(
         most: How many at most.
         rng: Source of the choice among the light ones.
     """
-    order = np.argsort(-hypotheses.log_weights, kind="stable")
+    h, order = hypotheses, _by_falling_weight(hypotheses.log_weights)
     least = np.log(least_weight) if least_weight > 0.0 else -np.inf
-    order = order[hypotheses.log_weights[order] > min(least, hypotheses.log_weights[order[0]] - 1.0)]
-    h = hypotheses[order]
-    leader = _leaders(h, divergence)
-    if (leader != np.arange(len(h))).any():
-        h = _merged(h, leader)
-    if len(h) > most:
-        kept, log_weights = thin_out(h.log_weights, most, rng=rng)
-        h = replace(h[kept], log_weights=log_weights)
-    order = np.argsort(-h.log_weights, kind="stable")
-    return h[order].with_log_weights(h.log_weights[order])
+    order = order[h.log_weights[order] > min(least, h.log_weights[order[0]] - 1.0)]
+    if divergence > 0.0:
+        h = h[order]
+        h = _merged(h, _leaders(h, divergence))
+        order = _by_falling_weight(h.log_weights)
+    log_weights = h.log_weights[order]
+    if len(order) > most:
+        kept, log_weights = thin_out(log_weights, most, rng=rng)
+        again = _by_falling_weight(log_weights)
+        order, log_weights = order[kept[again]], log_weights[again]
+    return h[order].with_log_weights(log_weights)
+
+
+def _by_falling_weight(log_weights: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    return np.argsort(-log_weights, kind="stable")
 
 
 def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     """For every hypothesis, by falling weight, the heavier one that it is merged into, or itself."""
     count, covariance = len(h), h.pose_covariance
     leader = np.arange(count)
-    if divergence == 0.0:
-        return leader
     # A divergence is at least half the squared distance.
     heavy, light = np.nonzero(np.triu(_near(h, min(_NEAR, 2.0 * divergence)), 1))
     if len(heavy) == 0:
@@ -279,16 +285,15 @@ def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
 
 def _near(h: Hypotheses, reach: float) -> Bool[np.ndarray, "n n"]:
     """Of which hypotheses (rows) others (columns) may be within a squared distance, in standard deviations."""
-    variance_m, variance_rad = h.variances
-    position, turned = h.poses.translation, h.poses.rotation.reshape(-1, 9)
-    squares = np.vecdot(position, position)
-    apart = squares[:, None] + squares - 2.0 * position @ position.T
-    return (apart < reach * variance_m[:, None]) & (3.0 - turned @ turned.T < reach * variance_rad[:, None])
+    (variance_m, variance_rad), (apart_m, apart_rad) = h.variances, h.poses.squared_distances(h.poses)
+    return (apart_m < reach * variance_m[:, None]) & (apart_rad < reach * variance_rad[:, None])
 
 
 def _merged(h: Hypotheses, leader: Int64[np.ndarray, " n"]) -> Hypotheses:
     """One hypothesis for each leader, with the mean and covariance of those that it leads."""
     leads = leader == np.arange(len(h))
+    if leads.all():
+        return h
     members = np.flatnonzero(np.bincount(leader, minlength=len(h))[leader] > 1)
     members = members[np.argsort(leader[members], kind="stable")]  # group by group, the leader first
     starts = np.flatnonzero(np.diff(leader[members], prepend=-1))
