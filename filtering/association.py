@@ -8,12 +8,13 @@ Student's t filter for heavy tailed process and measurement noise", 2013; Plumme
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.special import gammaln
 
-from filtering.hypotheses import POSE, Hypotheses, bias, concatenate
+from filtering.hypotheses import POSE, Hypotheses, bias, blocks, concatenate
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
@@ -42,8 +43,7 @@ class Association:
     agreement: float
 
 
-@dataclass(frozen=True)
-class _Pairs:
+class _Pairs(NamedTuple):
     """p pairs of a hypothesis and a place that are near each other.
 
     Attributes:
@@ -116,10 +116,22 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
 
 
 def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: float) -> _Pairs:
-    errors = posterior.errors
     apart = belief.poses.squared_distances(posterior.means)
     metres, radians = zip(apart, belief.variances, posterior.variances, strict=True)
     h, k = np.nonzero(_within_gate(*metres) & _within_gate(*radians))
+    pairs = [_paired(belief, posterior, camera, way, h[block], k[block]) for block in blocks(max(len(h), 1))]
+    return pairs[0] if len(pairs) == 1 else _Pairs(*(np.concatenate(parts) for parts in zip(*pairs, strict=True)))
+
+
+def _paired(
+    belief: Hypotheses,
+    posterior: PosePosterior,
+    camera: int,
+    way: float,
+    h: Int64[np.ndarray, " p"],
+    k: Int64[np.ndarray, " p"],
+) -> _Pairs:
+    errors = posterior.errors
     difference = belief.poses[h].between(posterior.means[k]).log()
     with_pose, with_bias = belief.covariance[:, :, POSE][h], belief.covariance[:, :, bias(camera)][h]
     lasting = belief.mean[:, _without_pose(camera)][h]
@@ -129,7 +141,7 @@ def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: 
     innovation = difference - (factor @ lasting[:, :, None])[:, :, 0]
     joint = with_pose + with_bias @ np.swapaxes(factor, 1, 2)
     information = np.linalg.inv(joint[:, POSE] + factor @ joint[:, bias(camera)] + fresh)
-    squared = _squared(innovation, information)
+    squared = np.vecdot(innovation, (information @ innovation[:, :, None])[:, :, 0])
     log_det = -np.linalg.slogdet(information)[1]
     nu = errors.tail
     log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
@@ -152,8 +164,9 @@ def _corrected(
     parent, joint = pairs.hypothesis[taken], pairs.covariance[taken]
     gain = joint @ pairs.information[taken]
     change = (gain @ pairs.innovation[taken][:, :, None])[:, :, 0]
-    covariance = belief.covariance[parent]
-    covariance -= gain @ np.swapaxes(joint, 1, 2)
+    covariance = np.empty((len(taken), *belief.covariance.shape[1:]))
+    for block in blocks(len(taken)):
+        covariance[block] = belief.covariance[parent[block]] - gain[block] @ np.swapaxes(joint[block], 1, 2)
     poses = belief.poses[parent] @ Poses.exp(change[:, POSE])
     return Hypotheses(poses, belief.mean[parent] + change[:, 6:], covariance, log_weights)
 
@@ -168,11 +181,6 @@ def _log_total(log_parts: np.ndarray, of: Int64[np.ndarray, " p"], log_rest: flo
     np.maximum.at(largest, of, log_parts)
     parts = np.bincount(of, np.exp(log_parts - largest[of]), minlength=count)
     return largest + np.log(parts + np.exp(log_rest - largest))
-
-
-def _squared(vectors: Float64[np.ndarray, "p 6"], information: Float64[np.ndarray, "p 6 6"]) -> np.ndarray:
-    """Squared lengths (p,) in standard deviations."""
-    return np.vecdot(vectors, (information @ vectors[:, :, None])[:, :, 0])
 
 
 def _without_pose(camera: int) -> slice:

@@ -7,7 +7,7 @@ Runnalls, "Kullback-Leibler approach to Gaussian mixture reduction", 2007.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,12 +24,18 @@ POSE, SLOW = slice(0, 6), slice(6, 13)
 """Where in a state the error of the pose is, and where the slow errors of odometry: scale, and drift of each axis."""
 
 _NEAR = 4.0  # squared, in standard deviations: further apart no two hypotheses are one
+_BLOCK = 128
 _WIDEST_RAD = 2.0  # standard deviation: all directions
 
 
 def bias(camera: int) -> slice:
     """Where in a state the lasting error of a camera's images is, in units of the error's own square root."""
     return slice(13 + 6 * camera, 19 + 6 * camera)
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """So many hypotheses in blocks whose covariances fit into a processor's cache: many are faster one by one."""
+    return (slice(start, start + _BLOCK) for start in range(0, count, _BLOCK))
 
 
 def log_sum(log_values: Float64[np.ndarray, " n"]) -> float:
@@ -204,11 +210,17 @@ def _carried(
     covariance: Float64[np.ndarray, "n d d"], pose: Float64[np.ndarray, "6 13"], kept: Float64[np.ndarray, " m"]
 ) -> Float64[np.ndarray, "n d d"]:
     """F C Fᵀ for a transition F that leads to the pose from pose and slow errors, and scales all else."""
-    to_pose = pose @ covariance[:, :13]
-    carried = covariance * np.multiply.outer(scale := np.concatenate([np.ones(6), kept]), scale)
-    carried[:, POSE, POSE] = to_pose[:, :, :13] @ pose.T
-    carried[:, POSE, 6:] = across = to_pose[:, :, 6:] * kept
-    carried[:, 6:, POSE] = np.swapaxes(across, 1, 2)
+    size = covariance.shape[1]
+    scale = np.concatenate([np.ones(6), kept])
+    scales = np.multiply.outer(scale, scale)
+    carried = np.empty_like(covariance)
+    for block in blocks(len(covariance)):
+        before, after = covariance[block], carried[block]
+        half = (before.reshape(-1, size)[:, :13] @ pose.T).reshape(-1, size, 6)
+        np.multiply(before, scales, out=after)
+        after[:, POSE, POSE] = pose @ half[:, :13]
+        after[:, 6:, POSE] = across = half[:, 6:] * kept[:, None]
+        after[:, POSE, 6:] = np.swapaxes(across, 1, 2)
     return carried
 
 
