@@ -85,7 +85,7 @@ class ErrorScale:
             return self
         expected = self.place @ self.since.previous_from_current
         difference = expected.between(posterior.means).log()
-        carry = self.since.previous_from_current.inverse().adjoint()
+        carry = self.since.carry
         new = 1.0 - posterior.errors.lasting_fraction * np.exp(-self.way)
         of_images = new * (carry @ self.covariance @ carry.T + posterior.covariances)
         information = np.linalg.inv(of_images + self.since.covariance)

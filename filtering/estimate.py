@@ -14,7 +14,7 @@ from filtering.hypotheses import Hypotheses
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
-_MARGIN = 1.01  # of squared distances that are compared in a hurry first
+_MARGIN = 1.01  # of a squared distance that is only to tell what is worth a closer look
 
 Status = Literal["converged", "ambiguous", "lost"]
 
@@ -152,13 +152,13 @@ def _in_place_of_first(
     poses: Poses, reach: Float64[np.ndarray, " 6"]
 ) -> tuple[Bool[np.ndarray, " n"], Float64[np.ndarray, "m 6"]]:
     """Which poses are in the place of the first one, itself included, and where there each of these m is."""
-    apart_m, apart_rad = poses.squared_distances(poses[:1])
-    own = ((apart_m < _MARGIN * reach[:3].max() ** 2) & (apart_rad < _MARGIN * reach[3:].max() ** 2))[:, 0]
-    own[0] = True
-    offset = poses[0].between(poses[own]).log()
+    away = poses.translation - poses.translation[0]
+    near = np.flatnonzero(np.vecdot(away, away) < _MARGIN * reach[:3].max() ** 2)  # `log` is never shorter
+    offset = poses[0].between(poses[near]).log()
     within = _within(offset, reach)
+    own = np.zeros(len(poses), bool)
     within[0] = True
-    own[own] = within
+    own[near] = within
     return own, offset[within]
 
 

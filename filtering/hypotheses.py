@@ -24,7 +24,7 @@ POSE, SLOW = slice(0, 6), slice(6, 13)
 """Where in a state the error of the pose is, and where the slow errors of odometry: scale, and drift of each axis."""
 
 _NEAR = 4.0  # squared, in standard deviations: further apart no two hypotheses are one
-_BLOCK = 128
+_BLOCK = 256
 _WIDEST_RAD = 2.0  # standard deviation: all directions
 
 
@@ -163,9 +163,9 @@ def motion_of_state(
         ways: How far each camera came, in lengths over which the errors of its images change.
     """
     size = 13 + 6 * len(ways)
-    step, duration_s = odometry.previous_from_current, odometry.duration_s
+    duration_s = odometry.duration_s
     errs = np.zeros((6, 7))  # of the increment, by scale error and drift; what is reported too long is made shorter
-    errs[:3, 0] = -step.log()[:3]
+    errs[:3, 0] = -odometry.tangent[:3]
     if slow.drift is None:
         drift = slow.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
     else:
@@ -176,7 +176,7 @@ def motion_of_state(
     for camera, way in enumerate(ways):
         kept[7 + 6 * camera : 13 + 6 * camera] = np.exp(-way)
     transition = np.zeros((size, size))
-    transition[POSE, POSE] = step.inverse().adjoint()
+    transition[POSE, POSE] = odometry.carry
     transition[POSE, SLOW] = errs
     rest = np.arange(6, size)
     transition[rest, rest] = kept

@@ -15,7 +15,8 @@ from filtering.errors import VaporTrackError
 _SMALL_SQ = 1e-4  # rad²: below, series are exact and quotients cancel
 # v @ _SKEW is [v]×, row by row.
 _SKEW = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64)
-_HALF_UNSKEW = np.ascontiguousarray(_SKEW.T) / 2  # R @ it is half of what [·]× makes R − Rᵀ of
+# R @ _SINE_COSINE are sin θ times the axis, which is half of R − Rᵀ, and cos θ + ½.
+_SINE_COSINE = np.column_stack([_SKEW.T, np.eye(3).ravel()]) / 2
 _NO_SINE = 1e-300  # squared: so that the quotient of an angle of 0 and its sine is 1
 
 
@@ -224,8 +225,8 @@ def rotation_from_rotvec(rotvec: Float64[np.ndarray, "*batch 3"]) -> Float64[np.
 def rotvec_from_rotation(rotation: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3"]:
     """Rotation vectors of rotation matrices, with angles up to π."""
     # Half of R − Rᵀ is sin θ times the axis: exact and fast except near π, where it vanishes.
-    sine_axis = rotation.reshape(*rotation.shape[:-2], 9) @ _HALF_UNSKEW
-    cosine = (rotation[..., 0, 0] + rotation[..., 1, 1] + rotation[..., 2, 2] - 1) / 2
+    parts = rotation.reshape(*rotation.shape[:-2], 9) @ _SINE_COSINE
+    sine_axis, cosine = parts[..., :3], parts[..., 3] - 0.5
     sine = np.sqrt(np.maximum(np.vecdot(sine_axis, sine_axis), _NO_SINE))
     rotvec = sine_axis * (np.arctan2(sine, cosine) / sine)[..., None]
     far = cosine < -0.9
