@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -160,7 +160,7 @@ class PosePosterior:
             return self
         carry = reference_from_camera.adjoint()
         camera_from_reference = reference_from_camera.inverse()
-        return unchecked_replace(
+        return replace(
             self,
             means=self.means @ camera_from_reference,
             covariances=carry @ self.covariances @ carry.T,
