@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.error_model import ErrorModel
 from filtering.errors import require_within
 from filtering.hypotheses import Hypotheses
+from filtering.moments import mixture_moments
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
@@ -125,24 +126,22 @@ def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -
     The heaviest hypothesis takes those in its place, then the heaviest of the rest, and so on. Mean and covariance are
     over a mode's own hypotheses only, with the errors that no number of images takes away.
     """
-    weights, least_covariance, reach = belief.weights, errors.least_covariance, config.reach(errors)
+    weights, reach = belief.weights, config.reach(errors)
     least = min(config.min_weight, float(weights.max()))
-    found: list[tuple[np.ndarray, np.ndarray, float]] = []  # mean at the heaviest, covariance, weight
-    heaviest: list[int] = []
+    found: list[Int64[np.ndarray, " m"]] = []  # the hypotheses of each mode, the heaviest first
+    offsets: list[Float64[np.ndarray, "m 6"]] = []  # of each from the heaviest
     free = np.argsort(-weights, kind="stable")
     while len(free) and weights[free].sum() >= least and len(found) < 2 * config.max_modes:
-        heaviest.append(int(free[0]))
         own, offset = _in_place_of_first(belief.poses[free], reach)
-        members, free = free[own], free[~own]
-        total = float(weights[members].sum())
-        weight = weights[members] / total if total > 0.0 else np.full(len(members), 1.0 / len(members))
-        mean = weight @ offset
-        residual = offset - mean
-        covariance = np.einsum("n,nij->ij", weight, belief.pose_covariance[members])
-        covariance += (weight * residual.T) @ residual + least_covariance
-        found.append((mean, covariance, total))
-    poses = belief.poses[heaviest] @ Poses.exp(np.stack([mean for mean, _, _ in found]))
-    modes = [Mode(poses[k], covariance, weight) for k, (_, covariance, weight) in enumerate(found)]
+        found.append(free[own])
+        offsets.append(offset)
+        free = free[~own]
+    members, starts = np.concatenate(found), np.cumsum([0, *map(len, found[:-1])])
+    totals, means, covariances = mixture_moments(
+        weights[members], np.concatenate(offsets), belief.pose_covariance[members], starts
+    )
+    poses, covariances = belief.poses[members[starts]] @ Poses.exp(means), covariances + errors.least_covariance
+    modes = [Mode(poses[k], covariances[k], weight) for k, weight in enumerate(totals.tolist())]
     modes.sort(key=lambda mode: -mode.weight)
     kept = [mode for mode in modes if mode.weight >= least]
     return tuple((kept or modes[:1])[: config.max_modes])

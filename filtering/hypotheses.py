@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from filtering.errors import VaporTrackError
+from filtering.moments import mixture_moments
 from filtering.motion import Odometry, SlowErrors
 from filtering.posterior import PosePosterior
 from filtering.resampling import thin_out
@@ -309,16 +310,9 @@ def _merged(h: Hypotheses, leader: Int64[np.ndarray, " n"]) -> Hypotheses:
     members = np.flatnonzero(np.bincount(leader, minlength=len(h))[leader] > 1)
     members = members[np.argsort(leader[members], kind="stable")]  # group by group, the leader first
     starts = np.flatnonzero(np.diff(leader[members], prepend=-1))
-    sizes = np.diff(starts, append=len(members))
     first = leader[members]
-    weights = h.weights[members]
-    total = np.add.reduceat(weights, starts)
-    weights = (weights / np.repeat(total, sizes))[:, None]
     offset = np.concatenate([h.poses[first].between(h.poses[members]).log(), h.mean[members] - h.mean[first]], axis=1)
-    mean = np.add.reduceat(weights * offset, starts)
-    residual = offset - np.repeat(mean, sizes, axis=0)
-    spread = h.covariance[members] + residual[:, :, None] * residual[:, None, :]
-    covariance = np.add.reduceat(weights[:, :, None] * spread, starts)
+    total, mean, covariance = mixture_moments(h.weights[members], offset, h.covariance[members], starts)
     poses = h.poses[first[starts]] @ Poses.exp(mean[:, POSE])
 
     merged = h[np.flatnonzero(leads)]
