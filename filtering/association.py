@@ -8,12 +8,13 @@ Student's t filter for heavy tailed process and measurement noise", 2013; Plumme
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from scipy.special import gammaln
 
-from filtering.hypotheses import POSE, Hypotheses, bias, concatenate
+from filtering.hypotheses import POSE, Hypotheses, bias, blocks, concatenate
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
@@ -42,8 +43,7 @@ class Association:
     agreement: float
 
 
-@dataclass(frozen=True)
-class _Pairs:
+class _Pairs(NamedTuple):
     """p pairs of a hypothesis and a place that are near each other.
 
     Attributes:
@@ -94,10 +94,7 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
     log_place_weights = np.log(np.maximum(posterior.weights, 1e-300))
     log_seen = np.log1p(-errors.outlier_probability) + log_place_weights[pairs.place] + pairs.log_density
     log_unseen = np.log(errors.outlier_probability) + errors.flat_log_density
-    table = np.full((count, len(posterior.weights) + 1), -np.inf)
-    table[:, -1] = log_unseen
-    table[pairs.hypothesis, pairs.place] = log_seen
-    log_total = np.logaddexp.reduce(table, axis=1)
+    log_total = _log_total(log_seen, pairs.hypothesis, log_unseen, count)
     log_weights = belief.log_weights + novelty * log_evidence
     unseen = np.exp(log_unseen - log_total)
     aside = np.flatnonzero(unseen > _LEAST)
@@ -119,21 +116,32 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
 
 
 def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: float) -> _Pairs:
-    errors, covariance = posterior.errors, belief.pose_covariance
-    variances = [
-        np.trace(covariance[:, part, part], axis1=1, axis2=2)[:, None]
-        + np.trace(posterior.covariances[:, part, part], axis1=1, axis2=2)
-        for part in (slice(0, 3), slice(3, 6))
-    ]
-    offset = belief.poses.translation[:, None] - posterior.means.translation
-    aligned = belief.poses.rotation.reshape(-1, 9) @ posterior.means.rotation.reshape(-1, 9).T
-    near = (np.square(offset).sum(axis=2) < _GATE * variances[0]) & (3.0 - aligned < _GATE * variances[1])
-    h, k = np.nonzero(near)
-    difference = (belief.poses[h].inverse() @ posterior.means[k]).log()
-    state, lasting = belief.covariance[h], belief.mean[h][:, _without_pose(camera)]
+    apart = belief.poses.squared_distances(posterior.means)
+    metres, radians = zip(apart, belief.variances, posterior.variances, strict=True)
+    h, k = np.nonzero(_within_gate(*metres) & _within_gate(*radians))
+    pairs = [_paired(belief, posterior, camera, way, h[block], k[block]) for block in blocks(max(len(h), 1))]
+    return pairs[0] if len(pairs) == 1 else _Pairs(*(np.concatenate(parts) for parts in zip(*pairs, strict=True)))
+
+
+def _paired(
+    belief: Hypotheses,
+    posterior: PosePosterior,
+    camera: int,
+    way: float,
+    h: Int64[np.ndarray, " p"],
+    k: Int64[np.ndarray, " p"],
+) -> _Pairs:
+    errors = posterior.errors
+    difference = belief.poses[h].between(posterior.means[k]).log()
+    with_pose, with_bias = belief.covariance[:, :, POSE][h], belief.covariance[:, :, bias(camera)][h]
+    lasting = belief.mean[:, _without_pose(camera)][h]
     factor = np.sqrt(errors.lasting_fraction) * posterior.factors[k]
     fresh = (1.0 - errors.lasting_fraction) * posterior.covariances[k]
-    innovation, joint, information, squared = _innovations(state, lasting, difference, factor, fresh, camera)
+    # What is measured is error of the pose + factor · bias + fresh noise.
+    innovation = difference - (factor @ lasting[:, :, None])[:, :, 0]
+    joint = with_pose + with_bias @ np.swapaxes(factor, 1, 2)
+    information = np.linalg.inv(joint[:, POSE] + factor @ joint[:, bias(camera)] + fresh)
+    squared = np.vecdot(innovation, (information @ innovation[:, :, None])[:, :, 0])
     log_det = -np.linalg.slogdet(information)[1]
     nu = errors.tail
     log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
@@ -145,31 +153,9 @@ def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: 
         # Errors that last over a way of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
         error = larger[far, None, None] * max(1.0, 2.0 / max(way, 1e-6)) * posterior.covariances[k[far]]
         innovation[far] = difference[far]
-        joint[far] = state[far][:, :, POSE]
-        information[far] = np.linalg.inv(state[far][:, POSE, POSE] + error)
+        joint[far] = with_pose[far]
+        information[far] = np.linalg.inv(with_pose[far][:, POSE] + error)
     return _Pairs(h, k, innovation, joint, information, squared, log_density)
-
-
-def _innovations(
-    state: Float64[np.ndarray, "p d d"],
-    lasting: Float64[np.ndarray, "p 6"],
-    difference: Float64[np.ndarray, "p 6"],
-    factor: Float64[np.ndarray, "p 6 6"],
-    fresh: Float64[np.ndarray, "p 6 6"],
-    camera: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Innovations, their covariance with the state, their information, and their squared distances.
-
-    What is measured is error of the pose + factor · bias + fresh noise.
-    """
-    own = bias(camera)
-    innovation = difference - np.einsum("pij,pj->pi", factor, lasting)
-    transposed = np.swapaxes(factor, 1, 2)
-    joint = state[:, :, POSE] + state[:, :, own] @ transposed
-    covariance = joint[:, POSE] + factor @ joint[:, own] + fresh
-    information = np.linalg.inv((covariance + np.swapaxes(covariance, 1, 2)) / 2)
-    squared = np.einsum("pi,pij,pj->p", innovation, information, innovation)
-    return innovation, joint, information, squared
 
 
 def _corrected(
@@ -177,11 +163,26 @@ def _corrected(
 ) -> Hypotheses:
     parent, joint = pairs.hypothesis[taken], pairs.covariance[taken]
     gain = joint @ pairs.information[taken]
-    change = np.einsum("pij,pj->pi", gain, pairs.innovation[taken])
-    covariance = belief.covariance[parent] - gain @ np.swapaxes(joint, 1, 2)
-    covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
+    change = (gain @ pairs.innovation[taken][:, :, None])[:, :, 0]
+    covariance = np.empty((len(taken), *belief.covariance.shape[1:]))
+    for block in blocks(len(taken)):
+        uneven = belief.covariance[parent[block]] - gain[block] @ np.swapaxes(joint[block], 1, 2)
+        # Rounding is not to make it uneven: that would grow from image to image, tenfold every ten.
+        np.multiply(uneven + np.swapaxes(uneven, 1, 2), 0.5, out=covariance[block])
     poses = belief.poses[parent] @ Poses.exp(change[:, POSE])
     return Hypotheses(poses, belief.mean[parent] + change[:, 6:], covariance, log_weights)
+
+
+def _within_gate(apart: np.ndarray, variance: np.ndarray, place_variance: np.ndarray) -> Bool[np.ndarray, "n k"]:
+    return apart < _GATE * (variance[:, None] + place_variance)
+
+
+def _log_total(log_parts: np.ndarray, of: Int64[np.ndarray, " p"], log_rest: float, count: int) -> np.ndarray:
+    """Log of what the parts of each of so many add up to with a rest that each has."""
+    largest = np.full(count, log_rest)
+    np.maximum.at(largest, of, log_parts)
+    parts = np.bincount(of, np.exp(log_parts - largest[of]), minlength=count)
+    return largest + np.log(parts + np.exp(log_rest - largest))
 
 
 def _without_pose(camera: int) -> slice:

@@ -6,13 +6,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.error_model import ErrorModel
 from filtering.errors import require_within
 from filtering.hypotheses import Hypotheses
+from filtering.moments import mixture_moments
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+
+_MARGIN = 1.01  # of a squared distance that is only to tell what is worth a closer look
 
 Status = Literal["converged", "ambiguous", "lost"]
 
@@ -64,11 +67,13 @@ class ModeConfig:
 
     def same_place(self, poses: Poses, pose: Poses, errors: ErrorModel) -> Bool[np.ndarray, "*n"]:
         """Which poses (any batch) lie within the reach of a mode at another pose, along each of its camera's axes."""
-        offset = (pose.inverse() @ poses).log()
+        return _within(pose.between(poses).log(), self.reach(errors))
+
+    def reach(self, errors: ErrorModel) -> Float64[np.ndarray, " 6"]:
+        """How far a mode reaches, along and about each of its camera's axes, metres and radians."""
         reach = self.radius * np.asarray(errors.typical_std)
-        reach[3:] = np.clip(reach[3:], self.least_rad, self.most_rad)
-        squared = np.square(offset / reach)
-        return np.asarray((squared[..., :3].sum(axis=-1) <= 1.0) & (squared[..., 3:].sum(axis=-1) <= 1.0))
+        reach[3:] = np.minimum(np.maximum(reach[3:], self.least_rad), self.most_rad)
+        return reach
 
 
 @dataclass(frozen=True)
@@ -121,34 +126,44 @@ def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -
     The heaviest hypothesis takes those in its place, then the heaviest of the rest, and so on. Mean and covariance are
     over a mode's own hypotheses only, with the errors that no number of images takes away.
     """
-    weights = belief.weights
-    order = np.argsort(-weights, kind="stable")
-    free = np.ones(len(belief), bool)
-    modes: list[Mode] = []
+    weights, reach = belief.weights, config.reach(errors)
     least = min(config.min_weight, float(weights.max()))
-    for i in order:
-        if not free[i]:
-            continue
-        if weights[free].sum() < least or len(modes) >= 2 * config.max_modes:
-            break
-        own = free & config.same_place(belief.poses, belief.poses[i], errors)
-        own[i] = True
-        free &= ~own
-        members = np.flatnonzero(own)
-        weight = (
-            weights[members] / weights[members].sum()
-            if weights[members].sum() > 0
-            else np.full(len(members), 1 / len(members))
-        )
-        offset = (belief.poses[i].inverse() @ belief.poses[members]).log()
-        mean = weight @ offset
-        residual = offset - mean
-        covariance = np.einsum("n,nij->ij", weight, belief.pose_covariance[members])
-        covariance += (weight * residual.T) @ residual + errors.least_covariance
-        modes.append(Mode(belief.poses[i] @ Poses.exp(mean), covariance, float(weights[members].sum())))
+    found: list[Int64[np.ndarray, " m"]] = []  # the hypotheses of each mode, the heaviest first
+    offsets: list[Float64[np.ndarray, "m 6"]] = []  # of each from the heaviest
+    free = np.argsort(-weights, kind="stable")
+    while len(free) and weights[free].sum() >= least and len(found) < 2 * config.max_modes:
+        own, offset = _in_place_of_first(belief.poses[free], reach)
+        found.append(free[own])
+        offsets.append(offset)
+        free = free[~own]
+    members, starts = np.concatenate(found), np.cumsum([0, *map(len, found[:-1])])
+    totals, means, covariances = mixture_moments(
+        weights[members], np.concatenate(offsets), belief.pose_covariance[members], starts
+    )
+    poses, covariances = belief.poses[members[starts]] @ Poses.exp(means), covariances + errors.least_covariance
+    modes = [Mode(poses[k], covariances[k], weight) for k, weight in enumerate(totals.tolist())]
     modes.sort(key=lambda mode: -mode.weight)
     kept = [mode for mode in modes if mode.weight >= least]
     return tuple((kept or modes[:1])[: config.max_modes])
+
+
+def _in_place_of_first(
+    poses: Poses, reach: Float64[np.ndarray, " 6"]
+) -> tuple[Bool[np.ndarray, " n"], Float64[np.ndarray, "m 6"]]:
+    """Which poses are in the place of the first one, itself included, and where there each of these m is."""
+    away = poses.translation - poses.translation[0]
+    near = np.flatnonzero(np.vecdot(away, away) < _MARGIN * reach[:3].max() ** 2)  # `log` is never shorter
+    offset = poses[0].between(poses[near]).log()
+    within = _within(offset, reach)
+    own = np.zeros(len(poses), bool)
+    within[0] = True
+    own[near] = within
+    return own, offset[within]
+
+
+def _within(offset: Float64[np.ndarray, "*n 6"], reach: Float64[np.ndarray, " 6"]) -> Bool[np.ndarray, "*n"]:
+    squared = np.square(offset / reach)
+    return np.asarray((squared[..., :3].sum(axis=-1) <= 1.0) & (squared[..., 3:].sum(axis=-1) <= 1.0))
 
 
 def posterior_modes(posterior: PosePosterior) -> tuple[Mode, ...]:

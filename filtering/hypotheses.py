@@ -7,13 +7,15 @@ Runnalls, "Kullback-Leibler approach to Gaussian mixture reduction", 2007.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.errors import VaporTrackError
+from filtering.moments import mixture_moments
 from filtering.motion import Odometry, SlowErrors
 from filtering.posterior import PosePosterior
 from filtering.resampling import thin_out
@@ -23,12 +25,18 @@ POSE, SLOW = slice(0, 6), slice(6, 13)
 """Where in a state the error of the pose is, and where the slow errors of odometry: scale, and drift of each axis."""
 
 _NEAR = 4.0  # squared, in standard deviations: further apart no two hypotheses are one
+_BLOCK = 256
 _WIDEST_RAD = 2.0  # standard deviation: all directions
 
 
 def bias(camera: int) -> slice:
     """Where in a state the lasting error of a camera's images is, in units of the error's own square root."""
     return slice(13 + 6 * camera, 19 + 6 * camera)
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """So many hypotheses in blocks whose covariances fit into a processor's cache: many are faster one by one."""
+    return (slice(start, start + _BLOCK) for start in range(0, count, _BLOCK))
 
 
 def log_sum(log_values: Float64[np.ndarray, " n"]) -> float:
@@ -66,6 +74,12 @@ class Hypotheses:
         """Normalised weights, (n,)."""
         return np.exp(self.log_weights)
 
+    @cached_property
+    def variances(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+        """Of the pose, all axes together, m² and rad², (n,) each."""
+        position, rotation = (np.einsum("nii->n", self.covariance[:, part, part]) for part in (slice(3), slice(3, 6)))
+        return position, rotation
+
     @property
     def pose_covariance(self) -> Float64[np.ndarray, "n 6 6"]:
         """Of ξ = (v, ω), metres and radians, in the tangent at each pose."""
@@ -77,16 +91,16 @@ class Hypotheses:
         Raises:
             VaporTrackError: a weight is NaN or +∞, or all are zero.
         """
-        bad = np.isnan(log_weights) | (log_weights == np.inf)
-        if bad.any():
+        total = log_sum(log_weights)
+        if total == -np.inf:
+            raise VaporTrackError(f"all {len(log_weights)} weights are zero, expected at least one positive")
+        if not np.isfinite(total):
+            bad = np.isnan(log_weights) | (log_weights == np.inf)
             first = int(np.argmax(bad))
             raise VaporTrackError(
                 f"log weight of hypothesis {first} is {log_weights[first]}, expected a finite number or −∞ "
                 f"({int(bad.sum())} of {len(bad)} are so)"
             )
-        total = log_sum(log_weights)
-        if total == -np.inf:
-            raise VaporTrackError(f"all {len(log_weights)} weights are zero, expected at least one positive")
         return replace(self, log_weights=log_weights - total)
 
 
@@ -150,9 +164,9 @@ def motion_of_state(
         ways: How far each camera came, in lengths over which the errors of its images change.
     """
     size = 13 + 6 * len(ways)
-    step, duration_s = odometry.previous_from_current, odometry.duration_s
+    duration_s = odometry.duration_s
     errs = np.zeros((6, 7))  # of the increment, by scale error and drift; what is reported too long is made shorter
-    errs[:3, 0] = -step.log()[:3]
+    errs[:3, 0] = -odometry.tangent[:3]
     if slow.drift is None:
         drift = slow.relative_drift * np.sqrt(np.diag(odometry.covariance) * duration_s)
     else:
@@ -163,7 +177,7 @@ def motion_of_state(
     for camera, way in enumerate(ways):
         kept[7 + 6 * camera : 13 + 6 * camera] = np.exp(-way)
     transition = np.zeros((size, size))
-    transition[POSE, POSE] = step.inverse().adjoint()
+    transition[POSE, POSE] = odometry.carry
     transition[POSE, SLOW] = errs
     rest = np.arange(6, size)
     transition[rest, rest] = kept
@@ -183,13 +197,32 @@ def moved(hypotheses: Hypotheses, odometry: Odometry, slow: SlowErrors, ways: Se
         ways: How far each camera came, in lengths over which the errors of its images change.
     """
     transition, noise = motion_of_state(odometry, slow, ways)
-    count, size = hypotheses.covariance.shape[:2]
     step = odometry.previous_from_current
     kept = np.diag(transition)[6:]
     poses = hypotheses.poses @ (step @ Poses.exp(hypotheses.mean[:, :7] @ transition[POSE, SLOW].T))
-    half = (hypotheses.covariance.reshape(-1, size) @ transition.T).reshape(count, size, size)
-    covariance = (np.swapaxes(half, 1, 2).reshape(-1, size) @ transition.T).reshape(count, size, size) + noise
+    covariance = _carried(hypotheses.covariance, transition[POSE, :13], kept)
+    covariance[:, POSE, POSE] += noise[POSE, POSE]
+    rest = np.arange(6, len(noise))
+    covariance[:, rest, rest] += np.diag(noise)[6:]
     return Hypotheses(poses, hypotheses.mean * kept, covariance, hypotheses.log_weights)
+
+
+def _carried(
+    covariance: Float64[np.ndarray, "n d d"], pose: Float64[np.ndarray, "6 13"], kept: Float64[np.ndarray, " m"]
+) -> Float64[np.ndarray, "n d d"]:
+    """F C Fᵀ for a transition F that leads to the pose from pose and slow errors, and scales all else."""
+    size = covariance.shape[1]
+    scale = np.concatenate([np.ones(6), kept])
+    scales = np.multiply.outer(scale, scale)
+    carried = np.empty_like(covariance)
+    for block in blocks(len(covariance)):
+        before, after = covariance[block], carried[block]
+        half = (before.reshape(-1, size)[:, :13] @ pose.T).reshape(-1, size, 6)
+        np.multiply(before, scales, out=after)
+        after[:, POSE, POSE] = pose @ half[:, :13]
+        after[:, 6:, POSE] = across = half[:, 6:] * kept[:, None]
+        after[:, POSE, 6:] = np.swapaxes(across, 1, 2)
+    return carried
 
 
 def widened(hypotheses: Hypotheses, covariance: Float64[np.ndarray, "6 6"]) -> Hypotheses:
@@ -219,39 +252,39 @@ def reduced(
         most: How many at most.
         rng: Source of the choice among the light ones.
     """
-    order = np.argsort(-hypotheses.log_weights, kind="stable")
+    h, order = hypotheses, _by_falling_weight(hypotheses.log_weights)
     least = np.log(least_weight) if least_weight > 0.0 else -np.inf
-    order = order[hypotheses.log_weights[order] > min(least, hypotheses.log_weights[order[0]] - 1.0)]
-    h = hypotheses[order]
-    leader = _leaders(h, divergence)
-    if (leader != np.arange(len(h))).any():
-        h = _merged(h, leader)
-    if len(h) > most:
-        kept, log_weights = thin_out(h.log_weights, most, rng=rng)
-        h = replace(h[kept], log_weights=log_weights)
-    order = np.argsort(-h.log_weights, kind="stable")
-    return h[order].with_log_weights(h.log_weights[order])
+    order = order[h.log_weights[order] > min(least, h.log_weights[order[0]] - 1.0)]
+    if divergence > 0.0:
+        h = h[order]
+        h = _merged(h, _leaders(h, divergence))
+        order = _by_falling_weight(h.log_weights)
+    log_weights = h.log_weights[order]
+    if len(order) > most:
+        kept, log_weights = thin_out(log_weights, most, rng=rng)
+        again = _by_falling_weight(log_weights)
+        order, log_weights = order[kept[again]], log_weights[again]
+    return h[order].with_log_weights(log_weights)
+
+
+def _by_falling_weight(log_weights: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    return np.argsort(-log_weights, kind="stable")
 
 
 def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     """For every hypothesis, by falling weight, the heavier one that it is merged into, or itself."""
     count, covariance = len(h), h.pose_covariance
-    variance = np.trace(covariance[:, :3, :3], axis1=1, axis2=2), np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2)
-    position, turned = h.poses.translation, h.poses.rotation.reshape(count, 9)
-    squares = np.einsum("ij,ij->i", position, position)
-    apart = squares[:, None] + squares - 2.0 * position @ position.T
-    near = (apart < _NEAR * variance[0][:, None]) & (3.0 - turned @ turned.T < _NEAR * variance[1][:, None])
-    heavy, light = np.nonzero(np.triu(near, 1))
     leader = np.arange(count)
+    # A divergence is at least half the squared distance.
+    heavy, light = np.nonzero(np.triu(_near(h, min(_NEAR, 2.0 * divergence)), 1))
     if len(heavy) == 0:
         return leader
     information = np.linalg.inv(covariance)
     log_det = np.linalg.slogdet(covariance)[1]
-    offset = (h.poses[heavy].inverse() @ h.poses[light]).log()
-    information_heavy = information[heavy]
-    squared = np.einsum("pi,pij,pj->p", offset, information_heavy, offset)
-    trace = np.einsum("pij,pij->p", information_heavy, covariance[light])
-    close = 0.5 * (squared + trace - 6.0 + log_det[heavy] - log_det[light]) < divergence
+    offset = h.poses[heavy].between(h.poses[light]).log()
+    second_moment = covariance[light] + offset[:, :, None] * offset[:, None, :]
+    trace = np.vecdot(information.reshape(-1, 36)[heavy], second_moment.reshape(-1, 36))
+    close = 0.5 * (trace - 6.0 + log_det[heavy] - log_det[light]) < divergence
     described = np.zeros((count, count), bool)
     described[heavy[close], light[close]] = True
     free = np.ones(count, bool)
@@ -263,17 +296,28 @@ def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     return leader
 
 
+def _near(h: Hypotheses, reach: float) -> Bool[np.ndarray, "n n"]:
+    """Of which hypotheses (rows) others (columns) may be within a squared distance, in standard deviations."""
+    (variance_m, variance_rad), (apart_m, apart_rad) = h.variances, h.poses.squared_distances(h.poses)
+    return (apart_m < reach * variance_m[:, None]) & (apart_rad < reach * variance_rad[:, None])
+
+
 def _merged(h: Hypotheses, leader: Int64[np.ndarray, " n"]) -> Hypotheses:
     """One hypothesis for each leader, with the mean and covariance of those that it leads."""
-    leaders, group = np.unique(leader, return_inverse=True)
-    weight = np.zeros((len(leaders), len(h)))
-    weight[group, np.arange(len(h))] = h.weights
-    total = weight.sum(axis=1)
-    weight /= total[:, None]
-    offset = np.concatenate([(h.poses[leader].inverse() @ h.poses).log(), h.mean - h.mean[leader]], axis=1)
-    mean = weight @ offset
-    residual = offset - mean[group]
-    spread = h.covariance + residual[:, :, None] * residual[:, None, :]
-    covariance = (weight @ spread.reshape(len(h), -1)).reshape(len(leaders), *spread.shape[1:])
-    poses = h.poses[leaders] @ Poses.exp(mean[:, :6])
-    return Hypotheses(poses, h.mean[leaders] + mean[:, 6:], covariance, np.log(total))
+    leads = leader == np.arange(len(h))
+    if leads.all():
+        return h
+    members = np.flatnonzero(np.bincount(leader, minlength=len(h))[leader] > 1)
+    members = members[np.argsort(leader[members], kind="stable")]  # group by group, the leader first
+    starts = np.flatnonzero(np.diff(leader[members], prepend=-1))
+    first = leader[members]
+    offset = np.concatenate([h.poses[first].between(h.poses[members]).log(), h.mean[members] - h.mean[first]], axis=1)
+    total, mean, covariance = mixture_moments(h.weights[members], offset, h.covariance[members], starts)
+    poses = h.poses[first[starts]] @ Poses.exp(mean[:, POSE])
+
+    merged = h[np.flatnonzero(leads)]
+    at = (np.cumsum(leads) - 1)[first[starts]]
+    merged.poses.rotation[at], merged.poses.translation[at] = poses.rotation, poses.translation
+    merged.mean[at] += mean[:, 6:]
+    merged.covariance[at], merged.log_weights[at] = covariance, np.log(total)
+    return merged

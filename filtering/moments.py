@@ -1,4 +1,4 @@
-"""Mean and covariance of weighted poses, group by group."""
+"""Mean and covariance of weighted poses, and of Gaussians, group by group."""
 
 from __future__ import annotations
 
@@ -27,10 +27,36 @@ def group_moments(
     fractions = np.zeros((num_groups, len(label)))
     fractions[label, np.arange(len(label))] = weights
     weightless = fractions.sum(axis=1) <= 0.0
-    fractions[weightless] = label == np.flatnonzero(weightless)[:, None]
+    if weightless.any():
+        fractions[weightless] = label == np.flatnonzero(weightless)[:, None]
     fractions /= fractions.sum(axis=1, keepdims=True)
     mean_matrix = (fractions @ poses.rotation.reshape(-1, 9)).reshape(-1, 3, 3)
     means = Poses(nearest_rotation(mean_matrix), fractions @ poses.translation)
-    tangent = (means.inverse()[label] @ poses).log()
-    squares = (tangent[:, :, None] * tangent[:, None, :]).reshape(-1, 36)
-    return means, (fractions @ squares).reshape(-1, 6, 6), tangent
+    tangent = means[label].between(poses).log()
+    covariances = (fractions[:, None, :] * tangent.T) @ tangent
+    return means, covariances, tangent
+
+
+def mixture_moments(
+    weights: Float64[np.ndarray, " n"],
+    means: Float64[np.ndarray, "n d"],
+    covariances: Float64[np.ndarray, "n d d"],
+    starts: Int64[np.ndarray, " k"],
+) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k d"], Float64[np.ndarray, "k d d"]]:
+    """Weights, means and covariances of mixtures of Gaussians, the components of each one after the other.
+
+    Args:
+        weights: At least 0, (n,). A mixture whose weights are all 0 counts its components equally.
+        means: Of the components, (n, d).
+        covariances: Of the components, (n, d, d).
+        starts: First component of every mixture, increasing from 0, (k,).
+    """
+    sizes = np.diff(starts, append=len(weights))
+    totals = np.add.reduceat(weights, starts)
+    none = totals <= 0.0
+    fractions = (weights + np.repeat(none, sizes)) / np.repeat(np.where(none, sizes, totals), sizes)
+    fractions = fractions[:, None]
+    middle = np.add.reduceat(fractions * means, starts)
+    residual = means - np.repeat(middle, sizes, axis=0)
+    spread = covariances + residual[:, :, None] * residual[:, None, :]
+    return totals, middle, np.add.reduceat(fractions[:, :, None] * spread, starts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
@@ -34,12 +35,37 @@ class Odometry:
     covariance: Float64[np.ndarray, "6 6"]
     duration_s: float
 
+    @cached_property
+    def tangent(self) -> Float64[np.ndarray, " 6"]:
+        """ξ with `previous_from_current` = exp(ξ), metres and radians."""
+        return self.previous_from_current.log()
+
+    @cached_property
+    def carry(self) -> Float64[np.ndarray, "6 6"]:
+        """What carries the error of a pose from before the motion to after it."""
+        return self.previous_from_current.inverse().adjoint()
+
+    @cached_property
+    def is_motion(self) -> bool:
+        """True; raises as `require_odometry`, which filter and baselines all ask for."""
+        _require_motion(self)
+        return True
+
+    def of_another_frame(self, this_from_other: Poses) -> Odometry:
+        """The motion of another frame that is fixed to this one (one pose)."""
+        other_from_this = this_from_other.inverse()
+        carry = other_from_this.adjoint()
+        return Odometry(
+            other_from_this @ self.previous_from_current @ this_from_other,
+            carry @ self.covariance @ carry.T,
+            self.duration_s,
+        )
+
     def then(self, later: Odometry) -> Odometry:
         """This motion and the one that follows it as one: errors carried to the end by the adjoint, and added."""
-        carry = later.previous_from_current.inverse().adjoint()
         return Odometry(
             self.previous_from_current @ later.previous_from_current,
-            carry @ self.covariance @ carry.T + later.covariance,
+            later.carry @ self.covariance @ later.carry.T + later.covariance,
             self.duration_s + later.duration_s,
         )
 
@@ -51,10 +77,14 @@ def require_odometry(odometry: Odometry) -> None:
         VaporTrackError: the motion is not one pose, not finite or not rigid, its duration is negative or not finite, or
             as `covariance_factor`.
     """
+    _ = odometry.is_motion
+
+
+def _require_motion(odometry: Odometry) -> None:
     motion = odometry.previous_from_current
     if motion.batch_shape != ():
         raise VaporTrackError(f"odometry increment has batch shape {motion.batch_shape}, expected (): one pose")
-    if not motion.is_finite():
+    if not (np.isfinite(motion.rotation).all() and np.isfinite(motion.translation).all()):
         raise VaporTrackError(f"odometry increment is not finite: {motion.as_matrix()[:3].tolist()}")
     rotation = motion.rotation
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > _RIGID or np.linalg.det(rotation) < 0:

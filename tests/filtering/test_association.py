@@ -170,3 +170,19 @@ def test_a_hypothesis_wider_than_the_map_believes_an_image_as_one_that_knows_the
     belief = believed([0.0], [1.0], std=np.array([900.0, 900, 900, 2, 2, 2]))
     after = associate(belief, seen_at(lifted(Poses.identity(), [300.0])), 0, novelty=1.0, way=2.0).hypotheses
     assert mass_at(after, 300.0) / after.weights.sum() == pytest.approx(0.95, abs=0.01)
+
+
+def test_hypotheses_of_a_large_belief_see_what_each_would_see_alone():
+    heights = np.linspace(-1.0, 1.0, 300)
+    belief = believed(heights, np.full(300, 1 / 300))
+    posterior = seen_at(lifted(Poses.identity(), [-0.8, 0.0, 0.9]), (0.2, 0.5, 0.3))
+    together = associate(belief, posterior, 0, novelty=0.5, way=1.0)
+    uneven = together.hypotheses.covariance - np.swapaxes(together.hypotheses.covariance, 1, 2)
+    assert not uneven.any()  # what rounding leaves would grow from image to image
+    for i in (0, 150, 299):
+        alone = associate(belief[i : i + 1], posterior, 0, novelty=0.5, way=1.0)
+        assert alone.log_evidence[0] == pytest.approx(together.log_evidence[i], abs=1e-12)
+        for pose, covariance in zip(alone.hypotheses.poses.translation, alone.hypotheses.covariance, strict=True):
+            apart = np.abs(together.hypotheses.poses.translation - pose).max(axis=1)
+            same = np.abs(together.hypotheses.covariance - covariance).max(axis=(1, 2))
+            assert np.maximum(apart, same).min() < 1e-12

@@ -15,6 +15,7 @@ from filtering.hypotheses import (
     born,
     concatenate,
     log_sum,
+    motion_of_state,
     moved,
     reduced,
     widened,
@@ -143,6 +144,14 @@ def test_what_moves_is_what_happens_to_draws_of_the_state():
     np.testing.assert_allclose(
         np.cov(drawn.T) / np.outer(std, std), after.covariance[0] / np.outer(std, std), atol=0.04
     )
+
+
+def test_many_hypotheses_move_as_the_transition_of_the_state_says():
+    h, slow = bank(300), SlowErrors(scale=0.05, relative_drift=0.5)
+    odometry = motion(0.3, 0.1, 0, 0.2, 0.1, 0.3)
+    transition, noise = motion_of_state(odometry, slow, [0.7])
+    after = moved(h, odometry, slow, [0.7]).covariance
+    np.testing.assert_allclose(after, transition @ h.covariance @ transition.T + noise, atol=1e-12)
 
 
 @settings(max_examples=30)

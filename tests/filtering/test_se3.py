@@ -111,3 +111,28 @@ def test_mean_respects_weights():
 def test_a_quaternion_that_is_none_is_refused_with_its_value(quaternion):
     with pytest.raises(VaporTrackError, match="quaternion xyzw"):
         Poses.from_quat_xyzw(np.zeros(3), np.array(quaternion))
+
+
+@pytest.mark.parametrize("batch", BATCHES)
+def test_the_pose_between_two_is_the_inverse_of_one_composed_with_the_other(batch):
+    a, b = random_poses(11, *batch), random_poses(12, *batch)
+    assert_same(a.between(b), a.inverse() @ b)
+    assert_same(a.between(random_poses(13)), a.inverse() @ random_poses(13))
+
+
+def test_squared_distances_of_all_pairs_are_those_of_each_however_far_from_the_origin():
+    a, b = random_poses(14, 5), random_poses(15, 3)
+    far = np.array([1e6, -1e6, 0.0])
+    metres_sq, versines = Poses(a.rotation, a.translation + far).squared_distances(
+        Poses(b.rotation, b.translation + far)
+    )
+    translation_m, rotation_rad = Poses(a.rotation[:, None], a.translation[:, None]).distance(b)
+    np.testing.assert_allclose(metres_sq, translation_m**2, atol=1e-8)
+    np.testing.assert_allclose(versines, 2.0 - 2.0 * np.cos(rotation_rad), atol=1e-12)
+    assert Poses.identity(2).squared_distances(Poses.identity(0))[0].shape == (2, 0)
+
+
+def test_only_the_identity_is_the_identity():
+    assert Poses.identity().is_identity
+    assert not Poses.exp(np.array([0, 0, 0, 0, 0, 1e-12])).is_identity
+    assert not Poses.exp(np.array([1e-12, 0, 0, 0, 0, 0])).is_identity

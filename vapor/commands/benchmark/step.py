@@ -29,8 +29,8 @@ class Options:
     """Time the network of this preset of `train` instead, with random weights and without the filter."""
     num_samples: int = 1000
     """Posterior samples per image."""
-    hypotheses: tuple[int, ...] = (100,)
-    """Sizes of the filter: hypotheses at most."""
+    hypotheses: tuple[int, ...] = (1000,)
+    """Sizes of beliefs that the filter is timed with beside the usual one: so many hypotheses, none merged."""
     threads: int = 1
     """Processor threads of the network."""
     repetitions: int = 50
