@@ -31,7 +31,7 @@ read with one that was not; or what must not be."""
 MOST_CHARACTERS = 300
 MOST_MEMORY = 2 * 2**30
 _CORPUS = Path(__file__).with_name("corpus.jsonl")
-_MOST_KEPT = 4096  # bytes of a line
+_MOST_KEPT = 12288  # bytes of a line
 
 
 class OtherSampleError(Exception):
