@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from filterpy.kalman import KalmanFilter
 from jaxtyping import Float64
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from filtering.adaptation import ErrorScale
 from filtering.association import UNUSUAL
@@ -146,7 +146,7 @@ class KalmanLocalizer:
         covariance = shows @ self._filter.P @ np.swapaxes(shows, 1, 2) + fresh
         squared = np.einsum("ki,ki->k", innovation, np.linalg.solve(covariance, innovation[:, :, None])[:, :, 0])
         k = int(np.argmin(squared))
-        if squared[k] > 6.0 * fisher.ppf(self.config.gate_probability, 6, errors.tail):
+        if squared[k] > 6.0 * fdtri(6, errors.tail, self.config.gate_probability):
             return False
         error = fresh[k]
         larger = (errors.tail + squared[k]) / (errors.tail + 6.0)

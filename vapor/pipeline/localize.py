@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import resource
-import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -16,17 +15,18 @@ import numpy as np
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
-from filtering.posterior import ObservationModel
+from filtering.posterior import ObservationModel, PosePosterior
 from filtering.smoothing import agreement
 from sequences.estimates.sequence import EstimateSequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
 from sequences.recordings.estimate_writer import EstimateWriter
+from vapor.pipeline.ahead import ahead
 from vapor.pipeline.config import FilteringConfig
+from vapor.reporting.drawing_process import peak_rss_mb
 from vapor.reporting.record import RunRecord
 from vapor.reporting.recorder import RunRecorder
-from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.reporting.viewer import NullViewer
+from vapor.reporting.viewer import open_viewer
 from vapor.tracking.history import History
 from vapor.tracking.loop import StepLoop
 from vapor.tracking.methods import poses_at_end, start_baselines
@@ -70,15 +70,28 @@ def localize(
     loop = StepLoop(localizer, start_baselines(settings, lambda: np.random.default_rng(config.seed)))
     recorder, history = RunRecorder(), History()
     recording = directory / "recording.rrd" if config.recording else None
-    viewer = RerunViewer(recording, spawn=config.view) if recording or config.view else NullViewer()
-    with viewer, EstimateWriter(directory / "estimate.mcap") as writer:
-        for frame in source:
+
+    def seen(frames: Iterable[Any]) -> Iterator[tuple[Any, PosePosterior, float]]:
+        for frame in frames:
+            begin = time.perf_counter()
+            with _about(source, frame):
+                posterior = localizer.observe(observed(frame))
+            yield frame, posterior, 1e3 * (time.perf_counter() - begin)
+
+    # Reading and the network work ahead, each in a thread, and what is shown is drawn in another process.
+    with (
+        open_viewer(recording, view=config.view) as viewer,
+        EstimateWriter(directory / "estimate.mcap") as writer,
+        ahead(source) as frames,
+        ahead(seen(frames)) as observations,
+    ):
+        for frame, posterior, observe_ms in observations:
             if frame.odometry is not None and odometry_fit is not None:
                 frame = replace(frame, odometry=odometry_fit.restated(frame.odometry))
-            try:
-                step = loop.step(frame.time_ns, partial(localizer.observe, observed(frame)), frame.odometry)
-            except VaporTrackError as error:
-                raise VaporTrackError(f"{source.path}: image at {frame.time_ns} ns: {error}") from error
+            with _about(source, frame):
+                step = loop.step(
+                    frame.time_ns, lambda posterior=posterior: posterior, frame.odometry, observe_ms=observe_ms
+                )
             history.add(step, frame.odometry)
             recorder.add(frame, step)
             modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in step.estimate.modes]
@@ -96,7 +109,10 @@ def localize(
     return replace(record.with_methods(at_end, smoothed_agreement=fits), peak_rss_mb=peak_rss_mb())
 
 
-def peak_rss_mb() -> float:
-    """Peak resident memory of this process, MiB."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+@contextmanager
+def _about(source: SequenceReader | EstimateSequence, frame: Any) -> Iterator[None]:
+    """Say of an error which image it is about."""
+    try:
+        yield
+    except VaporTrackError as error:
+        raise VaporTrackError(f"{source.path}: image at {frame.time_ns} ns: {error}") from error

@@ -75,13 +75,21 @@ class StepLoop:
         self._previous_ns: int | None = None
         self._image_modes: tuple[Mode, ...] = ()
 
-    def step(self, time_ns: int, observe: Callable[[], PosePosterior], odometry: Odometry | None) -> Step:
+    def step(
+        self,
+        time_ns: int,
+        observe: Callable[[], PosePosterior],
+        odometry: Odometry | None,
+        *,
+        observe_ms: float = 0.0,
+    ) -> Step:
         """Take one image.
 
         Args:
             time_ns: Stamp of the image.
             observe: Computes its posterior; it is called once, and timed.
             odometry: Motion since the previous image; None where it is unknown.
+            observe_ms: Milliseconds that the posterior took, where it was computed before.
 
         Raises:
             VaporTrackError: unusable image, posterior or odometry.
@@ -91,7 +99,7 @@ class StepLoop:
         begin = time.perf_counter()
         posterior = observe()
         estimate = self._localizer.update(posterior, odometry, elapsed_s=elapsed_s)
-        step_ms = 1e3 * (time.perf_counter() - begin)
+        step_ms = observe_ms + 1e3 * (time.perf_counter() - begin)
         places = posterior_modes(posterior)
         self._image_modes = places or self._image_modes or estimate.modes
         return Step(
