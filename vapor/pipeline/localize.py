@@ -20,13 +20,10 @@ from filtering.smoothing import agreement
 from sequences.estimates.sequence import EstimateSequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
-from sequences.recordings.estimate_writer import EstimateWriter
 from vapor.pipeline.ahead import ahead
 from vapor.pipeline.config import FilteringConfig
-from vapor.reporting.drawing_process import peak_rss_mb
+from vapor.reporting.output_process import outputs_beside
 from vapor.reporting.record import RunRecord
-from vapor.reporting.recorder import RunRecorder
-from vapor.reporting.viewer import open_viewer
 from vapor.tracking.history import History
 from vapor.tracking.loop import StepLoop
 from vapor.tracking.methods import poses_at_end, start_baselines
@@ -68,49 +65,42 @@ def localize(
         settings = replace(settings, slow_errors=odometry_fit.slow_errors)
     localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
     loop = StepLoop(localizer, start_baselines(settings, lambda: np.random.default_rng(config.seed)))
-    recorder, history = RunRecorder(), History()
-    recording = directory / "recording.rrd" if config.recording else None
+    history = History()
 
-    def seen(frames: Iterable[Any]) -> Iterator[tuple[Any, PosePosterior, float]]:
+    def posteriors(frames: Iterable[Any]) -> Iterator[tuple[Any, PosePosterior, float]]:
         for frame in frames:
             begin = time.perf_counter()
-            with _about(source, frame):
+            with _about(frame, source):
                 posterior = localizer.observe(observed(frame))
             yield frame, posterior, 1e3 * (time.perf_counter() - begin)
 
-    # Reading and the network work ahead, each in a thread, and what is shown is drawn in another process.
-    with (
-        open_viewer(recording, view=config.view) as viewer,
-        EstimateWriter(directory / "estimate.mcap") as writer,
-        ahead(source) as frames,
-        ahead(seen(frames)) as observations,
-    ):
-        for frame, posterior, observe_ms in observations:
-            if frame.odometry is not None and odometry_fit is not None:
-                frame = replace(frame, odometry=odometry_fit.restated(frame.odometry))
-            with _about(source, frame):
-                step = loop.step(
-                    frame.time_ns, lambda posterior=posterior: posterior, frame.odometry, observe_ms=observe_ms
-                )
-            history.add(step, frame.odometry)
-            recorder.add(frame, step)
-            modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in step.estimate.modes]
-            writer.write(frame.time_ns, modes, step.estimate.cloud(PUBLISHED_PARTICLES))
-            viewer.log(frame, step.estimate, step.posterior.samples)
-            if progress is not None:
-                progress(len(recorder), source.num_images)
-    if source.counts.are_very_few and not allow_few_images:
-        raise VaporTrackError(
-            f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes fewer)"
-        )
-    record = recorder.finish(skipped=source.skipped, images=source.counts)
+    # Stage by stage: an image is read and seen by the network while the filter has the one before, and written later.
+    with outputs_beside(
+        directory, recording=config.recording, view=config.view, particles=PUBLISHED_PARTICLES
+    ) as outputs:
+        with ahead(source) as frames, ahead(posteriors(frames)) as observations:
+            for number, (frame, posterior, observe_ms) in enumerate(observations, start=1):
+                if frame.odometry is not None and odometry_fit is not None:
+                    frame = replace(frame, odometry=odometry_fit.restated(frame.odometry))
+                with _about(frame, source):
+                    step = loop.step(frame.time_ns, posterior, frame.odometry, observe_ms=observe_ms)
+                history.add(step, frame.odometry)
+                outputs.add(frame, step)
+                if progress is not None:
+                    progress(number, source.num_images)
+        if source.counts.are_very_few and not allow_few_images:
+            raise VaporTrackError(
+                f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes"
+                " fewer)"
+            )
+        record = outputs.finish(skipped=source.skipped, images=source.counts)
     at_end = poses_at_end(history, errors, settings)
     fits = agreement(at_end["smoothed"], record.times_ns, history.evidence, errors)
-    return replace(record.with_methods(at_end, smoothed_agreement=fits), peak_rss_mb=peak_rss_mb())
+    return record.with_methods(at_end, smoothed_agreement=fits)
 
 
 @contextmanager
-def _about(source: SequenceReader | EstimateSequence, frame: Any) -> Iterator[None]:
+def _about(frame: Any, source: SequenceReader | EstimateSequence) -> Iterator[None]:
     """Say of an error which image it is about."""
     try:
         yield

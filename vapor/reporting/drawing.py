@@ -42,7 +42,8 @@ def quiet_axes(ax: Axes) -> None:
 def save_figure(figure: Figure, path: Path) -> Path:
     """Write a PNG, the same bytes for the same figure; it appears under its name only when complete."""
     with atomic_output(path) as partial:
-        figure.savefig(partial, format="png", metadata={"Software": _SOFTWARE})
+        # `savefig` would draw everything twice, and pack twice as long for a tenth of the bytes.
+        figure.canvas.print_png(partial, metadata={"Software": _SOFTWARE}, pil_kwargs={"compress_level": 3})
     return path
 
 

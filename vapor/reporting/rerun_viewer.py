@@ -68,25 +68,11 @@ class RerunViewer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close(keep=error is None)
+        self._finish(keep=error is None)
 
-    def close(self, *, keep: bool = True) -> None:
-        """Finish; the recording gets its name, or goes.
-
-        Raises:
-            VaporTrackError: what was to be kept could not be written.
-        """
-        try:
-            self._stream.flush()
-        except RuntimeError as error:  # it says no more than that there was one
-            if keep:
-                keep = False
-                raise VaporTrackError(f"the Rerun viewer cannot be written to: {error}") from error
-        finally:
-            self._stream.disconnect()
-            if self._recording is not None:
-                recording, self._recording = self._recording, None
-                recording.close(keep=keep)
+    def close(self) -> None:
+        """Finish; the recording appears under its name."""
+        self._finish(keep=True)
 
     def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
         """Show one image, the belief after it, and samples (m,) of the image's own posterior.
@@ -180,6 +166,20 @@ class RerunViewer:
             translation_m, rotation_rad = estimate.modes[0].world_from_camera.distance(frame.world_from_camera)
             log("error/translation_m", rr.Scalars(float(translation_m)))
             log("error/rotation_deg", rr.Scalars(float(np.degrees(rotation_rad))))
+
+    def _finish(self, *, keep: bool) -> None:
+        """Close the streams; the recording gets its name, or goes."""
+        try:
+            self._stream.flush()
+        except RuntimeError as error:  # it says no more than that there was one
+            if keep:
+                keep = False
+                raise VaporTrackError(f"the Rerun viewer cannot be written to: {error}") from error
+        finally:
+            self._stream.disconnect()
+            if self._recording is not None:
+                recording, self._recording = self._recording, None
+                recording.close(keep=keep)
 
 
 def _quiet_rerun() -> ModuleType:

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from types import TracebackType
 from typing import Protocol
 
 from filtering.estimate import Estimate
 from filtering.se3 import Poses
 from sequences.frame import Frame
-from vapor.reporting.drawing_process import DrawingProcess, drawing_process
 
 
 class Viewer(Protocol):
-    """Watches a run."""
+    """Watches a run; used in a `with` block, so that an error leaves no half-written recording."""
 
     def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
         """Show one image, the belief after it, and samples (m,) of the image's own posterior."""
         ...
+
+    def close(self) -> None:
+        """Finish; a recording appears under its name."""
+        ...
+
+    def __enter__(self) -> Viewer: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
 
 
 class NullViewer:
@@ -27,37 +34,13 @@ class NullViewer:
     def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
         """Do nothing."""
 
+    def close(self) -> None:
+        """Do nothing."""
 
-class ViewerBeside:
-    """A `RerunViewer` in the drawing process: what is shown there does not keep the loop waiting."""
+    def __enter__(self) -> NullViewer:
+        return self
 
-    def __init__(self, process: DrawingProcess) -> None:
-        self._process = process
-
-    def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
-        """Hand over one image, see `RerunViewer.log`.
-
-        Raises:
-            VaporTrackError: what came before could not be written, or the viewer not be started.
-        """
-        self._process.send("log", frame, estimate, posterior_poses)
-
-
-@contextmanager
-def open_viewer(recording: Path | None, *, view: bool) -> Iterator[Viewer]:
-    """What watches a run, for a `with` block.
-
-    Args:
-        recording: The recording to write; after an error in the block it is not there. None for none.
-        view: Whether to open the Rerun viewer's window and stream into it.
-
-    Raises:
-        VaporTrackError: the viewer cannot be started, or the recording cannot be written; perhaps only at the end.
-    """
-    if recording is None and not view:
-        yield NullViewer()
-        return
-    with drawing_process() as process:
-        process.send("open", recording, view)
-        yield ViewerBeside(process)
-        process.ask("close")
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -50,7 +50,8 @@ class Step:
             image that had any; before that, the filter's modes.
         evidence: Places of the image's posterior, none where it says nothing: what a smoother is told.
         baselines: Hypotheses of every baseline by its name, the best one first.
-        step_ms: Wall-clock milliseconds that posterior and filter took, without the baselines.
+        step_ms: Wall-clock milliseconds that posterior and filter took, without the baselines: in all, also where the
+            posterior was computed while the filter had the image before.
     """
 
     posterior: PosePosterior
@@ -78,26 +79,25 @@ class StepLoop:
     def step(
         self,
         time_ns: int,
-        observe: Callable[[], PosePosterior],
+        posterior: PosePosterior,
         odometry: Odometry | None,
         *,
-        observe_ms: float = 0.0,
+        observe_ms: float,
     ) -> Step:
         """Take one image.
 
         Args:
             time_ns: Stamp of the image.
-            observe: Computes its posterior; it is called once, and timed.
+            posterior: Its posterior.
             odometry: Motion since the previous image; None where it is unknown.
-            observe_ms: Milliseconds that the posterior took, where it was computed before.
+            observe_ms: Milliseconds that the posterior took.
 
         Raises:
-            VaporTrackError: unusable image, posterior or odometry.
+            VaporTrackError: unusable posterior or odometry.
         """
         elapsed_s = 0.0 if self._previous_ns is None else max(time_ns - self._previous_ns, 0) * 1e-9
         self._previous_ns = time_ns
         begin = time.perf_counter()
-        posterior = observe()
         estimate = self._localizer.update(posterior, odometry, elapsed_s=elapsed_s)
         step_ms = observe_ms + 1e3 * (time.perf_counter() - begin)
         places = posterior_modes(posterior)

@@ -1,8 +1,9 @@
-"""A second Python process that draws, pictures and what the Rerun viewer shows, while this one goes on.
+"""A second Python process that writes and draws what a run leaves behind, while this one goes on to the next image.
 
 It imports what draws (Rerun, Matplotlib) while this one imports what computes, and takes calls through a pipe, one
-after the other. It has a session of its own, so that signals of a terminal reach this process only, and ends when the
-pipe does, as when this process is killed. It runs no code of `__main__`: scripts and notebooks need no guard.
+after the other: threads would wait for each other's Python. It has a session of its own, so that signals of a terminal
+reach this process only, and ends when the pipe does, as when this process is killed. It runs no code of `__main__`:
+scripts and notebooks need no guard.
 """
 
 from __future__ import annotations
@@ -13,28 +14,32 @@ import pickle
 import select
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from filtering.errors import VaporTrackError
-from vapor.reporting.peak_memory import peak_rss_mb as own_peak_rss_mb
+from vapor.reporting.peak_memory import peak_rss_mb
 
 if TYPE_CHECKING:
+    from sequences.frame import Frame
+    from sequences.reading.counts import ImageCounts
     from vapor.reporting.record import RunRecord
+    from vapor.tracking.loop import Step
 
-_SERVE = "import sys; sys.path[:] = sys.argv[1:]; from vapor.reporting.drawing_calls import serve; serve()"
+_SERVE = "import sys; sys.path[:] = sys.argv[1:]; from vapor.reporting.output_calls import serve; serve()"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _PIPE_BYTES = 1 << 20  # room for a few images, so that nobody waits for one that is being drawn
 _SOON_S = 5.0
 
-_idle: list[DrawingProcess] = []
+_idle: list[OutputProcess] = []
 os.register_at_fork(after_in_child=_idle.clear)
 
 
-class DrawingProcess:
-    """The process as this one sees it; the calls are the methods of `drawing_calls.Calls`."""
+class OutputProcess:
+    """The process as this one sees it; the calls are the methods of `output_calls.Calls`."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
@@ -87,8 +92,8 @@ class DrawingProcess:
             answer = pickle.load(self._answers)
         except (EOFError, pickle.UnpicklingError):
             raise VaporTrackError(
-                "the process that draws ended unexpectedly, perhaps for lack of memory; a run with --no-recording"
-                " needs less"
+                "the process that writes the results ended unexpectedly, perhaps for lack of memory; a run with"
+                " --no-recording needs less"
             ) from None
         if isinstance(answer, BaseException):
             raise answer
@@ -109,11 +114,11 @@ class DrawingProcess:
 
 
 @contextmanager
-def drawing_process() -> Iterator[DrawingProcess]:
+def output_process() -> Iterator[OutputProcess]:
     """A process for a `with` block, in which no other block has it; it is kept for the next, but after an error."""
     process = _idle.pop() if _idle else None
     if process is None or not process.is_alive:
-        process = DrawingProcess()
+        process = OutputProcess()
     try:
         yield process
     except BaseException:
@@ -122,21 +127,43 @@ def drawing_process() -> Iterator[DrawingProcess]:
     _idle.append(process)
 
 
-def start_drawing_process() -> None:
+def start_output_process() -> None:
     """Start a process that will be needed, so that it is ready by then."""
     if not _idle:
-        _idle.append(DrawingProcess())
+        _idle.append(OutputProcess())
+
+
+class OutputsBeside:
+    """A `RunOutputs` in another process: what is written there does not keep the loop waiting.
+
+    An error of what was added comes with a later image, or with the record.
+    """
+
+    def __init__(self, process: OutputProcess) -> None:
+        self._process = process
+
+    def add(self, frame: Frame, step: Step) -> None:
+        """See `RunOutputs.add`."""
+        self._process.send("add", frame, step)
+
+    def finish(self, *, skipped: Mapping[str, int], images: ImageCounts) -> RunRecord:
+        """Complete the files; gives the record, with the peak memory of this process and the other one in all."""
+        record: RunRecord = self._process.ask("finish", skipped, images)
+        return replace(record, peak_rss_mb=(record.peak_rss_mb or 0.0) + peak_rss_mb())
+
+
+@contextmanager
+def outputs_beside(directory: Path, *, recording: bool, view: bool, particles: int) -> Iterator[OutputsBeside]:
+    """The outputs of a run for a `with` block, see `RunOutputs`; what is not finished by its end is removed."""
+    with output_process() as process:
+        process.send("begin", directory, recording, view, particles)
+        yield OutputsBeside(process)
 
 
 def write_pictures(record: RunRecord, directory: Path, *, title: str) -> list[Path]:
     """See `vapor.reporting.pictures.write_pictures`."""
-    with drawing_process() as process:
+    with output_process() as process:
         return process.ask("pictures", record, directory, title)
-
-
-def peak_rss_mb() -> float:
-    """Peak resident memory of this process and of idle ones that draw, in all, MiB."""
-    return own_peak_rss_mb() + sum(process.ask("peak_rss_mb") for process in _idle)
 
 
 @atexit.register

@@ -1,0 +1,85 @@
+"""The calls that the output process takes, see `output_process`; this module is imported there only."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import sys
+import traceback
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from filtering.errors import VaporTrackError
+from sequences.frame import Frame
+from sequences.reading.counts import ImageCounts
+from vapor.reporting.pictures import write_pictures
+from vapor.reporting.record import RunRecord
+from vapor.reporting.run_outputs import RunOutputs
+from vapor.tracking.loop import Step
+
+
+class Calls:
+    """What the process can be asked to do, for one run at a time."""
+
+    def __init__(self) -> None:
+        self._outputs: RunOutputs | None = None
+
+    def begin(self, directory: Path, recording: bool, view: bool, particles: int) -> None:
+        """Begin a run, see `RunOutputs`."""
+        self._outputs = RunOutputs(directory, recording=recording, view=view, particles=particles)
+
+    def add(self, frame: Frame, step: Step) -> None:
+        """Write and show one image."""
+        assert self._outputs is not None
+        self._outputs.add(frame, step)
+
+    def finish(self, skipped: Mapping[str, int], images: ImageCounts) -> RunRecord:
+        """Complete the files of a run, and give its record."""
+        assert self._outputs is not None
+        outputs, self._outputs = self._outputs, None
+        with outputs:
+            return outputs.record(skipped=skipped, images=images)
+
+    def discard(self) -> None:
+        """Remove the files of a run that will not be finished."""
+        if self._outputs is not None:
+            outputs, self._outputs = self._outputs, None
+            error = VaporTrackError("the run failed")
+            outputs.__exit__(type(error), error, None)
+
+    def pictures(self, record: RunRecord, directory: Path, title: str) -> list[Path]:
+        """Draw the pictures of a run, see `write_pictures`."""
+        return write_pictures(record, directory, title=title)
+
+
+def serve() -> None:
+    """Take calls until there are no more, or one fails: its error is the last answer."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what others print is no answer
+    import matplotlib.backends.backend_agg
+    import matplotlib.figure  # while nobody waits for it  # noqa: F401
+
+    calls = Calls()
+    with suppress(EOFError, pickle.UnpicklingError, BrokenPipeError):  # the other process has no more calls, or is gone
+        _serve(calls, sys.stdin.buffer, answers)
+    calls.discard()
+    os._exit(0)  # at once: nothing is left to be done
+
+
+def _serve(calls: Calls, source: BinaryIO, answers: BinaryIO) -> None:
+    while True:
+        name, arguments, is_asked = pickle.load(source)
+        try:
+            answer = getattr(calls, name)(*arguments)
+        except Exception as error:
+            calls.discard()
+            if not isinstance(error, (VaporTrackError, OSError, MemoryError)):
+                error = RuntimeError(f"in the process that writes the results:\n{traceback.format_exc()}")
+            pickle.dump(error, answers)
+            answers.flush()
+            return
+        if is_asked:
+            pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)
+            answers.flush()
