@@ -104,9 +104,10 @@ class Poses:
         matrix[..., 3, 3] = 1.0
         return matrix
 
-    def as_quat_xyzw(self) -> Float64[np.ndarray, "*batch 4"]:
-        """Unit quaternions in x, y, z, w order, w ≥ 0."""
-        flat = Rotation.from_matrix(self.rotation.reshape(-1, 3, 3)).as_quat(canonical=True)
+    def as_quat_xyzw(self, *, known_valid: bool = False) -> Float64[np.ndarray, "*batch 4"]:
+        """Unit quaternions in x, y, z, w order, w ≥ 0; that all are rotations is checked unless it is known."""
+        matrices = self.rotation.reshape(-1, 3, 3)
+        flat = Rotation.from_matrix(matrices, assume_valid=known_valid).as_quat(canonical=True)
         return flat.reshape(*self.batch_shape, 4)
 
     @cached_property

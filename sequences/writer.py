@@ -21,9 +21,8 @@ from sequences.recordings.mcap_writer import (
     ODOM_FRAME,
     MessageWriter,
     ros_header,
-    ros_pose,
+    ros_poses,
     ros_transform,
-    ros_xyz,
 )
 
 
@@ -90,7 +89,7 @@ class SequenceWriter(MessageWriter):
             "distortion_model": lens.model,
             "d": d,
             "k": [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0],
-            "r": np.eye(3).ravel().tolist(),
+            "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
             "p": [p.fx, 0.0, p.cx, 0.0, 0.0, p.fy, p.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
         }
         self._write("/camera/camera_info", "sensor_msgs/CameraInfo", info, time_ns)
@@ -110,28 +109,24 @@ class SequenceWriter(MessageWriter):
             twist_covariance: Covariance of the velocity (v, ω) in the base frame; zeros where it is unknown.
             twist: Velocity (v, ω) in the base frame, metres and radians per second; zeros where it is unknown.
         """
-        v = np.zeros(6) if twist is None else twist
         message = {
             "header": self._header(time_ns, ODOM_FRAME),
             "child_frame_id": BASE_FRAME,
-            "pose": {"pose": ros_pose(odom_from_base)},
-            "twist": {
-                "twist": {"linear": ros_xyz(v[:3]), "angular": ros_xyz(v[3:])},
-                "covariance": twist_covariance.ravel().tolist(),
-            },
+            "pose": {"pose": ros_poses(odom_from_base)},
+            "twist": {"twist": twist, "covariance": twist_covariance},
         }
         self._write("/odom", "nav_msgs/Odometry", message, time_ns)
 
     def write_true_pose(self, time_ns: int, world_from_camera: Poses) -> None:
         """Write one true pose of the camera."""
-        message = {"header": self._header(time_ns, MAP_FRAME), "pose": ros_pose(world_from_camera)}
+        message = {"header": self._header(time_ns, MAP_FRAME), "pose": ros_poses(world_from_camera)}
         self._write("/ground_truth/pose", "geometry_msgs/PoseStamped", message, time_ns)
 
     def _header(self, time_ns: int, frame_id: str) -> dict:
         """A header; the static transform goes out with the first message, which has a stamp to give it."""
         if not self._has_tf:
             self._has_tf = True
-            transform = ros_transform(time_ns, BASE_FRAME, CAMERA_FRAME, self._base_from_camera)
+            transform = ros_transform(time_ns, BASE_FRAME, CAMERA_FRAME, ros_poses(self._base_from_camera))
             self._write("/tf_static", "tf2_msgs/TFMessage", {"transforms": [transform]}, time_ns)
         return ros_header(time_ns, frame_id)
 

@@ -12,10 +12,8 @@ from sequences.recordings.mcap_writer import (
     MAP_FRAME,
     MessageWriter,
     ros_header,
-    ros_pose,
     ros_poses,
     ros_transform,
-    ros_xyz,
 )
 from sequences.recordings.messages import covariance_to_ros
 
@@ -23,6 +21,7 @@ ESTIMATE_FRAME = "camera_estimate"
 _MAX_PARTICLES = 500
 _ARROW_M = 0.5  # length of the arrow of a mode, along its optical axis
 _MARKER_ARROW, _MARKER_DELETE_ALL = 0, 3
+_NO_TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # an arrow's points are in the map
 
 
 class EstimateWriter(MessageWriter):
@@ -51,18 +50,21 @@ class EstimateWriter(MessageWriter):
             particles: world_from_camera, batch (n,); thinned evenly to at most 500.
         """
         header = ros_header(time_ns, MAP_FRAME)
+        if len(particles) > _MAX_PARTICLES:
+            particles = particles[np.linspace(0, len(particles) - 1, _MAX_PARTICLES).astype(int)]
+        best = Poses.stack([modes[0][0]]) if modes else Poses.identity(0)
+        poses = ros_poses(Poses.concatenate([best, particles]), known_valid=True)
         if modes:
             pose, covariance, _ = modes[0]
-            ros_covariance = covariance_to_ros(covariance, pose).ravel().tolist()
-            message = {"header": header, "pose": {"pose": ros_pose(pose), "covariance": ros_covariance}}
+            told = {"pose": poses[0], "covariance": covariance_to_ros(covariance, pose)}
+            message = {"header": header, "pose": told}
             self._write("/estimate/pose", "geometry_msgs/PoseWithCovarianceStamped", message, time_ns)
-            transform = ros_transform(time_ns, MAP_FRAME, ESTIMATE_FRAME, pose)
+            transform = ros_transform(time_ns, MAP_FRAME, ESTIMATE_FRAME, poses[0])
             self._write("/tf", "tf2_msgs/TFMessage", {"transforms": [transform]}, time_ns)
         markers = [{"header": header, "ns": "modes", "action": _MARKER_DELETE_ALL}]
         markers += [_arrow(header, rank, pose, weight) for rank, (pose, _, weight) in enumerate(modes)]
         self._write("/estimate/modes", "visualization_msgs/MarkerArray", {"markers": markers}, time_ns)
-        kept = np.unique(np.linspace(0, len(particles) - 1, min(_MAX_PARTICLES, len(particles))).astype(int))
-        cloud = {"header": header, "poses": ros_poses(particles[kept])}
+        cloud = {"header": header, "poses": poses[len(best) :]}
         self._write("/estimate/particles", "geometry_msgs/PoseArray", cloud, time_ns)
 
 
@@ -73,9 +75,9 @@ def _arrow(header: dict, rank: int, world_from_camera: Poses, weight: float) -> 
         "ns": "modes",
         "id": rank,
         "type": _MARKER_ARROW,
-        "pose": {"orientation": {"w": 1.0}},
-        "points": [ros_xyz(world_from_camera.translation), ros_xyz(tip)],
-        "scale": {"x": 0.1 * _ARROW_M, "y": 0.2 * _ARROW_M, "z": 0.3 * _ARROW_M},
-        "color": {"r": 1.0, "g": 0.4, "b": 0.0, "a": float(np.clip(weight, 0.0, 1.0))},
+        "pose": _NO_TURN,
+        "points": np.stack([world_from_camera.translation, tip]),
+        "scale": (0.1 * _ARROW_M, 0.2 * _ARROW_M, 0.3 * _ARROW_M),
+        "color": (1.0, 0.4, 0.0, min(max(weight, 0.0), 1.0)),
         "text": f"{weight:.6g}",
     }

@@ -7,11 +7,13 @@ from pathlib import Path
 from types import TracebackType
 
 import numpy as np
-from mcap_ros2.writer import Writer
+from jaxtyping import Float64
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import Writer
 
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
-from sequences.recordings.message_definitions import schema_name, schema_text
+from sequences.recordings.message_definitions import encoder, schema_name, schema_text
 
 MAP_FRAME, ODOM_FRAME, BASE_FRAME, CAMERA_FRAME = "map", "odom", "base_link", "camera_optical_frame"
 
@@ -22,13 +24,15 @@ class MessageWriter:
     def __init__(self, path: Path):
         self.path = Path(path)
         self._stack = ExitStack()
-        self._schemas: dict[str, object] = {}
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
 
     def _open(self) -> None:
         with ExitStack() as stack:
             partial = stack.enter_context(atomic_output(self.path))
             file = stack.enter_context(open(partial, "wb"))
             self._writer = Writer(file)
+            self._writer.start(profile="ros2")
             self._stack = stack.pop_all()
 
     def __exit__(
@@ -43,10 +47,18 @@ class MessageWriter:
         self._stack.__exit__(kind, error, traceback)
 
     def _write(self, topic: str, message_type: str, message: dict, time_ns: int) -> None:
+        """Write a message, whose fields are as `cdr.write` takes them."""
+        if topic not in self._channels:
+            self._channels[topic] = self._channel(topic, message_type)
+        data = encoder(message_type)(message)
+        self._writer.add_message(self._channels[topic], int(time_ns), data, int(time_ns))
+
+    def _channel(self, topic: str, message_type: str) -> int:
         if message_type not in self._schemas:
-            text = schema_text(message_type)
-            self._schemas[message_type] = self._writer.register_msgdef(schema_name(message_type), text)
-        self._writer.write_message(topic, self._schemas[message_type], message, log_time=int(time_ns))  # pyright: ignore[reportArgumentType]
+            text = schema_text(message_type).encode()
+            schema = self._writer.register_schema(schema_name(message_type), SchemaEncoding.ROS2, text)
+            self._schemas[message_type] = schema
+        return self._writer.register_channel(topic, MessageEncoding.CDR, self._schemas[message_type])
 
 
 def ros_header(time_ns: int, frame_id: str) -> dict:
@@ -55,33 +67,12 @@ def ros_header(time_ns: int, frame_id: str) -> dict:
     return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id}
 
 
-def ros_xyz(v: np.ndarray) -> dict:
-    """geometry_msgs/Vector3 or Point of three numbers."""
-    return {"x": v[0], "y": v[1], "z": v[2]}
+def ros_poses(poses: Poses, *, known_valid: bool = False) -> Float64[np.ndarray, "*batch 7"]:
+    """The numbers of geometry_msgs/Pose, and of Transform; `known_valid` as of `Poses.as_quat_xyzw`."""
+    return np.concatenate([poses.translation, poses.as_quat_xyzw(known_valid=known_valid)], axis=-1)
 
 
-def ros_pose(pose: Poses) -> dict:
-    """geometry_msgs/Pose of one pose."""
-    return ros_poses(Poses(pose.rotation[None], pose.translation[None]))[0]
-
-
-def ros_poses(poses: Poses) -> list[dict]:
-    """geometry_msgs/Pose of each of a batch (n,)."""
-    rows = zip(poses.translation.tolist(), poses.as_quat_xyzw().tolist(), strict=True)
-    return [
-        {
-            "position": {"x": t[0], "y": t[1], "z": t[2]},
-            "orientation": {"x": q[0], "y": q[1], "z": q[2], "w": q[3]},
-        }
-        for t, q in rows
-    ]
-
-
-def ros_transform(time_ns: int, parent: str, child: str, parent_from_child: Poses) -> dict:
-    """geometry_msgs/TransformStamped."""
-    pose = ros_pose(parent_from_child)
-    return {
-        "header": ros_header(time_ns, parent),
-        "child_frame_id": child,
-        "transform": {"translation": pose["position"], "rotation": pose["orientation"]},
-    }
+def ros_transform(time_ns: int, parent: str, child: str, parent_from_child: Float64[np.ndarray, " 7"]) -> dict:
+    """geometry_msgs/TransformStamped of the numbers of one pose."""
+    header = ros_header(time_ns, parent)
+    return {"header": header, "child_frame_id": child, "transform": parent_from_child}

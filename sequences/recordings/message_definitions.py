@@ -1,14 +1,14 @@
-"""The ROS 2 message types that are read and written, as text, and their decoders: all that is needed of ROS."""
+"""The ROS 2 message types that are read and written, as text, and how their bytes are read and written: all of ROS."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from types import SimpleNamespace
+from typing import Any
 
-from mcap.records import Schema
-from mcap_ros2.decoder import DecoderFactory
+from sequences.recordings import cdr
 
 DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
@@ -106,7 +106,10 @@ def decoder(message_type: str) -> Callable[[bytes], SimpleNamespace]:
     It follows the definitions above and not the file's own text: these types have not changed in ROS 2, and
     recorders leave the text out where they do not find it.
     """
-    schema = Schema(id=1, data=schema_text(message_type).encode(), encoding="ros2msg", name=schema_name(message_type))
-    decode = DecoderFactory().decoder_for("cdr", schema)
-    assert decode is not None
-    return decode
+    return partial(cdr.read, cdr.layout_of(message_type, DEFINITIONS))
+
+
+@cache
+def encoder(message_type: str) -> Callable[[Mapping[str, Any]], bytes]:
+    """A function from the fields of a message to its CDR bytes, as `cdr.write` has it."""
+    return partial(cdr.write, cdr.layout_of(message_type, DEFINITIONS))
