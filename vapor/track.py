@@ -25,6 +25,8 @@ COMMANDS = {
     "benchmark": "time a step, localize many sequences, synthetic or real, with or without faults, and count successes",
 }
 """Name -> what it does; each is a module of `vapor.commands`, imported only when it is called."""
+WRITE_RUNS = ("run", "demo", "fuse")
+"""Those that need the process which writes results of runs: it starts while they are imported."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -84,6 +86,8 @@ def _run(words: list[str], signals: Signals) -> int:
     if name not in COMMANDS:
         say(f"vapor-track: unknown command {shortened(repr(name), 60)}, expected one of {', '.join(COMMANDS)}")
         return 2
+    if name in WRITE_RUNS and not {"-h", "--help"} & set(rest):
+        importlib.import_module("vapor.reporting.output_process").start_output_process()
     command = importlib.import_module(f"vapor.commands.{name}").main
     signals.working = True
     command(rest)

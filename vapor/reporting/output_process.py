@@ -100,17 +100,22 @@ class OutputProcess:
         return answer
 
     def end(self) -> None:
-        """Let it remove what it has not finished, and end."""
+        """Let it remove what it has not finished, and end; if that takes long, or another signal comes, it is killed."""
         with suppress(OSError):  # of what is still buffered
             self._calls.close()
         try:
-            self._process.wait(_SOON_S)
-        except BaseException:
-            self._process.kill()
-            self._process.wait()
-            raise
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_SOON_S)
         finally:
-            self._answers.close()
+            self.kill()
+
+    def kill(self) -> None:
+        """End it at once, as there is nothing that it has not finished."""
+        self._process.kill()
+        self._process.wait()
+        with suppress(OSError):
+            self._calls.close()
+        self._answers.close()
 
 
 @contextmanager
@@ -169,4 +174,4 @@ def write_pictures(record: RunRecord, directory: Path, *, title: str) -> list[Pa
 @atexit.register
 def _end_idle() -> None:
     while _idle:
-        _idle.pop().end()
+        _idle.pop().kill()
