@@ -8,6 +8,7 @@ import sys
 import traceback
 from collections.abc import Mapping
 from contextlib import suppress
+from importlib.abc import MetaPathFinder
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,6 +17,7 @@ from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
 from vapor.reporting.pictures import write_pictures
 from vapor.reporting.record import RunRecord
+from vapor.reporting.rerun_viewer import load_rerun
 from vapor.reporting.run_outputs import RunOutputs
 from vapor.tracking.loop import Step
 
@@ -54,12 +56,23 @@ class Calls:
         return write_pictures(record, directory, title=title)
 
 
+class WithoutPandas(MetaPathFinder):
+    """Says that there is no pandas: where there is, pyarrow would load it, and Rerun has no use for it."""
+
+    def find_spec(self, fullname: str, *_: object) -> None:
+        """Refuse pandas; others look for the rest."""
+        if fullname == "pandas":
+            raise ModuleNotFoundError(fullname)
+
+
 def serve() -> None:
     """Take calls until there are no more, or one fails: its error is the last answer."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what others print is no answer
+    sys.meta_path.insert(0, WithoutPandas())
+    load_rerun()  # while nobody waits for it, as what follows
     import matplotlib.backends.backend_agg
-    import matplotlib.figure  # while nobody waits for it  # noqa: F401
+    import matplotlib.figure  # noqa: F401
 
     calls = Calls()
     with suppress(EOFError, pickle.UnpicklingError, BrokenPipeError):  # the other process has no more calls, or is gone

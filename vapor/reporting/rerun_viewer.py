@@ -42,7 +42,7 @@ class RerunViewer:
     """
 
     def __init__(self, path: Path | None = None, *, spawn: bool = False, title: str = "vapor-track") -> None:
-        rr = _quiet_rerun()
+        rr = load_rerun()
         if path is None and not spawn:
             raise VaporTrackError("a viewer needs a recording to write or a window to open, got neither")
         self._recording: Recording | None = None
@@ -194,12 +194,13 @@ class RerunViewer:
                 recording.close(keep=keep)
 
 
-def _quiet_rerun() -> ModuleType:
-    """Rerun, which does not print of errors what is told of them here."""
+def load_rerun() -> ModuleType:
+    """Rerun, which takes a while, and does not print of errors what is told of them here."""
     level = os.environ.get("RUST_LOG")
     os.environ["RUST_LOG"] = level or "off"  # read when it is imported
     try:
         import rerun
+        import rerun.blueprint
 
         return rerun
     finally:

@@ -43,9 +43,7 @@ def fields_of(message: Any) -> Any:
 
 def library_decoder(message_type: str) -> Any:
     text = schema_text(message_type).encode()
-    return DecoderFactory().decoder_for(
-        "cdr", Schema(id=1, data=text, encoding="ros2msg", name=schema_name(message_type))
-    )
+    return DecoderFactory().decoder_for("cdr", Schema(id=1, data=text, encoding="ros2msg", name=schema_name(message_type)))
 
 
 def big_endian(message_type: str, message: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> bytes:
@@ -67,19 +65,16 @@ def test_x(message_type: str, monkeypatch: pytest.MonkeyPatch) -> None:
     their_decoder = library_decoder(message_type)
     for k in range(20):
         message = made_up(message_type, rng)
-        if k == 0:
-            message = {}
+        if k == 0: message = {}
         data = theirs(message)
         assert encoder(message_type)(message) == data
         for each in (data, big_endian(message_type, message, monkeypatch)):
             full = fields_of(their_decoder(each))
             assert fields_of(decoder(message_type)(each)) == full
             for end in range(len(each)):
-
                 def tried(f):
                     try:
                         return fields_of(f(each[:end]))
                     except (struct.error, ValueError):
                         return "error"
-
                 assert tried(their_decoder) == tried(decoder(message_type)), (end, len(each))
