@@ -15,6 +15,7 @@ from typing import BinaryIO
 from filtering.errors import VaporTrackError
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
+from vapor.reporting.output_process import DISCARDED
 from vapor.reporting.pictures import write_pictures
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_viewer import load_rerun
@@ -33,9 +34,9 @@ class Calls:
         self._outputs = RunOutputs(directory, recording=recording, view=view, particles=particles)
 
     def add(self, frame: Frame, step: Step) -> None:
-        """Write and show one image."""
-        assert self._outputs is not None
-        self._outputs.add(frame, step)
+        """Write and show one image; nothing after an error."""
+        if self._outputs is not None:
+            self._outputs.add(frame, step)
 
     def finish(self, skipped: Mapping[str, int], images: ImageCounts) -> RunRecord:
         """Complete the files of a run, and give its record."""
@@ -44,12 +45,14 @@ class Calls:
         with outputs:
             return outputs.record(skipped=skipped, images=images)
 
-    def discard(self) -> None:
+    def discard(self) -> str:
         """Remove the files of a run that will not be finished."""
         if self._outputs is not None:
             outputs, self._outputs = self._outputs, None
             error = VaporTrackError("the run failed")
-            outputs.__exit__(type(error), error, None)
+            with suppress(VaporTrackError, OSError):
+                outputs.__exit__(type(error), error, None)
+        return DISCARDED
 
     def pictures(self, record: RunRecord, directory: Path, title: str) -> list[Path]:
         """Draw the pictures of a run, see `write_pictures`."""
@@ -66,8 +69,9 @@ class WithoutPandas(MetaPathFinder):
 
 
 def serve() -> None:
-    """Take calls until there are no more, or one fails: its error is the last answer."""
-    answers = os.fdopen(os.dup(1), "wb")
+    """Take calls until there are no more."""
+    source, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # a viewer that outlives this process does not hold the pipe open
     os.dup2(2, 1)  # what others print is no answer
     sys.meta_path.insert(0, WithoutPandas())
     load_rerun()  # while nobody waits for it, as what follows
@@ -76,7 +80,7 @@ def serve() -> None:
 
     calls = Calls()
     with suppress(EOFError, pickle.UnpicklingError, BrokenPipeError):  # the other process has no more calls, or is gone
-        _serve(calls, sys.stdin.buffer, answers)
+        _serve(calls, source, answers)
     calls.discard()
     os._exit(0)  # at once: nothing is left to be done
 
@@ -88,11 +92,9 @@ def _serve(calls: Calls, source: BinaryIO, answers: BinaryIO) -> None:
             answer = getattr(calls, name)(*arguments)
         except Exception as error:
             calls.discard()
-            if not isinstance(error, (VaporTrackError, OSError, MemoryError)):
-                error = RuntimeError(f"in the process that writes the results:\n{traceback.format_exc()}")
-            pickle.dump(error, answers)
-            answers.flush()
-            return
+            known = isinstance(error, (VaporTrackError, OSError, MemoryError))
+            traced = f"in the process that writes the results:\n{traceback.format_exc()}"
+            answer, is_asked = error if known else RuntimeError(traced), True
         if is_asked:
-            pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)
+            answers.write(pickle.dumps(answer, pickle.HIGHEST_PROTOCOL))
             answers.flush()

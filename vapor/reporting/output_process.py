@@ -33,6 +33,8 @@ _SERVE = "import sys; sys.path[:] = sys.argv[1:]; from vapor.reporting.output_ca
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _PIPE_BYTES = 1 << 20  # room for a few images, so that nobody waits for one that is being drawn
 _SOON_S = 5.0
+DISCARDED = "discarded"
+"""The answer to `discard`."""
 
 _idle: list[OutputProcess] = []
 os.register_at_fork(after_in_child=_idle.clear)
@@ -58,6 +60,11 @@ class OutputProcess:
             fcntl.fcntl(self._calls, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
     @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._process.pid
+
+    @property
     def is_alive(self) -> bool:
         """Whether it has not ended."""
         return self._process.poll() is None
@@ -70,11 +77,8 @@ class OutputProcess:
         """
         if select.select([self._answers], [], [], 0.0)[0]:  # only errors come without being asked for
             self._receive()
-        try:
-            pickle.dump((name, arguments, False), self._calls, pickle.HIGHEST_PROTOCOL)
-            self._calls.flush()
-        except BrokenPipeError:
-            self._receive()
+        with suppress(BrokenPipeError):  # the next call tells
+            self._call(name, arguments, is_asked=False)
 
     def ask(self, name: str, *arguments: Any) -> Any:
         """Call a method after all that were sent, and wait for what it returns.
@@ -83,9 +87,12 @@ class OutputProcess:
             Exception: what it raised, or an earlier call.
         """
         with suppress(BrokenPipeError):
-            pickle.dump((name, arguments, True), self._calls, pickle.HIGHEST_PROTOCOL)
-            self._calls.flush()
+            self._call(name, arguments, is_asked=True)
         return self._receive()
+
+    def _call(self, name: str, arguments: tuple[Any, ...], *, is_asked: bool) -> None:
+        self._calls.write(pickle.dumps((name, arguments, is_asked), pickle.HIGHEST_PROTOCOL))
+        self._calls.flush()
 
     def _receive(self) -> Any:
         try:
@@ -99,8 +106,17 @@ class OutputProcess:
             raise answer
         return answer
 
+    def discard(self) -> None:
+        """After an error: let it remove what is not finished; then it can be used again, if it is alive."""
+        try:
+            self._call("discard", (), is_asked=True)
+            while pickle.load(self._answers) != DISCARDED:  # errors that nobody has waited for
+                pass
+        except (OSError, EOFError, pickle.UnpicklingError):
+            self.kill()
+
     def end(self) -> None:
-        """Let it remove what it has not finished, and end; if that takes long, or another signal comes, it is killed."""
+        """Let it remove what is not finished, and end; it is killed where that takes long, or by another signal."""
         with suppress(OSError):  # of what is still buffered
             self._calls.close()
         try:
@@ -110,7 +126,7 @@ class OutputProcess:
             self.kill()
 
     def kill(self) -> None:
-        """End it at once, as there is nothing that it has not finished."""
+        """End it at once."""
         self._process.kill()
         self._process.wait()
         with suppress(OSError):
@@ -120,16 +136,21 @@ class OutputProcess:
 
 @contextmanager
 def output_process() -> Iterator[OutputProcess]:
-    """A process for a `with` block, in which no other block has it; it is kept for the next, but after an error."""
+    """A process for a `with` block, in which no other block has it; it is kept for the next, as it takes a second."""
     process = _idle.pop() if _idle else None
     if process is None or not process.is_alive:
         process = OutputProcess()
     try:
         yield process
-    except BaseException:
+    except Exception:
+        process.discard()
+        raise
+    except BaseException:  # a signal, perhaps within a call
         process.end()
         raise
-    _idle.append(process)
+    finally:
+        if process.is_alive:
+            _idle.append(process)
 
 
 def start_output_process() -> None:
