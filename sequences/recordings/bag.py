@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from mcap.records import Schema
+from mcap.records import Channel, Schema
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
@@ -62,8 +62,7 @@ class Topic:
         return foxglove.is_transforms(self.type) and self.encoding in self.encodings
 
 
-@dataclass(frozen=True)
-class RawMessage:
+class RawMessage(NamedTuple):
     """One message, not yet decoded.
 
     Attributes:
@@ -189,27 +188,25 @@ class Bag:
         asked = {t.name: [name for name in self._stands_for(t) if name in topics] for t in self.topics.values()}
         names = [name for name, stands_for in asked.items() if stands_for]
         for file in self._files:
+            known: dict[int, tuple[str, str, bytes]] = {}  # of channels: type, encoding, definition
             for record in file.messages(names, until=until):
                 channel = file.channels[record.channel_id]
-                schema = file.schemas.get(channel.schema_id)
-                definition = schema.data if schema is not None else b""
-                topic, type_name = self.topics[channel.topic], _type_name(schema)
-                if (type_name, channel.message_encoding) != (topic.type, topic.encoding):
-                    raise SequenceError(
-                        f"{file.path}: {quoted(topic.name)} has messages of {quoted(type_name)}"
-                        f" ({quoted(channel.message_encoding)}) and of {quoted(topic.type)} ({quoted(topic.encoding)}),"
-                        " expected one type a topic"
-                    )
+                if channel.id not in known:
+                    known[channel.id] = self._described(file, channel)
                 for name in asked[channel.topic]:
-                    yield RawMessage(
-                        name,
-                        record.log_time_ns,
-                        record.data,
-                        type_name,
-                        channel.message_encoding,
-                        definition,
-                        self._restamped,
-                    )
+                    yield RawMessage(name, record.log_time_ns, record.data, *known[channel.id], self._restamped)
+
+    def _described(self, file: McapFile, channel: Channel) -> tuple[str, str, bytes]:
+        """Type, encoding and definition of a channel. Raises SequenceError where its topic has another type."""
+        schema = file.schemas.get(channel.schema_id)
+        topic, type_name = self.topics[channel.topic], _type_name(schema)
+        if (type_name, channel.message_encoding) != (topic.type, topic.encoding):
+            raise SequenceError(
+                f"{file.path}: {quoted(topic.name)} has messages of {quoted(type_name)}"
+                f" ({quoted(channel.message_encoding)}) and of {quoted(topic.type)} ({quoted(topic.encoding)}),"
+                " expected one type a topic"
+            )
+        return type_name, channel.message_encoding, schema.data if schema is not None else b""
 
     @cached_property
     def fixed_links(self) -> frozenset[tuple[str, str]]:

@@ -29,10 +29,10 @@ class List:
 
 
 class Field(NamedTuple):
-    """A field: its name, the layout of a message, else how many numbers (0: one value); and its values if left out."""
+    """A field: its name, the layout of a message or how many numbers of an array, else None; its values if left out."""
 
     name: str
-    kind: Layout | int
+    kind: Layout | int | None
     absent: list[Any]
 
 
@@ -65,13 +65,14 @@ def layout_of(message_type: str, definitions: Mapping[str, str]) -> Layout:
         added: tuple[str | List, ...]
         if is_list and not length:
             assert of is not None
-            field, added = Field(name, 0, [()]), (List(of),)
+            field, added = Field(name, None, [()]), (List(of),)
         elif isinstance(of, Layout):
             field, added = Field(name, of, [value for each in of.fields for value in each.absent]), of.parts
         elif of is not None:
-            field, added = Field(name, int(length or 0), [0] * int(length or 1)), (of * int(length or 1),)
+            number = int(length or 1)
+            field, added = Field(name, number if is_list else None, [0] * number), (of * number,)
         else:
-            field, added = Field(name, 0, [""]), (_TEXT,)
+            field, added = Field(name, None, [""]), (_TEXT,)
         fields.append(field)
         for part in added:
             if isinstance(part, str) and parts and isinstance(parts[-1], str):
@@ -141,7 +142,7 @@ def _named(layout: Layout, values: Iterator[Any]) -> SimpleNamespace:
     message = SimpleNamespace()
     fields = message.__dict__
     for name, kind, _ in layout.fields:
-        if kind == 0:
+        if kind is None:
             fields[name] = next(values)
         elif isinstance(kind, int):
             fields[name] = list(islice(values, kind))
@@ -199,7 +200,7 @@ def _values(layout: Layout, message: Mapping[str, Any]) -> list[Any]:
         value = message.get(name)
         if value is None:
             values += absent
-        elif kind == 0:
+        elif kind is None:
             values.append(value)
         else:
             if isinstance(value, np.ndarray):

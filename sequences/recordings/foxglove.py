@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import binascii
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -55,6 +56,7 @@ def converter(message_type: str) -> Callable[[Any], SimpleNamespace]:
     return converted
 
 
+@lru_cache(maxsize=256)
 def _own_name(message_type: str) -> str | None:
     """The name without what says that it is Foxglove's; None for types of others, and those that nothing reads."""
     names = (message_type.removeprefix(prefix) for prefix in _PREFIXES if message_type.startswith(prefix))

@@ -6,7 +6,6 @@ that the file states.
 
 from __future__ import annotations
 
-import heapq
 import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Set
@@ -197,13 +196,13 @@ class McapFile:
         self, stream: IO[bytes], asked: Set[int], unopened: list[ChunkIndex], found: Counter[int]
     ) -> Iterator[RawRecord]:
         """Messages of chunks, which are taken from the end of a list, opened and counted when their time has come."""
-        held: list[tuple[int, int, int, RawRecord]] = []
+        held: list[tuple[int, int, int, RawRecord]] = []  # the earliest last
         num_bytes = 0
 
         def ready(until_ns: int) -> Iterator[RawRecord]:
             nonlocal num_bytes
-            while held and held[0][0] < until_ns:
-                record = heapq.heappop(held)[-1]
+            while held and held[-1][0] < until_ns:
+                record = held.pop()[-1]
                 num_bytes -= len(record.data) + _MESSAGE_COSTS
                 yield record
 
@@ -213,10 +212,11 @@ class McapFile:
             chunk = read_record_at(stream, index.chunk_start_offset, Opcode.CHUNK)
             for number, (opcode, content) in enumerate(open_chunk(chunk)):
                 if opcode == Opcode.MESSAGE and (record := self._asked_for(content, asked, found)) is not None:
-                    heapq.heappush(held, (record.log_time_ns, index.chunk_start_offset, number, record))
+                    held.append((record.log_time_ns, index.chunk_start_offset, number, record))
                     num_bytes += len(record.data) + _MESSAGE_COSTS
                     if num_bytes > _MAX_HELD_BYTES:
                         raise McapError(f"chunks overlap in time by more than {_MAX_HELD_BYTES} bytes of messages")
+            held.sort(reverse=True)
         yield from ready(1 << 64)  # no log time is later
 
     def _as_written(self, stream: IO[bytes], asked: Set[int], found: Counter[int]) -> Iterator[RawRecord]:

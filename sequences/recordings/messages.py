@@ -6,15 +6,17 @@ frame, quaternions in x, y, z, w order, frame names with or without a leading sl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
 from types import SimpleNamespace
 
 import numpy as np
 from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
-from filtering.se3 import Poses
+from filtering.se3 import Poses, rotation_of_quat
 from sequences.errors import SequenceError
 
 _MAX_DISTANCE_M = 1e8  # further than from any frame on Earth
@@ -67,13 +69,13 @@ def pose_from_message(message: SimpleNamespace) -> Poses:
         VaporTrackError: it is not finite, is absurdly far away, or its quaternion is not of unit length.
     """
     p, q = message.position, message.orientation
-    return _pose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+    return _pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 
 
 def pose_from_transform(message: SimpleNamespace) -> Poses:
     """geometry_msgs/Transform -> one pose. Raises VaporTrackError as `pose_from_message`."""
     t, q = message.translation, message.rotation
-    return _pose(np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]))
+    return _pose((t.x, t.y, t.z), (q.x, q.y, q.z, q.w))
 
 
 def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
@@ -87,12 +89,17 @@ def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
         VaporTrackError: the pose or the twist covariance is not finite, or no covariance.
     """
     pose = pose_from_message(message.pose.pose)
-    covariance = np.array(message.twist.covariance, np.float64).reshape(6, 6)
-    if not (np.abs(covariance) < _MAX_VARIANCE).all():  # NaN compares as false
+    return OdometrySample(stamp_ns(message.header), pose, _twist_covariance(tuple(message.twist.covariance)))
+
+
+@lru_cache(maxsize=64)  # many drivers state the same one always
+def _twist_covariance(values: tuple[float, ...]) -> Float64[np.ndarray, "6 6"]:
+    covariance = np.array(values, np.float64).reshape(6, 6)
+    if not np.abs(covariance).max() < _MAX_VARIANCE:  # NaN compares as false
         raise VaporTrackError(f"twist covariance is not finite or above {_MAX_VARIANCE:g}: {covariance.tolist()}")
     if covariance[0, 0] == -1.0:
         covariance = np.zeros((6, 6))
-    unmeasured = np.diag(covariance) >= _UNKNOWN_VARIANCE
+    unmeasured = covariance.diagonal() >= _UNKNOWN_VARIANCE
     covariance[unmeasured] = covariance[:, unmeasured] = 0.0
     if covariance.any():
         covariance = (covariance + covariance.T) / 2
@@ -100,7 +107,8 @@ def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
         if eigenvalue < -1e-9 * np.abs(covariance).max():
             raise VaporTrackError(f"twist covariance has the negative eigenvalue {eigenvalue:.3g}")
     covariance[unmeasured, unmeasured] = np.inf
-    return OdometrySample(stamp_ns(message.header), pose, covariance)
+    covariance.setflags(write=False)
+    return covariance
 
 
 def transforms_from_message(
@@ -140,16 +148,18 @@ def covariance_from_ros(covariance: Float64[np.ndarray, "6 6"], pose: Poses) -> 
     return turn.T @ covariance @ turn
 
 
-def _pose(translation: np.ndarray, quat_xyzw: np.ndarray) -> Poses:
+def _pose(translation: tuple[float, float, float], quat_xyzw: tuple[float, float, float, float]) -> Poses:
     """A pose whose numbers can be those of one: a damaged message may hold any."""
-    if np.isfinite(translation).all() and np.isfinite(quat_xyzw).all():
-        norm = np.hypot.reduce(quat_xyzw)
-        if np.abs(translation).max() > _MAX_DISTANCE_M or not 0.9 < norm < 1.1:
-            raise VaporTrackError(
-                f"pose with translation {translation.tolist()} and quaternion of length {norm:.3g},"
-                f" expected one within {_MAX_DISTANCE_M:g} m and a unit quaternion"
-            )
-    return Poses.from_quat_xyzw(translation, quat_xyzw)
+    x, y, z, w = quat_xyzw
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if all(abs(each) <= _MAX_DISTANCE_M for each in translation) and 0.9 < norm < 1.1:  # NaN compares as false
+        return Poses(rotation_of_quat(x / norm, y / norm, z / norm, w / norm), np.array(translation))
+    if all(map(math.isfinite, (*translation, *quat_xyzw))):
+        raise VaporTrackError(
+            f"pose with translation {list(translation)} and quaternion of length {math.hypot(*quat_xyzw):.3g},"
+            f" expected one within {_MAX_DISTANCE_M:g} m and a unit quaternion"
+        )
+    return Poses.from_quat_xyzw(np.array(translation), np.array(quat_xyzw))  # which says what is not finite
 
 
 def _turn(pose: Poses) -> np.ndarray:

@@ -49,23 +49,28 @@ def odometry_between(
         raise SequenceError(f"odometry from {start_ns} ns to {end_ns} ns, expected the end not to be before the start")
     if end_ns == start_ns:
         return Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
-    inner = times_ns[(times_ns > start_ns) & (times_ns < end_ns)]
-    knots_ns = np.concatenate([[start_ns], inner, [end_ns]]).astype(np.int64)
-    odom_from_knots, _ = interpolate(times_ns, odom_from_base, knots_ns, max_gap_s=np.inf)
-    previous_from_current = odom_from_knots[0].inverse() @ odom_from_knots[-1]
+    ends_ns = np.array([start_ns, end_ns], np.int64)
+    ends, _ = interpolate(times_ns, odom_from_base, ends_ns, max_gap_s=np.inf)
+    inner = slice(np.searchsorted(times_ns, start_ns, "right"), np.searchsorted(times_ns, end_ns))
+    knots_ns = np.concatenate([ends_ns[:1], times_ns[inner], ends_ns[1:]])
+    odom_from_knots = Poses.concatenate([ends[:1], odom_from_base[inner], ends[1:]])
+    knots_from_odom = odom_from_knots.inverse()
+    previous_from_current = knots_from_odom[0] @ odom_from_knots[-1]
 
     message = np.searchsorted(times_ns, knots_ns[1:], side="left")
     interval_s = (times_ns[message] - times_ns[message - 1]) * 1e-9
-    stated = twist_covariances[message]
-    unknown = np.isinf(np.diagonal(stated, axis1=1, axis2=2)).sum(axis=0) > 0
-    stated = np.where(unknown[:, None] | unknown, 0.0, stated)
-    unknown |= not stated.any()
     part_s = np.diff(knots_ns) * 1e-9
-    tangents = (odom_from_knots[:-1].inverse() @ odom_from_knots[1:]).log()
+    tangents = (knots_from_odom[:-1] @ odom_from_knots[1:]).log()
+    stated = twist_covariances[message]
+    unknown = np.isinf(np.diagonal(stated, axis1=1, axis2=2)).any(axis=0)
+    if unknown.any():
+        stated = np.where(unknown[:, None] | unknown, 0.0, stated)
+    unknown |= not stated.any()
     noise = stated * (interval_s * part_s)[:, None, None]
-    noise += np.where(unknown, motion_noise.along(tangents, part_s), 0.0)[:, :, None] * np.eye(6)
+    if unknown.any():
+        noise += np.where(unknown, motion_noise.along(tangents, part_s), 0.0)[:, :, None] * np.eye(6)
     camera_from_base = base_from_camera.inverse()
-    carry = (camera_from_base @ odom_from_knots[-1].inverse() @ odom_from_knots[1:]).adjoint()
+    carry = (camera_from_base @ knots_from_odom[-1] @ odom_from_knots[1:]).adjoint()
     covariance = (carry @ accumulated(tangents, noise) @ np.swapaxes(carry, -1, -2)).sum(axis=0)
     return Odometry(
         camera_from_base @ previous_from_current @ base_from_camera,

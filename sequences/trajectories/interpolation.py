@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Int64
 
@@ -26,9 +28,8 @@ def interpolate(
     Returns:
         Poses (m,), and which of them are covered; those that are not are one of the neighbours.
     """
-    after = np.clip(np.searchsorted(times_ns, query_ns, side="left"), 0, len(times_ns) - 1)
-    exact = times_ns[after] == query_ns
-    before = np.where(exact, after, np.maximum(after - 1, 0))
+    after = np.minimum(np.searchsorted(times_ns, query_ns, side="left"), len(times_ns) - 1)
+    before = np.maximum(after - (times_ns[after] != query_ns), 0)
     gap_ns = times_ns[after] - times_ns[before]
     inside = (times_ns[before] <= query_ns) & (query_ns <= times_ns[after])
     fraction = np.where(inside, (query_ns - times_ns[before]) / np.maximum(gap_ns, 1), 0.0)
@@ -37,15 +38,21 @@ def interpolate(
 
 
 def pose_at(
-    times_ns: Int64[np.ndarray, " n"], poses: Poses, time_ns: int, *, max_gap_s: float, still_gap_s: float = 0.0
+    times_ns: Sequence[int] | Int64[np.ndarray, " n"], poses: Sequence[Poses] | Poses, time_ns: int, *, max_gap_s: float, still_gap_s: float = 0.0
 ) -> Poses | None:
-    """The pose at one time between its neighbours, (n,) of n ≤ 2; None where they do not cover it.
+    """The pose at one time between its neighbours, of which there are at most two; None where they do not cover it.
 
     Neighbours cover what is between them up to a gap of `max_gap_s`, and of `still_gap_s` where they hardly differ:
     within 5 cm and 0.05 rad.
     """
-    if still_gap_s > max_gap_s and len(times_ns) == 2:
+    if len(times_ns) and times_ns[-1] == time_ns:
+        return poses[-1]
+    if len(times_ns) < 2 or not times_ns[0] <= time_ns < times_ns[1]:
+        return None
+    if still_gap_s > max_gap_s:
         metres, radians = poses[0].distance(poses[1])
         max_gap_s = still_gap_s if metres <= _STILL_M and radians <= _STILL_RAD else max_gap_s
-    pose, covered = interpolate(times_ns, poses, np.array([time_ns], np.int64), max_gap_s=max_gap_s)
-    return pose[0] if covered[0] else None
+    gap_ns = times_ns[1] - times_ns[0]
+    if gap_ns > max_gap_s * 1e9:
+        return None
+    return poses[0].interpolate(poses[1], (time_ns - times_ns[0]) / gap_ns)

@@ -9,10 +9,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.motion import MotionNoise, Odometry
-from filtering.se3 import Poses
+from filtering.se3 import Poses, distance_of_two
 from sequences.trajectories.increments import odometry_between
 from sequences.trajectories.interpolation import pose_at
 from sequences.trajectories.jumps import JUMP_CONTEXT, Motion, is_jump
+
+_UNKNOWN = np.zeros((6, 6))
+_UNKNOWN.setflags(write=False)
 
 
 @dataclass
@@ -52,7 +55,7 @@ class PoseWindow:
             return False
         self._times_ns.insert(at, time_ns)
         self._poses.insert(at, pose)
-        self._covariances.insert(at, np.zeros((6, 6)) if covariance is None else covariance)
+        self._covariances.insert(at, _UNKNOWN if covariance is None else covariance)
         if self.watch_jumps:
             self._steps.insert(at, self._step(at))
             if at + 1 < len(self._steps):
@@ -65,8 +68,8 @@ class PoseWindow:
 
     def _step(self, index: int) -> Motion:
         before = max(index - 1, 0)
-        metres, radians = self._poses[before].distance(self._poses[index])
-        return Motion(float(metres), float(radians), (self._times_ns[index] - self._times_ns[before]) * 1e-9)
+        metres, radians = distance_of_two(self._poses[before], self._poses[index])
+        return Motion(metres, radians, (self._times_ns[index] - self._times_ns[before]) * 1e-9)
 
     def finish(self) -> None:
         """No pose comes any more: look for jumps among the last steps as well."""
@@ -95,12 +98,23 @@ class PoseWindow:
 
     def at(self, time_ns: int) -> Poses | None:
         """The pose at one time; None where it is not covered."""
-        if not self._times_ns:
-            return None
-        after = min(bisect_left(self._times_ns, time_ns), len(self._times_ns) - 1)
+        after = bisect_left(self._times_ns, time_ns)
         near = slice(max(after - 1, 0), after + 1)
-        times_ns, poses = np.array(self._times_ns[near], np.int64), Poses.stack(self._poses[near])
-        return pose_at(times_ns, poses, time_ns, max_gap_s=self.max_gap_s, still_gap_s=self.still_gap_s)
+        return pose_at(
+            self._times_ns[near],
+            self._poses[near],
+            time_ns,
+            max_gap_s=self.max_gap_s,
+            still_gap_s=self.still_gap_s,
+        )
+
+    def covers(self, time_ns: int) -> bool:
+        """Whether there is a pose at one time, by `max_gap_s` alone."""
+        after = bisect_left(self._times_ns, time_ns)
+        if after == len(self._times_ns):
+            return False
+        is_known = self._times_ns[after] == time_ns
+        return is_known or (after > 0 and self._times_ns[after] - self._times_ns[after - 1] <= self.max_gap_s * 1e9)
 
     def jumps_at(self, time_ns: int) -> bool:
         """Whether a time lies between two poses with a jump between them."""
@@ -118,10 +132,11 @@ class PoseWindow:
         self, start_ns: int, end_ns: int, *, base_from_camera: Poses, motion_noise: MotionNoise
     ) -> Odometry:
         """`odometry_between` two covered times, the first of which was not yet forgotten."""
+        told = slice(bisect_right(self._times_ns, start_ns) - 1, bisect_left(self._times_ns, end_ns) + 1)
         return odometry_between(
-            np.array(self._times_ns, np.int64),
-            Poses.stack(self._poses),
-            np.stack(self._covariances),
+            np.array(self._times_ns[told], np.int64),
+            Poses.stack(self._poses[told]),
+            np.concatenate(self._covariances[told]).reshape(-1, 6, 6),
             start_ns,
             end_ns,
             base_from_camera=base_from_camera,
