@@ -18,6 +18,7 @@ from filtering.error_model import ErrorModel
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
 
 _APART = 2.0  # way between two images that are compared, lengths: nearer ones err alike
 _LEAST = 0.1  # of the variance
@@ -61,7 +62,7 @@ class ErrorScale:
     def applied(self, errors: ErrorModel) -> ErrorModel:
         """The model as it is here, the least errors in proportion to those of the images lately."""
         constant = errors.constant_fraction / max(self.information, 1e-3)
-        return replace(errors, constant_fraction=min(constant, 1e3)).inflated(self.factor)
+        return unchecked_replace(errors, constant_fraction=min(constant, 1e3)).inflated(self.factor)
 
     def moved(self, camera_motion: Odometry, way: float) -> ErrorScale:
         """After a motion of the camera, and its way in lengths."""
@@ -83,7 +84,7 @@ class ErrorScale:
         if self.way < _APART or self.since is None:
             return self
         expected = self.place @ self.since.previous_from_current
-        difference = (expected.inverse() @ posterior.means).log()
+        difference = expected.between(posterior.means).log()
         carry = self.since.previous_from_current.inverse().adjoint()
         new = 1.0 - posterior.errors.lasting_fraction * np.exp(-self.way)
         of_images = new * (carry @ self.covariance @ carry.T + posterior.covariances)

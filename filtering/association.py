@@ -119,21 +119,22 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
 
 
 def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: float) -> _Pairs:
-    errors, covariance = posterior.errors, belief.pose_covariance
-    variances = [
-        np.trace(covariance[:, part, part], axis1=1, axis2=2)[:, None]
-        + np.trace(posterior.covariances[:, part, part], axis1=1, axis2=2)
-        for part in (slice(0, 3), slice(3, 6))
-    ]
+    errors = posterior.errors
+    variances = [mine[:, None] + its for mine, its in zip(belief.variances, posterior.variances, strict=True)]
     offset = belief.poses.translation[:, None] - posterior.means.translation
     aligned = belief.poses.rotation.reshape(-1, 9) @ posterior.means.rotation.reshape(-1, 9).T
-    near = (np.square(offset).sum(axis=2) < _GATE * variances[0]) & (3.0 - aligned < _GATE * variances[1])
+    near = (np.vecdot(offset, offset) < _GATE * variances[0]) & (3.0 - aligned < _GATE * variances[1])
     h, k = np.nonzero(near)
-    difference = (belief.poses[h].inverse() @ posterior.means[k]).log()
-    state, lasting = belief.covariance[h], belief.mean[h][:, _without_pose(camera)]
+    difference = belief.poses[h].between(posterior.means[k]).log()
+    with_pose, with_bias = belief.covariance[:, :, POSE][h], belief.covariance[:, :, bias(camera)][h]
+    lasting = belief.mean[:, _without_pose(camera)][h]
     factor = np.sqrt(errors.lasting_fraction) * posterior.factors[k]
     fresh = (1.0 - errors.lasting_fraction) * posterior.covariances[k]
-    innovation, joint, information, squared = _innovations(state, lasting, difference, factor, fresh, camera)
+    # What is measured is error of the pose + factor · bias + fresh noise.
+    innovation = difference - (factor @ lasting[:, :, None])[:, :, 0]
+    joint = with_pose + with_bias @ np.swapaxes(factor, 1, 2)
+    information = np.linalg.inv(joint[:, POSE] + factor @ joint[:, bias(camera)] + fresh)
+    squared = _squared(innovation, information)
     log_det = -np.linalg.slogdet(information)[1]
     nu = errors.tail
     log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
@@ -145,31 +146,9 @@ def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: 
         # Errors that last over a way of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
         error = larger[far, None, None] * max(1.0, 2.0 / max(way, 1e-6)) * posterior.covariances[k[far]]
         innovation[far] = difference[far]
-        joint[far] = state[far][:, :, POSE]
-        information[far] = np.linalg.inv(state[far][:, POSE, POSE] + error)
+        joint[far] = with_pose[far]
+        information[far] = np.linalg.inv(with_pose[far][:, POSE] + error)
     return _Pairs(h, k, innovation, joint, information, squared, log_density)
-
-
-def _innovations(
-    state: Float64[np.ndarray, "p d d"],
-    lasting: Float64[np.ndarray, "p 6"],
-    difference: Float64[np.ndarray, "p 6"],
-    factor: Float64[np.ndarray, "p 6 6"],
-    fresh: Float64[np.ndarray, "p 6 6"],
-    camera: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Innovations, their covariance with the state, their information, and their squared distances.
-
-    What is measured is error of the pose + factor · bias + fresh noise.
-    """
-    own = bias(camera)
-    innovation = difference - np.einsum("pij,pj->pi", factor, lasting)
-    transposed = np.swapaxes(factor, 1, 2)
-    joint = state[:, :, POSE] + state[:, :, own] @ transposed
-    covariance = joint[:, POSE] + factor @ joint[:, own] + fresh
-    information = np.linalg.inv((covariance + np.swapaxes(covariance, 1, 2)) / 2)
-    squared = np.einsum("pi,pij,pj->p", innovation, information, innovation)
-    return innovation, joint, information, squared
 
 
 def _corrected(
@@ -177,11 +156,16 @@ def _corrected(
 ) -> Hypotheses:
     parent, joint = pairs.hypothesis[taken], pairs.covariance[taken]
     gain = joint @ pairs.information[taken]
-    change = np.einsum("pij,pj->pi", gain, pairs.innovation[taken])
-    covariance = belief.covariance[parent] - gain @ np.swapaxes(joint, 1, 2)
-    covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
+    change = (gain @ pairs.innovation[taken][:, :, None])[:, :, 0]
+    covariance = belief.covariance[parent]
+    covariance -= gain @ np.swapaxes(joint, 1, 2)
     poses = belief.poses[parent] @ Poses.exp(change[:, POSE])
     return Hypotheses(poses, belief.mean[parent] + change[:, 6:], covariance, log_weights)
+
+
+def _squared(vectors: Float64[np.ndarray, "p 6"], information: Float64[np.ndarray, "p 6 6"]) -> np.ndarray:
+    """Squared lengths (p,) in standard deviations."""
+    return np.vecdot(vectors, (information @ vectors[:, :, None])[:, :, 0])
 
 
 def _without_pose(camera: int) -> slice:

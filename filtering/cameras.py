@@ -74,7 +74,7 @@ class SeenCamera:
     def seen_through(self, reference_from_camera: Poses) -> SeenCamera:
         """The same on its mount of now; where that was turned, no image of before is compared with those that come."""
         mount = self.reference_from_camera
-        if np.array_equal(mount.as_matrix(), reference_from_camera.as_matrix()):
+        if mount is reference_from_camera or np.array_equal(mount.as_matrix(), reference_from_camera.as_matrix()):
             return self
         return replace(self, reference_from_camera=reference_from_camera, scale=replace(self.scale, place=None))
 
@@ -82,11 +82,5 @@ class SeenCamera:
         """After a motion of the reference frame; the way in lengths."""
         meter, way = self.meter.moved(odom.previous_from_current)
         places, _ = self.places.moved(odom.previous_from_current)
-        camera_from_reference = self.reference_from_camera.inverse()
-        carry = camera_from_reference.adjoint()
-        motion = Odometry(
-            camera_from_reference @ odom.previous_from_current @ self.reference_from_camera,
-            carry @ odom.covariance @ carry.T,
-            odom.duration_s,
-        )
+        motion = odom if self.reference_from_camera.is_identity else odom.of_another_frame(self.reference_from_camera)
         return replace(self, meter=meter, places=places, scale=self.scale.moved(motion, way)), way

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError, require_within
+from filtering.unchecked import unchecked_replace
 
 Six = tuple[float, float, float, float, float, float]
 
@@ -110,10 +111,12 @@ class ErrorModel:
 
     def inflated(self, factor: float) -> ErrorModel:
         """The same with variances that are larger by a factor."""
+        if factor == 1.0:
+            return self
         root = float(np.sqrt(factor))
         floor = tuple(root * value for value in self.floor)
         typical = tuple(root * value for value in self.typical_std)
-        return replace(self, spread=factor * self.spread, floor=floor, typical_std=typical)
+        return unchecked_replace(self, spread=factor * self.spread, floor=floor, typical_std=typical)
 
     def scaled(self, factor: float) -> ErrorModel:
         """The same in a map whose lengths are multiplied by a factor."""

@@ -64,11 +64,13 @@ class ModeConfig:
 
     def same_place(self, poses: Poses, pose: Poses, errors: ErrorModel) -> Bool[np.ndarray, "*n"]:
         """Which poses (any batch) lie within the reach of a mode at another pose, along each of its camera's axes."""
-        offset = (pose.inverse() @ poses).log()
+        return _within(pose.between(poses).log(), self.reach(errors))
+
+    def reach(self, errors: ErrorModel) -> Float64[np.ndarray, " 6"]:
+        """How far a mode reaches, along and about each of its camera's axes, metres and radians."""
         reach = self.radius * np.asarray(errors.typical_std)
-        reach[3:] = np.clip(reach[3:], self.least_rad, self.most_rad)
-        squared = np.square(offset / reach)
-        return np.asarray((squared[..., :3].sum(axis=-1) <= 1.0) & (squared[..., 3:].sum(axis=-1) <= 1.0))
+        reach[3:] = np.minimum(np.maximum(reach[3:], self.least_rad), self.most_rad)
+        return reach
 
 
 @dataclass(frozen=True)
@@ -121,34 +123,34 @@ def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -
     The heaviest hypothesis takes those in its place, then the heaviest of the rest, and so on. Mean and covariance are
     over a mode's own hypotheses only, with the errors that no number of images takes away.
     """
-    weights = belief.weights
-    order = np.argsort(-weights, kind="stable")
-    free = np.ones(len(belief), bool)
-    modes: list[Mode] = []
+    weights, least_covariance, reach = belief.weights, errors.least_covariance, config.reach(errors)
     least = min(config.min_weight, float(weights.max()))
-    for i in order:
-        if not free[i]:
-            continue
-        if weights[free].sum() < least or len(modes) >= 2 * config.max_modes:
-            break
-        own = free & config.same_place(belief.poses, belief.poses[i], errors)
-        own[i] = True
-        free &= ~own
-        members = np.flatnonzero(own)
-        weight = (
-            weights[members] / weights[members].sum()
-            if weights[members].sum() > 0
-            else np.full(len(members), 1 / len(members))
-        )
-        offset = (belief.poses[i].inverse() @ belief.poses[members]).log()
+    found: list[tuple[np.ndarray, np.ndarray, float]] = []  # mean at the heaviest, covariance, weight
+    heaviest: list[int] = []
+    free = np.argsort(-weights, kind="stable")
+    while len(free) and weights[free].sum() >= least and len(found) < 2 * config.max_modes:
+        heaviest.append(int(free[0]))
+        offset = belief.poses[heaviest[-1]].between(belief.poses[free]).log()
+        own = _within(offset, reach)
+        own[0] = True
+        members, offset, free = free[own], offset[own], free[~own]
+        total = float(weights[members].sum())
+        weight = weights[members] / total if total > 0.0 else np.full(len(members), 1.0 / len(members))
         mean = weight @ offset
         residual = offset - mean
         covariance = np.einsum("n,nij->ij", weight, belief.pose_covariance[members])
-        covariance += (weight * residual.T) @ residual + errors.least_covariance
-        modes.append(Mode(belief.poses[i] @ Poses.exp(mean), covariance, float(weights[members].sum())))
+        covariance += (weight * residual.T) @ residual + least_covariance
+        found.append((mean, covariance, total))
+    poses = belief.poses[heaviest] @ Poses.exp(np.stack([mean for mean, _, _ in found]))
+    modes = [Mode(poses[k], covariance, weight) for k, (_, covariance, weight) in enumerate(found)]
     modes.sort(key=lambda mode: -mode.weight)
     kept = [mode for mode in modes if mode.weight >= least]
     return tuple((kept or modes[:1])[: config.max_modes])
+
+
+def _within(offset: Float64[np.ndarray, "*n 6"], reach: Float64[np.ndarray, " 6"]) -> Bool[np.ndarray, "*n"]:
+    squared = np.square(offset / reach)
+    return np.asarray((squared[..., :3].sum(axis=-1) <= 1.0) & (squared[..., 3:].sum(axis=-1) <= 1.0))
 
 
 def posterior_modes(posterior: PosePosterior) -> tuple[Mode, ...]:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry, SlowErrors
@@ -65,6 +66,12 @@ class Hypotheses:
     def weights(self) -> Float64[np.ndarray, " n"]:
         """Normalised weights, (n,)."""
         return np.exp(self.log_weights)
+
+    @cached_property
+    def variances(self) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+        """Of the pose, all axes together, m² and rad², (n,) each."""
+        position, rotation = (np.einsum("nii->n", self.covariance[:, part, part]) for part in (slice(3), slice(3, 6)))
+        return position, rotation
 
     @property
     def pose_covariance(self) -> Float64[np.ndarray, "n 6 6"]:
@@ -183,13 +190,23 @@ def moved(hypotheses: Hypotheses, odometry: Odometry, slow: SlowErrors, ways: Se
         ways: How far each camera came, in lengths over which the errors of its images change.
     """
     transition, noise = motion_of_state(odometry, slow, ways)
-    count, size = hypotheses.covariance.shape[:2]
     step = odometry.previous_from_current
     kept = np.diag(transition)[6:]
     poses = hypotheses.poses @ (step @ Poses.exp(hypotheses.mean[:, :7] @ transition[POSE, SLOW].T))
-    half = (hypotheses.covariance.reshape(-1, size) @ transition.T).reshape(count, size, size)
-    covariance = (np.swapaxes(half, 1, 2).reshape(-1, size) @ transition.T).reshape(count, size, size) + noise
+    covariance = _carried(hypotheses.covariance, transition[POSE, :13], kept) + noise
     return Hypotheses(poses, hypotheses.mean * kept, covariance, hypotheses.log_weights)
+
+
+def _carried(
+    covariance: Float64[np.ndarray, "n d d"], pose: Float64[np.ndarray, "6 13"], kept: Float64[np.ndarray, " m"]
+) -> Float64[np.ndarray, "n d d"]:
+    """F C Fᵀ for a transition F that leads to the pose from pose and slow errors, and scales all else."""
+    to_pose = pose @ covariance[:, :13]
+    carried = covariance * np.multiply.outer(scale := np.concatenate([np.ones(6), kept]), scale)
+    carried[:, POSE, POSE] = to_pose[:, :, :13] @ pose.T
+    carried[:, POSE, 6:] = across = to_pose[:, :, 6:] * kept
+    carried[:, 6:, POSE] = np.swapaxes(across, 1, 2)
+    return carried
 
 
 def widened(hypotheses: Hypotheses, covariance: Float64[np.ndarray, "6 6"]) -> Hypotheses:
@@ -236,22 +253,16 @@ def reduced(
 def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     """For every hypothesis, by falling weight, the heavier one that it is merged into, or itself."""
     count, covariance = len(h), h.pose_covariance
-    variance = np.trace(covariance[:, :3, :3], axis1=1, axis2=2), np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2)
-    position, turned = h.poses.translation, h.poses.rotation.reshape(count, 9)
-    squares = np.einsum("ij,ij->i", position, position)
-    apart = squares[:, None] + squares - 2.0 * position @ position.T
-    near = (apart < _NEAR * variance[0][:, None]) & (3.0 - turned @ turned.T < _NEAR * variance[1][:, None])
-    heavy, light = np.nonzero(np.triu(near, 1))
+    heavy, light = np.nonzero(np.triu(_near(h), 1))
     leader = np.arange(count)
     if len(heavy) == 0:
         return leader
     information = np.linalg.inv(covariance)
     log_det = np.linalg.slogdet(covariance)[1]
-    offset = (h.poses[heavy].inverse() @ h.poses[light]).log()
-    information_heavy = information[heavy]
-    squared = np.einsum("pi,pij,pj->p", offset, information_heavy, offset)
-    trace = np.einsum("pij,pij->p", information_heavy, covariance[light])
-    close = 0.5 * (squared + trace - 6.0 + log_det[heavy] - log_det[light]) < divergence
+    offset = h.poses[heavy].between(h.poses[light]).log()
+    second_moment = covariance[light] + offset[:, :, None] * offset[:, None, :]
+    trace = np.vecdot(information.reshape(-1, 36)[heavy], second_moment.reshape(-1, 36))
+    close = 0.5 * (trace - 6.0 + log_det[heavy] - log_det[light]) < divergence
     described = np.zeros((count, count), bool)
     described[heavy[close], light[close]] = True
     free = np.ones(count, bool)
@@ -263,17 +274,29 @@ def _leaders(h: Hypotheses, divergence: float) -> Int64[np.ndarray, " n"]:
     return leader
 
 
+def _near(h: Hypotheses) -> Bool[np.ndarray, "n n"]:
+    """Of which hypotheses (rows) others (columns) are near enough to be worth a closer look."""
+    variance_m, variance_rad = h.variances
+    position, turned = h.poses.translation, h.poses.rotation.reshape(-1, 9)
+    squares = np.vecdot(position, position)
+    apart = squares[:, None] + squares - 2.0 * position @ position.T
+    return (apart < _NEAR * variance_m[:, None]) & (3.0 - turned @ turned.T < _NEAR * variance_rad[:, None])
+
+
 def _merged(h: Hypotheses, leader: Int64[np.ndarray, " n"]) -> Hypotheses:
     """One hypothesis for each leader, with the mean and covariance of those that it leads."""
-    leaders, group = np.unique(leader, return_inverse=True)
-    weight = np.zeros((len(leaders), len(h)))
-    weight[group, np.arange(len(h))] = h.weights
-    total = weight.sum(axis=1)
-    weight /= total[:, None]
-    offset = np.concatenate([(h.poses[leader].inverse() @ h.poses).log(), h.mean - h.mean[leader]], axis=1)
-    mean = weight @ offset
-    residual = offset - mean[group]
-    spread = h.covariance + residual[:, :, None] * residual[:, None, :]
-    covariance = (weight @ spread.reshape(len(h), -1)).reshape(len(leaders), *spread.shape[1:])
-    poses = h.poses[leaders] @ Poses.exp(mean[:, :6])
-    return Hypotheses(poses, h.mean[leaders] + mean[:, 6:], covariance, np.log(total))
+    order = np.argsort(leader, kind="stable")
+    h, leader = h[order], leader[order]
+    starts = np.flatnonzero(np.diff(leader, prepend=-1))
+    sizes = np.diff(starts, append=len(h))
+    total = np.add.reduceat(h.weights, starts)
+    weight = (h.weights / np.repeat(total, sizes))[:, None]
+    first = np.repeat(starts, sizes)  # the leader of a group is its first
+    offset = np.concatenate([h.poses[first].between(h.poses).log(), h.mean - h.mean[first]], axis=1)
+    mean = np.add.reduceat(weight * offset, starts)
+    residual = offset - np.repeat(mean, sizes, axis=0)
+    spread = residual[:, :, None] * residual[:, None, :]
+    spread += h.covariance
+    spread *= weight[:, :, None]
+    poses = h.poses[starts] @ Poses.exp(mean[:, :6])
+    return Hypotheses(poses, h.mean[starts] + mean[:, 6:], np.add.reduceat(spread, starts), np.log(total))

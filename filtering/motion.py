@@ -34,6 +34,16 @@ class Odometry:
     covariance: Float64[np.ndarray, "6 6"]
     duration_s: float
 
+    def of_another_frame(self, this_from_other: Poses) -> Odometry:
+        """The motion of another frame that is fixed to this one (one pose)."""
+        other_from_this = this_from_other.inverse()
+        carry = other_from_this.adjoint()
+        return Odometry(
+            other_from_this @ self.previous_from_current @ this_from_other,
+            carry @ self.covariance @ carry.T,
+            self.duration_s,
+        )
+
     def then(self, later: Odometry) -> Odometry:
         """This motion and the one that follows it as one: errors carried to the end by the adjoint, and added."""
         carry = later.previous_from_current.inverse().adjoint()

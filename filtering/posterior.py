@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -13,6 +13,7 @@ from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.moments import group_moments
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
 
 _SOUGHT = 250  # samples among which peaks are sought
 _MOST_PLACES = 40
@@ -56,8 +57,10 @@ class PosePosterior:
         uneven = np.abs(self.covariances - np.swapaxes(self.covariances, 1, 2)).max(axis=(1, 2), initial=0.0)
         if (uneven > 1e-6 * np.abs(self.covariances).max(axis=(1, 2), initial=0.0)).any():
             raise VaporTrackError(f"posterior: covariance {int(np.argmax(uneven))} of {count} is not symmetric")
-        if not (np.linalg.eigvalsh(self.covariances) > 0.0).all():
-            raise VaporTrackError("posterior: a covariance is singular or has a negative eigenvalue")
+        try:
+            np.linalg.cholesky(self.covariances)
+        except np.linalg.LinAlgError:
+            raise VaporTrackError("posterior: a covariance is singular or has a negative eigenvalue") from None
         if not self.unfamiliarity >= 0.0:  # NaN compares as false
             raise VaporTrackError(f"posterior: unfamiliarity is {self.unfamiliarity}, expected 0 or more")
 
@@ -126,6 +129,12 @@ class PosePosterior:
         return len(self.weights) == 0 or self.is_foreign
 
     @cached_property
+    def variances(self) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+        """Of each place, all axes together, m² and rad², (k,) each."""
+        position, rotation = (np.einsum("kii->k", self.covariances[:, part, part]) for part in (slice(3), slice(3, 6)))
+        return position, rotation
+
+    @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:
         """How possible each place is, in [0, 1]: its weight, with the model's caution about weights."""
         return self.weights / (self.weights + self.errors.possible_fraction)
@@ -141,13 +150,17 @@ class PosePosterior:
         """The same with errors whose variances are larger by a factor."""
         if factor == 1.0:
             return self
-        return replace(self, covariances=factor * self.covariances, errors=self.errors.inflated(factor))
+        larger = unchecked_replace(self, covariances=factor * self.covariances, errors=self.errors.inflated(factor))
+        vars(larger)["factors"] = np.sqrt(factor) * self.factors  # filter and baselines share one decomposition
+        return larger
 
     def seen_from(self, reference_from_camera: Poses) -> PosePosterior:
         """The same about another frame that is fixed to the camera: world_from_reference (one pose)."""
+        if reference_from_camera.is_identity:
+            return self
         carry = reference_from_camera.adjoint()
         camera_from_reference = reference_from_camera.inverse()
-        return replace(
+        return unchecked_replace(
             self,
             means=self.means @ camera_from_reference,
             covariances=carry @ self.covariances @ carry.T,

@@ -14,6 +14,10 @@ from scipy.spatial.transform import Rotation
 from filtering.errors import VaporTrackError
 
 _SMALL_SQ = 1e-4  # rad²: below, series are exact and quotients cancel
+# v @ _SKEW is [v]×, row by row.
+_SKEW = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64)
+_HALF_UNSKEW = np.ascontiguousarray(_SKEW.T) / 2  # R @ it is half of what [·]× makes R − Rᵀ of
+_NO_SINE = 1e-300  # squared: so that the quotient of an angle of 0 and its sine is 1
 
 
 @dataclass(frozen=True)
@@ -68,8 +72,7 @@ class Poses:
         """Exponential map of tangent vectors (v, ω)."""
         v, omega = tangent[..., :3], tangent[..., 3:]
         a, b, c = _exp_coefficients(_dot(omega, omega))
-        along = _dot(omega, v)
-        translation = a * v + b * _cross(omega, v) + c * along * omega
+        translation = a * v + b * _cross(omega, v) + c * _dot(omega, v) * omega
         return Poses(_rodrigues(omega, a, b), translation)
 
     @staticmethod
@@ -124,6 +127,11 @@ class Poses:
         """Which poses have no NaN and no infinity."""
         return np.asarray(np.isfinite(self.rotation).all(axis=(-2, -1)) & np.isfinite(self.translation).all(axis=-1))
 
+    @cached_property
+    def is_identity(self) -> bool:
+        """Whether every pose is exactly the identity."""
+        return bool((self.rotation == np.eye(3)).all() and not self.translation.any())
+
     # --- operations --------------------------------------------------------------------------------
 
     def __matmul__(self, other: Poses) -> Poses:
@@ -137,6 +145,12 @@ class Poses:
         transposed = np.swapaxes(self.rotation, -1, -2)
         return Poses(np.ascontiguousarray(transposed), -(transposed @ self.translation[..., None])[..., 0])
 
+    def between(self, other: Poses) -> Poses:
+        """`b_from_c` of `a_from_b` and `a_from_c`: `self.inverse() @ other` in one go; batch shapes broadcast."""
+        transposed = np.swapaxes(self.rotation, -1, -2)
+        offset = other.translation - self.translation
+        return Poses(transposed @ other.rotation, (transposed @ offset[..., None])[..., 0])
+
     def apply(self, points: Float64[np.ndarray, "*batch_or_n 3"]) -> Float64[np.ndarray, "..."]:
         """Map points (..., 3) in frame b to frame a; the batch broadcasts against the leading axes."""
         return (self.rotation @ points[..., None])[..., 0] + self.translation
@@ -144,10 +158,10 @@ class Poses:
     def log(self) -> Float64[np.ndarray, "*batch 6"]:
         """Tangent vectors (v, ω), with |ω| ≤ π; the inverse of `exp`."""
         omega = rotvec_from_rotation(self.rotation)
-        v = self.translation
-        turned = _cross(omega, v)
-        coefficient = _log_coefficient(_dot(omega, omega))
-        return np.concatenate([v - 0.5 * turned + coefficient * _cross(omega, turned), omega], axis=-1)
+        v, angle_sq = self.translation, _dot(omega, omega)
+        twice_turned = _dot(omega, v) * omega - angle_sq * v  # ω × (ω × v)
+        v = v - 0.5 * _cross(omega, v) + _log_coefficient(angle_sq) * twice_turned
+        return np.concatenate([v, omega], axis=-1)
 
     def adjoint(self) -> Float64[np.ndarray, "*batch 6 6"]:
         """Adjoint A with `T exp(ξ) T⁻¹ = exp(A ξ)`, for the (v, ω) order."""
@@ -159,17 +173,17 @@ class Poses:
 
     def interpolate(self, other: Poses, fraction: Float64[np.ndarray, "*batch"] | float) -> Poses:
         """The pose a fraction of the way to `other` along the geodesic `self @ exp(s log(self⁻¹ other))`."""
-        return self @ Poses.exp(np.asarray(fraction, np.float64)[..., None] * (self.inverse() @ other).log())
+        return self @ Poses.exp(np.asarray(fraction, np.float64)[..., None] * self.between(other).log())
 
     def distance(self, other: Poses) -> tuple[Float64[np.ndarray, "..."], Float64[np.ndarray, "..."]]:
         """Translation distance in metres and rotation angle in radians; batch shapes broadcast.
 
         The angle is 2·asin(‖R₁ − R₂‖_F / √8): exact, accurate near zero and free of NaN at π.
         """
-        translation_m = np.linalg.norm(self.translation - other.translation, axis=-1)
-        chord = np.linalg.norm(self.rotation - other.rotation, axis=(-2, -1))
-        rotation_rad = 2.0 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0.0, 1.0))
-        return np.asarray(translation_m), np.asarray(rotation_rad)
+        offset, turned = self.translation - other.translation, self.rotation - other.rotation
+        turned = turned.reshape(*turned.shape[:-2], 9)
+        sine = np.sqrt(np.vecdot(turned, turned) / 8.0)
+        return np.asarray(np.sqrt(np.vecdot(offset, offset))), np.asarray(2.0 * np.arcsin(np.minimum(sine, 1.0)))
 
     def mean(self, weights: Float64[np.ndarray, " n"] | None = None) -> Poses:
         """Weighted mean of a batch (n,): arithmetic for translations, chordal L2 for rotations.
@@ -226,13 +240,10 @@ def rotation_from_rotvec(rotvec: Float64[np.ndarray, "*batch 3"]) -> Float64[np.
 def rotvec_from_rotation(rotation: Float64[np.ndarray, "*batch 3 3"]) -> Float64[np.ndarray, "*batch 3"]:
     """Rotation vectors of rotation matrices, with angles up to π."""
     # Half of R − Rᵀ is sin θ times the axis: exact and fast except near π, where it vanishes.
-    sine_axis = np.empty(rotation.shape[:-1])
-    for axis, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
-        sine_axis[..., axis] = (rotation[..., i, j] - rotation[..., j, i]) / 2
+    sine_axis = rotation.reshape(*rotation.shape[:-2], 9) @ _HALF_UNSKEW
     cosine = (rotation[..., 0, 0] + rotation[..., 1, 1] + rotation[..., 2, 2] - 1) / 2
-    sine = np.sqrt(_dot(sine_axis, sine_axis))[..., 0]
-    ratio = np.divide(np.arctan2(sine, cosine), sine, out=np.ones_like(sine), where=sine > 1e-8)
-    rotvec = sine_axis * ratio[..., None]
+    sine = np.sqrt(np.maximum(np.vecdot(sine_axis, sine_axis), _NO_SINE))
+    rotvec = sine_axis * (np.arctan2(sine, cosine) / sine)[..., None]
     far = cosine < -0.9
     if far.any():
         rotvec[far] = Rotation.from_matrix(rotation[far], assume_valid=True).as_rotvec()
@@ -243,14 +254,13 @@ def _rodrigues(omega: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(1 − bθ²) I + a [ω]× + b ω ωᵀ, with a = sin θ/θ and 1 − bθ² = cos θ."""
     rotation = (b * omega)[..., :, None] * omega[..., None, :]
     rotation += _skew(a * omega)
-    diagonal = np.einsum("...ii->...i", rotation)
-    diagonal += 1.0 - b * _dot(omega, omega)
+    rotation += (1.0 - b * _dot(omega, omega))[..., None] * np.eye(3)
     return rotation
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Scalar products (..., 1) of vectors (..., 3)."""
-    return np.add.reduce(a * b, axis=-1, keepdims=True)
+    return np.vecdot(a, b)[..., None]
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -262,14 +272,8 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _skew(v: np.ndarray) -> np.ndarray:
-    skew = np.zeros((*v.shape[:-1], 3, 3))
-    skew[..., 2, 1] = v[..., 0]
-    skew[..., 1, 2] = -v[..., 0]
-    skew[..., 0, 2] = v[..., 1]
-    skew[..., 2, 0] = -v[..., 1]
-    skew[..., 1, 0] = v[..., 2]
-    skew[..., 0, 1] = -v[..., 2]
-    return skew
+    """[v]× of vectors (..., 3)."""
+    return (v @ _SKEW).reshape(*v.shape, 3)
 
 
 def _exp_coefficients(angle_sq: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -299,7 +303,9 @@ def _exp_series(angle_sq: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
 def _log_coefficient(angle_sq: np.ndarray) -> np.ndarray:
     """1/θ² − (1 + cos θ)/(2 θ sin θ), by series near zero and in a form that is finite at π."""
     small = angle_sq < _SMALL_SQ
-    safe = np.where(small, 1.0, angle_sq)
+    series = 1 / 12 + angle_sq / 720 + angle_sq**2 / 30240
+    if small.all():
+        return series
+    safe = np.maximum(angle_sq, _SMALL_SQ)
     half = np.sqrt(safe) / 2
-    value = (1 - half / np.tan(half)) / safe
-    return np.where(small, 1 / 12 + angle_sq / 720 + angle_sq**2 / 30240, value) if small.any() else value
+    return np.where(small, series, (1 - half / np.tan(half)) / safe)

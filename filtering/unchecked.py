@@ -1,0 +1,15 @@
+"""Changed copies of values that were checked when they were made."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+Value = TypeVar("Value")
+
+
+def unchecked_replace(value: Value, **changes: Any) -> Value:
+    """As `dataclasses.replace`, for changes that keep a frozen dataclass valid: its checks are not run again."""
+    copy = object.__new__(type(value))
+    fields: dict[str, Any] = type(value).__dataclass_fields__  # pyright: ignore[reportAttributeAccessIssue]
+    vars(copy).update({name: getattr(value, name) for name in fields} | changes)
+    return copy
