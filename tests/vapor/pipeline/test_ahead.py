@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator
+from contextlib import nullcontext
 
 import pytest
 
@@ -47,27 +48,23 @@ def test_no_more_items_are_computed_than_there_is_room_for():
 
 
 def test_an_error_comes_in_the_place_of_the_item_that_it_kept_from_being_computed():
-    seen = []
-    with ahead(Counted(5, ValueError("the sixth")), room=ROOM) as items, pytest.raises(ValueError, match="the sixth"):
-        for i in items:
-            seen.append(i)
-    assert seen == [0, 1, 2, 3, 4]
+    with ahead(Counted(5, ValueError("the sixth")), room=ROOM) as items:
+        assert [next(items) for _ in range(5)] == [0, 1, 2, 3, 4]
+        with pytest.raises(ValueError, match="the sixth"):
+            next(items)
 
 
 @pytest.mark.parametrize("error", [None, OSError("disk"), KeyboardInterrupt()])
 def test_when_the_block_ends_early_the_thread_has_ended_and_closed_what_it_read(error):
-    def stop(items: Iterator[int]) -> None:
-        next(items)
-        if error is not None:
-            raise error
+    def take_one() -> None:
+        with ahead(source) as items:
+            assert next(items) == 0
+            if error is not None:
+                raise error
 
     threads, source = threading.active_count(), Counted(100)
-    if error is None:
-        with ahead(source) as items:
-            stop(items)
-    else:
-        with pytest.raises(type(error)), ahead(source) as items:
-            stop(items)
+    with pytest.raises(type(error)) if error is not None else nullcontext():
+        take_one()
     assert threading.active_count() == threads
     assert source.closed
     assert source.given < 100

@@ -31,10 +31,16 @@ def pid_of() -> int:
         return process.pid
 
 
-def write(directory: Path, steps, count: int | None = None) -> None:
+def write(directory: Path, steps, error: Exception | None = None, *, kill: int | None = None) -> None:
+    """Write steps; after the first an error may come, or the process be killed."""
     with outputs_beside(directory, **SETTINGS) as outputs:
-        for frame, step in steps[:count]:
+        for frame, step in steps:
             outputs.add(frame, step)
+            if kill is not None:
+                os.kill(kill, signal.SIGKILL)
+                kill = None
+            if error is not None:
+                raise error
         outputs.finish(skipped={}, images=ImageCounts(len(steps)))
 
 
@@ -65,9 +71,8 @@ def test_the_same_is_written_and_recorded_as_in_this_process(tmp_path, steps):
 
 def test_an_error_of_the_loop_leaves_nothing_and_the_process_goes_on(tmp_path, steps):
     pid = pid_of()
-    with pytest.raises(OSError, match="camera unplugged"), outputs_beside(tmp_path, **SETTINGS) as outputs:
-        outputs.add(*steps[0])
-        raise OSError("camera unplugged")
+    with pytest.raises(OSError, match="camera unplugged"):
+        write(tmp_path, steps, OSError("camera unplugged"))
     assert list(tmp_path.iterdir()) == []
     write(tmp_path, steps)
     assert pid_of() == pid
@@ -75,10 +80,10 @@ def test_an_error_of_the_loop_leaves_nothing_and_the_process_goes_on(tmp_path, s
 
 def test_an_error_of_what_is_written_comes_with_a_later_image_or_at_the_end_and_leaves_nothing(tmp_path, steps):
     pid = pid_of()
-    with pytest.raises(VaporTrackError, match="expected the folder .*absent to exist"):
-        write(tmp_path / "absent", steps, count=1)
+    with pytest.raises(VaporTrackError, match=r"expected the folder .*absent to exist"):
+        write(tmp_path / "absent", steps[:1])
     broken = [(steps[0][0], None)]
-    with pytest.raises(RuntimeError, match="in the process that writes the results:\n(.*\n)*AttributeError"):
+    with pytest.raises(RuntimeError, match=r"in the process that writes the results:\n(.*\n)*AttributeError"):
         write(tmp_path, broken + steps)
     assert list(tmp_path.iterdir()) == []
     assert pid_of() == pid
@@ -98,15 +103,8 @@ def test_a_full_disk_is_told_in_the_words_that_it_has_in_this_process(tmp_path, 
 
 def test_a_process_that_is_killed_is_told_of_in_one_line_and_another_takes_its_place(tmp_path, steps):
     pid = pid_of()
-    with (
-        pytest.raises(VaporTrackError, match="ended unexpectedly, perhaps for lack of memory"),
-        outputs_beside(tmp_path, **SETTINGS) as outputs,
-    ):
-        outputs.add(*steps[0])
-        os.kill(pid, signal.SIGKILL)
-        for frame, step in steps * 20:
-            outputs.add(frame, step)
-        outputs.finish(skipped={}, images=ImageCounts(12))
+    with pytest.raises(VaporTrackError, match="ended unexpectedly, perhaps for lack of memory"):
+        write(tmp_path, steps * 20, kill=pid)
     assert pid_of() != pid
 
 
