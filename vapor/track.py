@@ -17,6 +17,7 @@ COMMANDS = {
     "inspect": "say of recordings whether they are good enough to train on, and what to record again",
     "train": "train a pose regressor on sequences or data sets with true poses",
     "calibrate": "calibrate a trained model on held-out sequences with true poses",
+    "export": "write a trained model as an ONNX file, for robots without torch",
     "synthesize": "render a sequence through a synthetic scene",
     "convert": "write a data set of images with true poses as an MCAP sequence",
     "posterior": "draw the posterior of one image",

@@ -25,9 +25,10 @@ from vapor.commands.console import (
     usage_error,
 )
 from vapor.commands.inspect_tables import show_inspection
+from vapor.engines.device import Device
 from vapor.inspection.inspect import inspect
 from vapor.inspection.picture import draw_map
-from vapor.observation import Device, VaporObservationModel
+from vapor.observation import VaporObservationModel
 from vapor.reporting.report import write_report
 from vapor.training_data.entries import files_read
 

@@ -19,9 +19,10 @@ from sequences.outputs.claims import refuse_other
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
+from vapor.engines.device import Device
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.trajectory import THRESHOLDS
-from vapor.observation import Device, VaporObservationModel
+from vapor.observation import VaporObservationModel
 from vapor.reporting.drawing import is_picture
 from vapor.reporting.posterior_pictures import draw_posterior
 
@@ -68,9 +69,9 @@ def main(arguments: Sequence[str]) -> None:
     assert truth is not None  # `posed_frames` yields no other
     samples = model.observe(frame.image, rng=np.random.default_rng(o.seed)).samples
     title = f"{o.data.name}, image {o.image} at {frame.time_ns / 1e9:.3f} s"
-    surroundings = model.checkpoint.prior_poses.translation
+    surroundings = model.description.prior_poses.translation
     draw_posterior(o.output, samples, image=frame.image, surroundings=surroundings, truth=truth, title=title)
-    figures = posterior_metrics([samples], Poses.stack([truth]), model.checkpoint.calibration, gamma=o.gamma)
+    figures = posterior_metrics([samples], Poses.stack([truth]), model.description.calibration, gamma=o.gamma)
     near = [t for t in THRESHOLDS if figures["recall"][t]]
     best = figures["mode"]
     fraction = f"{o.gamma:.0%} of the samples within"

@@ -13,7 +13,8 @@ from rich.table import Table
 from filtering.errors import VaporTrackError, require_within
 from vapor.benchmark.foreign_images import IN_A_ROW, evaluate_flags
 from vapor.commands.console import bar, parse, show
-from vapor.observation import Device, VaporObservationModel
+from vapor.engines.device import Device
+from vapor.observation import VaporObservationModel
 
 _MAX_SEED = 2**63
 
