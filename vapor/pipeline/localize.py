@@ -26,7 +26,7 @@ from vapor.reporting.output_process import outputs_beside
 from vapor.reporting.record import RunRecord
 from vapor.tracking.history import History
 from vapor.tracking.loop import StepLoop
-from vapor.tracking.methods import poses_at_end, start_baselines
+from vapor.tracking.methods import poses_at_end
 
 PUBLISHED_PARTICLES = 500
 """How many particles of each image go into `estimate.mcap`."""
@@ -64,7 +64,7 @@ def localize(
     if odometry_fit is not None:
         settings = replace(settings, slow_errors=odometry_fit.slow_errors)
     localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
-    loop = StepLoop(localizer, start_baselines(settings, lambda: np.random.default_rng(config.seed)))
+    loop = StepLoop(localizer)
     history = History()
 
     def posteriors(frames: Iterable[Any]) -> Iterator[tuple[Any, PosePosterior, float]]:
@@ -75,9 +75,15 @@ def localize(
             yield frame, posterior, 1e3 * (time.perf_counter() - begin)
 
     # Stage by stage: an image is read and seen by the network while the filter has the one before, and written later.
-    with outputs_beside(
-        directory, recording=config.recording, view=config.view, particles=PUBLISHED_PARTICLES
-    ) as outputs:
+    outputs_of_run = outputs_beside(
+        directory,
+        settings,
+        seed=config.seed,
+        recording=config.recording,
+        view=config.view,
+        particles=PUBLISHED_PARTICLES,
+    )
+    with outputs_of_run as outputs:
         with ahead(source) as frames, ahead(posteriors(frames)) as observations:
             for number, (frame, posterior, observe_ms) in enumerate(observations, start=1):
                 if frame.odometry is not None and odometry_fit is not None:

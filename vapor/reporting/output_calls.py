@@ -12,6 +12,9 @@ from importlib.abc import MetaPathFinder
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
+from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
@@ -20,7 +23,8 @@ from vapor.reporting.pictures import write_pictures
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_viewer import load_rerun
 from vapor.reporting.run_outputs import RunOutputs
-from vapor.tracking.loop import Step
+from vapor.tracking.loop import Baselines, Step
+from vapor.tracking.methods import start_baselines
 
 
 class Calls:
@@ -29,9 +33,12 @@ class Calls:
     def __init__(self) -> None:
         self._outputs: RunOutputs | None = None
 
-    def begin(self, directory: Path, recording: bool, view: bool, particles: int) -> None:
-        """Begin a run, see `RunOutputs`."""
-        self._outputs = RunOutputs(directory, recording=recording, view=view, particles=particles)
+    def begin(
+        self, settings: LocalizerConfig, seed: int, directory: Path, recording: bool, view: bool, particles: int
+    ) -> None:
+        """Begin a run, see `RunOutputs`; the baselines begin with these settings of the filter, and this seed."""
+        baselines = Baselines(start_baselines(settings, lambda: np.random.default_rng(seed)))
+        self._outputs = RunOutputs(baselines, directory, recording=recording, view=view, particles=particles)
 
     def add(self, frame: Frame, step: Step) -> None:
         """Write and show one image; nothing after an error."""

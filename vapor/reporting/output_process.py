@@ -24,6 +24,7 @@ from filtering.errors import VaporTrackError
 from vapor.reporting.peak_memory import peak_rss_mb
 
 if TYPE_CHECKING:
+    from filtering.config import LocalizerConfig
     from sequences.frame import Frame
     from sequences.reading.counts import ImageCounts
     from vapor.reporting.record import RunRecord
@@ -179,10 +180,21 @@ class OutputsBeside:
 
 
 @contextmanager
-def outputs_beside(directory: Path, *, recording: bool, view: bool, particles: int) -> Iterator[OutputsBeside]:
-    """The outputs of a run for a `with` block, see `RunOutputs`; what is not finished by its end is removed."""
+def outputs_beside(
+    directory: Path, settings: LocalizerConfig, *, seed: int, recording: bool, view: bool, particles: int
+) -> Iterator[OutputsBeside]:
+    """The outputs of a run for a `with` block; what is not finished by its end is removed.
+
+    Args:
+        directory: See `RunOutputs`, like the others.
+        settings: Of the filter, for the baselines.
+        seed: For the baselines.
+        recording: Whether to write `recording.rrd`.
+        view: Whether to open the Rerun viewer.
+        particles: How many particles of each image go into `estimate.mcap`.
+    """
     with output_process() as process:
-        process.send("begin", directory, recording, view, particles)
+        process.send("begin", settings, seed, directory, recording, view, particles)
         yield OutputsBeside(process)
 
 

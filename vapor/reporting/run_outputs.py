@@ -1,9 +1,10 @@
-"""What a run leaves behind of every image: the belief in `estimate.mcap` and in the Rerun viewer, and its record."""
+"""What becomes of every image after the filter: baselines, `estimate.mcap`, the Rerun viewer, the record."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -15,13 +16,16 @@ from vapor.reporting.record import RunRecord
 from vapor.reporting.recorder import RunRecorder
 from vapor.reporting.rerun_viewer import RerunViewer
 from vapor.reporting.viewer import NullViewer
-from vapor.tracking.loop import Step
+from vapor.tracking.loop import Baselines, Step
 
 
 class RunOutputs:
     """Writes and shows a run image by image; used in a `with` block, so that an error leaves nothing half-written.
 
+    The baselines are led from here: nobody waits for them.
+
     Args:
+        baselines: What else tracks the camera.
         directory: Where `estimate.mcap` and `recording.rrd` go.
         recording: Whether to write `recording.rrd`.
         view: Whether to open the Rerun viewer and stream into it.
@@ -32,8 +36,8 @@ class RunOutputs:
         VaporTrackError: the viewer cannot be started.
     """
 
-    def __init__(self, directory: Path, *, recording: bool, view: bool, particles: int) -> None:
-        self._particles = particles
+    def __init__(self, baselines: Baselines, directory: Path, *, recording: bool, view: bool, particles: int) -> None:
+        self._baselines, self._particles = baselines, particles
         self._recorder = RunRecorder()
         with ExitStack() as block:
             path = directory / "recording.rrd" if recording else None
@@ -51,12 +55,13 @@ class RunOutputs:
         self._block.__exit__(kind, error, trace)
 
     def add(self, frame: Frame, step: Step) -> None:
-        """Write and show one image.
+        """Write and show one image, of which the filter alone has made something so far.
 
         Raises:
             SequenceError, VaporTrackError, OSError: it cannot be written, or what came before could not.
         """
         estimate = step.estimate
+        step = replace(step, baselines=self._baselines.step(frame.time_ns, step.posterior, frame.odometry))
         self._recorder.add(frame, step)
         modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
         self._writer.write(frame.time_ns, modes, estimate.cloud(self._particles))

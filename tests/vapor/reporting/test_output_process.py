@@ -6,24 +6,33 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from sequences.reading.counts import ImageCounts
 from tests.helpers.simulated_run import simulated_steps
+from tests.helpers.simulation import seen_at
 from vapor.reporting.output_process import output_process, outputs_beside
-from vapor.reporting.recorder import RunRecorder
 from vapor.reporting.run_outputs import RunOutputs
+from vapor.tracking.loop import Baselines
+from vapor.tracking.methods import start_baselines
 
 SETTINGS = {"recording": True, "view": False, "particles": 50}
+FILTER = LocalizerConfig()
 
 
 @pytest.fixture(scope="module")
 def steps():
-    return list(simulated_steps(12))
+    return [(frame, replace(step, posterior=seen_at(frame.world_from_camera))) for frame, step in simulated_steps(12)]
+
+
+def baselines() -> Baselines:
+    return Baselines(start_baselines(FILTER, lambda: np.random.default_rng(0)))
 
 
 def pid_of() -> int:
@@ -33,7 +42,7 @@ def pid_of() -> int:
 
 def write(directory: Path, steps, error: Exception | None = None, *, kill: int | None = None) -> None:
     """Write steps; after the first an error may come, or the process be killed."""
-    with outputs_beside(directory, **SETTINGS) as outputs:
+    with outputs_beside(directory, FILTER, seed=0, **SETTINGS) as outputs:
         for frame, step in steps:
             outputs.add(frame, step)
             if kill is not None:
@@ -48,20 +57,19 @@ def test_the_same_is_written_and_recorded_as_in_this_process(tmp_path, steps):
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
     there.mkdir()
-    with RunOutputs(here, **SETTINGS) as outputs:
+    with RunOutputs(baselines(), here, **SETTINGS) as outputs:
         for frame, step in steps:
             outputs.add(frame, step)
-    recorder = RunRecorder()
-    with outputs_beside(there, **SETTINGS) as outputs:
+        same = outputs.record(skipped={"odd": 2}, images=ImageCounts(12))
+    with outputs_beside(there, FILTER, seed=0, **SETTINGS) as outputs:
         for frame, step in steps:
             outputs.add(frame, step)
-            recorder.add(frame, step)
         record = outputs.finish(skipped={"odd": 2}, images=ImageCounts(12))
     assert sorted(path.name for path in there.iterdir()) == ["estimate.mcap", "recording.rrd"]
     assert (here / "estimate.mcap").read_bytes() == (there / "estimate.mcap").read_bytes()
-    same = recorder.finish(skipped={"odd": 2}, images=ImageCounts(12))
     for name in ("times_ns", "covariance", "num_modes", "best_weight", "step_ms"):
         np.testing.assert_array_equal(getattr(record, name), getattr(same, name))
+    assert record.methods.keys() == same.methods.keys() >= {"kalman", "gaussian_sum", "filter"}
     for name, trajectory in same.methods.items():
         np.testing.assert_array_equal(record.methods[name].poses.as_matrix(), trajectory.poses.as_matrix())
     assert record.skipped == {"odd": 2}
@@ -111,10 +119,13 @@ def test_a_process_that_is_killed_is_told_of_in_one_line_and_another_takes_its_p
 SCRIPT = """
 import sys, time
 from pathlib import Path
+from filtering.config import LocalizerConfig
 from tests.helpers.simulated_run import simulated_steps
+from tests.helpers.simulation import seen_at
 from vapor.reporting.output_process import output_process, outputs_beside
 
-with outputs_beside(Path(sys.argv[1]), recording=True, view=False, particles=50) as outputs:
+settings = {"seed": 0, "recording": True, "view": False, "particles": 50}
+with outputs_beside(Path(sys.argv[1]), LocalizerConfig(), **settings) as outputs:
     for frame, step in simulated_steps(3):
         outputs.add(frame, step)
     while len(list(Path(sys.argv[1]).iterdir())) < 2:
