@@ -190,7 +190,8 @@ class MotionOfCamera:
 def _told_on(roles: Roles) -> dict[str, list[Extrinsics]]:
     """Where cameras are fixed, by the topics that would say that they move."""
     told_on: dict[str, list[Extrinsics]] = {}
-    for extrinsics in (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None):
-        for topic in extrinsics.told_on if extrinsics is not None else ():
+    fixed = (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None)
+    for extrinsics in (each for each in fixed if each is not None):
+        for topic in extrinsics.told_on:
             told_on.setdefault(topic, []).append(extrinsics)
     return told_on

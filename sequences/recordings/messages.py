@@ -99,8 +99,9 @@ def _twist_covariance(values: tuple[float, ...]) -> Float64[np.ndarray, "6 6"]:
         raise VaporTrackError(f"twist covariance is not finite or above {_MAX_VARIANCE:g}: {covariance.tolist()}")
     if covariance[0, 0] == -1.0:
         covariance = np.zeros((6, 6))
-    unmeasured = covariance.diagonal() >= _UNKNOWN_VARIANCE
-    covariance[unmeasured] = covariance[:, unmeasured] = 0.0
+    unmeasured = np.flatnonzero(covariance.diagonal() >= _UNKNOWN_VARIANCE)
+    if len(unmeasured):
+        covariance[unmeasured] = covariance[:, unmeasured] = 0.0
     if covariance.any():
         covariance = (covariance + covariance.T) / 2
         eigenvalue = float(np.linalg.eigvalsh(covariance)[0])

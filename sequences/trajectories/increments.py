@@ -59,10 +59,10 @@ def odometry_between(
 
     message = np.searchsorted(times_ns, knots_ns[1:], side="left")
     interval_s = (times_ns[message] - times_ns[message - 1]) * 1e-9
-    part_s = np.diff(knots_ns) * 1e-9
+    part_s = (knots_ns[1:] - knots_ns[:-1]) * 1e-9
     tangents = (knots_from_odom[:-1] @ odom_from_knots[1:]).log()
     stated = twist_covariances[message]
-    unknown = np.isinf(np.diagonal(stated, axis1=1, axis2=2)).any(axis=0)
+    unknown = np.isinf(np.diagonal(stated, axis1=1, axis2=2)).sum(axis=0) > 0
     if unknown.any():
         stated = np.where(unknown[:, None] | unknown, 0.0, stated)
     unknown |= not stated.any()

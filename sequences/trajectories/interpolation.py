@@ -38,7 +38,12 @@ def interpolate(
 
 
 def pose_at(
-    times_ns: Sequence[int] | Int64[np.ndarray, " n"], poses: Sequence[Poses] | Poses, time_ns: int, *, max_gap_s: float, still_gap_s: float = 0.0
+    times_ns: Sequence[int] | Int64[np.ndarray, " n"],
+    poses: Sequence[Poses] | Poses,
+    time_ns: int,
+    *,
+    max_gap_s: float,
+    still_gap_s: float = 0.0,
 ) -> Poses | None:
     """The pose at one time between its neighbours, of which there are at most two; None where they do not cover it.
 

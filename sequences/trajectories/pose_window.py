@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.motion import MotionNoise, Odometry
-from filtering.se3 import Poses, distance_of_two
+from filtering.se3 import Poses
 from sequences.trajectories.increments import odometry_between
 from sequences.trajectories.interpolation import pose_at
 from sequences.trajectories.jumps import JUMP_CONTEXT, Motion, is_jump
@@ -68,8 +68,8 @@ class PoseWindow:
 
     def _step(self, index: int) -> Motion:
         before = max(index - 1, 0)
-        metres, radians = distance_of_two(self._poses[before], self._poses[index])
-        return Motion(metres, radians, (self._times_ns[index] - self._times_ns[before]) * 1e-9)
+        metres, radians = self._poses[before].distance(self._poses[index])
+        return Motion(float(metres), float(radians), (self._times_ns[index] - self._times_ns[before]) * 1e-9)
 
     def finish(self) -> None:
         """No pose comes any more: look for jumps among the last steps as well."""

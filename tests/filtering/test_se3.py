@@ -7,7 +7,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.linalg import expm
 
 from filtering.errors import VaporTrackError
-from filtering.se3 import Poses
+from filtering.se3 import Poses, rotation_from_quat_xyzw, rotation_of_quat
 
 BATCHES = [(), (1,), (3, 1, 2)]
 tangents = hnp.arrays(np.float64, 6, elements=st.floats(-1.8, 1.8))
@@ -61,6 +61,14 @@ def test_quaternions_round_trip_in_xyzw_order(batch):
     assert_same(Poses.from_quat_xyzw(poses.translation, poses.as_quat_xyzw()), poses)
     quarter_about_z = Poses.from_quat_xyzw(np.zeros(3), np.array([0, 0, np.sqrt(0.5), np.sqrt(0.5)]))
     np.testing.assert_allclose(quarter_about_z.apply(np.array([1.0, 0, 0])), [0, 1, 0], atol=1e-12)
+
+
+def test_one_quaternion_in_plain_numbers_is_the_same_rotation_to_the_last_bit():
+    quats = np.random.default_rng(5).normal(size=(200, 4))
+    quats[:4] = [0, 0, 0, 1], [0, 0, 1, 0], [0.5, 0.5, -0.5, 0.5], [0, 0, 0, -1.0]
+    quats /= np.linalg.norm(quats, axis=-1, keepdims=True)
+    plain = np.stack([rotation_of_quat(*quat) for quat in quats.tolist()])
+    np.testing.assert_array_equal(plain, rotation_from_quat_xyzw(quats))
 
 
 def test_a_tangent_acts_on_the_right():

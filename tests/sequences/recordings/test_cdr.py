@@ -1,28 +1,32 @@
 """Bytes of ROS 2's messages, beside those of the library that is made for them."""
 
 import struct
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from mcap.records import Schema
-from mcap_ros2._dynamic import serialize_dynamic
+from mcap_ros2 import _dynamic
+from mcap_ros2._cdr import CdrWriter, EncapsulationKind
 from mcap_ros2.decoder import DecoderFactory
 
 from sequences.recordings.message_definitions import DEFINITIONS, decoder, encoder, schema_name, schema_text
 
-_NUMBERS = {"bool": 2, "uint8": 200, "int32": 2**31, "uint32": 2**32, "uint64": 2**63}
+_BELOW = {"bool": 2, "uint8": 200, "int32": 2**31, "uint32": 2**32, "uint64": 2**63}
+_READ = ["nav_msgs/Odometry", "sensor_msgs/CompressedImage", "sensor_msgs/CameraInfo", "tf2_msgs/TFMessage"]
 
 
 def made_up(message_type: str, rng: np.random.Generator) -> dict[str, Any]:
-    """A message of a type: texts of all lengths about eight, lists of none to three."""
+    """A message of a type, with texts of up to ten bytes and lists of up to three."""
 
     def one(kind: str) -> Any:
         if "/" in kind:
             return made_up(kind, rng)
         if kind == "string":
-            return "ü" * bool(rng.integers(2)) + "x" * int(rng.integers(9))
-        return int(rng.integers(_NUMBERS[kind])) if kind in _NUMBERS else float(np.float32(rng.normal()))
+            return "ü" * int(rng.integers(2)) + "x" * int(rng.integers(9))
+        return int(rng.integers(_BELOW[kind])) if kind in _BELOW else float(np.float32(rng.normal()))
 
     message: dict[str, Any] = {}
     for line in DEFINITIONS[message_type].splitlines():
@@ -33,48 +37,101 @@ def made_up(message_type: str, rng: np.random.Generator) -> dict[str, Any]:
     return message
 
 
-def fields_of(message: Any) -> Any:
-    """The same as dicts and lists."""
-    if isinstance(message, list):
-        return [fields_of(each) for each in message]
-    names = getattr(message, "__slots__", None) or getattr(message, "__dict__", None)
-    return {name: fields_of(getattr(message, name)) for name in names} if names else message
+def library_encoder(message_type: str) -> Callable[[dict[str, Any]], bytes]:
+    return _dynamic.serialize_dynamic(schema_name(message_type), schema_text(message_type))[message_type]
 
 
-def library_decoder(message_type: str) -> Any:
+def library_decoder(message_type: str) -> Callable[[bytes], Any]:
     text = schema_text(message_type).encode()
-    return DecoderFactory().decoder_for("cdr", Schema(id=1, data=text, encoding="ros2msg", name=schema_name(message_type)))
+    schema = Schema(id=1, data=text, encoding="ros2msg", name=schema_name(message_type))
+    decode = DecoderFactory().decoder_for("cdr", schema)
+    assert decode is not None
+    return decode
 
 
-def big_endian(message_type: str, message: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> bytes:
-    """The bytes of a machine that has the other order, by the library."""
-    from mcap_ros2 import _dynamic
-
-    with monkeypatch.context() as patch:
-        patch.setattr(_dynamic, "CdrWriter", lambda output: _CdrWriter(output, kind=0))
-        return serialize_dynamic(schema_name(message_type), schema_text(message_type))[message_type](message)
-
-
-from mcap_ros2._cdr import CdrWriter as _CdrWriter  # noqa: E402
+def as_dict(message: Any) -> Any:
+    """The fields of a message, ours or the library's, by name."""
+    if isinstance(message, list):
+        return [as_dict(each) for each in message]
+    names = getattr(message, "__slots__", None) or getattr(message, "__dict__", None)
+    return {name: as_dict(getattr(message, name)) for name in names} if names else message
 
 
 @pytest.mark.parametrize("message_type", DEFINITIONS)
-def test_x(message_type: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_of_every_type_are_written_and_read_as_the_library_does(
+    message_type: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rng = np.random.default_rng(0)
-    theirs = serialize_dynamic(schema_name(message_type), schema_text(message_type))[message_type]
-    their_decoder = library_decoder(message_type)
-    for k in range(20):
-        message = made_up(message_type, rng)
-        if k == 0: message = {}
-        data = theirs(message)
+    write, read = library_encoder(message_type), library_decoder(message_type)
+    for message in [{}, *(made_up(message_type, rng) for _ in range(4))]:
+        data = write(message)
         assert encoder(message_type)(message) == data
-        for each in (data, big_endian(message_type, message, monkeypatch)):
-            full = fields_of(their_decoder(each))
-            assert fields_of(decoder(message_type)(each)) == full
-            for end in range(len(each)):
-                def tried(f):
-                    try:
-                        return fields_of(f(each[:end]))
-                    except (struct.error, ValueError):
-                        return "error"
-                assert tried(their_decoder) == tried(decoder(message_type)), (end, len(each))
+        with monkeypatch.context() as patch:
+            patch.setattr(_dynamic, "CdrWriter", partial(CdrWriter, kind=EncapsulationKind.CDR_BE))
+            big_endian = write(message)
+        for each in (data, big_endian):
+            assert as_dict(decoder(message_type)(each)) == as_dict(read(each))
+
+
+@pytest.mark.parametrize("message_type", _READ)
+def test_bytes_that_end_early_are_refused_where_the_library_refuses_them(message_type: str) -> None:
+    data = encoder(message_type)(made_up(message_type, np.random.default_rng(3)))
+
+    def tried(decode: Callable[[bytes], Any], end: int) -> Any:
+        try:
+            return as_dict(decode(data[:end]))
+        except (struct.error, ValueError):
+            return "refused"
+
+    found = [tried(decoder(message_type), end) for end in range(len(data))]
+    assert found == [tried(library_decoder(message_type), end) for end in range(len(data))]
+    assert found.count("refused") > 20
+
+
+@pytest.mark.parametrize("number", [0, 1, 3])
+@pytest.mark.parametrize("frame", ["", "m", "map", "map1", "map45", "map4567"])
+def test_poses_may_be_arrays_of_their_numbers(frame: str, number: int) -> None:
+    rows = np.random.default_rng(1).normal(size=(number, 7))
+    parts = [
+        {
+            "position": dict(zip("xyz", row[:3].tolist(), strict=True)),
+            "orientation": dict(zip("xyzw", row[3:].tolist(), strict=True)),
+        }
+        for row in rows
+    ]
+    header = {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": frame}
+    write = encoder("geometry_msgs/PoseArray")
+    expected = library_encoder("geometry_msgs/PoseArray")({"header": header, "poses": parts})
+    assert write({"header": header, "poses": rows}) == write({"header": header, "poses": parts}) == expected
+    for row, part in zip(rows, parts, strict=True):
+        expected = library_encoder("geometry_msgs/PoseStamped")({"header": header, "pose": part})
+        assert encoder("geometry_msgs/PoseStamped")({"header": header, "pose": row}) == expected
+
+
+@pytest.mark.parametrize(
+    ("message_type", "message"),
+    [
+        ("geometry_msgs/PoseStamped", {"pose": np.zeros(6)}),
+        ("geometry_msgs/PoseArray", {"poses": np.zeros((2, 6))}),
+        ("geometry_msgs/PoseWithCovariance", {"covariance": [0.0] * 35}),
+        ("visualization_msgs/Marker", {"colors": np.zeros((2, 4))}),  # which are no float64
+        ("std_msgs/Header", {"stamp": {"sec": 2**31}}),
+    ],
+)
+def test_fields_that_do_not_fit_their_type_are_refused(message_type: str, message: dict[str, Any]) -> None:
+    with pytest.raises((ValueError, struct.error)):
+        encoder(message_type)(message)
+
+
+def test_a_list_that_claims_to_be_longer_than_its_message_is_refused_at_once() -> None:
+    number = {"header": {"frame_id": "map"}, "distortion_model": "abc", "d": [1.0]}
+    for message_type, message, in_front in (
+        ("nav_msgs/Path", {"header": {"frame_id": "map"}, "poses": [{"pose": [1.0] * 7}]}, 24),
+        ("sensor_msgs/CameraInfo", number, 8),
+    ):
+        data = bytearray(encoder(message_type)(message))
+        at = data.index(struct.pack("<d", 1.0)) - in_front
+        assert data[at : at + 4] == struct.pack("<I", 1)
+        data[at : at + 4] = struct.pack("<I", 2**32 - 1)
+        with pytest.raises(struct.error):
+            decoder(message_type)(bytes(data))

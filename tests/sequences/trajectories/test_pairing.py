@@ -180,6 +180,16 @@ def test_an_empty_window_covers_nothing(asked_s: float) -> None:
     assert not window.reaches(int(asked_s * SECOND))
 
 
+def test_a_window_covers_the_times_at_which_it_gives_a_pose_and_at_stamps_the_one_told() -> None:
+    window, pose = PoseWindow(max_gap_s=10e-9), Poses.exp(np.full(6, 0.3))
+    for t in (10, 20, 31, 40):
+        window.append(t, pose)
+    asked = [5, 10, 15, 20, 25, 31, 35, 40, 45]
+    assert [window.covers(t) for t in asked] == [window.at(t) is not None for t in asked]
+    assert [t for t in asked if window.covers(t)] == [10, 15, 20, 31, 35, 40]
+    assert all(window.at(t) is pose for t in (10, 20, 31, 40))
+
+
 # --- jumps ------------------------------------------------------------------------------------------
 
 
