@@ -118,16 +118,17 @@ def test_a_process_that_is_killed_is_told_of_in_one_line_and_another_takes_its_p
 
 SCRIPT = """
 import sys, time
+from dataclasses import replace
 from pathlib import Path
 from filtering.config import LocalizerConfig
 from tests.helpers.simulated_run import simulated_steps
 from tests.helpers.simulation import seen_at
-from vapor.reporting.output_process import output_process, outputs_beside
+from vapor.reporting.output_process import outputs_beside
 
 settings = {"seed": 0, "recording": True, "view": False, "particles": 50}
 with outputs_beside(Path(sys.argv[1]), LocalizerConfig(), **settings) as outputs:
     for frame, step in simulated_steps(3):
-        outputs.add(frame, step)
+        outputs.add(frame, replace(step, posterior=seen_at(frame.world_from_camera)))
     while len(list(Path(sys.argv[1]).iterdir())) < 2:
         time.sleep(0.01)
     print(outputs._process.pid, flush=True)
