@@ -8,12 +8,13 @@ Student's t filter for heavy tailed process and measurement noise", 2013; Plumme
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from scipy.special import gammaln
 
-from filtering.hypotheses import POSE, Hypotheses, bias, concatenate
+from filtering.hypotheses import POSE, Hypotheses, bias, blocks, concatenate
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
@@ -42,8 +43,7 @@ class Association:
     agreement: float
 
 
-@dataclass(frozen=True)
-class _Pairs:
+class _Pairs(NamedTuple):
     """p pairs of a hypothesis and a place that are near each other.
 
     Attributes:
@@ -94,10 +94,7 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
     log_place_weights = np.log(np.maximum(posterior.weights, 1e-300))
     log_seen = np.log1p(-errors.outlier_probability) + log_place_weights[pairs.place] + pairs.log_density
     log_unseen = np.log(errors.outlier_probability) + errors.flat_log_density
-    table = np.full((count, len(posterior.weights) + 1), -np.inf)
-    table[:, -1] = log_unseen
-    table[pairs.hypothesis, pairs.place] = log_seen
-    log_total = np.logaddexp.reduce(table, axis=1)
+    log_total = _log_total(log_seen, pairs.hypothesis, log_unseen, count)
     log_weights = belief.log_weights + novelty * log_evidence
     unseen = np.exp(log_unseen - log_total)
     aside = np.flatnonzero(unseen > _LEAST)
@@ -119,12 +116,22 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
 
 
 def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: float) -> _Pairs:
+    apart = belief.poses.squared_distances(posterior.means)
+    metres, radians = zip(apart, belief.variances, posterior.variances, strict=True)
+    h, k = np.nonzero(_within_gate(*metres) & _within_gate(*radians))
+    pairs = [_paired(belief, posterior, camera, way, h[block], k[block]) for block in blocks(max(len(h), 1))]
+    return pairs[0] if len(pairs) == 1 else _Pairs(*(np.concatenate(parts) for parts in zip(*pairs, strict=True)))
+
+
+def _paired(
+    belief: Hypotheses,
+    posterior: PosePosterior,
+    camera: int,
+    way: float,
+    h: Int64[np.ndarray, " p"],
+    k: Int64[np.ndarray, " p"],
+) -> _Pairs:
     errors = posterior.errors
-    variances = [mine[:, None] + its for mine, its in zip(belief.variances, posterior.variances, strict=True)]
-    offset = belief.poses.translation[:, None] - posterior.means.translation
-    aligned = belief.poses.rotation.reshape(-1, 9) @ posterior.means.rotation.reshape(-1, 9).T
-    near = (np.vecdot(offset, offset) < _GATE * variances[0]) & (3.0 - aligned < _GATE * variances[1])
-    h, k = np.nonzero(near)
     difference = belief.poses[h].between(posterior.means[k]).log()
     with_pose, with_bias = belief.covariance[:, :, POSE][h], belief.covariance[:, :, bias(camera)][h]
     lasting = belief.mean[:, _without_pose(camera)][h]
@@ -134,7 +141,7 @@ def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: 
     innovation = difference - (factor @ lasting[:, :, None])[:, :, 0]
     joint = with_pose + with_bias @ np.swapaxes(factor, 1, 2)
     information = np.linalg.inv(joint[:, POSE] + factor @ joint[:, bias(camera)] + fresh)
-    squared = _squared(innovation, information)
+    squared = np.vecdot(innovation, (information @ innovation[:, :, None])[:, :, 0])
     log_det = -np.linalg.slogdet(information)[1]
     nu = errors.tail
     log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
@@ -157,15 +164,23 @@ def _corrected(
     parent, joint = pairs.hypothesis[taken], pairs.covariance[taken]
     gain = joint @ pairs.information[taken]
     change = (gain @ pairs.innovation[taken][:, :, None])[:, :, 0]
-    covariance = belief.covariance[parent]
-    covariance -= gain @ np.swapaxes(joint, 1, 2)
+    covariance = np.empty((len(taken), *belief.covariance.shape[1:]))
+    for block in blocks(len(taken)):
+        covariance[block] = belief.covariance[parent[block]] - gain[block] @ np.swapaxes(joint[block], 1, 2)
     poses = belief.poses[parent] @ Poses.exp(change[:, POSE])
     return Hypotheses(poses, belief.mean[parent] + change[:, 6:], covariance, log_weights)
 
 
-def _squared(vectors: Float64[np.ndarray, "p 6"], information: Float64[np.ndarray, "p 6 6"]) -> np.ndarray:
-    """Squared lengths (p,) in standard deviations."""
-    return np.vecdot(vectors, (information @ vectors[:, :, None])[:, :, 0])
+def _within_gate(apart: np.ndarray, variance: np.ndarray, place_variance: np.ndarray) -> Bool[np.ndarray, "n k"]:
+    return apart < _GATE * (variance[:, None] + place_variance)
+
+
+def _log_total(log_parts: np.ndarray, of: Int64[np.ndarray, " p"], log_rest: float, count: int) -> np.ndarray:
+    """Log of what the parts of each of so many add up to with a rest that each has."""
+    largest = np.full(count, log_rest)
+    np.maximum.at(largest, of, log_parts)
+    parts = np.bincount(of, np.exp(log_parts - largest[of]), minlength=count)
+    return largest + np.log(parts + np.exp(log_rest - largest))
 
 
 def _without_pose(camera: int) -> slice:

@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.error_model import ErrorModel
 from filtering.errors import require_within
 from filtering.hypotheses import Hypotheses
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+
+_MARGIN = 1.01  # of squared distances that are compared in a hurry first
 
 Status = Literal["converged", "ambiguous", "lost"]
 
@@ -130,10 +132,8 @@ def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -
     free = np.argsort(-weights, kind="stable")
     while len(free) and weights[free].sum() >= least and len(found) < 2 * config.max_modes:
         heaviest.append(int(free[0]))
-        offset = belief.poses[heaviest[-1]].between(belief.poses[free]).log()
-        own = _within(offset, reach)
-        own[0] = True
-        members, offset, free = free[own], offset[own], free[~own]
+        own, offset = _in_place_of_first(belief.poses[free], reach)
+        members, free = free[own], free[~own]
         total = float(weights[members].sum())
         weight = weights[members] / total if total > 0.0 else np.full(len(members), 1.0 / len(members))
         mean = weight @ offset
@@ -146,6 +146,20 @@ def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -
     modes.sort(key=lambda mode: -mode.weight)
     kept = [mode for mode in modes if mode.weight >= least]
     return tuple((kept or modes[:1])[: config.max_modes])
+
+
+def _in_place_of_first(
+    poses: Poses, reach: Float64[np.ndarray, " 6"]
+) -> tuple[Bool[np.ndarray, " n"], Float64[np.ndarray, "m 6"]]:
+    """Which poses are in the place of the first one, itself included, and where there each of these m is."""
+    apart_m, apart_rad = poses.squared_distances(poses[:1])
+    own = ((apart_m < _MARGIN * reach[:3].max() ** 2) & (apart_rad < _MARGIN * reach[3:].max() ** 2))[:, 0]
+    own[0] = True
+    offset = poses[0].between(poses[own]).log()
+    within = _within(offset, reach)
+    within[0] = True
+    own[own] = within
+    return own, offset[within]
 
 
 def _within(offset: Float64[np.ndarray, "*n 6"], reach: Float64[np.ndarray, " 6"]) -> Bool[np.ndarray, "*n"]:

@@ -7,6 +7,7 @@ image's error lasts, heavy tails, slow errors of odometry. What it lacks is a se
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -137,7 +138,7 @@ class KalmanLocalizer:
         """Take the nearest place for what the image shows, if it is near enough; returns whether it is."""
         errors, pose = posterior.errors, self._pose
         assert pose is not None
-        difference = (pose.inverse() @ posterior.means).log()
+        difference = pose.between(posterior.means).log()
         shows = np.zeros((len(posterior.weights), 6, 19))  # error of the pose + factor · bias + fresh noise
         shows[:, :, POSE] = np.eye(6)
         shows[:, :, bias(0)] = np.sqrt(errors.lasting_fraction) * posterior.factors
@@ -146,7 +147,7 @@ class KalmanLocalizer:
         covariance = shows @ self._filter.P @ np.swapaxes(shows, 1, 2) + fresh
         squared = np.einsum("ki,ki->k", innovation, np.linalg.solve(covariance, innovation[:, :, None])[:, :, 0])
         k = int(np.argmin(squared))
-        if squared[k] > 6.0 * fdtri(6, errors.tail, self.config.gate_probability):
+        if squared[k] > _gate(self.config.gate_probability, errors.tail):
             return False
         error = fresh[k]
         larger = (errors.tail + squared[k]) / (errors.tail + 6.0)
@@ -169,3 +170,9 @@ class KalmanLocalizer:
         change: Float64[np.ndarray, " 6"] = self._filter.x[POSE, 0]
         self._pose = pose @ Poses.exp(change)
         self._filter.x[POSE] = 0.0
+
+
+@cache
+def _gate(probability: float, tail: float) -> float:
+    """Squared distance within which an error of six Student t distributed components is with that probability."""
+    return float(6.0 * fdtri(6, tail, probability))

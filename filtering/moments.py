@@ -27,10 +27,11 @@ def group_moments(
     fractions = np.zeros((num_groups, len(label)))
     fractions[label, np.arange(len(label))] = weights
     weightless = fractions.sum(axis=1) <= 0.0
-    fractions[weightless] = label == np.flatnonzero(weightless)[:, None]
+    if weightless.any():
+        fractions[weightless] = label == np.flatnonzero(weightless)[:, None]
     fractions /= fractions.sum(axis=1, keepdims=True)
     mean_matrix = (fractions @ poses.rotation.reshape(-1, 9)).reshape(-1, 3, 3)
     means = Poses(nearest_rotation(mean_matrix), fractions @ poses.translation)
-    tangent = (means.inverse()[label] @ poses).log()
-    squares = (tangent[:, :, None] * tangent[:, None, :]).reshape(-1, 36)
-    return means, (fractions @ squares).reshape(-1, 6, 6), tangent
+    tangent = means[label].between(poses).log()
+    covariances = (fractions[:, None, :] * tangent.T) @ tangent
+    return means, covariances, tangent

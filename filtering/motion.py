@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float64
@@ -34,6 +35,12 @@ class Odometry:
     covariance: Float64[np.ndarray, "6 6"]
     duration_s: float
 
+    @cached_property
+    def is_motion(self) -> bool:
+        """True; raises as `require_odometry`, which filter and baselines all ask for."""
+        _require_motion(self)
+        return True
+
     def of_another_frame(self, this_from_other: Poses) -> Odometry:
         """The motion of another frame that is fixed to this one (one pose)."""
         other_from_this = this_from_other.inverse()
@@ -61,6 +68,10 @@ def require_odometry(odometry: Odometry) -> None:
         VaporTrackError: the motion is not one pose, not finite or not rigid, its duration is negative or not finite, or
             as `covariance_factor`.
     """
+    _ = odometry.is_motion
+
+
+def _require_motion(odometry: Odometry) -> None:
     motion = odometry.previous_from_current
     if motion.batch_shape != ():
         raise VaporTrackError(f"odometry increment has batch shape {motion.batch_shape}, expected (): one pose")

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 
 from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import VaporTrackError
@@ -50,8 +50,8 @@ class PosePosterior:
             values = getattr(self, name)
             if values.shape != shape:
                 raise VaporTrackError(f"posterior: {name} have shape {values.shape}, expected {shape}")
-            _require_finite(name, np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
-        _require_finite("means", self.means.is_finite())
+            _require_finite(name, values)
+        _require_finite("means", self.means.translation, self.means.rotation)
         if not (self.weights >= 0.0).all() or self.weights.sum() > 1.0 + 1e-6:
             raise VaporTrackError(f"posterior: weights are {self.weights.tolist()}, expected at least 0 and 1 in all")
         uneven = np.abs(self.covariances - np.swapaxes(self.covariances, 1, 2)).max(axis=(1, 2), initial=0.0)
@@ -73,7 +73,7 @@ class PosePosterior:
         """
         if len(samples) == 0:
             raise VaporTrackError("a posterior needs at least one sample, got an empty batch of poses")
-        _require_finite("samples", samples.is_finite())
+        _require_finite("samples", samples.translation, samples.rotation)
         label, count = find_places(samples, errors.radius_m, errors.radius_rad)
         own = np.flatnonzero(label >= 0)
         means, covariances, _ = group_moments(samples[own], np.ones(len(own)), label[own], count)
@@ -198,9 +198,11 @@ def find_places(samples: Poses, radius_m: float, radius_rad: float) -> tuple[Int
     )
     some = slice(None, None, max(1, count // _SOUGHT))
     embedded -= np.median(embedded[some], axis=0)
-    squares = np.einsum("ij,ij->i", embedded, embedded)
-    apart = squares[some, None] + squares[some] - 2.0 * embedded[some] @ embedded[some].T
-    height = np.exp(-2.0 * np.maximum(apart, 0.0).astype(np.float32)).sum(axis=1)
+    sought = embedded[some].copy()
+    squares = np.vecdot(embedded, embedded)
+    apart = squares[some, None] + squares[some] - 2.0 * sought @ sought.T
+    height = np.multiply(apart, -2.0, out=np.empty(apart.shape, np.float32), casting="same_kind")
+    height = np.exp(np.minimum(height, 0.0, out=height), out=height).sum(axis=1)
     peaks: list[int] = []
     free = np.ones(len(height), bool)
     least = max(1.5, _LEAST_FRACTION * len(height))
@@ -210,11 +212,9 @@ def find_places(samples: Poses, radius_m: float, radius_rad: float) -> tuple[Int
             break
         peaks.append(peak)
         free &= apart[peak] > 1.5**2
-    centres = embedded[some][peaks]
+    centres = sought[peaks]
     label = _nearest(embedded, squares, centres)
-    member = np.zeros((len(centres), count))
-    inside = np.flatnonzero(label >= 0)
-    member[label[inside], inside] = 1.0
+    member = (label == np.arange(len(centres))[:, None]).astype(np.float64)
     size = member.sum(axis=1, keepdims=True)
     centres = np.where(size > 0, member @ embedded / np.maximum(size, 1.0), centres)
     label = _nearest(embedded, squares, centres)
@@ -228,15 +228,16 @@ def find_places(samples: Poses, radius_m: float, radius_rad: float) -> tuple[Int
 
 def _nearest(embedded: np.ndarray, squares: np.ndarray, centres: np.ndarray) -> Int64[np.ndarray, " m"]:
     """Index of the nearest centre, −1 where none is within 1; the first one for the sample nearest to any."""
-    distance = squares[:, None] + np.einsum("ij,ij->i", centres, centres) - 2.0 * embedded @ centres.T
-    nearest = distance.argmin(axis=1)
-    least = distance[np.arange(len(nearest)), nearest]
+    distance = np.vecdot(centres, centres)[:, None] - 2.0 * centres @ embedded.T  # and their own squares
+    nearest = distance.argmin(axis=0)
+    least = distance.min(axis=0) + squares
     inside = least <= 1.0
     if not inside.any():
         inside[np.argmin(least)] = True
     return np.where(inside, nearest, -1)
 
 
-def _require_finite(name: str, finite: Bool[np.ndarray, " n"]) -> None:
-    if not finite.all():
+def _require_finite(name: str, *arrays: Float64[np.ndarray, "n ..."]) -> None:
+    if not all(np.isfinite(values).all() for values in arrays):
+        finite = np.all([np.isfinite(values).reshape(len(values), -1).all(axis=1) for values in arrays], axis=0)
         raise VaporTrackError(f"posterior: {name} {int(np.argmin(finite))} of {len(finite)} is not finite")

@@ -184,6 +184,17 @@ class Poses:
         sine = np.sqrt(np.vecdot(turned, turned) / 8.0)
         return np.asarray(np.sqrt(np.vecdot(offset, offset))), np.asarray(2.0 * np.arcsin(np.minimum(sine, 1.0)))
 
+    def squared_distances(self, others: Poses) -> tuple[Float64[np.ndarray, "n k"], Float64[np.ndarray, "n k"]]:
+        """Of each of these poses (n,) from each of others (k,): in m², and 2 − 2 cos θ, at most the squared angle.
+
+        By products of matrices: fast, and exact to 1e-15 of the square of how far all of them lie apart.
+        """
+        if len(others) == 0:
+            return np.zeros((len(self), 0)), np.zeros((len(self), 0))
+        mine, theirs = self.translation - others.translation[0], others.translation - others.translation[0]
+        metres_sq = np.vecdot(mine, mine)[:, None] + np.vecdot(theirs, theirs) - 2.0 * mine @ theirs.T
+        return metres_sq, 3.0 - self.rotation.reshape(-1, 9) @ others.rotation.reshape(-1, 9).T
+
     def mean(self, weights: Float64[np.ndarray, " n"] | None = None) -> Poses:
         """Weighted mean of a batch (n,): arithmetic for translations, chordal L2 for rotations.
 
