@@ -104,7 +104,7 @@ def arrays_as_bytes(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str
     """The content of a file of arrays, with its checksum."""
     from safetensors.numpy import save
 
-    arrays = {name: np.ascontiguousarray(value) for name, value in arrays.items()}
+    arrays = {name: np.asarray(value, order="C") for name, value in arrays.items()}
     parts = ((name, str(value.dtype), value.shape, value.reshape(-1).data) for name, value in arrays.items())
     return save(arrays, {**metadata, CHECKSUM: _sha256(parts, metadata)})
 

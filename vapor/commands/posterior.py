@@ -16,10 +16,11 @@ from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read
 from sequences.outputs.claims import refuse_other
-from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
 from vapor.engines.device import Device
+from vapor.engines.engine import EngineConfig
+from vapor.engines.start import describe
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.trajectory import THRESHOLDS
 from vapor.observation import VaporObservationModel
@@ -48,6 +49,7 @@ class Options:
     """Of the samples."""
     device: Device = "auto"
     """Where the network runs."""
+    network: Annotated[EngineConfig, tyro.conf.arg(name="")] = EngineConfig()
 
     def __post_init__(self) -> None:
         if self.image < 0 or self.seed < 0:
@@ -62,9 +64,16 @@ def main(arguments: Sequence[str]) -> None:
     file = find_model(o.model)
     reads = chain([file], files_read(o.data))
     refuse_other(o.output, "picture of vapor-track", is_picture, reads=reads, overwrite=o.overwrite)
-    checkpoint = load_checkpoint(file)
+    described = describe(file)
     frame = next(posed_frames(o.data, frames=slice(o.image, o.image + 1)))
-    model = VaporObservationModel(checkpoint, num_samples=o.num_samples, device=o.device, camera=frame.camera)
+    model = VaporObservationModel(
+        described,
+        num_samples=o.num_samples,
+        device=o.device,
+        camera=frame.camera,
+        engine=o.network.engine,
+        precision=o.network.precision,
+    )
     truth = frame.world_from_camera
     assert truth is not None  # `posed_frames` yields no other
     samples = model.observe(frame.image, rng=np.random.default_rng(o.seed)).samples

@@ -46,7 +46,7 @@ class Variant:
 
     @property
     def name(self) -> str:
-        """What its file is called after the model's: first what all variants of a model share as long as it is valid."""
+        """What its file is called after the model's: first what all variants of a model share while they are valid."""
         return f"{_digest(self.network, self.openvino, self.package)}-{_digest(*map(str, asdict(self).values()))}"
 
 

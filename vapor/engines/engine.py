@@ -23,6 +23,11 @@ class EngineConfig:
     """Arithmetic of the network: bfloat16 is faster on processors and GPUs that have it, and moves samples by
     centimetres."""
 
+    @property
+    def network(self) -> EngineConfig:
+        """These settings alone, of settings that hold others as well."""
+        return EngineConfig(self.engine, self.precision)
+
 
 @dataclass(frozen=True)
 class Seen:

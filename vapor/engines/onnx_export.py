@@ -14,7 +14,7 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.engines.onnx_file import metadata_of
+from vapor.engines.onnx_file import add_description
 
 if TYPE_CHECKING:
     from vapor.engines.whole_network import WholeNetwork
@@ -49,12 +49,12 @@ def export_onnx(checkpoint: Checkpoint, output: Path) -> tuple[str, float, float
     runtime = next((name for name in ("onnxruntime", "openvino") if find_spec(name) is not None), None)
     if runtime is None:
         raise VaporTrackError(
-            "export: nothing to check the file with, expected onnxruntime or openvino: pip install onnxruntime"
+            "export: nothing to check the file with, expected onnxruntime: pip install 'vapor-track[export]'"
         )
     whole = WholeNetwork(checkpoint).eval()
     with atomic_output(output) as partial:
         _write(whole, partial)
-        _add_metadata(partial, metadata_of(checkpoint.description))
+        add_description(partial, checkpoint.description)
         metres, radians = _difference(whole, partial, runtime)
         if not (metres <= WITHIN_M and radians <= WITHIN_RAD):  # NaN compares as false
             raise VaporTrackError(
@@ -88,14 +88,6 @@ def _write(whole: WholeNetwork, path: Path) -> None:
         head = whole.network.config.head
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise VaporTrackError(f"export: a network with head {head!r} cannot be exported ({reason})") from error
-
-
-def _add_metadata(path: Path, metadata: dict[str, str]) -> None:
-    import onnx
-
-    model = onnx.load(str(path))
-    onnx.helper.set_model_props(model, metadata)
-    onnx.save(model, str(path))
 
 
 def _difference(whole: WholeNetwork, path: Path, runtime: str) -> tuple[float, float]:

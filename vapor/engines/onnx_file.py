@@ -23,9 +23,10 @@ from vapor.checkpoints.stored_tensors import MEMORY_ROTATION, MEMORY_TRANSLATION
 from vapor.tensor_files import CheckpointError, arrays_as_bytes, parse_stored
 
 SUFFIX = ".onnx"
-CONFIG, ARRAYS = "vapor-track config", "vapor-track arrays"
-"""Names of the metadata: settings as JSON, for all to read; all of the description, as a safetensors file in base64."""
-_METADATA_PROPS, _KEY, _VALUE = 14, 1, 2  # numbers of fields
+CONFIG, ARRAYS, GRAPH = "vapor-track config", "vapor-track arrays", "vapor-track graph_sha256"
+"""Names of the metadata: settings as JSON, for all to read; all of the description, as a safetensors file in base64;
+SHA-256 of the graph."""
+_GRAPH, _METADATA_PROPS, _KEY, _VALUE = 7, 14, 1, 2  # numbers of fields
 _BYTES_BY_WIRE = {1: 8, 5: 4}  # lengths of fields of fixed length, by their type
 
 
@@ -34,13 +35,17 @@ def is_onnx(path: Path) -> bool:
     return path.suffix.lower() == SUFFIX
 
 
-def metadata_of(model: ModelDescription) -> dict[str, str]:
-    """What an exported model says of itself beside its graph."""
+def add_description(path: Path, model: ModelDescription) -> None:
+    """Append to an ONNX file what a model says of itself beside its graph, and the graph's digest."""
     metadata, arrays = description_metadata(model), description_arrays(model)
     if (poses := model.memory_poses) is not None:
         arrays |= {MEMORY_ROTATION: poses.rotation, MEMORY_TRANSLATION: poses.translation}
+    content = path.read_bytes()
     said = base64.b64encode(arrays_as_bytes(arrays, metadata)).decode()
-    return {CONFIG: metadata["config"], ARRAYS: said}
+    for name, text in ((CONFIG, metadata["config"]), (ARRAYS, said), (GRAPH, _graph_sha256(content))):
+        entry = _field(_KEY, name.encode()) + _field(_VALUE, text.encode())
+        content += _field(_METADATA_PROPS, entry)
+    path.write_bytes(content)
 
 
 def describe_onnx(path: Path) -> ModelDescription:
@@ -55,9 +60,11 @@ def describe_onnx(path: Path) -> ModelDescription:
         raise CheckpointError(f"{path}: cannot be read ({error.strerror}), expected an ONNX file") from error
     try:
         metadata = dict(_metadata(content))
-        said = base64.b64decode(metadata[ARRAYS], validate=True)
+        said, graph = base64.b64decode(metadata[ARRAYS], validate=True), metadata[GRAPH]
     except (ValueError, KeyError, IndexError) as error:
         raise CheckpointError(f"{path}: no ONNX file of `vapor-track export`, expected one") from error
+    if graph != _graph_sha256(content):
+        raise CheckpointError(f"{path}: damaged: its graph does not match its digest, expected the file as written")
     stored, tensors = parse_stored(path, said)
     config = parse_stored_config(path, stored)
     check_tensors(path, tensors, shapes_beside_weights(config, tensors))
@@ -82,6 +89,11 @@ def _metadata(content: bytes) -> Iterator[tuple[str, str]]:
         if number == _METADATA_PROPS:
             entry = {part: bytes(text).decode() for part, text in _fields(value)}
             yield entry.get(_KEY, ""), entry.get(_VALUE, "")
+
+
+def _graph_sha256(content: bytes) -> str:
+    graphs = (value for number, value in _fields(memoryview(content)) if number == _GRAPH)
+    return hashlib.sha256(b"".join(graphs)).hexdigest()
 
 
 def _fields(content: memoryview) -> Iterator[tuple[int, memoryview]]:
@@ -115,3 +127,12 @@ def _varint(content: memoryview, position: int) -> tuple[int, int]:
         position, shift = position + 1, shift + 7
         if byte < 128:
             return value, position
+
+
+def _field(number: int, content: bytes) -> bytes:
+    """A message's field of bytes."""
+    return _as_varint(number << 3 | 2) + _as_varint(len(content)) + content
+
+
+def _as_varint(value: int) -> bytes:
+    return bytes([value]) if value < 128 else bytes([value & 127 | 128]) + _as_varint(value >> 7)
