@@ -22,7 +22,7 @@ from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
 from vapor.pipeline.ahead import ahead
 from vapor.pipeline.config import FilteringConfig
-from vapor.reporting.output_process import outputs_beside
+from vapor.reporting.beside import outputs_beside
 from vapor.reporting.record import RunRecord
 from vapor.tracking.history import History
 from vapor.tracking.loop import StepLoop

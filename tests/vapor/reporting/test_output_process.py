@@ -17,7 +17,8 @@ from filtering.errors import VaporTrackError
 from sequences.reading.counts import ImageCounts
 from tests.helpers.simulated_run import simulated_steps
 from tests.helpers.simulation import seen_at
-from vapor.reporting.output_process import output_process, outputs_beside
+from vapor.reporting.beside import outputs_beside
+from vapor.reporting.output_process import output_process
 from vapor.reporting.run_outputs import RunOutputs
 from vapor.tracking.loop import Baselines
 from vapor.tracking.methods import start_baselines
@@ -86,6 +87,7 @@ def test_an_error_of_the_loop_leaves_nothing_and_the_process_goes_on(tmp_path, s
     assert pid_of() == pid
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_an_error_of_what_is_written_comes_with_a_later_image_or_at_the_end_and_leaves_nothing(tmp_path, steps):
     pid = pid_of()
     with pytest.raises(VaporTrackError, match=r"expected the folder .*absent to exist"):
@@ -123,7 +125,7 @@ from pathlib import Path
 from filtering.config import LocalizerConfig
 from tests.helpers.simulated_run import simulated_steps
 from tests.helpers.simulation import seen_at
-from vapor.reporting.output_process import outputs_beside
+from vapor.reporting.beside import outputs_beside
 
 settings = {"seed": 0, "recording": True, "view": False, "particles": 50}
 with outputs_beside(Path(sys.argv[1]), LocalizerConfig(), **settings) as outputs:
