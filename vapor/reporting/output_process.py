@@ -11,9 +11,11 @@ from __future__ import annotations
 import atexit
 import os
 import pickle
+import queue
 import select
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -22,7 +24,7 @@ from filtering.errors import VaporTrackError
 
 _SERVE = "import sys; sys.path[:] = sys.argv[1:]; from vapor.reporting.output_calls import serve; serve()"
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-_PIPE_BYTES = 1 << 20  # room for a few images, so that nobody waits for one that is being drawn
+_MOST_WAITING = 64  # calls, 0.3 MB each, so that nobody waits while the process starts or sends off its rows
 _SOON_S = 5.0
 DISCARDED = "discarded"
 """The answer to `discard`."""
@@ -44,11 +46,19 @@ class OutputProcess:
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._calls, self._answers = self._process.stdin, self._process.stdout
-        with suppress(ImportError, AttributeError, OSError):  # elsewhere than on Linux
-            import fcntl
+        self._pipe, self._answers = self._process.stdin, self._process.stdout
+        self._waiting: queue.Queue[bytes | None] = queue.Queue(_MOST_WAITING)
+        self._sender = threading.Thread(target=self._write, daemon=True)
+        self._sender.start()
 
-            fcntl.fcntl(self._calls, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+    def _write(self) -> None:
+        """Write what waits, in a thread; what comes when the process is no more is lost, as the next answer tells."""
+        while (call := self._waiting.get()) is not None:
+            with suppress(OSError):
+                self._pipe.write(call)
+                self._pipe.flush()
+        with suppress(OSError):  # of what is still buffered
+            self._pipe.close()
 
     @property
     def pid(self) -> int:
@@ -68,8 +78,7 @@ class OutputProcess:
         """
         if select.select([self._answers], [], [], 0.0)[0]:  # only errors come without being asked for
             self._receive()
-        with suppress(BrokenPipeError):  # the next call tells
-            self._call(name, arguments, is_asked=False)
+        self._call(name, arguments, is_asked=False)
 
     def ask(self, name: str, *arguments: Any) -> Any:
         """Call a method after all that were sent, and wait for what it returns.
@@ -77,13 +86,11 @@ class OutputProcess:
         Raises:
             Exception: what it raised, or an earlier call.
         """
-        with suppress(BrokenPipeError):
-            self._call(name, arguments, is_asked=True)
+        self._call(name, arguments, is_asked=True)
         return self._receive()
 
     def _call(self, name: str, arguments: tuple[Any, ...], *, is_asked: bool) -> None:
-        self._calls.write(pickle.dumps((name, arguments, is_asked), pickle.HIGHEST_PROTOCOL))
-        self._calls.flush()
+        self._waiting.put(pickle.dumps((name, arguments, is_asked), pickle.HIGHEST_PROTOCOL))
 
     def _receive(self) -> Any:
         try:
@@ -108,10 +115,9 @@ class OutputProcess:
 
     def end(self) -> None:
         """Let it remove what is not finished, and end; it is killed where that takes long, or by another signal."""
-        with suppress(OSError):  # of what is still buffered
-            self._calls.close()
         try:
-            with suppress(subprocess.TimeoutExpired):
+            with suppress(queue.Full, subprocess.TimeoutExpired):
+                self._waiting.put(None, timeout=_SOON_S)
                 self._process.wait(_SOON_S)
         finally:
             self.kill()
@@ -120,8 +126,9 @@ class OutputProcess:
         """End it at once."""
         self._process.kill()
         self._process.wait()
-        with suppress(OSError):
-            self._calls.close()
+        if self._sender.is_alive():
+            self._waiting.put(None)  # there is room: nothing waits for a process that is no more
+            self._sender.join()
         self._answers.close()
 
 
