@@ -131,7 +131,8 @@ settings = {"seed": 0, "recording": True, "view": False, "particles": 50}
 with outputs_beside(Path(sys.argv[1]), LocalizerConfig(), **settings) as outputs:
     for frame, step in simulated_steps(3):
         outputs.add(frame, replace(step, posterior=seen_at(frame.world_from_camera)))
-    while len(list(Path(sys.argv[1]).iterdir())) < 2:
+    until = time.monotonic() + 30
+    while len(list(Path(sys.argv[1]).iterdir())) < 2 and time.monotonic() < until:
         time.sleep(0.01)
     print(outputs._process.pid, flush=True)
     time.sleep(60)
