@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 from filterpy.kalman import KalmanFilter
 from jaxtyping import Float64
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from filtering.adaptation import ErrorScale
 from filtering.association import UNUSUAL
@@ -175,4 +175,4 @@ class KalmanLocalizer:
 @cache
 def _gate(probability: float, tail: float) -> float:
     """Squared distance within which an error of six Student t distributed components is with that probability."""
-    return float(6.0 * fisher.ppf(probability, 6, tail))
+    return float(6.0 * fdtri(6, tail, probability))

@@ -1,28 +1,81 @@
-"""Files of tensors: safetensors with a checksum over all their content, for models and states of training runs."""
+"""Files of tensors: safetensors with a checksum over all their content, for models and states of training runs.
+
+They are read without torch; `StoredTensor.tensor` makes one of torch's where it is asked for.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
-import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
-from torch import Tensor
+import numpy as np
+from safetensors import SafetensorError, deserialize, safe_open
 
 from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 CHECKSUM = "content_sha256"
 """Name of the checksum in the metadata; files written before there were any lack it."""
 _OURS = "vapor-track "  # what `format` begins with in our own files, whose metadata have these names and no others
 _METADATA = {"format", "version", "config", CHECKSUM}
+_TYPES: Mapping[str, str] = MappingProxyType(
+    {
+        **{f"F{bits}": f"float{bits}" for bits in (16, 32, 64)},
+        **{f"I{bits}": f"int{bits}" for bits in (8, 16, 32, 64)},
+        **{f"U{bits}": f"uint{bits}" for bits in (8, 16, 32, 64)},
+        "BF16": "bfloat16",
+        "BOOL": "bool",
+        "C64": "complex64",
+        "F8_E4M3": "float8_e4m3fn",
+        "F8_E5M2": "float8_e5m2",
+        "F8_E8M0": "float8_e8m0fnu",
+    }
+)
+"""What safetensors call a type -> what torch calls it."""
+FLOATS = "float16", "bfloat16", "float32", "float64"
 
 
 class CheckpointError(VaporTrackError):
     """A model file, or the state of a training run, cannot be used."""
+
+
+@dataclass(frozen=True)
+class StoredTensor:
+    """A tensor as a file has it.
+
+    Attributes:
+        dtype: Type by torch's name, such as float32.
+        shape: Sizes.
+        data: Bytes, row by row.
+    """
+
+    dtype: str
+    shape: tuple[int, ...]
+    data: bytes | bytearray
+
+    def array(self) -> np.ndarray:
+        """As numpy has it; bfloat16, which numpy has not, as float32. A copy."""
+        if self.dtype == "bfloat16":
+            wide = np.frombuffer(self.data, np.uint16).astype(np.uint32) << 16
+            return wide.view(np.float32).reshape(self.shape)
+        return np.frombuffer(self.data, self.dtype).reshape(self.shape).copy()
+
+    def tensor(self) -> Tensor:
+        """As torch has it, on the CPU. A copy."""
+        import torch
+
+        if not self.data:
+            return torch.empty(self.shape, dtype=getattr(torch, self.dtype))
+        flat = torch.frombuffer(bytearray(self.data), dtype=torch.uint8).view(getattr(torch, self.dtype))
+        return flat.reshape(self.shape)
 
 
 def write_safetensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
@@ -36,11 +89,24 @@ def write_safetensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mappi
     Raises:
         SequenceError: the folder is missing, or cannot be written to.
     """
+    from safetensors.torch import save
+
     tensors = {name: value.contiguous() for name, value in tensors.items()}
-    stated = {**metadata, CHECKSUM: content_sha256(tensors, metadata)}
-    with atomic_output(path) as temporary:
-        # The library's own writing to a file would leave it readable for its owner only.
-        temporary.write_bytes(save(tensors, stated))
+    _write(path, save(tensors, {**metadata, CHECKSUM: content_sha256(tensors, metadata)}))
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> None:
+    """As `write_safetensors`, for arrays."""
+    _write(path, arrays_as_bytes(arrays, metadata))
+
+
+def arrays_as_bytes(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> bytes:
+    """The content of a file of arrays, with its checksum."""
+    from safetensors.numpy import save
+
+    arrays = {name: np.asarray(value, order="C") for name, value in arrays.items()}
+    parts = ((name, str(value.dtype), value.shape, value.reshape(-1).data) for name, value in arrays.items())
+    return save(arrays, {**metadata, CHECKSUM: _sha256(parts, metadata)})
 
 
 def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
@@ -51,18 +117,39 @@ def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     Raises:
         CheckpointError: no such file, no safetensors file, or a damaged one.
     """
+    metadata, tensors = read_stored(path)
+    return metadata, {name: value.tensor() for name, value in tensors.items()}
+
+
+def read_stored(path: Path) -> tuple[dict[str, str], dict[str, StoredTensor]]:
+    """The same without torch."""
     if not path.is_file():
         raise CheckpointError(f"{path}: no such file, expected a safetensors file")
     try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, ValueError) as error:
+        content = path.read_bytes()
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be read ({error}), expected a safetensors file") from error
+    return parse_stored(path, content)
+
+
+def parse_stored(path: Path, content: bytes) -> tuple[dict[str, str], dict[str, StoredTensor]]:
+    """The same of the content of a file; its path is for messages."""
+    try:
+        parts = deserialize(content)
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    except (SafetensorError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise CheckpointError(f"{path}: cannot be read ({reason}), expected a safetensors file") from error
+    metadata: dict[str, str] = header.get("__metadata__") or {}
+    tensors: dict[str, StoredTensor] = {}
+    for name, part in parts:
+        if part["dtype"] not in _TYPES:
+            raise CheckpointError(f"{path}: tensor {name} is of {part['dtype']}, expected one of {', '.join(_TYPES)}")
+        tensors[name] = StoredTensor(_TYPES[part["dtype"]], tuple(part["shape"]), part["data"])
     # One flipped bit can take the checksum its name: then there is another one that no file of ours has.
     renamed = metadata.get("format", "").startswith(_OURS) and not metadata.keys() <= _METADATA
-    if renamed or metadata.get(CHECKSUM) not in (None, content_sha256(tensors, metadata)):
+    said = ((name, value.dtype, value.shape, value.data) for name, value in tensors.items())
+    if renamed or metadata.get(CHECKSUM) not in (None, _sha256(said, metadata)):
         raise CheckpointError(
             f"{path}: damaged: its tensors or settings do not match its checksum, expected the file as it was written"
         )
@@ -72,7 +159,7 @@ def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
 def format_of(path: Path) -> str | None:
     """What a safetensors file says that it is; None where it says nothing, or is none."""
     try:
-        with safe_open(path, framework="pt") as file:
+        with safe_open(path, framework="np") as file:
             return (file.metadata() or {}).get("format")
     except (OSError, SafetensorError, ValueError):
         return None
@@ -80,10 +167,33 @@ def format_of(path: Path) -> str | None:
 
 def content_sha256(tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> str:
     """SHA-256 of names, types, shapes and bytes of all tensors, and of all metadata but the checksum itself."""
+    import torch
+
+    return _sha256(
+        (
+            (
+                name,
+                str(tensor.dtype).removeprefix("torch."),
+                tensor.shape,
+                tensor.reshape(-1).view(torch.uint8).numpy().data,
+            )
+            for name, tensor in tensors.items()
+        ),
+        metadata,
+    )
+
+
+def _sha256(parts: Iterable[tuple[str, str, Iterable[int], Any]], metadata: Mapping[str, str]) -> str:
+    """Of names, types by torch's names, shapes and bytes."""
     said = {name: value for name, value in metadata.items() if name != CHECKSUM}
     digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
-    for name in sorted(tensors):
-        tensor = tensors[name]
-        digest.update(json.dumps([name, str(tensor.dtype), list(tensor.shape)]).encode())
-        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    for name, dtype, shape, data in sorted(parts, key=lambda part: part[0]):
+        digest.update(json.dumps([name, f"torch.{dtype}", list(shape)]).encode())
+        digest.update(data)
     return digest.hexdigest()
+
+
+def _write(path: Path, content: bytes) -> None:
+    with atomic_output(path) as temporary:
+        # The library's own writing to a file would leave it readable for its owner only.
+        temporary.write_bytes(content)

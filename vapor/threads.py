@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import torch
 from threadpoolctl import threadpool_limits
+
+_limits: list[int] = []  # of the blocks that are open, the innermost last
+_unlimited: list[int] = []  # how many threads torch had outside of them, once it is known
 
 
 @contextmanager
@@ -15,11 +18,25 @@ def limited_threads(network: int) -> Iterator[None]:
 
     The filter's matrix products take well under a millisecond: threads that wait for each other gain nothing, and on
     a shared processor they made a step ten times slower.
+
+    Torch is not loaded for that: code within the block that is the first to load it calls `limit_torch`.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(network)
+    _limits.append(network)
+    limit_torch()
     try:
         with threadpool_limits(1, user_api="blas"):
             yield
     finally:
-        torch.set_num_threads(before)
+        _limits.pop()
+        if _unlimited:
+            sys.modules["torch"].set_num_threads(_limits[-1] if _limits else _unlimited.pop())
+
+
+def limit_torch() -> None:
+    """Hold torch, where it is loaded, to the threads of the innermost `limited_threads`."""
+    torch = sys.modules.get("torch")
+    if torch is None or not _limits:
+        return
+    if not _unlimited:
+        _unlimited.append(torch.get_num_threads())
+    torch.set_num_threads(_limits[-1])

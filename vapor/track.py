@@ -17,6 +17,7 @@ COMMANDS = {
     "inspect": "say of recordings whether they are good enough to train on, and what to record again",
     "train": "train a pose regressor on sequences or data sets with true poses",
     "calibrate": "calibrate a trained model on held-out sequences with true poses",
+    "export": "write a trained model as an ONNX file, for robots without torch",
     "synthesize": "render a sequence through a synthetic scene",
     "convert": "write a data set of images with true poses as an MCAP sequence",
     "posterior": "draw the posterior of one image",
@@ -25,6 +26,8 @@ COMMANDS = {
     "benchmark": "time a step, localize many sequences, synthetic or real, with or without faults, and count successes",
 }
 """Name -> what it does; each is a module of `vapor.commands`, imported only when it is called."""
+WRITE_RUNS = ("run", "demo", "fuse")
+"""Those that need the process which writes results of runs: it starts while they are imported."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -84,6 +87,8 @@ def _run(words: list[str], signals: Signals) -> int:
     if name not in COMMANDS:
         say(f"vapor-track: unknown command {shortened(repr(name), 60)}, expected one of {', '.join(COMMANDS)}")
         return 2
+    if name in WRITE_RUNS and not {"-h", "--help"} & set(rest):
+        importlib.import_module("vapor.reporting.output_process").start_output_process()
     command = importlib.import_module(f"vapor.commands.{name}").main
     signals.working = True
     command(rest)

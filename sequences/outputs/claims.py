@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from sequences.atomic import clear_leftovers, followed, is_workspace
+from sequences.atomic import CACHE, clear_leftovers, followed, is_workspace
 from sequences.errors import SequenceError
 from sequences.outputs.folders import folder_to_write, names_told, writing
 from sequences.outputs.manifest import own_manifest, write_manifest
@@ -39,7 +39,8 @@ def claim_folder(directory: Path, command: str, *, reads: Iterable[Path] = (), o
             clear_leftovers(place)
         if (manifest := own_manifest(directory)) is not None and manifest["files"] is None:
             return
-        names = [entry.name for entry in sorted(directory.iterdir()) if not is_workspace(entry.name)]
+        entries = (entry.name for entry in sorted(directory.iterdir()))
+        names = [name for name in entries if not (is_workspace(name) or name == CACHE)]
         if names and not overwrite:
             raise SequenceError(
                 f"{given}: {names_told(names)}, expected an empty folder or one of `vapor-track {command}`; --overwrite"

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from sequences.atomic import clear_leftovers, followed, is_workspace
+from sequences.atomic import CACHE, clear_leftovers, followed, is_workspace
 from sequences.errors import SequenceError
 from sequences.outputs.manifest import MANIFEST, own_manifest
 
@@ -50,7 +50,7 @@ def foreign_files(directory: Path, reads: Iterable[Path]) -> dict[str, str]:
     foreign: dict[str, str] = {}
     for entry in sorted(directory.iterdir()):
         name, ours = entry.name, listed.get(entry.name)
-        if is_workspace(name) or (name == MANIFEST and listed):
+        if is_workspace(name) or name == CACHE or (name == MANIFEST and listed):
             continue
         if entry.resolve() in read:
             foreign[name] = f"{name} (which is read)"

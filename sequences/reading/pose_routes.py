@@ -21,7 +21,6 @@ from sequences.recordings.messages import frame_name
 from sequences.recordings.transforms import along
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S
 from sequences.trajectories.pose_tables import read_pose_table
-from sequences.trajectories.time_offset import find_time_offset
 
 SURVEY_S = 60.0  # of /tf that is read to find frames that nobody named
 CAMERA_POSES = "geometry_msgs/PoseStamped"
@@ -136,6 +135,10 @@ def route_of_file(bag: Bag, options: SequenceOptions, rig: Rig, odometry: Callab
     offset_s, notices = options.time_offset_s, []
     if offset_s == "auto":
         try:
+            from sequences.trajectories.time_offset import (
+                find_time_offset,  # loads SciPy's signals, which takes a while
+            )
+
             offset_s = find_time_offset(odometry(), trajectory)
         except VaporTrackError as error:
             raise SequenceError(f"{file}: {error}") from error

@@ -48,7 +48,7 @@ def make_model(folder: Path, *, retrieval: bool) -> Path:
     network = replace(_NETWORK, head="retrieval", hidden_width=8, components=2) if retrieval else _NETWORK
     rng = np.random.default_rng(0)
     regressor, memory = _regressor(network, box, rng), None
-    size = description_size(regressor)
+    size = description_size(network.backbone)
     numbers = [rng.uniform(0.5, 1.0, shape).astype(np.float32) for shape in ((size,), (size,), (size, 4), (4,), (5, 4))]
     if retrieval:
         assert isinstance(regressor, RetrievalRegressor)

@@ -96,7 +96,7 @@ def evaluate_flags(
     Raises:
         VaporTrackError: the model says nothing about familiarity, or data cannot be read.
     """
-    if model.checkpoint.familiarity is None:
+    if model.description.familiarity is None:
         raise VaporTrackError(
             "the model does not say what is familiar to it, expected one that does (`vapor-track calibrate` adds it)"
         )

@@ -21,7 +21,7 @@ from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.checkpoints.shipped_models import find_model
 from vapor.checkpoints.stored_tensors import NETWORK
 from vapor.checkpoints.thinning import spaced
-from vapor.observation import Device, resolve_device
+from vapor.engines.device import Device, resolve_device
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.tensor_files import read_safetensors

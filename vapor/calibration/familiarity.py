@@ -10,7 +10,8 @@ from jaxtyping import Float32, Int64
 
 from vapor.images import centre_crop
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.familiarity import CHROMA, LEAST_IMAGES, QUANTILE, Describer, Familiarity, description_size
+from vapor.regressors.describer import Describer
+from vapor.regressors.familiarity import CHROMA, LEAST_IMAGES, QUANTILE, Familiarity, description_size
 from vapor.training_data.training_set import TrainingSet
 
 EXEMPLARS = 1000
@@ -26,14 +27,14 @@ def extract_features(network: PoseRegressor, images: TrainingSet) -> Float32[np.
     """Features of each image's centre crop (`Describer`); the network is in evaluation mode until all are done."""
     config, training, device = network.config, network.training, network.pixel_mean.device
     network.eval()
-    found = np.empty((len(images), description_size(network)), np.float32)
+    found = np.empty((len(images), description_size(config.backbone)), np.float32)
     with Describer(network) as describer, torch.inference_mode():
         for start in range(0, len(images), _BATCH):
             whole = images.images[images.rows[start : start + _BATCH]]
             crops = np.stack([centre_crop(image, config.image_width, config.image_height) for image in whole])
             pixels = torch.from_numpy(crops).to(device)
             network.backbone(network.normalise(pixels))
-            found[start : start + _BATCH] = describer.last(pixels)
+            found[start : start + _BATCH] = describer.last(pixels).cpu().numpy()
     network.train(training)
     return found
 

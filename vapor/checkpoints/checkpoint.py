@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from torch import Tensor
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.checkpoints.calibration import Calibration
-from vapor.regressors.base import PoseRegressor
+from vapor.checkpoints.description import ModelDescription, poses_of
 from vapor.regressors.familiarity import Familiarity
-from vapor.regressors.memory import Memory
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import make_regressor
 from vapor.regressors.scene_box import SceneBox
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from vapor.regressors.base import PoseRegressor
+    from vapor.regressors.memory import Memory
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,7 @@ class Checkpoint:
         camera: The camera of the training images, undistorted; None where unknown.
         memory: The training images as a retrieval regressor remembers them; None with any other.
         notices: What a person should know of the file that it was read from.
+        file: That file; None of a model in memory.
     """
 
     network: NetworkConfig
@@ -49,6 +55,7 @@ class Checkpoint:
     camera: Camera | None = None
     memory: Memory | None = None
     notices: tuple[str, ...] = ()
+    file: Path | None = None
 
     def build_network(self) -> PoseRegressor:
         """The network with its weights, on the CPU, in evaluation mode."""
@@ -57,21 +64,48 @@ class Checkpoint:
         network.memory = self.memory
         return network.eval()
 
+    @property
+    def description(self) -> ModelDescription:
+        """The model without its weights."""
+        memory = self.memory
+        return ModelDescription(
+            self.network,
+            self.box,
+            self.calibration,
+            self.prior_poses,
+            self.network_sha256(),
+            self.training,
+            self.familiarity,
+            self.camera,
+            None if memory is None else poses_of(memory.rotation.numpy(), memory.translation.numpy()),
+            self.file,
+            self.notices,
+        )
+
     def network_sha256(self) -> str:
         """Digest of what the posterior samples depend on: network, box, weights and memory, but not the calibration."""
-        digest = hashlib.sha256(json.dumps([asdict(self.network), asdict(self.box)], sort_keys=True).encode())
-        for name in sorted(self.state_dict):
-            digest.update(name.encode())
-            digest.update(self.state_dict[name].numpy().tobytes())
-        for value in self.memory.tensors().values() if self.memory else ():
-            digest.update(value.numpy().tobytes())
-        return digest.hexdigest()
+        weights = {name: value.numpy() for name, value in self.state_dict.items()}
+        memory = self.memory.tensors().values() if self.memory else ()
+        return network_sha256(self.network, self.box, weights, [value.numpy() for value in memory])
 
     def seen_sha256(self) -> str:
         """Digest of all that what the network says of an image depends on: the same, what is familiar, the camera."""
         seen = hashlib.sha256(self.network_sha256().encode())
-        for name, value in vars(self.familiarity).items() if self.familiarity else ():
-            seen.update(name.encode() + np.asarray(value).tobytes())
+        for each in fields(self.familiarity) if self.familiarity else ():
+            seen.update(each.name.encode() + np.asarray(getattr(self.familiarity, each.name)).tobytes())
         if self.camera is not None:
             seen.update(json.dumps(asdict(self.camera)).encode())
         return seen.hexdigest()
+
+
+def network_sha256(
+    network: NetworkConfig, box: SceneBox, weights: Mapping[str, np.ndarray], memory: Iterable[np.ndarray]
+) -> str:
+    """Digest of a network by its shape, weights and, in the order of its fields, memory; numbers are float32."""
+    digest = hashlib.sha256(json.dumps([asdict(network), asdict(box)], sort_keys=True).encode())
+    for name in sorted(weights):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(weights[name]).data)
+    for value in memory:
+        digest.update(np.ascontiguousarray(value).data)
+    return digest.hexdigest()

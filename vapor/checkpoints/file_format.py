@@ -1,48 +1,37 @@
-"""The format of model files: a model -> one safetensors file and back, and what files of earlier versions mean."""
+"""The format of model files: a model -> one safetensors file and back; its description alone is read without torch."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
-from functools import partial
+from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 
-import torch
-
-from filtering.errors import quoted
-from filtering.se3 import Poses
-from vapor.checkpoints.calibration import parse_calibration, parse_former_calibration, stored_calibration
-from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.stored_config import parse_box, parse_camera, parse_config, parse_metadata
-from vapor.checkpoints.stored_tensors import (
-    FAMILIARITY,
-    NETWORK,
-    PRIOR_ROTATION,
-    PRIOR_TRANSLATION,
-    check_tensors,
-    familiarity_like,
-    familiarity_tensors,
-    memory_like,
-    memory_tensors,
-    read_familiarity,
-    read_memory,
+from vapor.checkpoints.checkpoint import Checkpoint, network_sha256
+from vapor.checkpoints.description import ModelDescription
+from vapor.checkpoints.stored_description import (
+    FORMAT,
+    StoredConfig,
+    description_arrays,
+    description_metadata,
+    parse_description,
+    parse_stored_config,
 )
-from vapor.checkpoints.thinning import thin_poses
+from vapor.checkpoints.stored_tensors import (
+    HALVED_MEMORY,
+    MEMORY,
+    MEMORY_FIELDS,
+    MEMORY_ROTATION,
+    NETWORK,
+    POSES,
+    Shapes,
+    check_tensors,
+    familiarity_shapes,
+    float32,
+    memory_shapes,
+)
 from vapor.regressors.familiarity import description_size
-from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import make_regressor
-from vapor.stored_names import with_stored_names
-from vapor.tensor_files import CHECKSUM, CheckpointError, format_of, read_safetensors, write_safetensors
-
-FORMAT = "vapor-track model"
-VERSION = 8
-_BEFORE_MISTAKES = "7"  # mistakes about the place were taken to last as long as errors within it
-_BEFORE_GROWTH = "6"  # images were taken to err alike, however unfamiliar
-_NO_MISTAKES = {"mistaken_lengths": 1.0}  # what error models of those versions had without stating it
-_NO_GROWTH = {"unfamiliar_power": 0.0, "unfamiliar_score": 0.5, **_NO_MISTAKES}
-_BEFORE_ERRORS = ("4", "5")  # their calibrations are of another filter: only the kernel widths are taken
-_BEFORE_SHORTCUT = "4"
-_NO_SHORTCUT = {"shortcut": False}  # what networks of that version had without stating it
+from vapor.tensor_files import StoredTensor, format_of, read_stored, write_safetensors
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool = False) -> None:
@@ -53,24 +42,15 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool =
         checkpoint: What to write; more than 2000 prior poses are thinned evenly.
         store_float16: Store weight matrices as float16, for half the size; biases and BatchNorm stay float32.
     """
-    poses = thin_poses(checkpoint.prior_poses)
-    tensors = {PRIOR_ROTATION: torch.from_numpy(poses.rotation), PRIOR_TRANSLATION: torch.from_numpy(poses.translation)}
+    import torch
+
+    tensors = {name: torch.as_tensor(value) for name, value in description_arrays(checkpoint).items()}
     for name, value in checkpoint.state_dict.items():
         smaller = store_float16 and value.is_floating_point() and value.ndim > 1
         tensors[NETWORK + name] = value.to(torch.float16) if smaller else value
-    if checkpoint.familiarity is not None:
-        tensors |= familiarity_tensors(checkpoint.familiarity)
-    if checkpoint.memory is not None:
-        tensors |= memory_tensors(checkpoint.memory, store_float16=store_float16)
-    config = {
-        "network": asdict(checkpoint.network),
-        "box": asdict(checkpoint.box),
-        "calibration": stored_calibration(checkpoint.calibration),
-        "training": with_stored_names(checkpoint.training),
-        "camera": None if checkpoint.camera is None else asdict(checkpoint.camera),
-    }
-    metadata = {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config, allow_nan=False)}
-    write_safetensors(path, tensors, metadata)
+    for name, value in checkpoint.memory.tensors().items() if checkpoint.memory else ():
+        tensors[MEMORY + name] = value.to(torch.float16) if store_float16 and name in HALVED_MEMORY else value
+    write_safetensors(path, tensors, description_metadata(checkpoint))
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -84,52 +64,71 @@ def load_checkpoint(path: Path) -> Checkpoint:
     Raises:
         CheckpointError: no such file, no safetensors file, a damaged one, another format or version, a configuration
             with missing, surplus or unusable values, tensors that are missing, surplus, misshapen, of another type or
-            not finite, or prior poses that are not rigid.
+            not finite, or poses that are not rigid.
     """
-    metadata, tensors = read_safetensors(path)
-    found = metadata.get("format")
-    if found != FORMAT:
-        raise CheckpointError(f"{path}: format is {quoted(found)} in its metadata, expected {FORMAT!r}")
-    version = metadata.get("version")
-    if version not in (str(VERSION), _BEFORE_MISTAKES, _BEFORE_GROWTH, *_BEFORE_ERRORS):
-        older = " or ".join(f"'{number}'" for number in _BEFORE_ERRORS)
-        raise CheckpointError(
-            f"{path}: format version is {version!r}, expected '{VERSION}', '{_BEFORE_MISTAKES}' or '{_BEFORE_GROWTH}',"
-            f" or {older} of which network and scene are taken; train the model anew"
-        )
-    config = parse_metadata(path, metadata.get("config"))
-    network = config.get("network")
-    if version == _BEFORE_SHORTCUT and isinstance(network, dict):
-        network = network | _NO_SHORTCUT
-    network = parse_config(path, "network", NetworkConfig, network)
-    box = parse_box(path, config.get("box"))
-    training = config.get("training")
-    if not isinstance(training, dict):
-        raise CheckpointError(f"{path}: training is {type(training).__name__} in its configuration, expected an object")
+    import torch
 
+    from vapor.regressors.memory import Memory
+
+    metadata, tensors = read_stored(path)
+    config = parse_stored_config(path, metadata)
     with torch.device("meta"):  # names and shapes only, no memory
-        regressor = make_regressor(network, box)
-        expected = regressor.state_dict()
-        known = familiarity_like(tensors, description_size(regressor)) | memory_like(tensors, regressor)
-    check_tensors(path, tensors, {NETWORK + name: value for name, value in expected.items()} | known)
-    state = {name: tensors[NETWORK + name] for name in expected}
-    state = {name: value.float() if value.is_floating_point() else value for name, value in state.items()}
-    poses = Poses(tensors[PRIOR_ROTATION].double().numpy(), tensors[PRIOR_TRANSLATION].double().numpy())
-    if version in _BEFORE_ERRORS:
-        parse = partial(parse_former_calibration, prior_poses=poses)
-    else:
-        parse = partial(
-            parse_calibration, missing={_BEFORE_MISTAKES: _NO_MISTAKES, _BEFORE_GROWTH: _NO_GROWTH}.get(version, {})
-        )
-    calibration = parse(path, config.get("calibration"))
-    familiarity = read_familiarity(path, tensors) if any(name.startswith(FAMILIARITY) for name in known) else None
-    camera = parse_camera(path, config.get("camera"))
-    memory = read_memory(path, tensors) if regressor.recalling else None
-    unchecked = f"{path.name} was written before model files had checksums: whether it is damaged cannot be told"
-    notices = () if CHECKSUM in metadata else (unchecked,)
-    return Checkpoint(network, box, calibration, poses, state, training, familiarity, camera, memory, notices)
+        regressor = make_regressor(config.network, config.box)
+    weights = regressor.state_dict()
+    recalling = regressor.recalling
+    expected = {NETWORK + name: (tuple(v.shape), str(v.dtype).removeprefix("torch.")) for name, v in weights.items()}
+    known = familiarity_shapes(tensors, description_size(config.network.backbone))
+    remembered = {} if recalling is None else memory_shapes(tensors, recalling.memory_shapes())
+    check_tensors(path, tensors, {**expected, **known, **remembered})
+    model = parse_description(path, config, tensors, "")
+
+    def read(name: str) -> torch.Tensor:
+        tensor = tensors[name].tensor()
+        return tensor.float() if tensor.is_floating_point() else tensor
+
+    memory = None if recalling is None else Memory(**{f.name: read(MEMORY + f.name) for f in fields(Memory)})
+    return Checkpoint(
+        config.network,
+        config.box,
+        model.calibration,
+        model.prior_poses,
+        {name: read(NETWORK + name) for name in weights},
+        config.training,
+        model.familiarity,
+        model.camera,
+        memory,
+        model.notices,
+        path,
+    )
+
+
+def load_description(path: Path) -> ModelDescription:
+    """Read what a model file says beside its weights, which are not looked at but for their digest; without torch.
+
+    Raises:
+        CheckpointError: as `load_checkpoint`, but for the weights.
+    """
+    metadata, tensors = read_stored(path)
+    config = parse_stored_config(path, metadata)
+    weights = {name: value for name, value in tensors.items() if name.startswith((NETWORK, MEMORY))}
+    rest = {name: value for name, value in tensors.items() if name not in weights or name.removeprefix(MEMORY) in POSES}
+    check_tensors(path, rest, shapes_beside_weights(config, rest))
+    return parse_description(path, config, rest, _digest(config, weights))
+
+
+def shapes_beside_weights(config: StoredConfig, tensors: Mapping[str, StoredTensor]) -> Shapes:
+    """What of its description a file must have as tensors, beside the prior poses."""
+    known = familiarity_shapes(tensors, description_size(config.network.backbone))
+    return {**known, **(memory_shapes(tensors, POSES) if MEMORY_ROTATION in tensors else {})}
 
 
 def is_model(path: Path) -> bool:
     """Whether a file is a model of any version of this package, by what it says of itself."""
     return format_of(path) == FORMAT
+
+
+def _digest(config: StoredConfig, weights: Mapping[str, StoredTensor]) -> str:
+    """As `Checkpoint.network_sha256`."""
+    network = {name.removeprefix(NETWORK): float32(v) for name, v in weights.items() if name.startswith(NETWORK)}
+    memory = [float32(weights[MEMORY + name]) for name in MEMORY_FIELDS if MEMORY + name in weights]
+    return network_sha256(config.network, config.box, network, memory)

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
+from types import MappingProxyType
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from filtering.errors import VaporTrackError
-from vapor.regressors.base import PoseRegressor
+from filtering.se3 import Poses
+from vapor.checkpoints.description import poses_of
 from vapor.regressors.familiarity import Familiarity
-from vapor.regressors.memory import Memory
-from vapor.tensor_files import CheckpointError
+from vapor.tensor_files import FLOATS, CheckpointError, StoredTensor
 
 NETWORK = "network."
 FAMILIARITY = "familiarity."
@@ -21,65 +21,85 @@ MEMORY = "memory."
 """What the names of tensors begin with in a file: weights of the network, what is familiar to it, what it remembers."""
 PRIOR_ROTATION, PRIOR_TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
 """Names of the tensors that hold the prior poses."""
-_MEMORY_FLOAT16 = "keys", "views"  # poses are exact
-_FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+MEMORY_ROTATION, MEMORY_TRANSLATION = f"{MEMORY}rotation", f"{MEMORY}translation"
+"""Names of the tensors that hold the poses of what is remembered."""
+MEMORY_FIELDS = "keys", "views", "translation", "rotation"
+"""What is remembered of training images, in the order of `Memory`."""
+HALVED_MEMORY = "keys", "views"
+"""What of a memory is stored as float16 where that is asked for: poses are exact."""
+POSES: Mapping[str, tuple[int, ...]] = MappingProxyType({"rotation": (3, 3), "translation": (3,)})
+"""Shapes of what is remembered of an image by every regressor that remembers."""
 _ORTHONORMAL_WITHIN = 1e-3
 
+Shapes = Mapping[str, tuple[tuple[int, ...], str]]
+"""Of each expected tensor: shape and type; any floating one will do for float32."""
 
-def check_tensors(path: Path, tensors: Mapping[str, Tensor], network: Mapping[str, Tensor]) -> None:
+
+def check_tensors(path: Path, tensors: Mapping[str, StoredTensor], beside_poses: Shapes) -> None:
     """Check that exactly the expected tensors and the prior poses are there: shapes, types, finite, rotations.
 
     Args:
         path: The file, for messages.
         tensors: What was found.
-        network: Tensors of the shapes and types (floating or not) that the network, what is familiar to it and its
-            memory have.
+        beside_poses: Weights of the network, what is familiar to it and its memory.
     """
-    expected = network.keys() | {PRIOR_ROTATION, PRIOR_TRANSLATION}
+    expected = beside_poses.keys() | {PRIOR_ROTATION, PRIOR_TRANSLATION}
     for what, names in (("lacks", expected - tensors.keys()), ("has surplus", tensors.keys() - expected)):
         if names:
             raise CheckpointError(
                 f"{path}: {what} tensor {min(names)} ({len(names)} such), expected exactly the {len(expected)} tensors"
                 " of its configuration"
             )
-    count = tensors[PRIOR_TRANSLATION].shape[0] if tensors[PRIOR_TRANSLATION].ndim else 0
+    shape = tensors[PRIOR_TRANSLATION].shape
+    count = shape[0] if shape else 0
     if count == 0:
         raise CheckpointError(f"{path}: tensor {PRIOR_TRANSLATION} is empty, expected at least one training pose")
-    poses = {PRIOR_ROTATION: torch.empty(count, 3, 3), PRIOR_TRANSLATION: torch.empty(count, 3)}
-    for name, like in {**network, **poses}.items():
+    poses = {PRIOR_ROTATION: ((count, 3, 3), "float32"), PRIOR_TRANSLATION: ((count, 3), "float32")}
+    for name, (shape, dtype) in {**beside_poses, **poses}.items():
         found = tensors[name]
-        if found.shape != like.shape:
-            raise CheckpointError(f"{path}: tensor {name} has shape {tuple(found.shape)}, expected {tuple(like.shape)}")
-        kinds = _FLOATS if like.is_floating_point() else (like.dtype,)
+        if found.shape != shape:
+            raise CheckpointError(f"{path}: tensor {name} has shape {found.shape}, expected {shape}")
+        kinds = FLOATS if dtype in FLOATS else (dtype,)
         if found.dtype not in kinds:
-            raise CheckpointError(f"{path}: tensor {name} is of {found.dtype}, expected {' or '.join(map(str, kinds))}")
-        if not torch.isfinite(found).all():
+            wanted = " or ".join(f"torch.{kind}" for kind in kinds)
+            raise CheckpointError(f"{path}: tensor {name} is of torch.{found.dtype}, expected {wanted}")
+        if not np.isfinite(found.array()).all():
             raise CheckpointError(f"{path}: tensor {name} has values that are not finite")
-    _require_rotations(path, PRIOR_ROTATION, tensors[PRIOR_ROTATION])
+    for name in (PRIOR_ROTATION, *({MEMORY_ROTATION} & tensors.keys())):
+        _require_rotations(path, name, tensors[name].array())
 
 
-def _require_rotations(path: Path, name: str, matrices: Tensor) -> None:
-    rotation = matrices.double()
-    skew = (rotation.mT @ rotation - torch.eye(3, dtype=torch.float64)).abs().amax(dim=(1, 2))
-    wrong = ~((skew <= _ORTHONORMAL_WITHIN) & (torch.linalg.det(rotation) > 0))
+def _require_rotations(path: Path, name: str, matrices: np.ndarray) -> None:
+    rotation = matrices.astype(np.float64)
+    skew = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(axis=(1, 2))
+    wrong = ~((skew <= _ORTHONORMAL_WITHIN) & (np.linalg.det(rotation) > 0))
     if wrong.any():
         raise CheckpointError(
             f"{path}: tensor {name} has {int(wrong.sum())} matrices that are not rotations, the first is number"
-            f" {int(wrong.int().argmax())}; expected RᵀR = I within {_ORTHONORMAL_WITHIN} and det R = 1"
+            f" {int(wrong.argmax())}; expected RᵀR = I within {_ORTHONORMAL_WITHIN} and det R = 1"
         )
 
 
-def familiarity_tensors(familiarity: Familiarity) -> dict[str, Tensor]:
+def float32(tensor: StoredTensor) -> np.ndarray:
+    """Numbers as a model is used with: floating ones as float32, whole ones as they are."""
+    return tensor.array().astype(np.float32) if tensor.dtype in FLOATS else tensor.array()
+
+
+def read_poses(tensors: Mapping[str, StoredTensor], rotation: str, translation: str) -> Poses:
+    """Poses (n,) from tensors that were checked, by their names."""
+    return poses_of(tensors[rotation].array(), tensors[translation].array())
+
+
+def familiarity_arrays(familiarity: Familiarity) -> dict[str, np.ndarray]:
     """What is familiar to a network, as it is stored: matrices as float16, the rest as float32."""
-    found = {name: torch.as_tensor(value) for name, value in vars(familiarity).items()}
+    found = {each.name: np.asarray(getattr(familiarity, each.name)) for each in fields(Familiarity)}
     return {
-        FAMILIARITY + name: value.to(torch.float16 if value.ndim == 2 else torch.float32)
-        for name, value in found.items()
+        FAMILIARITY + name: value.astype(np.float16 if value.ndim == 2 else np.float32) for name, value in found.items()
     }
 
 
-def familiarity_like(tensors: Mapping[str, Tensor], size: int) -> dict[str, Tensor]:
-    """Tensors of the names and shapes that `familiarity_tensors` must have in a file; none if the file has none.
+def familiarity_shapes(tensors: Mapping[str, StoredTensor], size: int) -> Shapes:
+    """What of `familiarity_arrays` a file must have; none if it has none of it.
 
     Args:
         tensors: Of the file; its exemplars say how many exemplars and axes there should be.
@@ -88,58 +108,36 @@ def familiarity_like(tensors: Mapping[str, Tensor], size: int) -> dict[str, Tens
     if not any(name.startswith(FAMILIARITY) for name in tensors):
         return {}
     exemplars = tensors.get(FAMILIARITY + "exemplars")
-    shape = exemplars.shape if exemplars is not None and exemplars.ndim == 2 else (1, 1)
+    shape = exemplars.shape if exemplars is not None and len(exemplars.shape) == 2 else (1, 1)
     count, axes = (max(1, number) for number in shape)
     shapes = {
         "centre": (size,), "scale": (size,), "axes": (size, axes), "stretch": (axes,), "exemplars": (count, axes),
         "own_distance": (), "threshold": (),
     }  # fmt: skip
-    return {FAMILIARITY + name: torch.empty(shape) for name, shape in shapes.items()}
+    return {FAMILIARITY + name: (shape, "float32") for name, shape in shapes.items()}
 
 
-def read_familiarity(path: Path, tensors: Mapping[str, Tensor]) -> Familiarity:
-    """What is familiar to a network, from tensors whose names and shapes were checked.
+def read_familiarity(path: Path, tensors: Mapping[str, StoredTensor]) -> Familiarity:
+    """What is familiar to a network, from tensors that were checked.
 
     Raises:
         CheckpointError: values that cannot be used.
     """
-    found = {name: tensors[FAMILIARITY + name].float() for name in (f.name for f in fields(Familiarity))}
+    found = {name: float32(tensors[FAMILIARITY + name]) for name in (f.name for f in fields(Familiarity))}
     try:
         numbers = {name: float(found.pop(name)) for name in ("own_distance", "threshold")}
-        return Familiarity(**{name: value.numpy() for name, value in found.items()}, **numbers)  # pyright: ignore[reportArgumentType]
+        return Familiarity(**found, **numbers)
     except VaporTrackError as error:
         raise CheckpointError(f"{path}: {error}") from error
 
 
-def memory_tensors(memory: Memory, *, store_float16: bool) -> dict[str, Tensor]:
-    """What a retrieval regressor remembers, as it is stored: poses always in full precision."""
-    return {
-        MEMORY + name: value.to(torch.float16) if store_float16 and name in _MEMORY_FLOAT16 else value
-        for name, value in memory.tensors().items()
-    }
-
-
-def memory_like(tensors: Mapping[str, Tensor], regressor: PoseRegressor) -> dict[str, Tensor]:
-    """Tensors of the names and shapes that `memory_tensors` must have in a file; none for regressors without a memory.
+def memory_shapes(tensors: Mapping[str, StoredTensor], of_one_image: Mapping[str, tuple[int, ...]]) -> Shapes:
+    """What a file must have of what a retrieval regressor remembers.
 
     Args:
-        tensors: Of the file; its keys say how many images there should be.
-        regressor: The network of the file.
+        tensors: Of the file; the first of those expected says how many images there should be.
+        of_one_image: Shapes of what is remembered of one image, by name.
     """
-    recalling = regressor.recalling
-    if recalling is None:
-        return {}
-    keys = tensors.get(MEMORY + "keys")
-    count = max(1, len(keys)) if keys is not None and keys.ndim == 2 else 1
-    return {MEMORY + name: torch.empty(count, *shape) for name, shape in recalling.memory_shapes().items()}
-
-
-def read_memory(path: Path, tensors: Mapping[str, Tensor]) -> Memory:
-    """What a retrieval regressor remembers, from tensors whose names and shapes were checked.
-
-    Raises:
-        CheckpointError: matrices that are not rotations.
-    """
-    memory = Memory(**{field.name: tensors[MEMORY + field.name].float() for field in fields(Memory)})
-    _require_rotations(path, MEMORY + "rotation", memory.rotation)
-    return memory
+    first = [tensors[MEMORY + name].shape for name in of_one_image if MEMORY + name in tensors][:1]
+    count = max(1, first[0][0]) if first and first[0] else 1
+    return {MEMORY + name: ((count, *shape), "float32") for name, shape in of_one_image.items()}

@@ -19,7 +19,7 @@ from vapor.calibration.places import REGIONS
 from vapor.checkpoints.file_format import is_model
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_notices, show_skipped, usage_error
-from vapor.observation import Device
+from vapor.engines.device import Device
 from vapor.training_data.entries import files_read
 
 

@@ -25,9 +25,11 @@ from vapor.commands.console import (
     usage_error,
 )
 from vapor.commands.inspect_tables import show_inspection
+from vapor.engines.device import Device
+from vapor.engines.engine import EngineConfig
 from vapor.inspection.inspect import inspect
 from vapor.inspection.picture import draw_map
-from vapor.observation import Device, VaporObservationModel
+from vapor.observation import VaporObservationModel
 from vapor.reporting.report import write_report
 from vapor.training_data.entries import files_read
 
@@ -54,6 +56,7 @@ class Options:
     """Of the samples."""
     device: Device = "auto"
     """Where the network runs."""
+    network: Annotated[EngineConfig, tyro.conf.arg(name="")] = EngineConfig()
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
     def __post_init__(self) -> None:
@@ -69,7 +72,13 @@ def main(arguments: Sequence[str]) -> None:
     with _outputs(o) as directory:
         model = None
         if o.model is not None:
-            model = VaporObservationModel.from_checkpoint(o.model, num_samples=o.num_samples, device=o.device)
+            model = VaporObservationModel.from_checkpoint(
+                o.model,
+                num_samples=o.num_samples,
+                device=o.device,
+                engine=o.network.engine,
+                precision=o.network.precision,
+            )
         with progress_of("inspect") as advance:
             found = inspect(o.data, o.reading, model=model, seed=o.seed, progress=advance)
         if directory is not None:

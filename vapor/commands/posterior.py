@@ -16,12 +16,14 @@ from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read
 from sequences.outputs.claims import refuse_other
-from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
+from vapor.engines.device import Device
+from vapor.engines.engine import EngineConfig
+from vapor.engines.start import describe
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.trajectory import THRESHOLDS
-from vapor.observation import Device, VaporObservationModel
+from vapor.observation import VaporObservationModel
 from vapor.reporting.drawing import is_picture
 from vapor.reporting.posterior_pictures import draw_posterior
 
@@ -47,6 +49,7 @@ class Options:
     """Of the samples."""
     device: Device = "auto"
     """Where the network runs."""
+    network: Annotated[EngineConfig, tyro.conf.arg(name="")] = EngineConfig()
 
     def __post_init__(self) -> None:
         if self.image < 0 or self.seed < 0:
@@ -61,16 +64,23 @@ def main(arguments: Sequence[str]) -> None:
     file = find_model(o.model)
     reads = chain([file], files_read(o.data))
     refuse_other(o.output, "picture of vapor-track", is_picture, reads=reads, overwrite=o.overwrite)
-    checkpoint = load_checkpoint(file)
+    described = describe(file)
     frame = next(posed_frames(o.data, frames=slice(o.image, o.image + 1)))
-    model = VaporObservationModel(checkpoint, num_samples=o.num_samples, device=o.device, camera=frame.camera)
+    model = VaporObservationModel(
+        described,
+        num_samples=o.num_samples,
+        device=o.device,
+        camera=frame.camera,
+        engine=o.network.engine,
+        precision=o.network.precision,
+    )
     truth = frame.world_from_camera
     assert truth is not None  # `posed_frames` yields no other
     samples = model.observe(frame.image, rng=np.random.default_rng(o.seed)).samples
     title = f"{o.data.name}, image {o.image} at {frame.time_ns / 1e9:.3f} s"
-    surroundings = model.checkpoint.prior_poses.translation
+    surroundings = model.description.prior_poses.translation
     draw_posterior(o.output, samples, image=frame.image, surroundings=surroundings, truth=truth, title=title)
-    figures = posterior_metrics([samples], Poses.stack([truth]), model.checkpoint.calibration, gamma=o.gamma)
+    figures = posterior_metrics([samples], Poses.stack([truth]), model.description.calibration, gamma=o.gamma)
     near = [t for t in THRESHOLDS if figures["recall"][t]]
     best = figures["mode"]
     fraction = f"{o.gamma:.0%} of the samples within"

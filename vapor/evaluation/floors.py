@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.signal import find_peaks
 
 from filtering.se3 import Poses
 from vapor.evaluation.trajectory import is_right
@@ -29,6 +28,8 @@ def find_floors(
         heights_m: Heights of the positions, metres.
         cells: Number of the cell of the plan that each is in.
     """
+    from scipy.signal import find_peaks  # loads all of SciPy's signals and statistics, which takes a while
+
     one = np.zeros(len(heights_m), np.int64), 1
     order = np.lexsort((heights_m, cells))
     gaps = np.diff(heights_m[order])

@@ -18,9 +18,9 @@ from filtering.errors import VaporTrackError, require_within
 from sequences.atomic import atomic_output, workspace
 from sequences.files.structured import read_json
 from vapor.cache import digest
+from vapor.engines.device import resolve_device
 from vapor.experiments.scenes import Scene, identities, render_scenes, rendered_height
 from vapor.experiments.training_runs import trained_from
-from vapor.observation import resolve_device
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
 from vapor.training.progress import Progress

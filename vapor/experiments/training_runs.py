@@ -18,10 +18,10 @@ from vapor.benchmark.recordings.storage import from_rows, to_rows
 from vapor.cache import digest
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.thinning import spaced
+from vapor.engines.device import resolve_device
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import exact_log_density, predict
 from vapor.experiments.scenes import Scene, identities, identity
-from vapor.observation import resolve_device
 from vapor.parallel import in_parallel
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.run import run

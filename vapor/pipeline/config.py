@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
+from vapor.engines.device import Device
+from vapor.engines.engine import EngineConfig
 
 
 @dataclass(frozen=True)
@@ -28,12 +29,12 @@ class FilteringConfig:
 
 
 @dataclass(frozen=True)
-class RunConfig(FilteringConfig):
+class RunConfig(EngineConfig, FilteringConfig):
     """Settings of a run with a regressor, beside the sequence and the model."""
 
     num_samples: int = 1000
     """Posterior samples per image."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: Device = "auto"
     """Where the network runs."""
     threads: int = 1
     """Processor threads of the network: more help a large network on an idle machine, and slow down a busy one."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import resource
-import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -16,20 +15,18 @@ import numpy as np
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
-from filtering.posterior import ObservationModel
+from filtering.posterior import ObservationModel, PosePosterior
 from filtering.smoothing import agreement
 from sequences.estimates.sequence import EstimateSequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
-from sequences.recordings.estimate_writer import EstimateWriter
+from vapor.pipeline.ahead import ahead
 from vapor.pipeline.config import FilteringConfig
+from vapor.reporting.beside import outputs_beside
 from vapor.reporting.record import RunRecord
-from vapor.reporting.recorder import RunRecorder
-from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.reporting.viewer import NullViewer
 from vapor.tracking.history import History
 from vapor.tracking.loop import StepLoop
-from vapor.tracking.methods import poses_at_end, start_baselines
+from vapor.tracking.methods import poses_at_end
 
 PUBLISHED_PARTICLES = 500
 """How many particles of each image go into `estimate.mcap`."""
@@ -67,36 +64,51 @@ def localize(
     if odometry_fit is not None:
         settings = replace(settings, slow_errors=odometry_fit.slow_errors)
     localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
-    loop = StepLoop(localizer, start_baselines(settings, lambda: np.random.default_rng(config.seed)))
-    recorder, history = RunRecorder(), History()
-    recording = directory / "recording.rrd" if config.recording else None
-    viewer = RerunViewer(recording, spawn=config.view) if recording or config.view else NullViewer()
-    with viewer, EstimateWriter(directory / "estimate.mcap") as writer:
-        for frame in source:
-            if frame.odometry is not None and odometry_fit is not None:
-                frame = replace(frame, odometry=odometry_fit.restated(frame.odometry))
-            try:
-                step = loop.step(frame.time_ns, partial(localizer.observe, observed(frame)), frame.odometry)
-            except VaporTrackError as error:
-                raise VaporTrackError(f"{source.path}: image at {frame.time_ns} ns: {error}") from error
-            history.add(step, frame.odometry)
-            recorder.add(frame, step)
-            modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in step.estimate.modes]
-            writer.write(frame.time_ns, modes, step.estimate.cloud(PUBLISHED_PARTICLES))
-            viewer.log(frame, step.estimate, step.posterior.samples)
-            if progress is not None:
-                progress(len(recorder), source.num_images)
-    if source.counts.are_very_few and not allow_few_images:
-        raise VaporTrackError(
-            f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes fewer)"
-        )
-    record = recorder.finish(skipped=source.skipped, images=source.counts)
+    loop = StepLoop(localizer)
+    history = History()
+
+    def posteriors(frames: Iterable[Any]) -> Iterator[tuple[Any, PosePosterior, float]]:
+        for frame in frames:
+            begin = time.perf_counter()
+            with _about(frame, source):
+                posterior = localizer.observe(observed(frame))
+            yield frame, posterior, 1e3 * (time.perf_counter() - begin)
+
+    # Stage by stage: an image is read and seen by the network while the filter has the one before, and written later.
+    outputs_of_run = outputs_beside(
+        directory,
+        settings,
+        seed=config.seed,
+        recording=config.recording,
+        view=config.view,
+        particles=PUBLISHED_PARTICLES,
+    )
+    with outputs_of_run as outputs:
+        with ahead(source) as frames, ahead(posteriors(frames)) as observations:
+            for number, (frame, posterior, observe_ms) in enumerate(observations, start=1):
+                if frame.odometry is not None and odometry_fit is not None:
+                    frame = replace(frame, odometry=odometry_fit.restated(frame.odometry))
+                with _about(frame, source):
+                    step = loop.step(frame.time_ns, posterior, frame.odometry, observe_ms=observe_ms)
+                history.add(step, frame.odometry)
+                outputs.add(frame, step)
+                if progress is not None:
+                    progress(number, source.num_images)
+        if source.counts.are_very_few and not allow_few_images:
+            raise VaporTrackError(
+                f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes"
+                " fewer)"
+            )
+        record = outputs.finish(skipped=source.skipped, images=source.counts)
     at_end = poses_at_end(history, errors, settings)
     fits = agreement(at_end["smoothed"], record.times_ns, history.evidence, errors)
-    return replace(record.with_methods(at_end, smoothed_agreement=fits), peak_rss_mb=peak_rss_mb())
+    return record.with_methods(at_end, smoothed_agreement=fits)
 
 
-def peak_rss_mb() -> float:
-    """Peak resident memory of this process, MiB."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+@contextmanager
+def _about(frame: Any, source: SequenceReader | EstimateSequence) -> Iterator[None]:
+    """Say of an error which image it is about."""
+    try:
+        yield
+    except VaporTrackError as error:
+        raise VaporTrackError(f"{source.path}: image at {frame.time_ns} ns: {error}") from error

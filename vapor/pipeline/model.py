@@ -40,6 +40,11 @@ def load_model(model: str, config: RunConfig) -> LoadedModel:
     """
     checkpoint = find_model(model)
     observation = VaporObservationModel.from_checkpoint(
-        str(checkpoint), num_samples=config.num_samples, device=config.device
+        str(checkpoint),
+        num_samples=config.num_samples,
+        device=config.device,
+        engine=config.engine,
+        precision=config.precision,
+        threads=config.threads,
     )
     return LoadedModel(Path(model).name, checkpoint, hashlib.sha256(checkpoint.read_bytes()).hexdigest(), observation)

@@ -11,7 +11,8 @@ from typing import Any
 
 from sequences.atomic import atomic_output
 from sequences.trajectories.tum import write_tum
-from vapor.reporting.pictures import PICTURES, write_pictures
+from vapor.reporting.beside import write_pictures
+from vapor.reporting.pictures import PICTURES
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import build_report, doubtful_notice, write_report, write_status
 from vapor.stored_names import with_stored_names

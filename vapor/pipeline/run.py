@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from filtering.se3 import Poses
 from sequences.options import SequenceOptions
 from sequences.outputs.results import results_folder
 from sequences.reader import SequenceReader
@@ -72,7 +71,7 @@ def run_into(
     observation = model.observation.seen_by(reader.camera)
 
     with limited_threads(config.threads):
-        calibration = observation.checkpoint.calibration
+        calibration = observation.description.calibration
         fit = calibration.odometry if config.fitted_odometry else None
         record = localize(
             reader,
@@ -84,8 +83,8 @@ def run_into(
             allow_few_images=reading.allow_few_images,
             progress=progress,
         )
-        device = str(observation.device)
-        settings = {"run": asdict(config) | {"device": device}, "reading": asdict(reading) | reader.resolved}
+        engine = {"device": observation.engine.device, "engine": observation.engine.name}
+        settings = {"run": asdict(config) | engine, "reading": asdict(reading) | reader.resolved}
         settings = {
             "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
             "model": {"name": model.name, "sha256": model.sha256},
@@ -93,7 +92,6 @@ def run_into(
         }
         result = write_results(record, directory, settings, title=sequence.name)
         notices = [*reader.notices, *observation.notices, *result.notices]
-        if (memory := observation.checkpoint.memory) is not None:
-            trained = Poses(memory.rotation.double().numpy(), memory.translation.double().numpy())
+        if (trained := observation.description.memory_poses) is not None:
             notices += [told] if (told := told_unshown(record.methods["smoothed"].poses, trained)) else []
         return replace(result, notices=tuple(notices))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import torch
 from jaxtyping import Float
+from scipy.special import ndtri
 from torch import Tensor
 
 from vapor.regressors.network_config import NetworkConfig
@@ -27,5 +28,5 @@ class DropoutRegressor(PointRegressor):
         """Poses without the units whose noise is among the least."""
         with torch.autocast(feature.device.type, enabled=False):
             dropped = self.config.dropout
-            kept = noise > torch.special.ndtri(torch.tensor(dropped, dtype=torch.float64))
+            kept = noise > float(ndtri(dropped))
             return self.pose_map((feature / (1.0 - dropped))[:, None] * kept)

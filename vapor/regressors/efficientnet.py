@@ -86,7 +86,6 @@ class EfficientNetLite0(nn.Module):
     def __init__(self, num_classes: int | None = None) -> None:
         super().__init__()
         self.num_features = 1280
-        self.stage_channels = (24, 40, 112, 320)
         self._conv_stem = _conv(3, 32, 3, stride=2)
         self._bn0 = _norm(32)
         blocks: list[nn.Module] = []
@@ -106,7 +105,7 @@ class EfficientNetLite0(nn.Module):
 
     @property
     def stages(self) -> tuple[nn.Module, ...]:
-        """Modules whose outputs are the image at four depths, with `stage_channels` channels."""
+        """Modules whose outputs are the image at four depths, with `backbones.stage_channels` channels."""
         return tuple(self._blocks[number] for number in _STAGE_ENDS)
 
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:

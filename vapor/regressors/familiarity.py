@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 
 import numpy as np
-import torch
-from jaxtyping import Float, Float32, Float64, UInt8
-from torch import Tensor, nn
-from torch.nn import functional
+from jaxtyping import Float32, Float64
 
 from filtering.errors import VaporTrackError
-from vapor.regressors.base import PoseRegressor
+from vapor.regressors.backbones import Backbone, stage_channels
 
 LEAST_IMAGES = 50
 QUANTILE = 0.995
 """Fraction of images that are no further from the training images than counts as familiar."""
-_CELL_PX, _DARK = 4, 30.0
-_CHROMA_EDGES = (-0.1, -0.05, -0.03, -0.015, 0.0, 0.015, 0.03, 0.05, 0.1)
-CHROMA = 2 * (len(_CHROMA_EDGES) + 1)
+CHROMA_EDGES = (-0.1, -0.05, -0.03, -0.015, 0.0, 0.015, 0.03, 0.05, 0.1)
+"""Bounds between kinds of colours."""
+CHROMA = 2 * (len(CHROMA_EDGES) + 1)
 """How many of the numbers in a description of an image tell of its colours; they come last."""
 
 
@@ -27,9 +24,9 @@ CHROMA = 2 * (len(_CHROMA_EDGES) + 1)
 class Familiarity:
     """What the training images of a network look like to it.
 
-    An image is described by d numbers (`Describer`). Less the mean and in units of `scale`, they are projected on p
-    principal axes, and stretched. The distance of two images is Euclidean there; what the axes leave over of an
-    image is one coordinate more, in which training images are at 0.
+    An image is described by d numbers (`vapor.regressors.describer`). Less the mean and in units of `scale`, they are
+    projected on p principal axes, and stretched. The distance of two images is Euclidean there; what the axes leave
+    over of an image is one coordinate more, in which training images are at 0.
 
     Attributes:
         centre: Mean description of training images.
@@ -71,61 +68,24 @@ class Familiarity:
         distance = float(np.quantile(self._distances(held_out).min(axis=1), QUANTILE))
         return replace(self, threshold=max(self.own_distance, distance))
 
+    @cached_property
+    def _precise(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Axes, exemplars and their squared norms in float64: made once, as they are as large for every image."""
+        exemplars = self.exemplars.astype(np.float64)
+        return self.axes.astype(np.float64), exemplars.T, (exemplars**2).sum(axis=1)
+
     def _distances(self, descriptions: Float32[np.ndarray, "m d"]) -> Float64[np.ndarray, "m n"]:
+        axes, exemplars, squares = self._precise
         standard = ((descriptions - self.centre) / self.scale).astype(np.float64)
-        projected = standard @ self.axes
+        projected = standard @ axes
         left_over = (standard**2).sum(axis=1) - (projected**2).sum(axis=1)
         projected *= self.stretch
-        squared = (projected**2).sum(axis=1)[:, None] + (self.exemplars.astype(np.float64) ** 2).sum(axis=1)
-        squared -= 2.0 * projected @ self.exemplars.T.astype(np.float64)
+        squared = (projected**2).sum(axis=1)[:, None] + squares
+        squared -= 2.0 * projected @ exemplars
         squared = np.maximum(squared, 0.0) + np.maximum(left_over, 0.0)[:, None] * float(self.stretch[-1]) ** 2
         return np.sqrt(squared)
 
 
-class Describer:
-    """Describes images by what the network's backbone makes of them on its way to a pose.
-
-    The mean of every channel after each of four stages, and, as a network trained under changing colours says little
-    of them, how common which colours are: histograms of how much more red, and more blue, than green there is in
-    cells of 4 × 4 pixels, as square roots. It listens to the network: the last batch that went through is described.
-    A context manager stops listening at its end.
-
-    Args:
-        network: Listened to from now on.
-    """
-
-    def __init__(self, network: PoseRegressor) -> None:
-        self._means: dict[int, Tensor] = {}
-        self._handles = [
-            stage.register_forward_hook(partial(self._listen, number))
-            for number, stage in enumerate(network.backbone.stages)
-        ]
-
-    def __enter__(self) -> Describer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for handle in self._handles:
-            handle.remove()
-
-    def last(self, images: UInt8[Tensor, "b h w 3"]) -> Float32[np.ndarray, "b d"]:
-        """Descriptions of the images of the last batch, RGB as they were before `PoseRegressor.normalise`."""
-        means = [self._means[number] for number in range(len(self._handles))]
-        return torch.cat([*means, _colours(images)], dim=1).cpu().numpy()
-
-    def _listen(self, number: int, _stage: nn.Module, _inputs: object, output: Tensor) -> None:
-        self._means[number] = output.detach().float().mean(dim=(2, 3))
-
-
-def description_size(network: PoseRegressor) -> int:
-    """d, how many numbers describe an image."""
-    return sum(network.backbone.stage_channels) + CHROMA
-
-
-def _colours(images: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b c"]:
-    cells = functional.avg_pool2d(images.permute(0, 3, 1, 2).float(), _CELL_PX).flatten(2)
-    red, green, blue = cells.unbind(dim=1)
-    chroma = torch.stack([red - green, blue - green], dim=1) / (cells.sum(dim=1, keepdim=True) + _DARK)
-    bins = torch.bucketize(chroma, torch.tensor(_CHROMA_EDGES, device=images.device), right=True)
-    kinds = torch.arange(len(_CHROMA_EDGES) + 1, device=images.device)
-    return (bins[..., None] == kinds).float().mean(dim=2).sqrt().flatten(1)
+def description_size(backbone: Backbone) -> int:
+    """d, how many numbers describe an image that a backbone looks at."""
+    return sum(stage_channels(backbone)) + CHROMA

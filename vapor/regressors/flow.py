@@ -22,6 +22,7 @@ from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.rotations import rodrigues
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.splines import Spline
+from vapor.regressors.traceable import normal_cdf
 
 _CIRCULAR = False, False, False, True, False, True  # x, y, z, a, c, g
 _OCTAVES = 4  # of sines and cosines in which a coordinate tells the later ones where it is
@@ -71,10 +72,11 @@ class FlowRegressor(DensityRegressor):
         """Draws, coordinate after coordinate through the inverse splines."""
         with torch.autocast(feature.device.type, enabled=False):
             condition = self.condition(feature)[:, None]
-            uniform = torch.special.ndtr(noise)
+            uniform = normal_cdf(noise)
             known: list[Tensor] = []
             for k, conditional in enumerate(self.conditionals):
-                known.append(conditional(condition, _waves(known, uniform)).inverse(uniform[..., k]))
+                spline = conditional(condition, _waves(known, uniform), noise.shape[1])
+                known.append(spline.inverse(uniform[..., k]))
             return self._pose(torch.stack(known, dim=-1))
 
     def log_density(
@@ -90,7 +92,7 @@ class FlowRegressor(DensityRegressor):
             inside = ((unit >= 0.0) & (unit <= 1.0)).all(dim=-1)
             known = unit.clamp(0.0, 1.0).unbind(dim=-1)
             slopes = [
-                conditional(condition, _waves(known[:k], unit)).log_slope(known[k])
+                conditional(condition, _waves(known[:k], unit), unit.shape[1]).log_slope(known[k])
                 for k, conditional in enumerate(self.conditionals)
             ]
             log_volume = (self.upper - self.lower).log().sum() + math.log(8 * math.pi**2)
@@ -157,9 +159,10 @@ class _Conditional(nn.Module):
         self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(config.hidden_layers))
         self.last = nn.Linear(width, 3 * config.components)
 
-    def forward(self, condition: Float[Tensor, "b 1 w"], before: Float[Tensor, "b n e"]) -> Spline:
+    def forward(self, condition: Float[Tensor, "b 1 w"], before: Float[Tensor, "b n e"], count: int | Tensor) -> Spline:
         hidden = self.first(condition)
-        hidden = hidden.expand(-1, before.shape[1], -1) if self.before is None else hidden + self.before(before)
+        # While a network is traced `count` is a tensor, and the shape of what is empty a constant.
+        hidden = hidden.expand(-1, count, -1) if self.before is None else hidden + self.before(before)
         hidden = functional.relu(hidden)
         for layer in self.hidden:
             hidden = functional.relu(layer(hidden))

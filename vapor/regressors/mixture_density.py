@@ -12,6 +12,7 @@ from torch import Tensor
 
 from vapor.regressors.base import DensityRegressor
 from vapor.regressors.rotations import rodrigues
+from vapor.regressors.traceable import count_below, normal_cdf
 
 _ANGLES = 257  # points at which the distribution of a rotation's angle is tabulated
 
@@ -54,13 +55,12 @@ class MixtureDensity(DensityRegressor):
     ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
         """Draws from the mixture."""
         log_weights, translation, rotation, widths = self.components(feature)
-        uniform = torch.special.ndtr(noise[..., 0])
-        which = torch.searchsorted(log_weights.exp().cumsum(dim=-1).contiguous(), uniform.contiguous())
+        which = count_below(log_weights.exp().cumsum(dim=-1), normal_cdf(noise[..., 0]))
         which = which.clamp_max(log_weights.shape[-1] - 1)
         row = torch.arange(len(which), device=which.device)[:, None]
         chosen = widths[row, which]
         position = translation[row, which] + chosen[..., :1] * noise[..., 1:4]
-        quantile = torch.special.ndtr(noise[..., 7])
+        quantile = normal_cdf(noise[..., 7])
         angle = _angle(widths[..., 1], which, quantile)
         axis = torch.nn.functional.normalize(noise[..., 4:7], dim=-1)
         return position, rotation[row, which] @ rodrigues(axis, angle)
@@ -105,8 +105,8 @@ def _angle(width_rad: Float[Tensor, "b k"], which: Tensor, quantile: Float[Tenso
     sums = torch.cumsum(density[..., 1:] + density[..., :-1], dim=-1)
     sums = torch.cat([torch.zeros_like(sums[..., :1]), sums], dim=-1) / sums[..., -1:]
     row = torch.arange(len(which), device=which.device)[:, None]
-    table, angles = sums[row, which].contiguous(), grid[row, which]
-    above = torch.searchsorted(table, quantile[..., None].contiguous()).clamp(1, _ANGLES - 1)
+    table, angles = sums[row, which], grid[row, which]
+    above = count_below(table, quantile[..., None]).clamp(1, _ANGLES - 1)
     low, high = table.gather(-1, above - 1), table.gather(-1, above)
     between = (quantile[..., None] - low) / (high - low).clamp_min(1e-12)
     return torch.lerp(angles.gather(-1, above - 1), angles.gather(-1, above), between.clamp(0.0, 1.0))[..., 0]

@@ -39,7 +39,6 @@ class ResNet18(nn.Module):
     def __init__(self, width: int = 64, num_classes: int | None = None) -> None:
         super().__init__()
         self.num_features = 8 * width
-        self.stage_channels = (width, 2 * width, 4 * width, 8 * width)
         self.conv1 = nn.Conv2d(3, width, 7, stride=2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(width)
         self.maxpool = nn.MaxPool2d(3, stride=2, padding=1)
@@ -55,7 +54,7 @@ class ResNet18(nn.Module):
 
     @property
     def stages(self) -> tuple[nn.Module, ...]:
-        """Modules whose outputs are the image at four depths, with `stage_channels` channels."""
+        """Modules whose outputs are the image at four depths, with `backbones.stage_channels` channels."""
         return self.layer1, self.layer2, self.layer3, self.layer4
 
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:

@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from vapor.regressors.backbones import stage_channels
 from vapor.regressors.loss import Loss, LossConfig, pose_distance
 from vapor.regressors.memory import Memory, RecallingRegressor
 from vapor.regressors.mixture_density import Components, MixtureDensity
@@ -53,7 +54,7 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
 
     def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
         super().__init__(config, box)
-        size = self.backbone.num_features + _GRID[0] * _GRID[1] * self.backbone.stage_channels[2]
+        size = self.backbone.num_features + _GRID[0] * _GRID[1] * stage_channels(config.backbone)[2]
         width = config.hidden_width
         self.backbone.requires_grad_(False).eval()
         self.feature = nn.Linear(size, config.feature_dim)

@@ -12,6 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from vapor.regressors.traceable import count_below
+
 _LEAST_WIDTH, _LEAST_HEIGHT = 1e-3, 1e-5  # of a bin: sharpest density, and what float32 resolves
 _STEEPEST = 3.0  # log ratio of the slope at a knot and that of the bins beside it, at most
 
@@ -61,7 +63,7 @@ class Spline:
 
     def _bin(self, knots: Tensor, at: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
         """x, y, width, height, and the slopes at both ends of the bin in which `at` lies among the knots."""
-        left = torch.searchsorted(knots[..., 1:-1].detach().contiguous(), at[..., None].contiguous(), right=True)
+        left = count_below(knots[..., 1:-1].detach(), at[..., None], or_equal=True)
         (x0, x1), (y0, y1), (first, second) = (
             (values.gather(-1, left)[..., 0], values.gather(-1, left + 1)[..., 0])
             for values in (self.x, self.y, self.slope)

@@ -17,12 +17,9 @@ _SOFTWARE = "vapor-track"  # as a PNG says that made it
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of so many inches, drawn without a window."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=120, layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(width, height), dpi=120, layout="constrained", facecolor="white")
 
 
 def add_title(figure: Figure, title: str) -> None:
@@ -41,8 +38,12 @@ def quiet_axes(ax: Axes) -> None:
 
 def save_figure(figure: Figure, path: Path) -> Path:
     """Write a PNG, the same bytes for the same figure; it appears under its name only when complete."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     with atomic_output(path) as partial:
-        figure.savefig(partial, format="png", metadata={"Software": _SOFTWARE})
+        # `savefig` would draw everything twice, and pack twice as long for a tenth of the bytes.
+        canvas = FigureCanvasAgg(figure)
+        canvas.print_png(partial, metadata={"Software": _SOFTWARE}, pil_kwargs={"compress_level": 3})
     return path
 
 

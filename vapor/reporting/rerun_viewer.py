@@ -15,6 +15,7 @@ from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
 from vapor.reporting.rerun_layout import blueprint, log_styles, rgb, weight_colors
 from vapor.reporting.rerun_recording import Recording
+from vapor.reporting.rerun_rows import Rows
 from vapor.reporting.rerun_shapes import as_jpeg, ellipsoid, frusta, stand_in_camera, thinned
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 _CLOUD_SIZE = 300
 _FRUSTA = 40  # samples of an image's posterior that are shown as cameras
-_EPOCH_NS = 10**17  # stamps below are seconds since some start, not since 1970
+_IMAGES_AT_ONCE = 32  # are sent, where nobody watches
 _JUMP_M = 0.5  # an estimate that moves so much farther than the odometry changed its mind
 _STATUS_LEVEL: dict[Status, float] = {"lost": 0.0, "ambiguous": 0.5, "converged": 1.0}
 
@@ -41,7 +42,7 @@ class RerunViewer:
     """
 
     def __init__(self, path: Path | None = None, *, spawn: bool = False, title: str = "vapor-track") -> None:
-        rr = _quiet_rerun()
+        rr = load_rerun()
         if path is None and not spawn:
             raise VaporTrackError("a viewer needs a recording to write or a window to open, got neither")
         self._recording: Recording | None = None
@@ -57,6 +58,7 @@ class RerunViewer:
             self._recording = Recording(path)
             sinks.append(rr.FileSink(self._recording.pipe))
         self._stream.set_sinks(*sinks, default_blueprint=blueprint())
+        self._rows = Rows(self._stream, 1 if spawn else _IMAGES_AT_ONCE)
         self._camera: Camera | None = None
         self._last_best: Poses | None = None
         self._last_truth: Poses | None = None
@@ -82,10 +84,7 @@ class RerunViewer:
         """
         if self._recording is not None and self._recording.error is not None:
             raise self._recording.error
-        if frame.time_ns >= _EPOCH_NS:
-            self._stream.set_time("time", timestamp=np.datetime64(frame.time_ns, "ns"))
-        else:
-            self._stream.set_time("time", duration=np.timedelta64(frame.time_ns, "ns"))
+        self._rows.begin(frame.time_ns)
         self._log_camera(frame, estimate)
         self._log_belief(estimate, posterior_poses)
         self._log_plots(frame, estimate)
@@ -97,13 +96,15 @@ class RerunViewer:
 
         best, truth = estimate.modes[0].world_from_camera, frame.world_from_camera
         self._log_image(frame)
-        self._stream.log("world/camera", rr.Transform3D(translation=best.translation, mat3x3=best.rotation))
+        self._rows.add(
+            "world/camera", rr.Transform3D, translation=best.translation[None], mat3x3=best.rotation.reshape(1, 9)
+        )
         moved = np.zeros(3) if frame.odometry is None else frame.odometry.previous_from_current.translation
         limit_m = _JUMP_M + 1.5 * float(np.linalg.norm(moved))
         self._log_step("world/path/filter", self._last_best, best, limit_m=limit_m)
         if truth is not None:
-            ahead = rr.Arrows3D(origins=[truth.translation], vectors=[0.5 * truth.rotation[:, 2]])
-            self._stream.log("world/truth", ahead)
+            ahead = 0.5 * truth.rotation[:, 2]
+            self._rows.add("world/truth", rr.Arrows3D, origins=truth.translation[None], vectors=ahead[None])
             self._log_step("world/path/truth", self._last_truth, truth, limit_m=np.inf)
 
     def _log_image(self, frame: Frame) -> None:
@@ -116,12 +117,17 @@ class RerunViewer:
         if camera != self._camera:
             self._camera = camera
             scale = np.array([width / camera.width, height / camera.height])
-            focal = scale * (camera.fx, camera.fy)
-            centre = scale * (camera.cx + 0.5, camera.cy + 0.5)  # Rerun's pixels begin at integers, ours lie on them
-            size = {"width": width, "height": height, "image_plane_distance": 0.5}
-            pinhole = rr.Pinhole(focal_length=focal, principal_point=centre, **size, color=rgb("filter"))
-            self._stream.log("world/camera", pinhole)
-        self._stream.log("world/camera", rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+            fx, fy = scale * (camera.fx, camera.fy)
+            cx, cy = scale * (camera.cx + 0.5, camera.cy + 0.5)  # Rerun's pixels begin at integers, ours lie on them
+            self._rows.add(
+                "world/camera",
+                rr.Pinhole,
+                image_from_camera=[[[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]],
+                resolution=[[width, height]],
+                image_plane_distance=[0.5],
+                color=[rgb("filter")],
+            )
+        self._rows.add("world/camera", rr.EncodedImage, blob=[jpeg], media_type=["image/jpeg"])
 
     def _log_step(self, entity: str, last: Poses | None, now: Poses, *, limit_m: float) -> None:
         """One segment an image: the view adds them up, and the recording grows with the path, not its square."""
@@ -129,7 +135,7 @@ class RerunViewer:
 
         moved = last is not None and float(np.linalg.norm(now.translation - last.translation)) <= limit_m
         segment = np.stack([now.translation if last is None or not moved else last.translation, now.translation])
-        self._stream.log(entity, rr.LineStrips3D([segment.astype(np.float32)]))
+        self._rows.add(entity, rr.LineStrips3D, strips=segment[None].astype(np.float32))
 
     def _log_belief(self, estimate: Estimate, posterior_poses: Poses | None) -> None:
         import rerun as rr
@@ -138,38 +144,44 @@ class RerunViewer:
         modes = Poses.stack([mode.world_from_camera for mode in estimate.modes])
         weights = np.array([mode.weight for mode in estimate.modes])
         nearest = np.linalg.norm(points[:, None] - modes.translation, axis=-1).argmin(axis=1)
-        cloud = rr.Points3D(points.astype(np.float32), colors=weight_colors(weights)[nearest])
-        self._stream.log("world/particles", cloud)
+        colors = weight_colors(weights)
+        self._rows.add("world/particles", rr.Points3D, positions=points.astype(np.float32), colors=colors[nearest])
         sigma, axes = zip(*(ellipsoid(mode.covariance[:3, :3]) for mode in estimate.modes), strict=True)
-        ellipsoids = rr.Ellipsoids3D(
+        self._rows.add(
+            "world/modes",
+            rr.Ellipsoids3D,
             centers=modes.translation,
             half_sizes=2.0 * np.stack(sigma),
             quaternions=Poses(modes.rotation @ np.stack(axes), modes.translation).as_quat_xyzw(),
-            colors=weight_colors(weights),
+            colors=colors,
             labels=[f"{100 * weight:.0f} %" for weight in weights],
         )
-        self._stream.log("world/modes", ellipsoids)
         if posterior_poses is not None and len(posterior_poses):
             samples = thinned(posterior_poses, _CLOUD_SIZE).translation.astype(np.float32)
-            self._stream.log("world/posterior", rr.Points3D(samples))
+            self._rows.add("world/posterior", rr.Points3D, positions=samples)
             some = thinned(posterior_poses, _FRUSTA)
-            self._stream.log("world/posterior/cameras", rr.LineStrips3D(frusta(some)))
+            self._rows.add("world/posterior/cameras", rr.LineStrips3D, strips=frusta(some))
 
     def _log_plots(self, frame: Frame, estimate: Estimate) -> None:
+        best = estimate.modes[0]
+        self._plot("belief/best_weight", best.weight)
+        self._plot("belief/agreement", estimate.agreement)
+        self._plot("belief/status", _STATUS_LEVEL[estimate.status])
+        if frame.world_from_camera is not None:
+            translation_m, rotation_rad = best.world_from_camera.distance(frame.world_from_camera)
+            self._plot("error/translation_m", float(translation_m))
+            self._plot("error/rotation_deg", float(np.degrees(rotation_rad)))
+
+    def _plot(self, entity: str, value: float) -> None:
         import rerun as rr
 
-        log = self._stream.log
-        log("belief/best_weight", rr.Scalars(estimate.modes[0].weight))
-        log("belief/agreement", rr.Scalars(estimate.agreement))
-        log("belief/status", rr.Scalars(_STATUS_LEVEL[estimate.status]))
-        if frame.world_from_camera is not None:
-            translation_m, rotation_rad = estimate.modes[0].world_from_camera.distance(frame.world_from_camera)
-            log("error/translation_m", rr.Scalars(float(translation_m)))
-            log("error/rotation_deg", rr.Scalars(float(np.degrees(rotation_rad))))
+        self._rows.add(entity, rr.Scalars, scalars=[value])
 
     def _finish(self, *, keep: bool) -> None:
         """Close the streams; the recording gets its name, or goes."""
         try:
+            if keep:
+                self._rows.send()
             self._stream.flush()
         except RuntimeError as error:  # it says no more than that there was one
             if keep:
@@ -182,12 +194,13 @@ class RerunViewer:
                 recording.close(keep=keep)
 
 
-def _quiet_rerun() -> ModuleType:
-    """Rerun, which does not print of errors what is told of them here."""
+def load_rerun() -> ModuleType:
+    """Rerun, which takes a while, and does not print of errors what is told of them here."""
     level = os.environ.get("RUST_LOG")
     os.environ["RUST_LOG"] = level or "off"  # read when it is imported
     try:
         import rerun
+        import rerun.blueprint
 
         return rerun
     finally:

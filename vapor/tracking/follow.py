@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -93,7 +94,9 @@ def follow(
     of_baselines: dict[str, list[tuple[Mode, ...]]] = {}
     step_ms: list[float] = []
     for i, (time_ns, odometry) in enumerate(zip(passage.times_ns.tolist(), passage.odometry, strict=True)):
-        step = loop.step(time_ns, partial(passage.posterior, i), odometry)
+        begin = time.perf_counter()
+        posterior = passage.posterior(i)
+        step = loop.step(time_ns, posterior, odometry, observe_ms=1e3 * (time.perf_counter() - begin))
         history.add(step, odometry)
         estimates.append(step.estimate)
         image_modes.append(step.image_modes)

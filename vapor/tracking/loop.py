@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Protocol, runtime_checkable
 
 from filtering.estimate import Estimate, Mode, posterior_modes
@@ -50,7 +51,8 @@ class Step:
             image that had any; before that, the filter's modes.
         evidence: Places of the image's posterior, none where it says nothing: what a smoother is told.
         baselines: Hypotheses of every baseline by its name, the best one first.
-        step_ms: Wall-clock milliseconds that posterior and filter took, without the baselines.
+        step_ms: Wall-clock milliseconds that posterior and filter took, without the baselines: in all, also where the
+            posterior was computed while the filter had the image before.
     """
 
     posterior: PosePosterior
@@ -61,37 +63,72 @@ class Step:
     step_ms: float
 
 
+class Baselines:
+    """Leads baselines from image to image, all with the same posteriors and odometry.
+
+    Args:
+        trackers: The baselines by name, see `start_baselines`.
+    """
+
+    def __init__(self, trackers: Mapping[str, Tracker]) -> None:
+        self._trackers, self._clock = trackers, _Clock()
+
+    def step(self, time_ns: int, posterior: PosePosterior, odometry: Odometry | None) -> dict[str, tuple[Mode, ...]]:
+        """Take one image, see `StepLoop.step`; gives hypotheses by the baselines' names, the best one first."""
+        elapsed_s = self._clock.elapsed_s(time_ns)
+        return {
+            name: tracker.update(posterior, odometry, elapsed_s=elapsed_s) for name, tracker in self._trackers.items()
+        }
+
+
+class _Clock:
+    """Seconds since the image before."""
+
+    def __init__(self) -> None:
+        self._previous_ns: int | None = None
+
+    def elapsed_s(self, time_ns: int) -> float:
+        elapsed_s = 0.0 if self._previous_ns is None else max(time_ns - self._previous_ns, 0) * 1e-9
+        self._previous_ns = time_ns
+        return elapsed_s
+
+
 class StepLoop:
     """Leads the filter and its baselines from image to image, all with the same posteriors and odometry.
 
     Args:
         localizer: The filter.
-        baselines: The baselines by name, see `start_baselines`.
+        baselines: The baselines by name, see `start_baselines`; none where they are led elsewhere.
     """
 
-    def __init__(self, localizer: Localizer, baselines: Mapping[str, Tracker]) -> None:
+    def __init__(self, localizer: Localizer, baselines: Mapping[str, Tracker] = MappingProxyType({})) -> None:
         self._localizer = localizer
-        self._baselines = baselines
-        self._previous_ns: int | None = None
+        self._baselines, self._clock = Baselines(baselines), _Clock()
         self._image_modes: tuple[Mode, ...] = ()
 
-    def step(self, time_ns: int, observe: Callable[[], PosePosterior], odometry: Odometry | None) -> Step:
+    def step(
+        self,
+        time_ns: int,
+        posterior: PosePosterior,
+        odometry: Odometry | None,
+        *,
+        observe_ms: float,
+    ) -> Step:
         """Take one image.
 
         Args:
             time_ns: Stamp of the image.
-            observe: Computes its posterior; it is called once, and timed.
+            posterior: Its posterior.
             odometry: Motion since the previous image; None where it is unknown.
+            observe_ms: Milliseconds that the posterior took.
 
         Raises:
-            VaporTrackError: unusable image, posterior or odometry.
+            VaporTrackError: unusable posterior or odometry.
         """
-        elapsed_s = 0.0 if self._previous_ns is None else max(time_ns - self._previous_ns, 0) * 1e-9
-        self._previous_ns = time_ns
+        elapsed_s = self._clock.elapsed_s(time_ns)
         begin = time.perf_counter()
-        posterior = observe()
         estimate = self._localizer.update(posterior, odometry, elapsed_s=elapsed_s)
-        step_ms = 1e3 * (time.perf_counter() - begin)
+        step_ms = observe_ms + 1e3 * (time.perf_counter() - begin)
         places = posterior_modes(posterior)
         self._image_modes = places or self._image_modes or estimate.modes
         return Step(
@@ -99,9 +136,6 @@ class StepLoop:
             estimate,
             self._image_modes,
             () if posterior.says_nothing else places,
-            {
-                name: tracker.update(posterior, odometry, elapsed_s=elapsed_s)
-                for name, tracker in self._baselines.items()
-            },
+            self._baselines.step(time_ns, posterior, odometry),
             step_ms,
         )

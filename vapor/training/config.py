@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from vapor.checkpoints.calibration import Calibration
-from vapor.observation import Device
+from vapor.engines.device import Device
 from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import REGRESSORS, regressor_class

@@ -10,7 +10,7 @@ import torch
 from filtering.se3 import Poses
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
-from vapor.observation import resolve_device
+from vapor.engines.device import resolve_device
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.pretrained import load_pretrained
 from vapor.regressors.registry import make_regressor

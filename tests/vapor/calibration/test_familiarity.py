@@ -16,9 +16,9 @@ from vapor.calibration.calibrate_model import calibrate_model
 from vapor.calibration.familiarity import extract_features, fit_familiarity, learn_familiarity
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.regressors.efficientnet import EfficientNetLite0
-from vapor.regressors.familiarity import Describer, description_size
-from vapor.regressors.resnet import ResNet18
+from vapor.regressors.backbones import make_backbone, stage_channels
+from vapor.regressors.describer import Describer
+from vapor.regressors.familiarity import description_size
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import CheckpointError, read_safetensors
@@ -82,7 +82,7 @@ def test_the_threshold_is_the_larger_of_what_training_and_held_out_images_ask_fo
 
 def test_own_distance_is_to_other_stretches_not_to_the_images_beside():
     rng = np.random.default_rng(0)
-    size = description_size(REGRESSOR)
+    size = description_size(REGRESSOR.config.backbone)
     places = rng.standard_normal((4, size))
     apart = np.repeat(places, 25, axis=0) + 0.01 * rng.standard_normal((100, size))
     beside = fit_familiarity(apart.astype(np.float32), np.arange(100) % 4)
@@ -94,13 +94,13 @@ def test_too_few_images_say_nothing_about_what_is_familiar():
     assert learn_familiarity(REGRESSOR, images(range(49)), images(range(60))) is None
 
 
-@pytest.mark.parametrize(("backbone", "size"), [(ResNet18(16), 64), (EfficientNetLite0(), 64)])
-def test_a_backbone_says_how_many_channels_its_stages_have(backbone, size):
-    found: list[int] = []
+@pytest.mark.parametrize("name", ["resnet18-quarter", "efficientnet-lite0"])
+def test_a_backbone_says_how_many_channels_its_stages_have(name):
+    backbone, found = make_backbone(name), list[int]()
     for stage in backbone.stages:
         stage.register_forward_hook(lambda _m, _i, output: found.append(output.shape[1]))
-    backbone.eval()(torch.zeros(1, 3, size, size))
-    assert tuple(found) == backbone.stage_channels
+    backbone.eval()(torch.zeros(1, 3, 64, 64))
+    assert tuple(found) == stage_channels(name)
 
 
 def test_a_describer_stops_listening_at_its_end():

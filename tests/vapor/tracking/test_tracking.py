@@ -54,7 +54,7 @@ def test_all_methods_are_given_the_same_and_told_how_long_it_was():
         [seen_at(Poses.exp(np.array([0.1 * i, 0, 0, 0, 0, 0]))) for i in range(3)],
     )
     for time_ns, posterior, odometry in zip((5 * S, 6 * S, 4 * S), posteriors, (None, ONWARD, None), strict=True):
-        step = loop.step(time_ns, lambda posterior=posterior: posterior, odometry)
+        step = loop.step(time_ns, posterior, odometry, observe_ms=0.0)
         assert step.posterior is posterior
         assert step.baselines.keys() == {"one", "other"}
         assert step.step_ms > 0
@@ -64,12 +64,12 @@ def test_all_methods_are_given_the_same_and_told_how_long_it_was():
 
 def test_where_an_image_says_nothing_its_places_are_those_of_the_last_one_that_did():
     loop = loop_of()
-    seen = loop.step(0, lambda: seen_at(lifted(Poses.identity(), [0.0, 3.0]), [0.6, 0.4]), None)
+    seen = loop.step(0, seen_at(lifted(Poses.identity(), [0.0, 3.0]), [0.6, 0.4]), None, observe_ms=0.0)
     assert [mode.weight for mode in seen.image_modes] == [0.6, 0.4]
     assert seen.evidence == seen.image_modes
-    empty = loop.step(S, PosePosterior.nothing, ONWARD)
+    empty = loop.step(S, PosePosterior.nothing(), ONWARD, observe_ms=0.0)
     assert (empty.image_modes, empty.evidence) == (seen.image_modes, ())
-    foreign = loop.step(2 * S, lambda: seen_at(Poses.identity(), unfamiliarity=3.0), ONWARD)
+    foreign = loop.step(2 * S, seen_at(Poses.identity(), unfamiliarity=3.0), ONWARD, observe_ms=0.0)
     assert len(foreign.image_modes) == 1
     assert foreign.evidence == ()
 
@@ -79,7 +79,7 @@ def test_a_history_has_what_methods_at_the_end_need():
     loop, history, config = loop_of(), History(), LocalizerConfig()
     many = seen_at(lifted(Poses.identity(), np.arange(20.0)), np.full(20, 0.05))
     for i in range(4):
-        step = loop.step(i * S, lambda: many, ONWARD if i else None)
+        step = loop.step(i * S, many, ONWARD if i else None, observe_ms=0.0)
         history.add(step, ONWARD if i else None)
     assert [len(modes) for modes in history.evidence] == [MOST_MODES] * 4
     assert history.odometry == [None, ONWARD, ONWARD, ONWARD]

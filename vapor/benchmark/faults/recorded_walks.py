@@ -67,7 +67,12 @@ class RecordedWalk:
                 if part.is_file():
                     made.update(_digest(part))
         return FileSettings(
-            self.name, made.hexdigest()[:16], self.setup.network_sha256, self.seed, self.setup.num_samples
+            self.name,
+            made.hexdigest()[:16],
+            self.setup.network_sha256,
+            self.seed,
+            self.setup.num_samples,
+            precision=self.setup.network.precision,
         )
 
     def settings(self) -> dict[str, Any]:
@@ -101,6 +106,7 @@ class RecordedWalk:
             setup.height,
             setup.network_sha256,
             setup.num_samples,
+            precision=setup.network.precision,
             camera=None if camera is None else astuple(camera),
         )
         return {
@@ -112,11 +118,11 @@ class RecordedWalk:
 
     def record(self, film: RecordingSettings | FileSettings, directory: Path) -> None:
         """Read or render a film, and show it to the network."""
-        checkpoint = self.setup.checkpoint()
+        checkpoint, engine = self.setup.checkpoint(), self.setup.network.engine
         if isinstance(film, FileSettings):
-            record_file(film, self.file, checkpoint, directory, self.reading)
+            record_file(film, self.file, checkpoint, directory, self.reading, engine)
         else:
-            make_recording(film, checkpoint, directory)
+            make_recording(film, checkpoint, directory, engine)
 
 
 def _digest(file: Path) -> bytes:

@@ -121,4 +121,4 @@ class SyntheticWalk:
     def record(self, film: RecordingSettings | FileSettings, directory: Path) -> None:
         """Render a film, and show it to the network."""
         assert isinstance(film, RecordingSettings)
-        make_recording(film, self.setup.checkpoint(), directory)
+        make_recording(film, self.setup.checkpoint(), directory, self.setup.network.engine)

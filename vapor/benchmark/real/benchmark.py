@@ -15,6 +15,7 @@ from filtering.errors import VaporTrackError, require_within
 from vapor.benchmark.real.row import Row, RowContext
 from vapor.benchmark.real.rows import ROWS
 from vapor.cache import cached, code_digest
+from vapor.engines.engine import EngineConfig
 from vapor.evaluation.comparison import compare
 from vapor.threads import limited_threads
 from vapor.tracking.follow import follow
@@ -36,7 +37,7 @@ _CODE = (
 
 
 @dataclass(frozen=True)
-class RealConfig:
+class RealConfig(EngineConfig):
     """Settings of a benchmark on real recordings."""
 
     seeds: int = 3

@@ -13,6 +13,7 @@ from jaxtyping import Bool
 from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
+from vapor.engines.engine import EngineConfig
 from vapor.tracking.passage import Passage
 
 Advance = Callable[[str, int, int | None], None]
@@ -27,12 +28,14 @@ class RowContext:
         data: Folder with the recordings of others.
         output: Folder for models, sequences, recordings and results.
         num_samples: Posterior samples per image.
+        network: What runs networks.
         advance: Called with the progress.
     """
 
     data: Path
     output: Path
     num_samples: int = 1000
+    network: EngineConfig = EngineConfig()
     advance: Advance = field(default=lambda what, done, total: None, compare=False)
 
     def folder(self, name: str) -> Path:

@@ -98,7 +98,7 @@ class TrainedNetwork:
         settings, recordings = self._recording(context, seed, checkpoint), context.folder("recordings")
         if not (recordings / settings.name).is_dir():
             context.advance("asking the network", seed, None)
-            record_file(settings, file, checkpoint, recordings)
+            record_file(settings, file, checkpoint, recordings, engine=context.network.engine)
         return {"recording": settings.stored, "calibration": asdict(checkpoint.calibration)}
 
     def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
@@ -182,7 +182,8 @@ class TrainedNetwork:
 
     def _recording(self, context: RowContext, seed: int, checkpoint: Checkpoint) -> FileSettings:
         file, made = self._sequence(context, seed)
-        return FileSettings(file.stem, made, checkpoint.seen_sha256(), seed, context.num_samples)
+        digests, precision = (made, checkpoint.seen_sha256()), context.network.precision
+        return FileSettings(file.stem, *digests, seed, context.num_samples, precision=precision)
 
 
 def calibration_code() -> str:

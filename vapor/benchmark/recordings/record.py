@@ -34,25 +34,33 @@ from vapor.benchmark.recordings.storage import (
     write_samples_header,
 )
 from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.engines.engine import EngineName, Precision
 from vapor.observation import VaporObservationModel
 from vapor.threads import limited_threads
 
 _NO_MOTION = Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
 
 
-def make_recording(settings: RecordingSettings, checkpoint: Checkpoint, directory: Path) -> None:
+def make_recording(
+    settings: RecordingSettings, checkpoint: Checkpoint, directory: Path, engine: EngineName = "auto"
+) -> None:
     """Render a sequence to a file, read it as a user's would be, ask the network, and store the answers; once.
 
-    The folder appears in `directory` when it is complete.
+    The folder appears in `directory` when it is complete. The engine runs the network.
 
     Raises:
         VaporTrackError: there is no such sequence, or the directory cannot be written to.
     """
-    _store(settings, directory, lambda folder: record_synthetic(settings, checkpoint, folder))
+    _store(settings, directory, lambda folder: record_synthetic(settings, checkpoint, folder, engine))
 
 
 def record_file(
-    settings: FileSettings, file: Path, checkpoint: Checkpoint, directory: Path, reading: SequenceOptions | None = None
+    settings: FileSettings,
+    file: Path,
+    checkpoint: Checkpoint,
+    directory: Path,
+    reading: SequenceOptions | None = None,
+    engine: EngineName = "auto",
 ) -> None:
     """Read a sequence in which every image has a true pose and odometry, and continue as `make_recording` does.
 
@@ -62,18 +70,20 @@ def record_file(
         VaporTrackError: the file cannot be read or lacks some of it, or the directory cannot be written to.
     """
     rng = np.random.default_rng([settings.seed, settings.num_samples])
-    asked = _Asked(settings.num_samples, rng, settings.images, _change(settings))
+    asked = _Asked(settings.num_samples, rng, settings.images, _change(settings), engine, settings.precision)
     _store(settings, directory, lambda folder: _observe(file, checkpoint, asked, folder, reading=reading))
 
 
-def record_synthetic(settings: RecordingSettings, checkpoint: Checkpoint, folder: Path) -> None:
+def record_synthetic(
+    settings: RecordingSettings, checkpoint: Checkpoint, folder: Path, engine: EngineName = "auto"
+) -> None:
     """Render a sequence to a file in a folder, and record that; the file is removed."""
     sequence = _sequence(settings)
     seen = sees_cue(sequence.scene, sequence.camera, sequence.world_from_camera)
     file = folder / "sequence.mcap"
     write_synthetic(sequence, file)
     rng = np.random.default_rng([settings.seed, settings.num_samples])
-    asked = _Asked(settings.num_samples, rng, len(seen), _change(settings))
+    asked = _Asked(settings.num_samples, rng, len(seen), _change(settings), engine, settings.precision)
     found = _observe(file, checkpoint, asked, folder, seen=seen)
     if found != len(seen):
         raise VaporTrackError(f"{file}: {found} images read, expected the {len(seen)} that were written")
@@ -141,12 +151,14 @@ def _store(settings: RecordingSettings | FileSettings, directory: Path, record: 
 
 @dataclass(frozen=True)
 class _Asked:
-    """What the network is asked for: how many samples, of at most how many images, each changed how."""
+    """What the network is asked for: how many samples, of at most how many images, each changed how; and by what."""
 
     num_samples: int
     rng: np.random.Generator
     images: int | None
     changed: Callable[[Image], Image]
+    engine: EngineName
+    precision: Precision
 
 
 def _change(settings: RecordingSettings | FileSettings) -> Callable[[Image], Image]:
@@ -170,7 +182,14 @@ def _observe(
         Number of images.
     """
     reader = SequenceReader(file, reading, true_poses="required")
-    model = VaporObservationModel(checkpoint, num_samples=asked.num_samples, device="cpu", camera=reader.camera)
+    model = VaporObservationModel(
+        checkpoint,
+        num_samples=asked.num_samples,
+        device="cpu",
+        camera=reader.camera,
+        engine=asked.engine,
+        precision=asked.precision,
+    )
     times_ns, odometry, covariance, truth, unfamiliarity = [], [], [], [], []
     ended: Frame | None = None
     shape = (asked.num_samples, 12)

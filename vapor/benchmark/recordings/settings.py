@@ -10,6 +10,7 @@ from typing import Any
 from sequences.paths.choose import Cues
 from sequences.synthesize import SYNTHESIS
 from vapor.cache import digest
+from vapor.engines.engine import Precision
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class RecordingSettings:
         part: The first of the images that are recorded, and how many; None for all.
         change: What is done to every image before the network sees it, one of `FOREIGN`; None for nothing.
         odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
+        precision: Of the network's arithmetic; which engine ran it is not told: they agree within rounding.
         camera: The camera that it is rendered with, the numbers of `Camera`; None for that of its scene.
         synthesis: Version of the code that renders.
         package: Version of this package.
@@ -47,6 +49,7 @@ class RecordingSettings:
     part: tuple[int, int] | None = None
     change: str | None = None
     odometry_scale: float | None = None
+    precision: Precision = "float32"
     camera: tuple[int, int, float, float, float, float] | None = None
     synthesis: int = SYNTHESIS
     package: str = field(default_factory=lambda: importlib.metadata.version("vapor-track"))
@@ -61,7 +64,7 @@ class RecordingSettings:
         """All settings by name, without those that have their usual value: names of older recordings stay valid."""
         content = asdict(self)
         unusual = ("stand", "part", "change", "odometry_scale", "camera")
-        for name, ordinary in (("rate_hz", 10.0), *((name, None) for name in unusual)):
+        for name, ordinary in (("rate_hz", 10.0), ("precision", "float32"), *((name, None) for name in unusual)):
             if content[name] == ordinary:
                 del content[name]
         return json.loads(json.dumps(content))
@@ -79,6 +82,7 @@ class FileSettings:
         num_samples: Posterior samples per image.
         images: How many, from the first one on; None for all.
         change: What is done to every image before the network sees it, one of `FOREIGN`; None for nothing.
+        precision: Of the network's arithmetic.
     """
 
     sequence: str
@@ -88,6 +92,7 @@ class FileSettings:
     num_samples: int
     images: int | None = None
     change: str | None = None
+    precision: Precision = "float32"
 
     @property
     def name(self) -> str:
@@ -97,5 +102,5 @@ class FileSettings:
     @property
     def stored(self) -> dict[str, Any]:
         """All settings by name, without those that have their usual value: names of older recordings stay valid."""
-        unusual = ("images", "change")
-        return {name: value for name, value in asdict(self).items() if name not in unusual or value is not None}
+        usual = {"images": None, "change": None, "precision": "float32"}
+        return {name: value for name, value in asdict(self).items() if name not in usual or value != usual[name]}

@@ -30,4 +30,4 @@ def camera_paths(setup: Setup, scene: str, kind: Kind, directory: Path) -> Calla
 
 
 def _make(settings: RecordingSettings, setup: Setup, directory: Path) -> None:
-    make_recording(settings, setup.checkpoint(), directory)
+    make_recording(settings, setup.checkpoint(), directory, setup.network.engine)

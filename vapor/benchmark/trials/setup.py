@@ -20,6 +20,7 @@ from vapor.cache import code_digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.shipped_models import find_model
+from vapor.engines.engine import EngineConfig
 
 _MAX_SEED = 2**62
 _CODE = (
@@ -33,7 +34,7 @@ _CODE = (
 
 
 @dataclass(frozen=True)
-class TrialsConfig:
+class TrialsConfig(EngineConfig):
     """Settings of a benchmark that replays recordings, the same for all its scenes."""
 
     first_seed: int = 2000
@@ -81,6 +82,7 @@ class Setup:
         localizer: Settings of the filter.
         errors: What replaces numbers of the model's own error model, by name.
         ablation: Name of the filter's ablation.
+        network: What runs the network.
         odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
     """
 
@@ -95,6 +97,7 @@ class Setup:
     errors: Mapping[str, Any]
     ablation: str = "full"
     odometry_scale: float | None = None
+    network: EngineConfig = EngineConfig()
 
     def walk(self, scene: str, kind: Kind, seed: int) -> RecordingSettings:
         """The walk with a seed that trials of a kind are cut from, at ten images a second."""
@@ -108,6 +111,7 @@ class Setup:
             self.network_sha256,
             self.num_samples,
             odometry_scale=self.odometry_scale,
+            precision=self.network.precision,
         )
 
     def recording(self, scene: str, kind: Kind, segment: Segment) -> RecordingSettings:
@@ -153,6 +157,7 @@ def make_setups(scenes: Mapping[str, str], config: TrialsConfig, errors: Mapping
             config.localizer,
             errors,
             odometry_scale=config.odometry_scale,
+            network=config.network,
         )
         setups[scene].checkpoint()  # refuses an unusable error model before anything is rendered
     return setups
@@ -163,7 +168,8 @@ def setup_settings(setup: Setup) -> dict[str, Any]:
     calibration = asdict(setup.checkpoint().calibration)
     package = importlib.metadata.version("vapor-track")
     more = {"calibration": calibration, "code": results_code(), "package": package, "model": setup.model.name}
-    return asdict(setup) | more
+    # Engines agree within rounding: which one it was does not matter.
+    return asdict(setup) | {"network": {"precision": setup.network.precision}} | more
 
 
 def results_code() -> str:

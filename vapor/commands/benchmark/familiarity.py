@@ -13,7 +13,9 @@ from rich.table import Table
 from filtering.errors import VaporTrackError, require_within
 from vapor.benchmark.foreign_images import IN_A_ROW, evaluate_flags
 from vapor.commands.console import bar, parse, show
-from vapor.observation import Device, VaporObservationModel
+from vapor.engines.device import Device
+from vapor.engines.engine import EngineConfig
+from vapor.observation import VaporObservationModel
 
 _MAX_SEED = 2**63
 
@@ -34,6 +36,7 @@ class Options:
     """Seed of the noise."""
     device: Device = "auto"
     """Where the network runs."""
+    network: Annotated[EngineConfig, tyro.conf.arg(name="")] = EngineConfig()
 
     def __post_init__(self) -> None:
         require_within(self, every=(1, 10**6), seed=(0, _MAX_SEED))
@@ -44,7 +47,9 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("benchmark familiarity", Options, arguments)
-    model = VaporObservationModel.from_checkpoint(o.model, num_samples=1, device=o.device)
+    model = VaporObservationModel.from_checkpoint(
+        o.model, num_samples=1, device=o.device, engine=o.network.engine, precision=o.network.precision
+    )
     table = Table("images", "how many", "median score", "flagged", f"flagged, median of {IN_A_ROW}")
     with bar("evaluating") as advance:
         rows = evaluate_flags(model, o.familiar, o.foreign, every=o.every, seed=o.seed, advance=advance)

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str]) -> None:
     results = []
     for row in rows:
         with progress_of(row.name) as advance:
-            context = RowContext(o.data, o.output, o.config.num_samples, advance)
+            context = RowContext(o.data, o.output, o.config.num_samples, o.config.network, advance)
             for of_draw in measure([row], context, o.config):
                 results += of_draw
     summary = summarise(results)

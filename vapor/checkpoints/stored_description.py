@@ -1,0 +1,147 @@
+"""What model files of any version say beside the weights -> `ModelDescription`, every value checked."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from filtering.errors import quoted
+from vapor.checkpoints.calibration import parse_calibration, parse_former_calibration, stored_calibration
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.description import ModelDescription
+from vapor.checkpoints.stored_config import parse_box, parse_camera, parse_config, parse_metadata
+from vapor.checkpoints.stored_tensors import (
+    FAMILIARITY,
+    MEMORY_ROTATION,
+    MEMORY_TRANSLATION,
+    PRIOR_ROTATION,
+    PRIOR_TRANSLATION,
+    familiarity_arrays,
+    read_familiarity,
+    read_poses,
+)
+from vapor.checkpoints.thinning import thin_poses
+from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.scene_box import SceneBox
+from vapor.stored_names import with_stored_names
+from vapor.tensor_files import CHECKSUM, CheckpointError, StoredTensor
+
+FORMAT = "vapor-track model"
+VERSION = 8
+_BEFORE_MISTAKES = "7"  # mistakes about the place were taken to last as long as errors within it
+_BEFORE_GROWTH = "6"  # images were taken to err alike, however unfamiliar
+_NO_MISTAKES = {"mistaken_lengths": 1.0}  # what error models of those versions had without stating it
+_NO_GROWTH = {"unfamiliar_power": 0.0, "unfamiliar_score": 0.5, **_NO_MISTAKES}
+_BEFORE_ERRORS = ("4", "5")  # their calibrations are of another filter: only the kernel widths are taken
+_BEFORE_SHORTCUT = "4"
+_NO_SHORTCUT = {"shortcut": False}  # what networks of that version had without stating it
+
+
+class StoredConfig(NamedTuple):
+    """Metadata of a model file, of which the network's shape was read.
+
+    Attributes:
+        version: Of the format.
+        network: Shape of the network.
+        box: Box of predicted positions.
+        training: Where the model came from.
+        rest: All of the configuration, JSON.
+        notices: What a person should know of the file.
+    """
+
+    version: str
+    network: NetworkConfig
+    box: SceneBox
+    training: dict[str, Any]
+    rest: dict[str, Any]
+    notices: tuple[str, ...]
+
+
+def description_metadata(model: ModelDescription | Checkpoint) -> dict[str, str]:
+    """The metadata of a model file."""
+    config = {
+        "network": asdict(model.network),
+        "box": asdict(model.box),
+        "calibration": stored_calibration(model.calibration),
+        "training": with_stored_names(model.training),
+        "camera": None if model.camera is None else asdict(model.camera),
+    }
+    return {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config, allow_nan=False)}
+
+
+def description_arrays(model: ModelDescription | Checkpoint) -> dict[str, np.ndarray]:
+    """What a model file has as tensors beside weights and memory; more than 2000 prior poses are thinned evenly."""
+    poses = thin_poses(model.prior_poses)
+    arrays = {PRIOR_ROTATION: poses.rotation, PRIOR_TRANSLATION: poses.translation}
+    return arrays | ({} if model.familiarity is None else familiarity_arrays(model.familiarity))
+
+
+def parse_stored_config(path: Path, metadata: Mapping[str, str]) -> StoredConfig:
+    """Metadata of a model file.
+
+    Raises:
+        CheckpointError: another format or version, or a configuration with missing, surplus or unusable values.
+    """
+    found = metadata.get("format")
+    if found != FORMAT:
+        raise CheckpointError(f"{path}: format is {quoted(found)} in its metadata, expected {FORMAT!r}")
+    version = metadata.get("version")
+    if version not in (str(VERSION), _BEFORE_MISTAKES, _BEFORE_GROWTH, *_BEFORE_ERRORS):
+        older = " or ".join(f"'{number}'" for number in _BEFORE_ERRORS)
+        raise CheckpointError(
+            f"{path}: format version is {version!r}, expected '{VERSION}', '{_BEFORE_MISTAKES}' or '{_BEFORE_GROWTH}',"
+            f" or {older} of which network and scene are taken; train the model anew"
+        )
+    config = parse_metadata(path, metadata.get("config"))
+    network = config.get("network")
+    if version == _BEFORE_SHORTCUT and isinstance(network, dict):
+        network = network | _NO_SHORTCUT
+    network = parse_config(path, "network", NetworkConfig, network)
+    box = parse_box(path, config.get("box"))
+    training = config.get("training")
+    if not isinstance(training, dict):
+        raise CheckpointError(f"{path}: training is {type(training).__name__} in its configuration, expected an object")
+    unchecked = f"{path.name} was written before model files had checksums: whether it is damaged cannot be told"
+    return StoredConfig(version, network, box, training, config, () if CHECKSUM in metadata else (unchecked,))
+
+
+def parse_description(
+    path: Path, config: StoredConfig, tensors: Mapping[str, StoredTensor], network_sha256: str
+) -> ModelDescription:
+    """The rest of a model file, once its tensors were checked.
+
+    Args:
+        path: The file.
+        config: Its metadata.
+        tensors: Its tensors beside the weights.
+        network_sha256: Digest of its network.
+
+    Raises:
+        CheckpointError: unusable values.
+    """
+    poses = read_poses(tensors, PRIOR_ROTATION, PRIOR_TRANSLATION)
+    if config.version in _BEFORE_ERRORS:
+        parse = partial(parse_former_calibration, prior_poses=poses)
+    else:
+        missing = {_BEFORE_MISTAKES: _NO_MISTAKES, _BEFORE_GROWTH: _NO_GROWTH}.get(config.version, {})
+        parse = partial(parse_calibration, missing=missing)
+    known = any(name.startswith(FAMILIARITY) for name in tensors)
+    return ModelDescription(
+        config.network,
+        config.box,
+        parse(path, config.rest.get("calibration")),
+        poses,
+        network_sha256,
+        config.training,
+        read_familiarity(path, tensors) if known else None,
+        parse_camera(path, config.rest.get("camera")),
+        read_poses(tensors, MEMORY_ROTATION, MEMORY_TRANSLATION) if MEMORY_ROTATION in tensors else None,
+        path,
+        config.notices,
+    )

@@ -1,0 +1,43 @@
+"""`vapor-track export`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sequences.outputs.claims import refuse_other
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.shipped_models import find_model
+from vapor.commands.console import OutputPath, Overwrite, parse, show, usage_error
+from vapor.engines.onnx_export import export_onnx
+from vapor.engines.onnx_file import SUFFIX, is_exported, is_onnx
+
+
+@dataclass(frozen=True)
+class Options:
+    """Write a trained model as an ONNX file, checked against torch; docs/export.md says what goes in and comes out."""
+
+    model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
+    """Model file, or name of a model that ships with the package."""
+    output: Annotated[tyro.conf.Positional[OutputPath], tyro.conf.arg(metavar="OUT.onnx")]
+    """ONNX file to write, new or exported before."""
+    overwrite: Overwrite = False
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command."""
+    o = parse("export", Options, arguments)
+    if not is_onnx(o.output):
+        usage_error("export", f"output {o.output}, expected a name that ends in {SUFFIX}")
+    file = find_model(o.model)
+    refuse_other(o.output, "model that vapor-track exported", is_exported, reads=[file], overwrite=o.overwrite)
+    runtime, metres, radians = export_onnx(load_checkpoint(file), o.output)
+    show(f"{o.output}: {_megabytes(o.output)} MB; by {runtime} within {metres:.1g} m and {radians:.1g} rad of torch")
+
+
+def _megabytes(path: Path) -> str:
+    return f"{path.stat().st_size / 1e6:.1f}"

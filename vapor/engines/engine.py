@@ -1,0 +1,73 @@
+"""Engine: what runs a network on one image; and the settings by which one is chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+EngineName = Literal["auto", "torch", "openvino"]
+Precision = Literal["float32", "bfloat16"]
+
+
+@dataclass(frozen=True)
+class EngineConfig:
+    """What runs the network, and how precisely."""
+
+    engine: EngineName = "auto"
+    """What runs the network. openvino is for processors, and compiles a network once, beside its file (extra
+    `openvino`); auto takes it there where it was faster when the network was compiled, torch otherwise."""
+    precision: Precision = "float32"
+    """Arithmetic of the network: bfloat16 is faster on processors and GPUs that have it, and moves samples by
+    centimetres."""
+
+    @property
+    def network(self) -> EngineConfig:
+        """These settings alone, of settings that hold others as well."""
+        return EngineConfig(self.engine, self.precision)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a network makes of one image.
+
+    Attributes:
+        translation: Positions of its posterior samples, metres, world_from_camera.
+        rotation: Their rotation matrices.
+        description: What `Familiarity` compares; empty where the model does not say what is familiar.
+    """
+
+    translation: Float32[np.ndarray, "m 3"]
+    rotation: Float32[np.ndarray, "m 3 3"]
+    description: Float32[np.ndarray, " d"]
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """A network ready to be run; by one thread at a time, not always the same."""
+
+    @property
+    def name(self) -> EngineName:
+        """Which one it is."""
+        ...
+
+    @property
+    def device(self) -> str:
+        """Where it runs: cpu or cuda."""
+        ...
+
+    @property
+    def noise_dim(self) -> int:
+        """How many numbers of noise it takes for one posterior sample."""
+        ...
+
+    def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:
+        """What the network makes of an image.
+
+        Args:
+            image: RGB, of the size that the network sees (`vapor.images.prepare`).
+            noise: Standard normal, d numbers for each of m posterior samples.
+        """
+        ...

@@ -1,0 +1,123 @@
+"""The network run by OpenVINO, on processors: what it is converted from, compiled to, and asked for."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from filtering.errors import VaporTrackError
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.engines.engine import EngineName, Precision, Seen
+
+if TYPE_CHECKING:
+    import openvino
+
+_HINTS = {"float32": "f32", "bfloat16": "bf16"}
+_CPU_FLAGS = Path("/proc/cpuinfo")
+_FLAG_LINES = "flags", "Features"  # of x86 and Arm
+_BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}  # of Intel and AMD, Intel, and Arm
+
+
+class OpenVINOEngine:
+    """A network that OpenVINO runs, in a thread of its own that sleeps between images.
+
+    Args:
+        compiled: From `compiled_network`.
+    """
+
+    name: EngineName = "openvino"
+    device = "cpu"
+
+    def __init__(self, compiled: openvino.CompiledModel) -> None:
+        self._request = compiled.create_infer_request()
+        self._outputs = len(compiled.outputs)
+        self.noise_dim: int = compiled.inputs[1].partial_shape[1].get_length()
+
+    def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:
+        """What the network makes of an image."""
+        found = self._request.infer([np.ascontiguousarray(image), noise], share_inputs=True)
+        translation, rotation, *description = (found[number] for number in range(self._outputs))
+        return Seen(translation, rotation, description[0] if description else np.zeros(0, np.float32))
+
+
+def is_installed() -> bool:
+    """Whether OpenVINO can be imported."""
+    return find_spec("openvino") is not None
+
+
+def require_installed(what: str) -> None:
+    """Raise a VaporTrackError where OpenVINO is not installed; `what` asks for it."""
+    if not is_installed():
+        raise VaporTrackError(f"{what}: OpenVINO is not installed, expected it: pip install 'vapor-track[openvino]'")
+
+
+def require_bfloat16() -> None:
+    """Raise a VaporTrackError where the processor has no bfloat16: OpenVINO would do without, and round all the same.
+
+    OpenVINO itself is asked only where the system does not list what the processor has.
+    """
+    if _CPU_FLAGS.is_file():
+        lines = (line.partition(":") for line in _CPU_FLAGS.read_text(encoding="utf-8").splitlines())
+        has = any(_BFLOAT16_FLAGS & set(value.split()) for name, _, value in lines if name.strip() in _FLAG_LINES)
+    else:
+        import openvino
+
+        has = "BF16" in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+    if not has:
+        raise VaporTrackError("precision bfloat16: this processor has no arithmetic for it, expected float32")
+
+
+def converted_network(checkpoint: Checkpoint) -> openvino.Model:
+    """A model's network as OpenVINO has it before it is compiled; BatchNorm becomes part of the convolutions then."""
+    import openvino
+    import torch
+
+    from vapor.engines.whole_network import WholeNetwork, traced_inputs
+
+    whole = WholeNetwork(checkpoint).eval()
+    inputs = traced_inputs(whole)
+    with torch.no_grad(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that Python numbers become constants
+        traced = torch.jit.trace(whole, inputs, check_trace=False)
+        shapes = [openvino.PartialShape(list(inputs[0].shape)), openvino.PartialShape([-1, inputs[1].shape[1]])]
+        return openvino.convert_model(traced, example_input=inputs, input=shapes)
+
+
+def compile_network(model: openvino.Model | Path, precision: Precision, threads: int) -> openvino.CompiledModel:
+    """A network compiled for this processor, from OpenVINO's own form or from an ONNX file."""
+    import openvino
+
+    return openvino.Core().compile_model(model, "CPU", _settings(precision, threads))
+
+
+def compiled_network(blob: bytes, precision: Precision, threads: int) -> openvino.CompiledModel:
+    """A network that was compiled before, from what `CompiledModel.export_model` gave.
+
+    Raises:
+        RuntimeError: it cannot be used here.
+    """
+    import openvino
+
+    return openvino.Core().import_model(io.BytesIO(blob), "CPU", _settings(precision, threads))
+
+
+def _settings(precision: Precision, threads: int) -> dict[str, object]:
+    return {
+        "INFERENCE_PRECISION_HINT": _HINTS[precision],
+        "INFERENCE_NUM_THREADS": threads,
+        "NUM_STREAMS": 1,
+        "ENABLE_CPU_PINNING": False,  # several processes would all take the first processors
+    }
+
+
+def processor() -> str:
+    """What compiled networks depend on beside OpenVINO's version."""
+    import openvino
+
+    return openvino.Core().get_property("CPU", "FULL_DEVICE_NAME")

@@ -1,0 +1,158 @@
+"""Which engine runs a network: as asked for, or the faster one of those that are there; and that one, started."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from filtering.errors import VaporTrackError
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.description import ModelDescription
+from vapor.checkpoints.file_format import load_checkpoint, load_description
+from vapor.engines import openvino_engine
+from vapor.engines.compiled_cache import Compiled, Variant, can_be_kept, read_compiled, write_compiled
+from vapor.engines.device import Device
+from vapor.engines.engine import Engine, EngineConfig, Precision
+from vapor.engines.onnx_file import describe_onnx, is_onnx
+from vapor.threads import limited_threads
+
+_SAMPLES = 1000  # with which engines are timed
+_TIMED = 5  # times, after one that is not counted; the least counts: the machine may be busy
+
+
+def describe(file: Path) -> ModelDescription:
+    """What a model says of itself, from its file or from an exported one; no weights are looked at, no torch is loaded.
+
+    Raises:
+        CheckpointError: no such file, or one that cannot be used.
+    """
+    return describe_onnx(file) if is_onnx(file) else load_description(file)
+
+
+def start_engine(
+    model: Checkpoint | ModelDescription,
+    config: EngineConfig = EngineConfig(),  # noqa: B008 - it is frozen
+    *,
+    device: Device = "auto",
+    threads: int = 1,
+) -> Engine:
+    """The engine of a model.
+
+    Args:
+        model: The model; its weights are read from its file only where the engine does not have the network compiled.
+        config: Which engine, and how precise. "auto" takes OpenVINO on a processor where it is installed and was
+            faster than torch when the network was compiled. That finding is kept with the compiled network, so that
+            the same model runs the same way every time; where nothing can be kept, torch is taken.
+        device: Where the network runs; "auto" is CUDA where there is one.
+        threads: Processor threads of OpenVINO's network; torch's are set by `limited_threads`.
+
+    Raises:
+        VaporTrackError: an engine that is not installed, or does not go with the device, the precision or the model.
+    """
+    file = model.file
+    exported = file is not None and is_onnx(file)
+    asked = _asked(config, device, file if exported else None)
+    if asked == "torch" or (asked == "auto" and not (file and can_be_kept(file) and openvino_engine.is_installed())):
+        return _torch(model, config.precision, device)
+    openvino_engine.require_installed(f"{file}" if exported else f"engine {config.engine}")
+    if config.precision == "bfloat16":
+        openvino_engine.require_bfloat16()
+    return _openvino(model, config, exported=exported, threads=threads, must=asked == "openvino")
+
+
+def _asked(config: EngineConfig, device: Device, exported: Path | None) -> str:
+    """torch, openvino, or auto where both will do."""
+    if exported is not None and (config.engine == "torch" or device == "cuda"):
+        asked = "engine torch" if config.engine == "torch" else "device cuda"
+        raise VaporTrackError(f"{exported}: {asked} with an exported model, expected engine openvino on a processor")
+    if config.engine == "openvino" and device == "cuda":
+        raise VaporTrackError("engine openvino with device cuda: it runs on processors, expected engine torch")
+    if exported is not None:
+        return "openvino"
+    if config.engine != "auto":
+        return config.engine
+    if device == "cuda" or (device == "auto" and _has_cuda()):
+        return "torch"
+    return "openvino" if config.precision == "bfloat16" else "auto"
+
+
+def _has_cuda() -> bool:
+    """Whether torch finds a GPU; it is not loaded to look for one where the system has none."""
+    if not any(any(Path("/dev").glob(name)) for name in ("nvidia*", "dxg")):
+        return False
+    import torch
+
+    return torch.cuda.is_available()
+
+
+def _torch(model: Checkpoint | ModelDescription, precision: Precision, device: Device) -> Engine:
+    from vapor.engines.torch_engine import TorchEngine
+
+    return TorchEngine(_with_weights(model), device=device, precision=precision)
+
+
+def _with_weights(model: Checkpoint | ModelDescription) -> Checkpoint:
+    if isinstance(model, Checkpoint):
+        return model
+    if model.file is None:
+        raise VaporTrackError("a model without weights and without a file, expected either")
+    return load_checkpoint(model.file)
+
+
+def _openvino(
+    model: Checkpoint | ModelDescription, config: EngineConfig, *, exported: bool, threads: int, must: bool
+) -> Engine:
+    """OpenVINO's engine from what is kept, or compiled and kept; torch's where that was faster and will do."""
+    import openvino
+
+    described = model if isinstance(model, ModelDescription) else model.description
+    variant = Variant(
+        described.network_sha256,
+        described.familiarity is not None,
+        config.precision,
+        openvino_engine.processor(),
+        openvino.__version__,
+    )
+    file, precision = described.file, config.precision
+    kept = None if file is None else read_compiled(file, variant)
+    if kept is not None and not must and not kept.faster:
+        return _torch(model, precision, "cpu")
+    if kept is not None:
+        try:
+            return openvino_engine.OpenVINOEngine(openvino_engine.compiled_network(kept.blob, precision, threads))
+        except RuntimeError:  # OpenVINO's way to say that the network is of another build: it is compiled anew
+            pass
+    if exported:
+        assert file is not None
+        compiled, torch = openvino_engine.compile_network(file, precision, threads), None
+    else:
+        checkpoint = _with_weights(model)
+        network = openvino_engine.converted_network(checkpoint)
+        compiled, torch = (
+            openvino_engine.compile_network(network, precision, threads),
+            _torch(checkpoint, "float32", "cpu"),
+        )
+    engine = openvino_engine.OpenVINOEngine(compiled)
+    faster = None if torch is None else _is_faster(engine, torch, described, threads)
+    is_kept = file is not None and write_compiled(file, variant, Compiled(compiled.export_model().getvalue(), faster))
+    if torch is not None and not must and not (faster and is_kept):
+        return torch
+    return engine
+
+
+def _is_faster(engine: Engine, than: Engine, described: ModelDescription, threads: int) -> bool:
+    """Whether an engine takes less time for an image than another; they take turns."""
+    rng, size = np.random.default_rng(0), described.network
+    image = rng.integers(0, 256, (size.image_height, size.image_width, 3), dtype=np.uint8)
+    least = dict.fromkeys((engine, than), np.inf)
+    with limited_threads(threads):
+        for timed in range(_TIMED + 1):
+            for each in least:
+                noise = rng.standard_normal((_SAMPLES, each.noise_dim), dtype=np.float32)
+                begin = time.perf_counter()
+                each.run(image, noise)
+                if timed:
+                    least[each] = min(least[each], time.perf_counter() - begin)
+    return least[engine] < least[than]

@@ -1,0 +1,96 @@
+"""The network run by torch: eager on processors, as a recorded graph of kernels on a GPU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+
+import numpy as np
+import torch
+from jaxtyping import Float32, UInt8
+from torch import Tensor
+
+from filtering.errors import VaporTrackError
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.engines.device import Device, resolve_device
+from vapor.engines.engine import EngineName, Precision, Seen
+from vapor.engines.whole_network import WholeNetwork
+from vapor.threads import limit_torch
+
+_Autocast = Callable[[], AbstractContextManager[object]]
+_WARM_UP = 3  # runs before a graph is recorded, in which libraries choose their kernels
+
+
+class TorchEngine:
+    """A network that torch runs.
+
+    Args:
+        checkpoint: A trained model.
+        device: Where it runs; "auto" is CUDA where there is one.
+        precision: bfloat16 is for GPUs: the backbone's arithmetic, poses are made in float32.
+
+    Raises:
+        VaporTrackError: a device or a precision that is not there.
+    """
+
+    name: EngineName = "torch"
+
+    def __init__(self, checkpoint: Checkpoint, *, device: Device = "auto", precision: Precision = "float32") -> None:
+        limit_torch()
+        self._device = resolve_device(device)
+        if precision != "float32" and self._device.type == "cpu":
+            raise VaporTrackError(
+                f"precision {precision}: torch is slow with it on processors, expected a GPU or engine openvino"
+            )
+        self._precision: Precision = precision
+        whole = WholeNetwork(checkpoint).eval().to(self._device)
+        # Channels-last convolutions take about two thirds of the time here.
+        self._network = whole.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        self.noise_dim: int = whole.network.noise_dim
+        self._recorded: dict[tuple[int, ...], _Recorded] = {}
+
+    @property
+    def device(self) -> str:
+        """Where it runs: cpu or cuda."""
+        return str(self._device)
+
+    @torch.inference_mode()
+    def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:
+        """What the network makes of an image."""
+        inputs = torch.from_numpy(np.ascontiguousarray(image)), torch.from_numpy(noise)
+        outputs = self._on_gpu(*inputs) if self._device.type == "cuda" else self._network(*inputs)
+        translation, rotation, *description = (output.float().cpu().numpy() for output in outputs)
+        return Seen(translation, rotation, description[0] if description else np.zeros(0, np.float32))
+
+    def _on_gpu(self, image: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
+        """Kernels of a small network take less time than starting them one by one: they are recorded, and replayed."""
+        shape = tuple(noise.shape)
+        if shape not in self._recorded:
+            inputs = image.to(self._device), noise.to(self._device)
+            self._recorded = {shape: _Recorded(self._network, inputs, self._autocast)}
+        return self._recorded[shape](image, noise)
+
+    def _autocast(self) -> AbstractContextManager[object]:
+        return torch.autocast("cuda", torch.bfloat16) if self._precision == "bfloat16" else nullcontext()
+
+
+class _Recorded:
+    """A network's kernels for inputs of one size, as a CUDA graph."""
+
+    def __init__(self, network: WholeNetwork, inputs: tuple[Tensor, Tensor], autocast: _Autocast) -> None:
+        self._inputs = inputs
+        self._graph = torch.cuda.CUDAGraph()
+        stream = torch.cuda.Stream()
+        stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(stream), autocast():
+            for _ in range(_WARM_UP):
+                network(*inputs)
+        torch.cuda.current_stream().wait_stream(stream)
+        with torch.cuda.graph(self._graph), autocast():
+            self._outputs: tuple[Tensor, ...] = network(*inputs)
+
+    def __call__(self, image: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
+        for own, given in zip(self._inputs, (image, noise), strict=True):
+            own.copy_(given)
+        self._graph.replay()
+        return self._outputs

@@ -1,0 +1,72 @@
+"""What becomes of every image after the filter: baselines, `estimate.mcap`, the Rerun viewer, the record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+from sequences.frame import Frame
+from sequences.reading.counts import ImageCounts
+from sequences.recordings.estimate_writer import EstimateWriter
+from vapor.reporting.peak_memory import peak_rss_mb
+from vapor.reporting.record import RunRecord
+from vapor.reporting.recorder import RunRecorder
+from vapor.reporting.rerun_viewer import RerunViewer
+from vapor.reporting.viewer import NullViewer
+from vapor.tracking.loop import Baselines, Step
+
+
+class RunOutputs:
+    """Writes and shows a run image by image; used in a `with` block, so that an error leaves nothing half-written.
+
+    The baselines are led from here: nobody waits for them.
+
+    Args:
+        baselines: What else tracks the camera.
+        directory: Where `estimate.mcap` and `recording.rrd` go.
+        recording: Whether to write `recording.rrd`.
+        view: Whether to open the Rerun viewer and stream into it.
+        particles: How many particles of each image go into `estimate.mcap`.
+
+    Raises:
+        SequenceError: the folder is missing or cannot be written to.
+        VaporTrackError: the viewer cannot be started.
+    """
+
+    def __init__(self, baselines: Baselines, directory: Path, *, recording: bool, view: bool, particles: int) -> None:
+        self._baselines, self._particles = baselines, particles
+        self._recorder = RunRecorder()
+        with ExitStack() as block:
+            path = directory / "recording.rrd" if recording else None
+            viewer = RerunViewer(path, spawn=view) if recording or view else NullViewer()
+            self._viewer = block.enter_context(viewer)
+            self._writer = block.enter_context(EstimateWriter(directory / "estimate.mcap"))
+            self._block = block.pop_all()
+
+    def __enter__(self) -> RunOutputs:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._block.__exit__(kind, error, trace)
+
+    def add(self, frame: Frame, step: Step) -> None:
+        """Write and show one image, of which the filter alone has made something so far.
+
+        Raises:
+            SequenceError, VaporTrackError, OSError: it cannot be written, or what came before could not.
+        """
+        estimate = step.estimate
+        step = replace(step, baselines=self._baselines.step(frame.time_ns, step.posterior, frame.odometry))
+        self._recorder.add(frame, step)
+        modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
+        self._writer.write(frame.time_ns, modes, estimate.cloud(self._particles))
+        self._viewer.log(frame, estimate, step.posterior.samples)
+
+    def record(self, *, skipped: Mapping[str, int], images: ImageCounts) -> RunRecord:
+        """The record of all images, see `RunRecorder.finish`; its peak memory is that of this process."""
+        return self._recorder.finish(skipped=skipped, images=images, peak_rss_mb=peak_rss_mb())
