@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -76,7 +76,8 @@ class Variation:
 
     def __getitem__(self, part: Int64[np.ndarray, " k"]) -> Variation:
         """The same for some of the images."""
-        return Variation(**{name: None if value is None else value[part] for name, value in vars(self).items()})
+        found = {name: value[part] for name, value in vars(self).items() if value is not None}
+        return replace(self, **found)
 
 
 def draw_variation(config: AugmentConfig, count: int, spare: tuple[int, int], *, rng: np.random.Generator) -> Variation:

@@ -43,13 +43,7 @@ def train_epoch(
     steps = steps_in_epoch(training, config)
     order = rng.permutation(len(training))[: steps * batch].reshape(steps, batch)
     network.train()
-    recalling, features = network.recalling, features_for(state, training)
-    batches: Batches
-    if recalling is not None and features is not None:
-        batches = FeatureBatches(state, recalling, features, config, generator=generator)
-    else:
-        size = image_size(config, state.epoch - since)
-        batches = ImageBatches(state, training, config, rng=rng, generator=generator, size=size)
+    batches = _batches(state, training, config, image_size(config, state.epoch - since), rng, generator)
     resized = first_epoch_of_size(config, state.epoch - since) * steps  # an average over two sizes suits neither
     total = 0.0
     for number, prepared in enumerate(batches.prepared(order)):
@@ -70,6 +64,20 @@ def train_epoch(
             )
         report(number + 1, total / (number + 1), rate)
     return total / steps
+
+
+def _batches(
+    state: TrainingState,
+    training: TrainingSet,
+    config: TrainConfig,
+    size: tuple[int, int],
+    rng: np.random.Generator,
+    generator: torch.Generator,
+) -> Batches:
+    recalling, features = state.network.recalling, features_for(state, training)
+    if recalling is not None and features is not None:
+        return FeatureBatches(state, recalling, features, config, generator=generator)
+    return ImageBatches(state, training, config, rng=rng, generator=generator, size=size)
 
 
 def features_for(state: TrainingState, images: TrainingSet) -> TrainingFeatures | None:

@@ -17,10 +17,11 @@ import torch
 import torch.distributed as dist
 from jaxtyping import Int64
 from torch import Tensor, nn
+from torch.distributed.distributed_c10d import Store
 from torch.distributed.rendezvous import rendezvous
 from torch.nn.parallel import DistributedDataParallel
 
-from vapor.observation import resolve_device
+from vapor.observation import Device, resolve_device
 from vapor.regressors.base import PoseRegressor
 from vapor.training.batch_statistics import share_batch_statistics
 from vapor.training_data.training_set import TrainingError
@@ -43,7 +44,7 @@ def is_first() -> bool:
 
 
 @contextmanager
-def joined_processes(device: str) -> Iterator[None]:
+def joined_processes(device: Device) -> Iterator[None]:
     """Join the processes that torchrun started, if it did, inside a `with` block.
 
     Args:
@@ -154,7 +155,7 @@ def from_first(value: Value) -> Value:
     return values[0]
 
 
-def _backend(device: str) -> str:
+def _backend(device: Device) -> str:
     """NCCL for GPUs, of which this process takes its own, or gloo."""
     if not dist.is_available():
         raise TrainingError("this torch is built without torch.distributed, expected one that has it, or one process")
@@ -173,7 +174,7 @@ def _backend(device: str) -> str:
     return backend
 
 
-def _first_to_fail(store: dist.Store) -> bool:
+def _first_to_fail(store: Store) -> bool:
     """Whether no other process has failed before: what ended that one ends all, and is told once."""
     with suppress(RuntimeError):  # the store went with the process that kept it
         return store.add("failed", 1) == 1

@@ -48,15 +48,11 @@ def share_state(state: TrainingState) -> None:
     """Give the first process' weights, moments and epochs to all others, in place."""
     if num_processes() == 1:
         return
-    found = from_first(
-        (
-            *(_on_cpu(part.state_dict()) for part in (state.network, state.average, state.optimizer)),
-            (state.epochs, state.epoch, state.seconds),
-        )
-    )
-    for part, values in zip((state.network, state.average, state.optimizer), found[:3], strict=True):
-        part.load_state_dict(values)
-    state.epochs, state.epoch, state.seconds = found[3]
+    parts = state.network, state.average, state.optimizer
+    values = from_first([_on_cpu(part.state_dict()) for part in parts])
+    for part, value in zip(parts, values, strict=True):
+        part.load_state_dict(value)
+    state.epochs, state.epoch, state.seconds = from_first((state.epochs, state.epoch, state.seconds))
 
 
 def _on_cpu(values: Any) -> Any:

@@ -66,8 +66,8 @@ def test_two_processes_go_on_with_a_training_as_one_would_and_only_the_first_wri
     other.join(30)
     assert other.exitcode == 0
     assert len(alone) == 3 + 3 + 3 + 4  # three epochs of three walks, and one of all four
-    # With batch statistics of each part for itself, losses are off by 0.02 to 0.1.
-    np.testing.assert_allclose(together, alone[3:], rtol=2e-3)
+    # They differ by 6e-6; with batch statistics of each part for itself by 3e-3 and more.
+    np.testing.assert_allclose(together, alone[3:], rtol=1e-4)
     assert {path.name for path in tmp_path.iterdir()} == {"alone.safetensors", "shared.safetensors"}
 
 
