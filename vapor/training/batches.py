@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -25,6 +25,7 @@ from vapor.training_data.training_set import TrainingSet
 _REMEMBERED = 32  # steps from one to the next time that all images are remembered anew, at least
 
 
+@runtime_checkable
 class Batches(Protocol):
     """Gives the loss of one batch of an epoch after another; of its own part of each where processes share them."""
 
