@@ -43,6 +43,11 @@ def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: T
         per_pass = (stamps[1] - stamps[0]) / (2 * len(rows))
         varied = np.minimum(epochs, VARIANTS)
         extraction, evaluation = per_pass * len(split.everything) * (2 + varied), 0.0  # which is quick then
-    small = np.array([sum(1.0 - step_cost(replace(config, epochs=n), epoch) for epoch in range(n)) for n in epochs])
-    seconds = extraction + per_image * (epochs * (len(training) + more + evaluation) - small * len(training))
+    spared = np.array([_spared(replace(config, epochs=n)) for n in range(1, most + 1)]) * len(training)
+    seconds = extraction + per_image * (epochs * (len(training) + more + evaluation) - spared)
     return max(min(_FEWEST, most), int((seconds <= 3600.0 * config.hours).sum()))
+
+
+def _spared(config: TrainConfig) -> float:
+    """How many epochs less a training takes because its first images are small."""
+    return sum(1.0 - step_cost(config, epoch) for epoch in range(config.known_epochs))
