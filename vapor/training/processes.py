@@ -10,21 +10,22 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import torch
 import torch.distributed as dist
 from jaxtyping import Int64
 from torch import Tensor, nn
-from torch.distributed.distributed_c10d import Store
-from torch.distributed.rendezvous import rendezvous
 from torch.nn.parallel import DistributedDataParallel
 
 from vapor.observation import Device, resolve_device
 from vapor.regressors.base import PoseRegressor
 from vapor.training.batch_statistics import share_batch_statistics
 from vapor.training_data.training_set import TrainingError
+
+if TYPE_CHECKING:
+    from torch.distributed.distributed_c10d import Store
 
 Value = TypeVar("Value")
 
@@ -59,6 +60,8 @@ def joined_processes(device: Device) -> Iterator[None]:
         return
     process = f"process {_whole('RANK', 0)} of {_whole('WORLD_SIZE', 1)}"
     backend = _backend(device)
+    from torch.distributed.rendezvous import rendezvous  # which a torch without torch.distributed lacks
+
     try:
         store, rank, count = next(rendezvous("env://", timeout=_JOINING))
         dist.init_process_group(backend, store=store, rank=rank, world_size=count, timeout=_PATIENCE)
