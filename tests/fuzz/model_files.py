@@ -22,6 +22,7 @@ from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import make_regressor
 from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.regressors.scene_box import SceneBox
+from vapor.training.processes import make_learner
 from vapor.training.state import TrainingState, load_state, save_state
 
 _NETWORK = NetworkConfig(
@@ -91,7 +92,7 @@ _BOX = SceneBox.around(Poses.stack([pose for _, pose in Walk(NUM_IMAGES).truth])
 def _training(rng: np.random.Generator) -> TrainingState:
     """A training that has yet to begin."""
     network, average = _regressor(_NETWORK, _BOX, rng), make_regressor(_NETWORK, _BOX)
-    return TrainingState(network, average, torch.optim.AdamW(network.parameters()))
+    return TrainingState(network, average, make_learner(network), torch.optim.AdamW(network.parameters()))
 
 
 def make_training_state(folder: Path) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -31,6 +31,7 @@ from vapor.evaluation.validation import Validation
 from vapor.training.check_result import TrainingCheck
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS, PRESETS
+from vapor.training.processes import is_first, joined_processes
 from vapor.training.progress import Progress, TrainResult
 from vapor.training.state import is_training_state, state_path
 from vapor.training.train import train
@@ -70,6 +71,11 @@ def main(arguments: Sequence[str]) -> None:
     )
     if not options.data:
         usage_error("train", "no training data, expected at least one file or folder")
+    with joined_processes(options.config.device):
+        _train(options)
+
+
+def _train(options: Options) -> None:
     state = state_path(options.output)
     for path, kind, is_kind in (
         (options.output, "model of vapor-track", is_model),
@@ -77,7 +83,8 @@ def main(arguments: Sequence[str]) -> None:
     ):
         data = files_read([*options.data, *options.validation], options.reading)
         refuse_other(path, kind, is_kind, reads=chain(options.config.files_read, data), overwrite=options.overwrite)
-    with _display() if sys.stderr.isatty() else _log() as report:
+    told = nullcontext() if not is_first() else _display() if sys.stderr.isatty() else _log()
+    with told as report:
         result = train(
             options.data,
             options.output,
@@ -86,6 +93,8 @@ def main(arguments: Sequence[str]) -> None:
             reading=options.reading,
             progress=report,
         )
+    if not is_first():
+        return
     if result.calibration is not None:
         show_calibration(result.calibration)
     if result.check is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -52,74 +52,109 @@ class AugmentConfig:
         )
 
 
-def random_crops(
-    images: UInt8[np.ndarray, "n h w 3"],
-    indices: Int64[np.ndarray, " b"],
-    width: int,
-    height: int,
-    config: AugmentConfig,
-    *,
-    rng: np.random.Generator,
-) -> UInt8[np.ndarray, "b height width 3"]:
-    """A random part of each chosen image, some of them blurred; only what is cropped is read."""
-    y = rng.integers(0, images.shape[1] - height, len(indices), endpoint=True)
-    x = rng.integers(0, images.shape[2] - width, len(indices), endpoint=True)
-    sigma = config.blur_sigma_px * rng.uniform(0.5, 1.0, len(indices))
-    sigma[rng.random(len(indices)) >= config.blur_probability] = 0.0
-    crops = np.empty((len(indices), height, width, 3), np.uint8)
-    for crop, i, top, left, s in zip(crops, indices, y, x, sigma, strict=True):
-        part = images[i, top : top + height, left : left + width]
-        crop[:] = cv2.GaussianBlur(part, (0, 0), s) if s > 0 else part
-    return crops
+@dataclass(frozen=True)
+class Variation:
+    """What was drawn for each image of a batch.
+
+    Attributes:
+        top: First row of its crop.
+        left: First column of its crop.
+        sigma_px: Of its blur; 0 for none.
+        contrast: Factor of contrast.
+        saturation: Factor of saturation.
+        gain: Factor of each channel.
+        light: Logarithm of the light at three by three points; None for even light.
+    """
+
+    top: Int64[np.ndarray, " b"]
+    left: Int64[np.ndarray, " b"]
+    sigma_px: Float[np.ndarray, " b"]
+    contrast: Float32[np.ndarray, " b"]
+    saturation: Float32[np.ndarray, " b"]
+    gain: Float32[np.ndarray, "b 3"]
+    light: Float[np.ndarray, "b 1 3 3"] | None
+
+    def __getitem__(self, part: Int64[np.ndarray, " k"]) -> Variation:
+        """The same for some of the images."""
+        found = {name: value[part] for name, value in vars(self).items() if value is not None}
+        return replace(self, **found)
 
 
-def colour_jitter(
-    mean_grey: Float32[np.ndarray, " b"], config: AugmentConfig, *, rng: np.random.Generator
-) -> tuple[Float32[np.ndarray, "b 3 3"], Float32[np.ndarray, "b 3"]]:
-    """Random affine maps x → A x + a of RGB pixels in 0..255: brightness, contrast, saturation and channel gains.
+def draw_variation(config: AugmentConfig, count: int, spare: tuple[int, int], *, rng: np.random.Generator) -> Variation:
+    """Draw how each of so many images varies.
 
     Args:
-        mean_grey: Mean grey of each image, about which contrast turns.
         config: Amounts.
-        rng: Source of the factors.
+        count: Of the images.
+        spare: Rows and columns by which they are larger than crops of them.
+        rng: Source of all that is drawn.
     """
 
     def factor(amount: float, *shape: int) -> np.ndarray:
-        return rng.uniform(1 - amount, 1 + amount, (len(mean_grey), *shape)).astype(np.float32)
+        return rng.uniform(1 - amount, 1 + amount, (count, *shape)).astype(np.float32)
 
-    contrast, saturation = factor(config.contrast), factor(config.saturation)[:, None, None]
+    top, left = (rng.integers(0, most, count, endpoint=True) for most in spare)
+    sigma_px = config.blur_sigma_px * rng.uniform(0.5, 1.0, count)
+    sigma_px[rng.random(count) >= config.blur_probability] = 0.0
+    contrast, saturation = factor(config.contrast), factor(config.saturation)
     gain = factor(config.brightness)[:, None] * factor(config.colour, 3)
+    light = config.light * rng.standard_normal((count, 1, 3, 3)) if config.light > 0.0 else None
+    return Variation(top, left, sigma_px, contrast, saturation, gain, light)
+
+
+def random_crops(
+    images: UInt8[np.ndarray, "n h w 3"],
+    indices: Int64[np.ndarray, " b"],
+    variation: Variation,
+    size: tuple[int, int],
+    shrunk: tuple[int, int] | None = None,
+) -> UInt8[np.ndarray, "b h2 w2 3"]:
+    """The drawn part of each chosen image, some of them blurred; only what is cropped is read.
+
+    Args:
+        images: All there are.
+        indices: Of those chosen.
+        variation: Of each of these.
+        size: Width and height of the parts, pixels.
+        shrunk: Width and height to which the parts are then shrunk, by areas; None for as they are.
+    """
+    (width, height), shrunk = size, shrunk or size
+    crops = np.empty((len(indices), shrunk[1], shrunk[0], 3), np.uint8)
+    drawn = variation.top, variation.left, variation.sigma_px
+    for crop, i, top, left, sigma in zip(crops, indices, *drawn, strict=True):
+        part = images[i, top : top + height, left : left + width]
+        part = cv2.GaussianBlur(part, (0, 0), sigma) if sigma > 0 else part
+        crop[:] = part if shrunk == size else cv2.resize(part, shrunk, interpolation=cv2.INTER_AREA)
+    return crops
+
+
+def _colours(
+    variation: Variation, mean_grey: Float32[np.ndarray, " b"]
+) -> tuple[Float32[np.ndarray, "b 3 3"], Float32[np.ndarray, "b 3"]]:
+    """Affine maps x → A x + a of RGB pixels in 0..255; contrast turns about the mean grey of each image."""
+    contrast, saturation, gain = variation.contrast, variation.saturation[:, None, None], variation.gain
     colour = saturation * np.eye(3, dtype=np.float32) + (1 - saturation) * np.broadcast_to(_GREY, (3, 3))
     matrix = (gain * contrast[:, None])[:, :, None] * colour
     return matrix, gain * ((1 - contrast) * mean_grey)[:, None]
-
-
-def _uneven_light(shape: tuple[int, ...], amount: float, *, rng: np.random.Generator) -> Float[Tensor, "b h w 1"]:
-    """Factors by which light on images of a shape (b, h, w, 3) changes: smooth fields through three by three points."""
-    points = torch.from_numpy(np.exp(amount * rng.standard_normal((shape[0], 1, 3, 3)))).float()
-    field = functional.interpolate(points, size=shape[1:3], mode="bilinear", align_corners=True)
-    return field.permute(0, 2, 3, 1)
 
 
 def jitter_and_normalise(
     crops: UInt8[Tensor, "b h w 3"],
     pixel_mean: Float[Tensor, "3"],
     pixel_std: Float[Tensor, "3"],
-    config: AugmentConfig,
-    *,
-    rng: np.random.Generator,
+    variation: Variation,
 ) -> Float[Tensor, "b 3 h w"]:
-    """Colour jitter and the backbone's normalisation as one affine map per image; channels-last in memory."""
+    """The drawn colours and the backbone's normalisation as one affine map per image; channels-last in memory."""
     grey = torch.tensor(_GREY, device=crops.device)
     mean_grey = crops[:, ::4, ::4].float().mean(dim=(1, 2)) @ grey  # a sixteenth of the pixels is enough for the mean
-    matrix, offset = (
-        torch.from_numpy(a).to(crops.device) for a in colour_jitter(mean_grey.cpu().numpy(), config, rng=rng)
-    )
+    matrix, offset = (torch.from_numpy(a).to(crops.device) for a in _colours(variation, mean_grey.cpu().numpy()))
     matrix = matrix / pixel_std[:, None]
     offset = (offset - pixel_mean) / pixel_std
     pixels = crops.float()
-    if config.light > 0.0:
-        pixels.mul_(_uneven_light(crops.shape, config.light, rng=rng).to(crops.device)).clamp_(max=255.0)
+    if variation.light is not None:
+        points = torch.from_numpy(np.exp(variation.light)).float()
+        light = functional.interpolate(points, size=crops.shape[1:3], mode="bilinear", align_corners=True)
+        pixels.mul_(light.permute(0, 2, 3, 1).to(crops.device)).clamp_(max=255.0)
     pixels = pixels.flatten(1, 2)
     mapped = torch.baddbmm(offset[:, None], pixels, matrix.transpose(1, 2))
     return mapped.unflatten(1, crops.shape[1:3]).permute(0, 3, 1, 2)

@@ -12,8 +12,8 @@ from vapor.training.batches import Batches, FeatureBatches, ImageBatches
 from vapor.training.config import TrainConfig
 from vapor.training.ema import update_average
 from vapor.training.memory import TrainingFeatures, extract_training_features
-from vapor.training.pairs import paired
-from vapor.training.schedule import learning_rate, samples_per_image, steps_in_epoch
+from vapor.training.processes import mean_of_all
+from vapor.training.schedule import first_epoch_of_size, image_size, learning_rate, samples_per_image, steps_in_epoch
 from vapor.training.state import TrainingState
 from vapor.training_data.training_set import TrainingError, TrainingSet
 
@@ -43,26 +43,20 @@ def train_epoch(
     steps = steps_in_epoch(training, config)
     order = rng.permutation(len(training))[: steps * batch].reshape(steps, batch)
     network.train()
-    recalling, features = network.recalling, features_for(state, training)
-    batches: Batches
-    if recalling is not None and features is not None:
-        batches = FeatureBatches(recalling, features, state.epoch, config, generator=generator)
-    else:
-        batches = ImageBatches(network, training, config, rng=rng, generator=generator)
+    batches = _batches(state, training, config, image_size(config, state.epoch - since), rng, generator)
+    resized = first_epoch_of_size(config, state.epoch - since) * steps  # an average over two sizes suits neither
     total = 0.0
-    for number, indices in enumerate(order):
-        if config.loss.relative > 0.0:
-            indices = paired(indices, training.sequence, config.loss.pair_gap, rng=rng)
+    for number, prepared in enumerate(batches.prepared(order)):
         step = (state.epoch - since) * steps + number
         rate = learning_rate(config, step, steps)
         for group in state.optimizer.param_groups:
             group["lr"] = rate
-        loss = batches.loss(indices, number, samples_per_image(config, step, steps))
+        loss = batches.loss(prepared, number, samples_per_image(config, step, steps))
         state.optimizer.zero_grad(set_to_none=True)
-        loss.total.backward()
+        loss.backward()
         state.optimizer.step()
-        update_average(state.average, network, config.ema_decay, step)
-        total += (value := float(loss.total.detach()))
+        update_average(state.average, network, config.ema_decay, step - resized)
+        total += (value := float(mean_of_all(loss.detach())))
         if not math.isfinite(value):
             raise TrainingError(
                 f"loss is {value} in epoch {state.epoch + 1}, step {number + 1}, expected a finite number;"
@@ -70,6 +64,20 @@ def train_epoch(
             )
         report(number + 1, total / (number + 1), rate)
     return total / steps
+
+
+def _batches(
+    state: TrainingState,
+    training: TrainingSet,
+    config: TrainConfig,
+    size: tuple[int, int],
+    rng: np.random.Generator,
+    generator: torch.Generator,
+) -> Batches:
+    recalling, features = state.network.recalling, features_for(state, training)
+    if recalling is not None and features is not None:
+        return FeatureBatches(state, recalling, features, config, generator=generator)
+    return ImageBatches(state, training, config, rng=rng, generator=generator, size=size)
 
 
 def features_for(state: TrainingState, images: TrainingSet) -> TrainingFeatures | None:

@@ -6,15 +6,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float64, Int64
+from jaxtyping import Bool, Float, Float64, Int64, UInt8
 from torch import Tensor
 
 from vapor.evaluation.validation import batches
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.memory import RecallingRegressor
-from vapor.training.augment import jitter_and_normalise, random_crops
+from vapor.training.ahead import one_ahead
+from vapor.training.augment import Variation, draw_variation, jitter_and_normalise, random_crops
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import way_of
+from vapor.training.processes import own_part, sum_of_all
 from vapor.training_data.ground import near_scale_m
 from vapor.training_data.training_set import TrainingSet
 
@@ -69,15 +71,24 @@ class TrainingFeatures:
         variant = number % self.num_variants
         if variant not in self.variants:
             size, device = (config.network.image_width, config.network.image_height), self.features.device
-            rng, features = np.random.default_rng([config.seed, variant]), torch.empty_like(self.features)
-            for begin in range(0, len(features), _BATCH):
-                part = slice(begin, begin + _BATCH)
-                crops = random_crops(self.images.images, self.images.rows[part], *size, config.augment, rng=rng)
+            rng, features = np.random.default_rng([config.seed, variant]), torch.zeros_like(self.features)
+            whole, rows = self.images.images, self.images.rows
+            spare = whole.shape[1] - size[1], whole.shape[2] - size[0]
+
+            def vary(begin: int) -> tuple[Int64[np.ndarray, " k"], Variation, UInt8[np.ndarray, "k h w 3"]]:
+                count = min(_BATCH, len(rows) - begin)
+                own = own_part(count)
+                variation = draw_variation(config.augment, count, spare, rng=rng)[own]
+                return begin + own, variation, random_crops(whole, rows[begin + own], variation, size)
+
+            for part, variation, crops in one_ahead(vary, range(0, len(rows), _BATCH)):
+                if not len(part):  # fewer images than processes
+                    continue
                 pixels = torch.from_numpy(crops).to(device)
-                images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, config.augment, rng=rng)
+                images = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, variation)
                 with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-                    features[part] = network.extract_features(images)
-            self.variants[variant] = features
+                    features[part] = network.extract_features(images).to(features.dtype)
+            self.variants[variant] = sum_of_all(features)
         return self.variants[variant]
 
     def hidden(self, indices: Int64[np.ndarray, " b"]) -> Bool[Tensor, "b n"]:
@@ -104,7 +115,10 @@ def extract_training_features(
         at = np.searchsorted(known.images.rows, images.rows).clip(max=len(known.images) - 1)
         new = known.images.rows[at] != images.rows
         features[~new] = known.features[at[~new]]
-    found = features_of(network, images.select(np.flatnonzero(new)))
+    asked = np.flatnonzero(new)
+    own, found = own_part(len(asked)), torch.zeros(len(asked), len(network.centre), device=device)
+    found[own] = features_of(network, images.select(asked[own]))
+    found = sum_of_all(found)
     if not network.standardised:
         network.standardise(found)
         found = (found - network.centre) / network.spread

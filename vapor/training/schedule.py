@@ -8,6 +8,8 @@ from dataclasses import replace
 from vapor.training.config import TrainConfig
 from vapor.training_data.training_set import TrainingSet
 
+_SMALL = (0.4, 0.6)  # of the images' edges, one after the other
+_SMALLEST = 32  # pixels of the shorter edge: the backbones have a stride of 32
 _FINISHING_RATE = 0.3  # of the largest learning rate, when a trained model goes on with more data
 
 
@@ -20,6 +22,30 @@ def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float
     if done < config.warmup:
         return config.learning_rate * (1 - math.cos(math.pi * done / config.warmup)) / 2
     return config.learning_rate * (1 + math.cos(math.pi * (done - config.warmup) / (1 - config.warmup))) / 2
+
+
+def image_size(config: TrainConfig, epoch: int) -> tuple[int, int]:
+    """Width and height of the images of an epoch, pixels, counted from 0: small ones first where that is configured."""
+    c, done = config.network, epoch / config.known_epochs
+    if done >= config.small_images_first:
+        return c.image_width, c.image_height
+    edge = _SMALL[int(len(_SMALL) * done / config.small_images_first)]
+    edge = max(edge, _SMALLEST / min(c.image_width, c.image_height))
+    return round(edge * c.image_width), round(edge * c.image_height)
+
+
+def step_cost(config: TrainConfig, epoch: int) -> float:
+    """Time of a step of an epoch as a fraction of one with whole images, about: a fifth is the same for any size."""
+    width, height = image_size(config, epoch)
+    return 0.2 + 0.8 * width * height / (config.network.image_width * config.network.image_height)
+
+
+def first_epoch_of_size(config: TrainConfig, epoch: int) -> int:
+    """The first epoch whose images, and those of all since, have the size of this one's."""
+    size = image_size(config, epoch)
+    while epoch > 0 and image_size(config, epoch - 1) == size:
+        epoch -= 1
+    return epoch
 
 
 def samples_per_image(config: TrainConfig, step: int, steps_per_epoch: int) -> int:
@@ -44,4 +70,5 @@ def evaluation_interval(training: int, evaluated: int) -> int:
 def finishing(config: TrainConfig) -> TrainConfig:
     """How a model that was evaluated goes on with everything: fewer epochs, lower rates."""
     epochs = max(1, round(config.finish * config.known_epochs))
-    return replace(config, epochs=epochs, learning_rate=_FINISHING_RATE * config.learning_rate, ewta_fraction=0.0)
+    rate = _FINISHING_RATE * config.learning_rate
+    return replace(config, epochs=epochs, learning_rate=rate, ewta_fraction=0.0, small_images_first=0.0)

@@ -16,6 +16,7 @@ from vapor.regressors.pretrained import load_pretrained
 from vapor.regressors.registry import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
+from vapor.training.processes import make_learner
 from vapor.training.state import TrainingState
 from vapor.training_data.training_set import TrainingError
 
@@ -68,8 +69,9 @@ def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint 
         n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         for n in (network, average)
     )
+    learner = make_learner(network)
     optimizer = torch.optim.AdamW(parameter_groups(network, config), lr=config.learning_rate, fused=True)
-    return TrainingState(network, average, optimizer)
+    return TrainingState(network, average, learner, optimizer)
 
 
 def parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
@@ -35,6 +35,7 @@ class TrainingState:
     Attributes:
         network: The network being trained.
         average: Its exponential moving average, which is evaluated and becomes the model.
+        learner: What gives the network's loss, from `make_learner`.
         optimizer: AdamW, with its moments.
         epochs: How many there will be before the finished model is evaluated.
         epoch: Epochs done; more than that while it goes on with everything.
@@ -47,6 +48,7 @@ class TrainingState:
 
     network: PoseRegressor
     average: PoseRegressor
+    learner: nn.Module
     optimizer: torch.optim.Optimizer
     epochs: int = 0
     epoch: int = 0

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -23,9 +23,11 @@ from vapor.training.epoch import features_for
 from vapor.training.holding_out import Split, hold_out, within_map
 from vapor.training.memory import remember
 from vapor.training.model_file import calibrate_and_check, model_checkpoint
+from vapor.training.processes import from_first, is_first, require_shares
 from vapor.training.progress import Progress, ProgressCallback, TrainResult
+from vapor.training.saving import Saving, share_state
 from vapor.training.start import initial_model, start
-from vapor.training.state import TrainingState, load_state, save_state, state_path
+from vapor.training.state import TrainingState, state_path
 from vapor.training.trainer import Trainer, weights_of
 from vapor.training_data.checks import require_variety, too_few
 from vapor.training_data.entries import open_sequences
@@ -159,6 +161,7 @@ def _fit(
     config: TrainConfig,
     report: ProgressCallback,
 ) -> TrainResult:
+    require_shares(min(config.batch_size, len(split.training)), pairs=config.loss.relative > 0.0)
     evaluated = split.held_out.select(spaced(len(split.held_out), config.validation_images))
     poses = zlib.crc32(split.training.poses.as_matrix().tobytes())
     identity = {
@@ -168,32 +171,42 @@ def _fit(
         "held_out": len(evaluated),
         **_settings(config),
     }
-    resumed = config.resume and state_path(output).exists()
-    told = load_state(state_path(output), state, identity) if resumed else ()
+    saving = Saving(state_path(output), identity)
+    told = saving.resume(state) if config.resume and is_first() else ()
+    share_state(state)
     report(Progress("holding out", len(split.held_out), notes=(*told, *split.notes)))
-    state.epochs = state.epochs or config.epochs or fitting_epochs(state, split, len(evaluated), config)
+    state.epochs = state.epochs or config.epochs or from_first(fitting_epochs(state, split, len(evaluated), config))
     trainer = Trainer(state, split, replace(config, epochs=state.epochs), report)
 
     while state.epoch < state.epochs:
-        trainer.evaluate(evaluated, trainer.epoch())
-        save_state(state_path(output), state, identity)
-    model = deepcopy(state.average)
-    model.load_state_dict(state.best or weights_of(trainer.kept))
-    remember(model, features_for(state, split.training))
-    found = calibrate_and_check(
-        model, split, evaluated, config, lambda *where: report(Progress(*where, best=trainer.best))
-    )
+        loss = trainer.epoch()
+        if is_first():
+            trainer.evaluate(evaluated, loss)
+            saving.save(state, last=state.epoch == state.epochs)
+    model, found = deepcopy(state.average), None
+    features = features_for(state, split.training)
+    if is_first():
+        model.load_state_dict(state.best or weights_of(trainer.kept))
+        remember(model, features)
+        found = calibrate_and_check(
+            model, split, evaluated, config, lambda *where: report(Progress(*where, best=trainer.best))
+        )
 
     if trainer.goes_on and state.epoch == state.epochs:
         for network in (state.network, state.average):
             network.load_state_dict(model.state_dict())
+        share_state(state)
     while state.epoch < trainer.epochs:
         trainer.epoch()
-        save_state(state_path(output), state, identity)
+        if is_first():
+            saving.save(state)
+    learned = split.everything if trainer.goes_on else split.training
+    features = features_for(state, learned)
+    if found is None:
+        return from_first(cast(TrainResult, None))  # which the first process has
     if trainer.goes_on:
         model.load_state_dict(weights_of(trainer.kept))
-    learned = split.everything if trainer.goes_on else split.training
-    remember(model, features_for(state, learned))
+    remember(model, features)
     provenance = {
         **names,
         "training_images": len(learned),
@@ -206,19 +219,21 @@ def _fit(
     }
     checkpoint = model_checkpoint(model, learned, split, evaluated, found, config, provenance)
     save_checkpoint(output, checkpoint, store_float16=config.store_float16)
-    state_path(output).unlink(missing_ok=True)
+    saving.remove()
     apart = split.held_out.images is not split.training.images
     skipped, notices = split.training.skipped, split.training.notices
-    return TrainResult(
-        checkpoint,
-        tuple(state.history),
-        trainer.best,
-        state.seconds,
-        trainer.images_seen(state.epoch),
-        found.calibrated,
-        found.check,
-        skipped + split.held_out.skipped if apart else skipped,
-        (*notices, *(split.held_out.notices if apart else ()), *too_few(split.everything)),
+    return from_first(
+        TrainResult(
+            checkpoint,
+            tuple(state.history),
+            trainer.best,
+            state.seconds,
+            trainer.images_seen(state.epoch),
+            found.calibrated,
+            found.check,
+            skipped + split.held_out.skipped if apart else skipped,
+            (*notices, *(split.held_out.notices if apart else ()), *too_few(split.everything)),
+        )
     )
 
 

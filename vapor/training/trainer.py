@@ -16,7 +16,7 @@ from vapor.training.epoch import train_epoch
 from vapor.training.holding_out import Split
 from vapor.training.memory import VARIANTS, features_of, remember
 from vapor.training.progress import Progress, ProgressCallback
-from vapor.training.schedule import evaluation_interval, finishing, steps_in_epoch
+from vapor.training.schedule import evaluation_interval, finishing, step_cost, steps_in_epoch
 from vapor.training.state import TrainingState
 from vapor.training_data.training_set import TrainingSet
 
@@ -39,7 +39,7 @@ class Trainer:
         self.epochs = state.epochs + (finishing(config).known_epochs if self.goes_on else 0)
         self.best = best_epoch(state.history, config)
         self._split, self._report = split, report
-        self._per_step_s = 0.0  # of the last steps
+        self._per_step_s = 0.0  # of the last steps, had their images been whole
         self._features: Tensor | None = None  # of the images to evaluate on, of a backbone that does not learn
 
     @property
@@ -57,7 +57,9 @@ class Trainer:
         finished = state.epoch >= state.epochs
         config, since = (finishing(self.config), state.epochs) if finished else (self.config, 0)
         steps = [steps_in_epoch(self._images(epoch), config) for epoch in range(self.epochs)]
-        before = sum(steps[: state.epoch])
+        costs = [step_cost(self.config, epoch) if epoch < state.epochs else 1.0 for epoch in range(self.epochs)]
+        before, cost = sum(steps[: state.epoch]), costs[state.epoch]
+        later = sum(count * each for count, each in list(zip(steps, costs, strict=True))[state.epoch + 1 :])
         passes = 1 if state.features is not None else 2  # over all images: as they are, and as this epoch varies them
         first_s = 0.0
 
@@ -66,10 +68,10 @@ class Trainer:
             seconds, done = perf_counter() - begin_s, before + step
             if step == 1:
                 first_s = seconds
-                self._per_step_s = self._per_step_s or seconds / done
+                self._per_step_s = self._per_step_s or seconds / done / cost
             else:
-                self._per_step_s = (seconds - first_s) / (step - 1)
-            left_s = self._per_step_s * (sum(steps) - done)
+                self._per_step_s = (seconds - first_s) / (step - 1) / cost
+            left_s = self._per_step_s * (later + (steps[state.epoch] - step) * cost)
             if state.features is not None:
                 left_s += (first_s - seconds_before) / passes * max(min(VARIANTS, state.epochs) - state.epoch - 1, 0)
             self._report(
@@ -94,10 +96,11 @@ class Trainer:
         return loss
 
     def evaluate(self, held_out: TrainingSet, loss: float) -> None:
-        """Compare the weights with the best so far, now and then; mean loss of the epoch as given."""
+        """Compare the weights with the best so far, now and then, not while images are small; mean loss as given."""
         state, config = self.state, self.config
         interval = evaluation_interval(len(self._split.training), len(held_out))
-        if not len(held_out) or (state.epoch % interval and state.epoch < state.epochs):
+        small = step_cost(config, state.epoch - 1) < 1.0
+        if not len(held_out) or small or (state.epoch % interval and state.epoch < state.epochs):
             return
         kept = self.kept
         remember(kept, state.features)

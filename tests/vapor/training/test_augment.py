@@ -6,19 +6,25 @@ import pytest
 import torch
 
 from tests.helpers.tiny_training import STILL
-from vapor.training.augment import jitter_and_normalise, random_crops
+from vapor.training.augment import draw_variation, jitter_and_normalise, random_crops
 
 
-def _jittered(images, config, seed=0):
+def _cropped(images, indices, width, height, config, shrunk=None):
+    spare = images.shape[1] - height, images.shape[2] - width
+    variation = draw_variation(config, len(indices), spare, rng=np.random.default_rng(0))
+    return random_crops(images, indices, variation, (width, height), shrunk)
+
+
+def _jittered(images, config):
     mean, std = torch.tensor([100.0, 110.0, 120.0]), torch.tensor([50.0, 60.0, 70.0])
-    rng = np.random.default_rng(seed)
-    normalised = jitter_and_normalise(torch.from_numpy(images), mean, std, config, rng=rng)
+    variation = draw_variation(config, len(images), (0, 0), rng=np.random.default_rng(0))
+    normalised = jitter_and_normalise(torch.from_numpy(images), mean, std, variation)
     return normalised * std[:, None, None] + mean[:, None, None]
 
 
 def test_without_augmentation_images_are_only_cropped_and_normalised():
     images = np.random.default_rng(0).integers(0, 256, (3, 16, 16, 3), dtype=np.uint8)
-    crops = random_crops(images, np.arange(3), 16, 16, STILL, rng=np.random.default_rng(0))
+    crops = _cropped(images, np.arange(3), 16, 16, STILL)
     np.testing.assert_array_equal(crops, images)
     np.testing.assert_allclose(_jittered(crops, STILL).permute(0, 2, 3, 1), images, atol=1e-3)
 
@@ -27,16 +33,36 @@ def test_every_crop_is_a_part_of_its_image_and_all_offsets_occur():
     rows, columns = np.mgrid[:8, :10].astype(np.uint8)
     images = np.stack([np.stack([rows, columns, np.full_like(rows, i)], axis=-1) for i in range(4)])
     indices = np.arange(400) % 4
-    crops = random_crops(images, indices, 7, 6, STILL, rng=np.random.default_rng(0))
+    crops = _cropped(images, indices, 7, 6, STILL)
     np.testing.assert_array_equal(crops[:, 0, 0, 2], indices)
     np.testing.assert_array_equal(crops[:, :, :, :2] - crops[:, :1, :1, :2], images[:1, :6, :7, :2].repeat(400, axis=0))
     assert {tuple(c) for c in crops[:, 0, 0, :2].tolist()} == set(itertools.product(range(3), range(4)))
 
 
+def test_small_images_are_the_means_of_what_larger_ones_would_show():
+    images = np.random.default_rng(0).integers(0, 256, (3, 18, 26, 3), dtype=np.uint8)
+    indices = np.arange(12) % 3
+    whole = _cropped(images, indices, 24, 16, STILL).astype(float)
+    means = whole.reshape(12, 8, 2, 12, 2, 3).mean(axis=(2, 4))
+    np.testing.assert_allclose(_cropped(images, indices, 24, 16, STILL, (12, 8)), means, atol=0.51)
+
+
+def test_some_images_of_a_batch_vary_as_they_would_in_the_whole():
+    rows = np.array([1, 4])
+    config = replace(STILL, contrast=0.5, light=0.2)
+    variation = draw_variation(config, 6, (3, 5), rng=np.random.default_rng(0))
+    images = np.random.default_rng(1).integers(0, 256, (6, 9, 12, 3), dtype=np.uint8)
+    found = []
+    for indices, drawn in ((np.arange(6), variation), (rows, variation[rows])):
+        crops = random_crops(images, indices, drawn, (7, 6))
+        found.append(jitter_and_normalise(torch.from_numpy(crops), torch.zeros(3), torch.ones(3), drawn))
+    torch.testing.assert_close(found[1], found[0][rows])
+
+
 def test_blur_touches_its_share_of_the_images_and_keeps_their_mean():
     images = np.random.default_rng(0).integers(0, 256, (1, 32, 32, 3), dtype=np.uint8)
     config = replace(STILL, blur_probability=0.3, blur_sigma_px=2.0)
-    crops = random_crops(images, np.zeros(500, np.int64), 32, 32, config, rng=np.random.default_rng(0))
+    crops = _cropped(images, np.zeros(500, np.int64), 32, 32, config)
     blurred = (crops != images[0]).any(axis=(1, 2, 3))
     assert blurred.mean() == pytest.approx(0.3, abs=0.06)  # three standard deviations of 500 draws
     assert crops[blurred].mean() == pytest.approx(images.mean(), abs=1.0)

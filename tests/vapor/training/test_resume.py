@@ -9,13 +9,15 @@ from filtering.se3 import Poses
 from tests.helpers.short_training import Interrupted, interrupt_at, same_weights, train_on_most
 from tests.helpers.tiny_training import TINY, make_frames, pose
 from vapor.tensor_files import CheckpointError
+from vapor.training import saving
 from vapor.training.state import state_path
 from vapor.training.train import train_on
 
 # --- resume ---------------------------------------------------------------------------------------
 
 
-def test_an_interrupted_training_ends_with_the_same_weights_as_an_uninterrupted_one(tmp_path):
+def test_an_interrupted_training_ends_with_the_same_weights_as_an_uninterrupted_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(saving, "_SELDOM", 0.0)
     frames, config = make_frames(24), replace(TINY, network=replace(TINY.network, backbone="resnet18-half"))
     whole = train_on_most(frames, tmp_path / "whole.safetensors", config)
     assert whole.best is whole.history[-1]  # so that the last weights are compared
@@ -34,6 +36,17 @@ def test_an_interrupted_training_ends_with_the_same_weights_as_an_uninterrupted_
     assert not state_path(output).exists()
     anew = train_on_most(frames, tmp_path / "other.safetensors", replace(TINY, seed=1))
     assert not same_weights(anew.checkpoint, whole.checkpoint)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_short_epochs_are_not_all_saved_but_the_first_and_the_last_are(tmp_path, monkeypatch):
+    clock, saved = iter([0.0, 1.0, 2.0, 50.0, 51.0, 52.0, 53.0, 54.0]), []  # begin, end, and begins until the next
+    monkeypatch.setattr(saving, "perf_counter", lambda: next(clock))
+    monkeypatch.setattr(saving, "save_state", lambda path, state, identity: saved.append(state))
+    keeper = saving.Saving(tmp_path / "state", {})
+    for epoch in range(5):
+        keeper.save(epoch, last=epoch == 4)
+    assert saved == [0, 3, 4]
 
 
 # --- as much as there is time for, and everything in the end --------------------------------------

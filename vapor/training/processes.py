@@ -1,0 +1,195 @@
+"""One training by several processes (torchrun): each learns from its part of every batch, and gradients are averaged.
+
+All of them read the data, draw the same random numbers for whole batches, and hold the same weights after every step:
+the curve of losses is that of one process, up to rounding. The first one evaluates, writes and tells.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import timedelta
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import torch
+import torch.distributed as dist
+from jaxtyping import Int64
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
+
+from vapor.observation import Device, resolve_device
+from vapor.regressors.base import PoseRegressor
+from vapor.training.batch_statistics import share_batch_statistics
+from vapor.training_data.training_set import TrainingError
+
+if TYPE_CHECKING:
+    from torch.distributed.distributed_c10d import Store
+
+Value = TypeVar("Value")
+
+_LAUNCHED = ("RANK", "WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")  # variables that torchrun sets
+_JOINING = timedelta(minutes=5)  # of waiting for the others to start
+_PATIENCE = timedelta(hours=12)  # the others wait while the first one calibrates
+
+
+def num_processes() -> int:
+    """How many processes share the training: 1 where none were joined."""
+    return dist.get_world_size() if dist.is_available() and dist.is_initialized() else 1
+
+
+def is_first() -> bool:
+    """Whether this is the process that evaluates, writes and tells."""
+    return num_processes() == 1 or dist.get_rank() == 0
+
+
+@contextmanager
+def joined_processes(device: Device) -> Iterator[None]:
+    """Join the processes that torchrun started, if it did, inside a `with` block.
+
+    Args:
+        device: Where to train: on GPUs each process of a machine takes its own.
+
+    Raises:
+        TrainingError: they cannot be joined, or another process ended.
+        SystemExit: an error that another process has told already.
+    """
+    if _whole("WORLD_SIZE", 1) == 1 or not all(name in os.environ for name in _LAUNCHED):
+        yield
+        return
+    process = f"process {_whole('RANK', 0)} of {_whole('WORLD_SIZE', 1)}"
+    backend = _backend(device)
+    from torch.distributed.rendezvous import rendezvous  # which a torch without torch.distributed lacks
+
+    try:
+        store, rank, count = next(rendezvous("env://", timeout=_JOINING))
+        dist.init_process_group(backend, store=store, rank=rank, world_size=count, timeout=_PATIENCE)
+    except (RuntimeError, ValueError) as error:
+        where = f"{os.environ['MASTER_ADDR']}:{os.environ['MASTER_PORT']}"
+        raise TrainingError(f"{process}: cannot join the others at {where}: {_line(error)}") from error
+    try:
+        yield
+    except BaseException as error:
+        if not _first_to_fail(store):
+            raise SystemExit(1) from error
+        if isinstance(error, dist.DistError) or (isinstance(error, RuntimeError) and "gloo" in str(error)):
+            raise TrainingError(f"{process}: another one ended, or cannot be reached: {_line(error)}") from error
+        raise
+    finally:
+        dist.destroy_process_group()
+
+
+def own_part(count: int, *, pairs: bool = False) -> Int64[np.ndarray, " k"]:
+    """Which of the images of a batch this process learns from.
+
+    Args:
+        count: Of the images of the whole batch.
+        pairs: Whether the two halves of the batch are pairs, which stay together.
+    """
+    rows = np.arange(count)
+    shared = rows.reshape(2, -1) if pairs else rows[None]
+    rank = 0 if is_first() else dist.get_rank()
+    return np.array_split(shared, num_processes(), axis=1)[rank].reshape(-1)
+
+
+def require_shares(batch: int, *, pairs: bool) -> None:
+    """Refuse a batch that cannot be divided among the processes: their means would not be that of the batch.
+
+    Raises:
+        TrainingError: how many images it has, and how many processes there are.
+    """
+    count, units = num_processes(), batch // 2 if pairs else batch
+    if units % count:
+        of = "pairs of images" if pairs else "images"
+        raise TrainingError(
+            f"batches of {units} {of} cannot be shared by {count} processes, expected a multiple of {count}"
+            " (batch_size, or all images where these are fewer)"
+        )
+
+
+class Learner(nn.Module):
+    """A network whose `forward` is its loss, as DistributedDataParallel wants it."""
+
+    def __init__(self, network: PoseRegressor) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, loss: str, *batch: Any) -> Tensor:
+        """The loss of a batch by the network's method of that name."""
+        return getattr(self.network, loss)(*batch).total
+
+
+def make_learner(network: PoseRegressor) -> nn.Module:
+    """What gives the loss of a batch, or of this process' part of it; its gradients are then averages of all parts.
+
+    With several processes BatchNorm takes the statistics of whole batches from now on.
+    """
+    learner = Learner(network)
+    if num_processes() == 1:
+        return learner
+    share_batch_statistics(network)
+    # Some heads have weights that never learn, as the spread of a latent of which only the mean is taken.
+    return DistributedDataParallel(learner, static_graph=True)
+
+
+def mean_of_all(value: Tensor) -> Tensor:
+    """The mean of a number over all processes."""
+    if num_processes() > 1:
+        value = value.clone()
+        dist.all_reduce(value)
+        value /= num_processes()
+    return value
+
+
+def sum_of_all(value: Tensor) -> Tensor:
+    """The sum of a tensor over all processes, in place: of what each has found for its part, with zeros elsewhere."""
+    if num_processes() > 1:
+        dist.all_reduce(value)
+    return value
+
+
+def from_first(value: Value) -> Value:
+    """What the first process has, in all of them."""
+    if num_processes() == 1:
+        return value
+    values = [value]
+    dist.broadcast_object_list(values)
+    return values[0]
+
+
+def _backend(device: Device) -> str:
+    """NCCL for GPUs, of which this process takes its own, or gloo."""
+    if not dist.is_available():
+        raise TrainingError("this torch is built without torch.distributed, expected one that has it, or one process")
+    on_gpu = resolve_device(device).type == "cuda"
+    backend = "nccl" if on_gpu else "gloo"
+    if not dist.is_backend_available(backend):
+        raise TrainingError(f"this torch is built without {backend}, expected it for several processes")
+    if on_gpu:
+        local, gpus = _whole("LOCAL_RANK", 0), torch.cuda.device_count()
+        if local >= gpus:
+            raise TrainingError(
+                f"process {local + 1} of this machine has no GPU of its own: {gpus} found; start {gpus} processes, or"
+                " train on --device cpu"
+            )
+        torch.cuda.set_device(local)
+    return backend
+
+
+def _first_to_fail(store: Store) -> bool:
+    """Whether no other process has failed before: what ended that one ends all, and is told once."""
+    with suppress(RuntimeError):  # the store went with the process that kept it
+        return store.add("failed", 1) == 1
+    return False
+
+
+def _whole(name: str, default: int) -> int:
+    text = os.environ.get(name, str(default))
+    if not text.isdecimal():
+        raise TrainingError(f"{name} is {text!r} in the environment, expected a whole number as torchrun sets it")
+    return int(text)
+
+
+def _line(error: BaseException) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
