@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import torch
 from threadpoolctl import threadpool_limits
 
 
@@ -16,6 +15,8 @@ def limited_threads(network: int) -> Iterator[None]:
     The filter's matrix products take well under a millisecond: threads that wait for each other gain nothing, and on
     a shared processor they made a step ten times slower.
     """
+    import torch  # here: results that are found again need none of it
+
     before = torch.get_num_threads()
     torch.set_num_threads(network)
     try:

@@ -22,6 +22,7 @@ from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
 from vapor.benchmark.recordings.storage import load_recording
 from vapor.benchmark.trials.replay import Replay, follow_replay
 from vapor.benchmark.trials.setup import Setup, setup_settings
+from vapor.storage import fetched
 from vapor.tracking.belief import Belief
 
 RECORDED = "recorded"
@@ -114,7 +115,7 @@ class RecordedWalk:
         """Read or render a film, and show it to the network."""
         checkpoint = self.setup.checkpoint()
         if isinstance(film, FileSettings):
-            record_file(film, self.file, checkpoint, directory, self.reading)
+            record_file(film, fetched(self.file), checkpoint, directory, self.reading)
         else:
             make_recording(film, checkpoint, directory)
 
