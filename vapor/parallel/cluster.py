@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -63,7 +64,7 @@ class Cluster:
         submitted = [self.client.submit(do, packed(function, job), self.expected, pure=False) for job in jobs]
         failed: list[Failed] = []
         try:
-            for future in as_completed(submitted):
+            for future in as_completed(submitted, loop=self.client.loop):
                 outcome = self._outcome(future)
                 if isinstance(outcome, Failed):
                     failed.append(outcome)
@@ -111,9 +112,10 @@ def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
     except ImportError as error:
         raise ClusterError("--scheduler needs Dask: pip install 'vapor-track[cluster]'") from error
     try:
+        asyncio.run(_ask(address))
         client: Any = Client(address, timeout=_PATIENCE_S, set_as_default=False)
-    except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())
+    except (OSError, ValueError, TimeoutError) as error:
+        reason = " ".join(str(error).split()) or f"no answer within {_PATIENCE_S:g} s"
         raise ClusterError(f"{address}: {reason}; expected a Dask scheduler, such as tcp://host:8786") from error
 
     def told(event: tuple[float, Any]) -> None:
@@ -133,6 +135,16 @@ def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
             client.unsubscribe_topic("all")
     finally:
         client.close(timeout=2)
+
+
+async def _ask(address: str) -> None:
+    """Let a scheduler answer, as `Client` waits for ever for an answer that is begun, and leaves one that fails open."""
+    from distributed.core import rpc
+    from distributed.security import Security
+
+    async with asyncio.timeout(_PATIENCE_S):
+        async with rpc(address, connection_args=Security().get_connection_args("client")) as scheduler:
+            await scheduler.identity()
 
 
 def _refusal(others: dict[str, Any], expected: About) -> str:
