@@ -42,7 +42,7 @@ def local_path(url: str) -> Path:
     """
     found = _URL.fullmatch(url)
     names = found["rest"].rstrip("/").split("/") if found else []
-    names = [_ROOT, *names[1:]] if names[:1] == [""] else names
+    names = [_ROOT, *names[1:]] if names[:1] == [""] and names[1:] else names
     if found is None or not all(name not in ("", ".", "..") and "::" not in name for name in names):
         raise StorageError(f"{url}: expected a URL such as s3://bucket/folder")
     return _copies().joinpath(found["protocol"], *names)

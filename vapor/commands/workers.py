@@ -40,7 +40,7 @@ def workers_for(command: str, processes: int, scheduler: str | None) -> Iterator
     if scheduler is None:
         yield Workers(processes, tell=tell)
         return
-    _hush_dask()
+    hush_dask()
     with connected(scheduler, tell) as cluster:
         seen = f"dashboard {cluster.dashboard}" if cluster.dashboard else "no dashboard"
         waiting = "" if cluster.size else "; waits for the first"
@@ -48,7 +48,7 @@ def workers_for(command: str, processes: int, scheduler: str | None) -> Iterator
         yield Workers(processes, cluster, tell)
 
 
-def _hush_dask() -> None:
+def hush_dask() -> None:
     """Let Dask log nothing: what matters is told in one line."""
     with suppress(ImportError):
         import distributed  # noqa: F401  # makes its loggers

@@ -138,7 +138,7 @@ def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
 
 
 async def _ask(address: str) -> None:
-    """Let a scheduler answer, as `Client` waits for ever for an answer that is begun, and leaves one that fails open."""
+    """Let a scheduler answer: `Client` waits for ever for what is none, and takes long to give up a wrong address."""
     from distributed.core import rpc
     from distributed.security import Security
 
