@@ -13,6 +13,7 @@ import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -175,8 +176,10 @@ def _mark(file: Path, about: Mapping[str, Any]) -> None:
 
 
 def _version_ns(about: Mapping[str, Any]) -> int:
-    version = next((str(about[key]) for key in _VERSIONS if about.get(key)), "")
-    return int.from_bytes(hashlib.sha256(version.encode()).digest()[:4]) * 10**9  # whole seconds suit any disk
+    version = next((about[key] for key in _VERSIONS if about.get(key)), "")
+    if isinstance(version, datetime):  # of a file asked for alone, where in a list of some it is a number
+        version = version.timestamp()
+    return int.from_bytes(hashlib.sha256(str(version).encode()).digest()[:4]) * 10**9  # whole seconds suit any disk
 
 
 @contextmanager
