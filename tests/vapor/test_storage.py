@@ -12,6 +12,7 @@ import pytest
 from tests.helpers.tiny_experiments import TINY_TRAIN
 from tests.helpers.tiny_model import SMALL
 from vapor.benchmark.recordings import record as record_module
+from vapor.benchmark.trials import run as run_module
 from vapor.experiments import training_runs as runs_module
 from vapor.experiments.alpha import AlphaConfig
 from vapor.experiments.sweep import Sweep
@@ -98,11 +99,12 @@ def test_a_benchmark_under_a_url_goes_on_from_any_machine(machine, tiny_model, m
     summary = fsspec.filesystem("memory").cat("/bench/summary.json")
 
     machine("two")
-    monkeypatch.setattr(record_module, "record_synthetic", lambda *_: pytest.fail("recorded again"))
-    assert main(words) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(run_module, "localize", lambda *_: pytest.fail("localized again"))
+        assert main(words) == 0
     assert fsspec.filesystem("memory").cat("/bench/summary.json") == summary
-    # Other settings of the filter need the recording, and only that.
-    assert main([*words, "--localizer.switch-ratio", "2"]) == 0
+    monkeypatch.setattr(record_module, "record_synthetic", lambda *_: pytest.fail("recorded again"))
+    assert main([*words, "--localizer.switch-ratio", "2"]) == 0  # which needs the recording
     capsys.readouterr()
 
     fsspec.filesystem("memory").pipe("/other/notes.txt", b"mine")
@@ -132,6 +134,7 @@ def test_a_training_that_was_killed_goes_on_on_another_machine_to_the_same_resul
     whole = results(tmp_path / "local")
     assert not list((tmp_path / "local" / "runs").glob("*.safetensors"))  # as none is to be kept
 
+    fsspec.filesystem("memory").put(str(tmp_path / "local" / "images"), "/alpha/images", recursive=True)
     epochs, save = [], state_module.save_state
 
     def killed(path: Path, *state: object) -> None:
