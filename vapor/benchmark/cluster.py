@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -80,10 +81,8 @@ def measure(config: ClusterConfig) -> Iterator[Scaling]:
     rng = np.random.default_rng(config.seed)
     for nodes in config.nodes:
         lengths_s = config.seconds * rng.uniform(0.5, 1.5, config.jobs * nodes)
-        with (
-            LocalCluster(n_workers=nodes, threads_per_worker=1, dashboard_address=":0") as local,
-            connected(local.scheduler_address, lambda line: None) as cluster,
-        ):
+        local: Any = LocalCluster(n_workers=nodes, threads_per_worker=1, dashboard_address=":0")
+        with local, connected(local.scheduler_address, lambda line: None) as cluster:
             workers = Workers(cluster=cluster)
             _time([0.0] * (10 * nodes), workers)  # the first job of a worker imports what it needs
             _, scheduling_s = _time([0.0] * config.empty_jobs, workers)
