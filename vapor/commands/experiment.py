@@ -93,7 +93,7 @@ def _table(arguments: Sequence[str]) -> None:
 def _fill_table(o: TableOptions, workers: Workers) -> None:
     scenes = [parse_scene(text) for text in o.scenes]
     reads = chain(o.config.train.files_read, files_read([entry for s in scenes for entry in (*s.train, *s.test)]))
-    claim_shared(o.output, "experiment table", reads=reads, overwrite=o.overwrite)
+    claim_shared(o.output, "experiment table", workers, reads=reads, overwrite=o.overwrite)
     experiment = TableExperiment(scenes, o.output, o.config, workers)
     order = {method: k for k, method in enumerate(o.config.methods)}
     settings = settings_of(o.config, o.scenes)

@@ -84,8 +84,9 @@ def run_alpha(arguments: Sequence[str]) -> None:
     from vapor.experiments.sweep_pictures import draw_positions, draw_recall
 
     o = parse("experiment alpha", AlphaOptions, arguments)
-    claim_shared(o.output, "experiment alpha", reads=o.config.train.files_read, overwrite=o.overwrite)
     with workers_for("experiment alpha", o.config.workers, o.scheduler) as workers:
+        reads = o.config.train.files_read
+        claim_shared(o.output, "experiment alpha", workers, reads=reads, overwrite=o.overwrite)
         experiment = Sweep(o.scenes, o.output, o.config, workers)
         results = _swept(experiment, o.scenes)
     recalls = {threshold: by_value(results, "alpha", _recall(threshold)) for threshold in THRESHOLDS}
@@ -112,8 +113,9 @@ def run_decay(arguments: Sequence[str]) -> None:
     from vapor.experiments.sweep_pictures import draw_decay, draw_positions
 
     o = parse("experiment decay", DecayOptions, arguments)
-    claim_shared(o.output, "experiment decay", reads=o.config.train.files_read, overwrite=o.overwrite)
     with workers_for("experiment decay", o.config.workers, o.scheduler) as workers:
+        reads = o.config.train.files_read
+        claim_shared(o.output, "experiment decay", workers, reads=reads, overwrite=o.overwrite)
         experiment = Sweep(o.scenes, o.output, o.config, workers)
         results = _swept(experiment, o.scenes)
     medians = {

@@ -57,11 +57,13 @@ def hush_dask() -> None:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
-def claim_shared(directory: Path, command: str, *, reads: Iterable[Path] = (), overwrite: bool = False) -> None:
-    """As `claim_folder`, also of the copy of what a URL stands for.
+def claim_shared(
+    directory: Path, command: str, workers: Workers, *, reads: Iterable[Path] = (), overwrite: bool = False
+) -> None:
+    """As `claim_folder`, of a folder that all workers see, or of the copy of what a URL stands for.
 
     Raises:
-        VaporTrackError: as there, or the storage cannot be used.
+        VaporTrackError: as there, a worker does not see the folder, or the storage cannot be used.
     """
     if (url := url_of(directory)) is not None:
         names = sorted({file.relative_to(directory).parts[0] for file in listed(directory) if file != directory})
@@ -72,6 +74,7 @@ def claim_shared(directory: Path, command: str, *, reads: Iterable[Path] = (), o
                 raise VaporTrackError(f"{url}: {names_told(names)}, {expected}; --overwrite uses it all the same")
             shutil.rmtree(directory, ignore_errors=True)  # of what is no longer there
     claim_folder(directory, command, reads=reads, overwrite=overwrite)
+    workers.require_to_see(directory)
     published(directory / MANIFEST)
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from filtering.errors import VaporTrackError
+from sequences.atomic import workspace
 from vapor.parallel.worker import About, Done, Failed, Refused, about_this, do, packed
 
 if TYPE_CHECKING:
@@ -47,6 +50,17 @@ class Cluster:
     def size(self) -> int:
         """Number of workers now."""
         return len(self.client.nthreads())
+
+    def require_to_see(self, folder: Path) -> None:
+        """Check that a folder is there for all workers now, by one that is made in it.
+
+        Raises:
+            ClusterError: it is not; names a worker.
+        """
+        with workspace(folder, "seen") as made:
+            found = self.client.run(os.path.isdir, str(made.absolute()))
+        for worker in (worker for worker, seen in found.items() if not seen):
+            raise ClusterError(f"worker {worker} does not see {folder}, expected a disk that all see, or a URL")
 
     def results(self, function: Callable[..., Result], jobs: Sequence[tuple]) -> Iterator[Result]:
         """The result of `function(*job)` for every job, as each finishes, in no order.

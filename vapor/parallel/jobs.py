@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TypeVar
 
 from vapor.parallel.cluster import Cluster
 from vapor.parallel.processes import in_processes
+from vapor.storage import url_of
 
 Result = TypeVar("Result")
 
@@ -30,6 +32,15 @@ class Workers:
     def are_this_process(self) -> bool:
         """Whether jobs are done one after the other where they are asked for."""
         return self.cluster is None and self.processes == 1
+
+    def require_to_see(self, folder: Path) -> None:
+        """Check that a folder here is there for all workers, unless they reach it by a URL.
+
+        Raises:
+            ClusterError: it is not; names a worker.
+        """
+        if self.cluster is not None and url_of(folder) is None:
+            self.cluster.require_to_see(folder)
 
 
 def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers: Workers) -> Iterator[Result]:

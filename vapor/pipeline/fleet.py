@@ -97,7 +97,7 @@ def run_fleet(
         that cannot be used does not keep the others from being localized.
 
     Raises:
-        VaporTrackError: unusable model or output; with the first sequence.
+        VaporTrackError: unusable model or output, or one that workers do not see; with the first sequence.
     """
     config, workers = config or RunConfig(), workers or Workers()
     folder_to_write(output)
@@ -110,6 +110,7 @@ def run_fleet(
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise VaporTrackError(f"{output}: cannot write: {error.strerror or error}") from error
+    workers.require_to_see(output)
     here = partial(_localized, model=loaded, progress=progress)
     there = partial(
         _localized_elsewhere,

@@ -100,6 +100,16 @@ def test_workers_of_another_version_are_refused_by_name_also_those_that_come_lat
         pass
 
 
+def test_an_output_that_a_worker_does_not_see_is_refused(address, tmp_path, monkeypatch):
+    with connected(address, lambda line: None) as cluster:
+        workers = Workers(1, cluster)
+        workers.require_to_see(tmp_path)
+        assert not list(tmp_path.iterdir())
+        monkeypatch.setattr(Path, "absolute", lambda path: Path("/elsewhere"))
+        with pytest.raises(ClusterError, match=r"worker tcp://\S+ does not see .*, expected a disk that all see"):
+            workers.require_to_see(tmp_path)
+
+
 def test_the_dashboard_is_named(address, capsys):
     with workers_for("run", 1, address) as workers:
         assert not workers.are_this_process

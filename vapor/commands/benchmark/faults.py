@@ -104,7 +104,7 @@ def _measure(o: Options, workers: Workers) -> None:
         reading=o.reading,
         workers=workers,
     )
-    claim_shared(o.output, "benchmark faults", reads=o.files_read, overwrite=o.overwrite)
+    claim_shared(o.output, "benchmark faults", workers, reads=o.files_read, overwrite=o.overwrite)
     with bar("choosing walks") as advance:
         chosen, unused = benchmark.choose(advance)
     with bar("recording") as advance:

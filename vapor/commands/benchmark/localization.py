@@ -41,7 +41,7 @@ def main(arguments: Sequence[str]) -> None:
 
 def _measure(o: Options, workers: Workers) -> None:
     benchmark = LocalizationBenchmark(o.model_of, o.output, o.config, o.replaced, workers)
-    claim_shared(o.output, "benchmark localization", reads=o.files_read, overwrite=o.overwrite)
+    claim_shared(o.output, "benchmark localization", workers, reads=o.files_read, overwrite=o.overwrite)
     with bar("choosing runs") as advance:
         trials = benchmark.choose(advance)
     with bar("recording") as advance:

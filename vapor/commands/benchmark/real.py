@@ -46,10 +46,10 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("benchmark real", Options, arguments)
     rows, missing = choose(o.data, o.only)
-    claim_shared(o.output, "benchmark real", reads=[o.data], overwrite=o.overwrite)
-    for name, needs in missing.items():
-        show(f"left out: {name}, for want of {', '.join(needs)}")
     with workers_for("benchmark real", o.workers, o.scheduler) as workers:
+        claim_shared(o.output, "benchmark real", workers, reads=[o.data], overwrite=o.overwrite)
+        for name, needs in missing.items():
+            show(f"left out: {name}, for want of {', '.join(needs)}")
         results = _one_by_one(o, rows) if workers.are_this_process else _in_parallel(o, rows, workers)
     summary = summarise(results)
     settings = with_stored_names(asdict(o.config) | {"data": o.data.name, "left_out": missing})
