@@ -1,9 +1,10 @@
-"""Where a model file is: at a path, or among those that ship with the package, by its name."""
+"""Where a model file is: at a path or a URL, or among those that ship with the package, by its name."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from vapor.storage import fetched, is_url, local_path
 from vapor.tensor_files import CheckpointError
 
 SHIPPED = Path(__file__).resolve().parents[1] / "models"
@@ -11,12 +12,12 @@ SHIPPED = Path(__file__).resolve().parents[1] / "models"
 
 
 def find_model(name_or_path: str) -> Path:
-    """The file of a model: a path, or the name of a model that ships with the package.
+    """The file of a model: a path, a URL, of which there is a copy here then, or the name of a model that ships.
 
     Raises:
         CheckpointError: neither a file nor a shipped model; lists those that ship.
     """
-    path = Path(name_or_path)
+    path = fetched(local_path(name_or_path)) if is_url(name_or_path) else Path(name_or_path)
     if path.is_file():
         return path
     shipped = SHIPPED / f"{name_or_path}.safetensors"

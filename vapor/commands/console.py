@@ -20,27 +20,46 @@ from rich.table import Table
 from filtering.errors import VaporTrackError, shortened
 from vapor.commands.renamed_options import with_new_names
 from vapor.commands.terminal import raise_of_output, say
+from vapor.storage import is_url, local_path
 
 Options = TypeVar("Options")
 
 
+def _path_or_url(words: list[str]) -> Path:
+    try:
+        return local_path(words[0]) if is_url(words[0]) else Path(words[0])
+    except VaporTrackError as error:
+        raise ValueError(str(error)) from error
+
+
 def _output(words: list[str]) -> Path:
+    if is_url(words[0]):
+        raise ValueError(f"is {words[0]}, expected a path, as only experiment and benchmark write to URLs")
+    return _shared_output(words)
+
+
+def _shared_output(words: list[str]) -> Path:
     if not words[0].strip():
         raise ValueError("is empty, expected a path")
-    return Path(words[0])
+    return _path_or_url(words)
 
 
-OutputPath = Annotated[
-    Path,
-    tyro.constructors.PrimitiveConstructorSpec(
+def _path_given_by(instance_from_str: Callable[[list[str]], Path]) -> Any:
+    return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
-        instance_from_str=_output,
+        instance_from_str=instance_from_str,
         is_instance=lambda value: isinstance(value, Path),
         str_from_instance=lambda path: [str(path)],
-    ),
-]
+    )
+
+
+InputPath = Annotated[Path, _path_given_by(_path_or_url)]
+"""A path to read from, or a URL, of which it is the path of the copy (see `vapor.storage`)."""
+OutputPath = Annotated[Path, _path_given_by(_output)]
 """A path to write to, which is not empty."""
+SharedOutputPath = Annotated[Path, _path_given_by(_shared_output)]
+"""A path or a URL to write to, which is not empty; of a URL it is the path of the copy."""
 
 Overwrite = Annotated[
     bool,

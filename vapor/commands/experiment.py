@@ -15,13 +15,15 @@ from tyro.extras import literal_type_from_choices
 from sequences.atomic import atomic_output
 from sequences.outputs.claims import claim_folder
 from sequences.scenes import SCENES
-from vapor.commands.console import OutputPath, Overwrite, bar, show, usage_error
+from vapor.commands.console import OutputPath, Overwrite, SharedOutputPath, bar, show, usage_error
 from vapor.commands.experiment_progress import render, settings_of, trained
 from vapor.commands.experiment_sweeps import AlphaOptions, DecayOptions, run_alpha, run_decay
 from vapor.commands.named_settings import Preset, parse_named
+from vapor.commands.workers import Scheduler, claim_shared, publish_results, workers_for
 from vapor.evaluation.trajectory import RIGHT
 from vapor.experiments.schedule import PAPER, SCHEDULES, Point, ScheduleConfig, ScheduleExperiment, summary
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
+from vapor.parallel.jobs import Workers
 from vapor.reporting.report import write_report
 from vapor.training.presets import PRESETS
 from vapor.training_data.entries import files_read
@@ -38,9 +40,10 @@ class TableOptions:
 
     scenes: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="SCENE ...")]
     """Synthetic scenes by name, or your own data: NAME=TRAIN,...=TEST,... with whatever `train` reads."""
-    output: OutputPath
-    """Directory for images, results, table.json and table.md; an interrupted experiment goes on."""
+    output: SharedOutputPath
+    """Directory for images, results, table.json and table.md, or its URL; an interrupted experiment goes on."""
     overwrite: Overwrite = False
+    scheduler: Scheduler = None
     preset: Preset = "demo"
     """Named settings of training, of which the options below change single ones; tables: small and fast, for the scenes
     of that name; paper-...: the paper's."""
@@ -83,10 +86,15 @@ def main(arguments: Sequence[str]) -> None:
 
 def _table(arguments: Sequence[str]) -> None:
     o = parse_named("experiment table", TableOptions, arguments, ("preset",), _table_config)
+    with workers_for("experiment table", o.config.workers, o.scheduler) as workers:
+        _fill_table(o, workers)
+
+
+def _fill_table(o: TableOptions, workers: Workers) -> None:
     scenes = [parse_scene(text) for text in o.scenes]
     reads = chain(o.config.train.files_read, files_read([entry for s in scenes for entry in (*s.train, *s.test)]))
-    claim_folder(o.output, "experiment table", reads=reads, overwrite=o.overwrite)
-    experiment = TableExperiment(scenes, o.output, o.config)
+    claim_shared(o.output, "experiment table", workers, reads=reads, overwrite=o.overwrite)
+    experiment = TableExperiment(scenes, o.output, o.config, workers)
     order = {method: k for k, method in enumerate(o.config.methods)}
     settings = settings_of(o.config, o.scenes)
     results: list[dict[str, Any]] = []
@@ -96,6 +104,7 @@ def _table(arguments: Sequence[str]) -> None:
         write_report(o.output / "table.json", {"settings": settings, "runs": results})
         with atomic_output(o.output / "table.md") as partial:
             partial.write_text(markdown(results, o.config.gamma), encoding="utf-8")
+    publish_results(o.output)
     show(markdown(results, o.config.gamma))
 
 

@@ -14,9 +14,9 @@ from tyro.extras import literal_type_from_choices
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from sequences.outputs.claims import claim_folder
-from vapor.commands.console import OutputPath, Overwrite, parse, show
+from vapor.commands.console import Overwrite, SharedOutputPath, parse, show
 from vapor.commands.experiment_progress import settings_of, trained
+from vapor.commands.workers import Scheduler, claim_shared, publish_results, workers_for
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.experiments.alpha import AlphaConfig
 from vapor.experiments.decay import DecayConfig
@@ -44,9 +44,10 @@ class AlphaOptions:
 
     scenes: _Tables
     """What the camera moves about."""
-    output: OutputPath
-    """Directory for images, results, alpha.json and pictures; an interrupted experiment goes on."""
+    output: SharedOutputPath
+    """Directory for images, results, alpha.json and pictures, or its URL; an interrupted experiment goes on."""
     overwrite: Overwrite = False
+    scheduler: Scheduler = None
     threshold: _Threshold = "0.1m/10deg"
     """Limits of what is near the true pose, of the table and the pictures; alpha.json has all."""
     config: Annotated[AlphaConfig, tyro.conf.arg(name="")] = field(default_factory=AlphaConfig)
@@ -59,9 +60,10 @@ class AlphaOptions:
 class DecayOptions:
     """Train with many weight decays of the encoder, and measure modes, recall and densities."""
 
-    output: OutputPath
-    """Directory for images, results, decay.json and pictures; an interrupted experiment goes on."""
+    output: SharedOutputPath
+    """Directory for images, results, decay.json and pictures, or its URL; an interrupted experiment goes on."""
     overwrite: Overwrite = False
+    scheduler: Scheduler = None
     scenes: _Tables = ("round-table",)
     """What the camera moves about."""
     threshold: _Threshold = "0.3m/20deg"
@@ -82,9 +84,11 @@ def run_alpha(arguments: Sequence[str]) -> None:
     from vapor.experiments.sweep_pictures import draw_positions, draw_recall
 
     o = parse("experiment alpha", AlphaOptions, arguments)
-    claim_folder(o.output, "experiment alpha", reads=o.config.train.files_read, overwrite=o.overwrite)
-    experiment = Sweep(o.scenes, o.output, o.config)
-    results = _swept(experiment, o.scenes)
+    with workers_for("experiment alpha", o.config.workers, o.scheduler) as workers:
+        reads = o.config.train.files_read
+        claim_shared(o.output, "experiment alpha", workers, reads=reads, overwrite=o.overwrite)
+        experiment = Sweep(o.scenes, o.output, o.config, workers)
+        results = _swept(experiment, o.scenes)
     recalls = {threshold: by_value(results, "alpha", _recall(threshold)) for threshold in THRESHOLDS}
     medians = {threshold: _medians(table) for threshold, table in recalls.items()}
     report = {"settings": settings_of(o.config, o.scenes), "median_recall": medians, "runs": results}
@@ -98,6 +102,7 @@ def run_alpha(arguments: Sequence[str]) -> None:
     for scene in o.scenes:
         if posteriors := _posteriors(experiment, results, scene, some, "α"):
             draw_positions(o.output / f"positions-{scene}.png", posteriors, scene)
+    publish_results(o.output)
     for scene, by_alpha in shown.items():
         show(_alpha_table(f"{scene}, {MODES[scene]} modes: {title[0].lower()}{title[1:]}", by_alpha))
     _show_failed(results, "alpha", "α")
@@ -108,9 +113,11 @@ def run_decay(arguments: Sequence[str]) -> None:
     from vapor.experiments.sweep_pictures import draw_decay, draw_positions
 
     o = parse("experiment decay", DecayOptions, arguments)
-    claim_folder(o.output, "experiment decay", reads=o.config.train.files_read, overwrite=o.overwrite)
-    experiment = Sweep(o.scenes, o.output, o.config)
-    results = _swept(experiment, o.scenes)
+    with workers_for("experiment decay", o.config.workers, o.scheduler) as workers:
+        reads = o.config.train.files_read
+        claim_shared(o.output, "experiment decay", workers, reads=reads, overwrite=o.overwrite)
+        experiment = Sweep(o.scenes, o.output, o.config, workers)
+        results = _swept(experiment, o.scenes)
     medians = {
         images: {name: _medians(by_value(results, "decay", figure)) for name, figure in figures.items()}
         for images, figures in _decay_figures().items()
@@ -123,6 +130,7 @@ def run_decay(arguments: Sequence[str]) -> None:
         if posteriors := _posteriors(experiment, results, scene, o.config.decays, "weight decay"):
             images = [image for image in _IMAGES if image < o.config.test_frames]
             draw_positions(o.output / f"positions-{scene}.png", posteriors, scene, images=images)
+    publish_results(o.output)
     for scene in medians["test"]["modes"]:
         show(_decay_table(scene, medians))
     _show_failed(results, "decay", "weight decay")

@@ -9,9 +9,10 @@ from typing import Annotated
 
 import tyro
 
-from filtering.errors import VaporTrackError, shortened
+from filtering.errors import VaporTrackError, require_within, shortened
 from sequences.options import SequenceOptions
 from vapor.commands.console import (
+    InputPath,
     OutputPath,
     Overwrite,
     bar,
@@ -24,28 +25,39 @@ from vapor.commands.console import (
     show_skipped,
     usage_error,
 )
+from vapor.commands.workers import Scheduler, workers_for
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.find_sequences import SUMMARY, find_sequences, is_fleet
 from vapor.pipeline.fleet import Outcome, format_fleet, run_fleet, total
 from vapor.pipeline.results import RunResult
 from vapor.pipeline.run import run
 from vapor.reporting.report import format_table
+from vapor.storage import fetched
 
 
 @dataclass(frozen=True)
 class Options:
     """Localize the camera of recorded sequences; write trajectories, report, pictures and recordings of each."""
 
-    sequences: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
-    """MCAP files or rosbag2 folders with images and odometry; any other folder stands for all that are in it."""
+    sequences: Annotated[tyro.conf.Positional[tuple[InputPath, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
+    """MCAP files or rosbag2 folders with images and odometry, or their URLs; any other folder stands for all that are
+    in it."""
     model: str
     """Model file, or name of a model that ships with the package: staircase, ceiling."""
     output: OutputPath
     """Directory for the results, new or with earlier ones; of several sequences it gets a folder each, and
     summary.json."""
     overwrite: Overwrite = False
+    workers: int = 1
+    """Sequences at a time, each in a process of its own."""
+    scheduler: Scheduler = None
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
     config: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
+
+    def __post_init__(self) -> None:
+        require_within(self, workers=(1, 10**6))
+        if self.config.view and (self.workers > 1 or self.scheduler is not None):
+            raise VaporTrackError("--view beside --workers or --scheduler, expected one sequence at a time to look at")
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -55,6 +67,8 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("run", "no sequence, expected at least one MCAP file or rosbag2 folder")
     if is_fleet(options.sequences):
         _run_fleet(options)
+    elif options.scheduler is not None:
+        usage_error("run", "--scheduler for one sequence, expected several")
     else:
         _run_one(options)
 
@@ -63,7 +77,7 @@ def _run_one(options: Options) -> None:
     (sequence,) = options.sequences
     with bar("localizing") as advance:
         result = run(
-            sequence,
+            fetched(sequence),
             options.model,
             options.output,
             options.config,
@@ -102,7 +116,10 @@ def _run_fleet(options: Options) -> None:
     numbers = {name: f"{name}, {number} of {len(sequences)}" for number, name in enumerate(sequences, start=1)}
     outcomes: list[Outcome] = []
     try:
-        with progress_of("localizing") as advance:
+        with (
+            workers_for("run", options.workers, options.scheduler) as workers,
+            progress_of("localizing") as advance,
+        ):
             for outcome in run_fleet(
                 sequences,
                 options.model,
@@ -111,11 +128,15 @@ def _run_fleet(options: Options) -> None:
                 reading=options.reading,
                 overwrite=options.overwrite,
                 progress=lambda name, done, count: advance(numbers[name], done, max(done, count)),
+                workers=workers,
             ):
                 outcomes.append(outcome)
+                if not workers.are_this_process:
+                    advance("sequences", len(outcomes), len(sequences))
     finally:  # after Ctrl-C too: what is done is whole
         if outcomes:
-            show_outcomes(outcomes, options.output)
+            order = [*sequences]
+            show_outcomes(sorted(outcomes, key=lambda outcome: order.index(outcome.name)), options.output)
     failed = [outcome.name for outcome in outcomes if outcome.error is not None]
     if failed:
         raise VaporTrackError(f"{len(failed)} of {len(outcomes)} sequences failed: {', '.join(failed)}")

@@ -14,7 +14,8 @@ from typing import Literal
 
 from sequences.datasets.listing import is_list
 from sequences.synthesize import SYNTHESIS, synthesize, write_synthetic
-from vapor.parallel import in_parallel
+from vapor.parallel.jobs import Workers, in_parallel
+from vapor.storage import absent, is_url, published, url_of
 from vapor.training_data.entries import parse_entry
 
 _LEAST_HEIGHT, _SPARE = 96, 1.4  # of rendered images: pixels, and times what covers a frame
@@ -34,6 +35,16 @@ class Scene:
     train: tuple[str, ...]
     test: tuple[str, ...]
 
+    @property
+    def anywhere(self) -> Scene:
+        """The same scene for processes elsewhere: by absolute paths, and by URLs where these are copies of some."""
+        return Scene(self.name, *(tuple(map(_anywhere, entries)) for entries in (self.train, self.test)))
+
+
+def _anywhere(entry: str) -> str:
+    path = Path(entry).absolute()
+    return entry if is_url(entry) else url_of(path) or str(path)
+
 
 def identities(entries: Sequence[str]) -> list[list[str | int]]:
     """What tells each of some files and folders from others and from itself after a change."""
@@ -42,7 +53,8 @@ def identities(entries: Sequence[str]) -> list[list[str | int]]:
 
 def identity(entry: str) -> list[str | int]:
     """Where an entry lies, and sizes and times of change of its files: of a folder or a split, all of the folder."""
-    path, _ = parse_entry(entry)
+    place = _anywhere(entry)
+    path, _ = parse_entry(place)
     folder = path.parent if is_list(path) else path
     walked = (Path(at, name) for at, _, names in os.walk(folder, followlinks=True) for name in names)
     about: list[list[str | int]] = []
@@ -51,7 +63,7 @@ def identity(entry: str) -> list[str | int]:
             stat = file.stat()
             about.append([os.path.relpath(file, folder), stat.st_size, stat.st_mtime_ns])
     content = hashlib.sha256(json.dumps(about).encode()).hexdigest()
-    return [str(Path(entry).resolve()), len(about), content]
+    return [place if is_url(place) else str(Path(entry).resolve()), len(about), content]
 
 
 def render_scenes(
@@ -63,7 +75,7 @@ def render_scenes(
     test_walks: int,
     test_frames: int,
     height: int,
-    workers: int,
+    workers: Workers,
 ) -> Iterator[tuple[int, int, list[Scene]]]:
     """Render what is missing of synthetic scenes; yields the number of walks done, of all, and the scenes they make.
 
@@ -75,7 +87,7 @@ def render_scenes(
         test_walks: Sequences to test on, of `test_frames` images each.
         test_frames: See there.
         height: Of the images, pixels; they are 4:3.
-        workers: Processes at a time.
+        workers: Where they are rendered.
     """
     size = round(height * 4 / 3), height
     folder = directory / "images"
@@ -98,7 +110,8 @@ def render_scenes(
     }
     scenes = [Scene(n, *(tuple(str(w[0]) for w in w[split]) for split in ("train", "test"))) for n, w in walks.items()]
     every = [walk for splits in walks.values() for some in splits.values() for walk in some]
-    missing = [(*walk, size) for walk in every if not walk[0].is_file()]
+    lacking = absent([walk[0] for walk in every], folder)
+    missing = [(*walk, size) for walk in every if walk[0] in lacking]
     yield len(every) - len(missing), len(every), scenes
     for done, _ in enumerate(in_parallel(_render, missing, workers), len(every) - len(missing) + 1):
         yield done, len(every), scenes
@@ -113,3 +126,4 @@ def _render(
     file: Path, scene: str, split: Literal["train", "test"], seed: int, frames: int, size: tuple[int, int]
 ) -> None:
     write_synthetic(synthesize(scene, seed=seed, num_frames=frames, split=split, width=size[0], height=size[1]), file)
+    published(file)

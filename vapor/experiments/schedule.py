@@ -21,6 +21,7 @@ from vapor.cache import digest
 from vapor.engines.device import resolve_device
 from vapor.experiments.scenes import Scene, identities, render_scenes, rendered_height
 from vapor.experiments.training_runs import trained_from
+from vapor.parallel.jobs import Workers
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
 from vapor.training.progress import Progress
@@ -116,7 +117,7 @@ class ScheduleExperiment:
             test_walks=1,
             test_frames=c.validation_frames,
             height=rendered_height(c.train.network.frame_size),
-            workers=c.workers,
+            workers=Workers(c.workers),
         ):
             (self._scene,) = scenes
             yield done, total

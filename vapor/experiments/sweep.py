@@ -14,6 +14,7 @@ from filtering.se3 import Poses
 from sequences.scenes import SCENES, find_scene
 from vapor.experiments.scenes import Scene, render_scenes, rendered_height
 from vapor.experiments.training_runs import TrainingRun, cached_samples, carry_out
+from vapor.parallel.jobs import Workers
 from vapor.training.config import TrainConfig
 
 MODES: Mapping[str, int] = MappingProxyType(
@@ -85,10 +86,14 @@ class Sweep:
         scenes: Names among `MODES`.
         directory: For images and results.
         config: Settings.
+        workers: Where jobs are done; None for as many processes here as configured.
     """
 
-    def __init__(self, scenes: Sequence[str], directory: Path, config: SweepConfig) -> None:
+    def __init__(
+        self, scenes: Sequence[str], directory: Path, config: SweepConfig, workers: Workers | None = None
+    ) -> None:
         self.directory, self.config = directory, config
+        self._workers = workers or Workers(config.workers)
         self._names = tuple(scenes)
         self._scenes: list[Scene] = []
 
@@ -103,7 +108,7 @@ class Sweep:
             test_walks=1,
             test_frames=c.test_frames,
             height=rendered_height(c.train.network.frame_size),
-            workers=c.workers,
+            workers=self._workers,
         ):
             self._scenes = scenes
             yield done, total
@@ -117,7 +122,7 @@ class Sweep:
             for scene in self._scenes
             for value in c.values
         ]
-        for result in carry_out(runs, self.directory, c.workers):
+        for result in carry_out(runs, self.directory, self._workers):
             yield result | {c.parameter: float(result["label"])}
 
     def samples(self, scene: str, value: float) -> tuple[Poses, list[Poses]]:
@@ -127,7 +132,7 @@ class Sweep:
 
     def _run(self, scene: Scene, value: float, seed: int) -> TrainingRun:
         c = self.config
-        config = replace(c.varied(value), seed=seed, resume=False)
+        config = replace(c.varied(value), seed=seed)
         return TrainingRun(scene, f"{value:g}", config, c.gamma, c.num_samples, training_images=c.also_evaluated)
 
 

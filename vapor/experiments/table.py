@@ -16,8 +16,10 @@ from sequences.scenes import is_scene, scene_names
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.experiments.scenes import Scene, render_scenes, rendered_height
 from vapor.experiments.training_runs import TrainingRun, carry_out
+from vapor.parallel.jobs import Workers
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS
+from vapor.training_data.entries import parse_entry
 from vapor.training_data.leakage import require_no_leakage
 from vapor.training_data.training_set import TrainingError
 
@@ -86,14 +88,18 @@ class TableExperiment:
         scenes: From `parse_scene`.
         directory: For images and results.
         config: Settings.
+        workers: Where jobs are done; None for as many processes here as configured.
 
     Raises:
         TrainingError: a scene is tested on images that it is trained on.
         VaporTrackError: no scene, one twice, or test data that cannot be read.
     """
 
-    def __init__(self, scenes: Sequence[Scene], directory: Path, config: TableConfig) -> None:
+    def __init__(
+        self, scenes: Sequence[Scene], directory: Path, config: TableConfig, workers: Workers | None = None
+    ) -> None:
         self.directory, self.config = directory, config
+        self._workers = workers or Workers(config.workers)
         self._scenes = {scene.name: scene for scene in scenes}
         if not scenes or len(self._scenes) < len(scenes):
             names = ", ".join(scene.name for scene in scenes)
@@ -104,7 +110,7 @@ class TableExperiment:
                 require_no_leakage(scene.train)
         if config.localize:  # what the filter cannot read is refused now, not after training
             for entry in (entry for scene in scenes for entry in scene.test):
-                SequenceReader(Path(entry))
+                SequenceReader(parse_entry(entry)[0])
 
     def render(self) -> Iterator[tuple[int, int]]:
         """Render the synthetic images that are missing; yields the number of sequences done and of all."""
@@ -118,7 +124,7 @@ class TableExperiment:
             test_walks=c.test_sequences,
             test_frames=c.test_frames,
             height=rendered_height(c.train.network.frame_size),
-            workers=c.workers,
+            workers=self._workers,
         ):
             self._scenes |= {scene.name: scene for scene in scenes}
             yield done, total
@@ -134,7 +140,7 @@ class TableExperiment:
                 for method in c.methods
             ],
             self.directory,
-            c.workers,
+            self._workers,
         )
 
     def _train_config(self, method: str, seed: int) -> TrainConfig:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,13 +22,15 @@ from vapor.engines.device import resolve_device
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import exact_log_density, predict
 from vapor.experiments.scenes import Scene, identities, identity
-from vapor.parallel import in_parallel
+from vapor.parallel.jobs import Workers, in_parallel
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.run import run
+from vapor.storage import fetched, published, withdrawn
 from vapor.threads import limited_threads
 from vapor.training.config import TrainConfig
+from vapor.training.state import state_path
 from vapor.training.train import train_on_images
-from vapor.training_data.entries import open_sequences
+from vapor.training_data.entries import open_sequences, parse_entry
 from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingError, TrainingSet
 
@@ -86,32 +88,35 @@ def trained_from(scene: Scene, config: TrainConfig) -> dict[str, Any]:
     return {**settings, "data": identities(scene.train), "results": _RESULTS}
 
 
-def carry_out(runs: Sequence[TrainingRun], directory: Path, workers: int) -> Iterator[dict[str, Any]]:
+def carry_out(runs: Sequence[TrainingRun], directory: Path, workers: Workers) -> Iterator[dict[str, Any]]:
     """The result of every training run, in no order; what is done is not done again.
+
+    A training whose worker dies goes on from its last epoch, on whichever worker is next to take it up: its state lies
+    beside where its model will, until it is done.
 
     JSON: `scene`, `label`, `seed`; `seconds` of training and `images_seen`, all of `posterior_metrics`, with
     `training_images` the same of these as `training`, and with `localize` `filter`, the report of every test sequence;
     or `error`, why it could not be trained.
     """
     (directory / "runs").mkdir(parents=True, exist_ok=True)
-    yield from in_parallel(_result, [(run, directory) for run in runs], workers)
+    yield from in_parallel(_result, [(replace(run, scene=run.scene.anywhere), directory) for run in runs], workers)
 
 
 def cached_samples(training: TrainingRun, directory: Path) -> tuple[Poses, list[Poses]]:
     """True poses of some test images, and the posterior samples of each, of a run that is done."""
-    stored = read_arrays(training.file(directory, ".npz"))
+    stored = read_arrays(fetched(training.file(directory, ".npz")))
     rows = {name: stored[name].astype(np.float64) for name in ("truth", "samples")}
     return from_rows(rows["truth"]), [from_rows(image) for image in rows["samples"]]
 
 
 def _result(training: TrainingRun, directory: Path) -> dict[str, Any]:
-    file = training.file(directory, ".json")
+    file = fetched(training.file(directory, ".json"))
     if file.is_file():
         return read_json(file)
-    seed, scene = training.config.seed, training.scene
+    file.parent.mkdir(parents=True, exist_ok=True)
+    seed, scene, model = training.config.seed, training.scene, training.model_file(directory)
     result: dict[str, Any] = {"scene": scene.name, "label": training.label, "seed": seed}
     with limited_threads(1), workspace(file.parent, file.name) as folder:
-        model = training.model_file(directory) if training.keep_model else folder / "model.safetensors"
         try:
             result |= _train(training, model)
         except TrainingError as error:
@@ -120,6 +125,9 @@ def _result(training: TrainingRun, directory: Path) -> dict[str, Any]:
             result |= _test(training, directory, model, folder)
     with atomic_output(file) as partial:
         partial.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    published(file)
+    for done_with in (state_path(model), *(() if training.keep_model else (model, model.with_suffix(".json")))):
+        withdrawn(done_with)
     return result
 
 
@@ -136,8 +144,9 @@ def _read_once(entries: tuple[str, ...], frame_size: tuple[int, int], central: b
 def _train(training: TrainingRun, model: Path) -> dict[str, float]:
     """Train, unless that is done; `seconds` and `images_seen`."""
     about = model.with_suffix(".json")
-    if model.is_file() and about.is_file():
+    if fetched(model).is_file() and fetched(about).is_file():
         return read_json(about)
+    fetched(state_path(model))
     crop = training.config.augment.crop
     images = _images(training.scene.train, training.config.network.frame_size, central=crop == "central")
     try:
@@ -147,6 +156,8 @@ def _train(training: TrainingRun, model: Path) -> dict[str, float]:
     cost = {"seconds": trained.seconds, "images_seen": trained.images_seen}
     with atomic_output(about) as partial:
         partial.write_text(json.dumps(cost) + "\n", encoding="utf-8")
+    for made in (model, about):
+        published(made)
     return cost
 
 
@@ -181,9 +192,11 @@ def _test(training: TrainingRun, directory: Path, model: Path, folder: Path) -> 
     if training.localize:
         config = RunConfig(seed, recording=False, num_samples=training.num_samples, device=training.config.device)
         result["filter"] = [
-            run(Path(entry), str(model), folder / f"run-{k}", config).report for k, entry in enumerate(scene.test)
+            run(parse_entry(entry)[0], str(model), folder / f"run-{k}", config).report
+            for k, entry in enumerate(scene.test)
         ]
     with atomic_output(training.file(directory, ".npz")) as partial, partial.open("wb") as out:
         rows = np.stack([to_rows(kept[i]) for i in shown.tolist()])
         np.savez(out, truth=to_rows(test.poses[shown]), samples=rows.astype(np.float32))
+    published(training.file(directory, ".npz"))
     return result

@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from vapor.storage import listed, url_of
+
 SUMMARY = "summary.json"
 """Name of the file that says what came of many sequences, beside their results."""
 
@@ -21,7 +23,7 @@ def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
     A file or a rosbag2 folder is a sequence. Any other folder stands for all MCAP files and rosbag2 folders in it and
     deeper, but for results of earlier runs; where it holds none it stands for itself, and fails when it is opened. What
     is found twice is localized once. A name is that of the file or folder, with those of folders above it where others
-    have it too.
+    have it too. Copies of what is in storage are found there, and not made.
     """
     found: dict[Path, Path] = {}
     for path in paths:
@@ -32,6 +34,8 @@ def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
 
 def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
     """Sequences that a path stands for, in order of their names."""
+    if url_of(path) is not None:
+        return _found_in_storage(path)
     if not path.is_dir() or (path / "metadata.yaml").is_file():
         return [path]
     sequences: list[Path] = []
@@ -45,6 +49,22 @@ def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
         elif entry.suffix == ".mcap" and entry.is_file() and not _is_result(entry):
             sequences.append(entry)
     return sequences
+
+
+def _found_in_storage(path: Path) -> list[Path]:
+    files = listed(path)
+    bags = {file.parent for file in files if file.name == "metadata.yaml"}
+    if path in bags or path in files or not files:
+        return [path]
+    reports = {file.parent for file in files if file.name == "report.json"}
+    single = (
+        file
+        for file in files
+        if file.suffix == ".mcap"
+        and bags.isdisjoint(file.parents)
+        and not (file.name == "estimate.mcap" and file.parent in reports)
+    )
+    return sorted([*bags, *single])
 
 
 def _is_result(file: Path) -> bool:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache, partial
 from pathlib import Path
+from platform import node
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,12 +18,14 @@ from sequences.options import SequenceOptions
 from sequences.outputs.claims import refuse_other
 from sequences.outputs.folders import folder_to_write
 from sequences.outputs.results import require_replaceable
+from vapor.parallel.jobs import Workers, in_parallel
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.find_sequences import SUMMARY
-from vapor.pipeline.model import load_model
+from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.results import RESULTS, RunResult
 from vapor.pipeline.run import files_read, run
 from vapor.reporting.report import is_report
+from vapor.storage import fetched, url_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -73,26 +77,29 @@ def run_fleet(
     reading: SequenceOptions | None = None,
     overwrite: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
+    workers: Workers | None = None,
 ) -> Iterator[Outcome]:
-    """Localize sequence after sequence; each has the results that it would have alone.
+    """Localize many sequences; each has the results that it would have alone.
 
     Args:
         sequences: Paths of the sequences, by the names of their results.
-        model: Model file, or name of a model that ships with the package; loaded once.
+        model: Model file, or name of a model that ships with the package; each process loads it once.
         output: Directory for the results: a folder for each sequence, and `summary.json` on those done so far.
         config: Settings of every run.
         reading: What to read of every sequence.
         overwrite: See `run`; it applies to the folder of each sequence, and to `summary.json`.
-        progress: Called after every image with the name of the sequence, the number done and an upper bound of all.
+        progress: Called after every image with the name of the sequence, the number done and an upper bound of all; not
+            of those that other processes localize.
+        workers: Where they are localized; None for one after the other here.
 
     Yields:
-        What came of each, when it is done. A sequence that cannot be used does not keep the others from being
-        localized.
+        What came of each, when it is done: in the order of the sequences where it is one after the other. A sequence
+        that cannot be used does not keep the others from being localized.
 
     Raises:
-        VaporTrackError: unusable model or output; with the first sequence.
+        VaporTrackError: unusable model or output, or one that workers do not see; with the first sequence.
     """
-    config = config or RunConfig()
+    config, workers = config or RunConfig(), workers or Workers()
     folder_to_write(output)
     loaded = load_model(model, config)
     reads = list({path: None for sequence in sequences.values() for path in files_read(sequence, loaded, reading)})
@@ -103,22 +110,70 @@ def run_fleet(
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise VaporTrackError(f"{output}: cannot write: {error.strerror or error}") from error
-    outcomes: list[Outcome] = []
-    for name, sequence in sequences.items():
+    workers.require_to_see(output)
+    here = partial(_localized, model=loaded, progress=progress)
+    there = partial(
+        _localized_elsewhere,
+        file=loaded.file,
+        model=loaded.name,
+        sha256=loaded.sha256,
+        told=workers.cluster is not None,
+    )
+    jobs = [(name, sequence, output / name, config, reading, overwrite) for name, sequence in sequences.items()]
+    done: dict[str, Outcome] = {}
+    for outcome in in_parallel(here if workers.are_this_process else there, jobs, workers):
+        sequence = sequences[outcome.name]
+        done[outcome.name] = replace(outcome, sequence=url_of(sequence) or str(sequence))
+        in_order = [done[name] for name in sequences if name in done]
+        _write_summary(output / SUMMARY, loaded.name, in_order, of=len(sequences))
+        yield done[outcome.name]
 
-        def advance(done: int, total: int, name: str = name) -> None:
-            if progress is not None:
-                progress(name, done, total)
 
-        try:
-            result = run(
-                sequence, loaded, output / name, config, reading=reading, overwrite=overwrite, progress=advance
-            )
-            outcomes.append(_outcome(name, sequence, result))
-        except (VaporTrackError, OSError) as error:
-            outcomes.append(Outcome(name, str(sequence), error=" ".join(str(error).splitlines())))
-        _write_summary(output / SUMMARY, loaded.name, outcomes, of=len(sequences))
-        yield outcomes[-1]
+def _localized(
+    name: str,
+    sequence: Path,
+    output: Path,
+    config: RunConfig,
+    reading: SequenceOptions | None,
+    overwrite: bool,
+    *,
+    model: LoadedModel,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Outcome:
+    advance = None if progress is None else partial(progress, name)
+    try:
+        result = run(fetched(sequence), model, output, config, reading=reading, overwrite=overwrite, progress=advance)
+        return _outcome(name, sequence, result)
+    except (VaporTrackError, OSError) as error:
+        return Outcome(name, str(sequence), error=" ".join(str(error).splitlines()))
+
+
+def _localized_elsewhere(
+    name: str,
+    sequence: Path,
+    output: Path,
+    config: RunConfig,
+    reading: SequenceOptions | None,
+    overwrite: bool,
+    *,
+    file: Path,
+    model: str,
+    sha256: str,
+    told: bool,
+) -> Outcome:
+    """As `_localized` in another process; on `told`, an error names the machine."""
+    loaded = _loaded_once(file, model, sha256, config)
+    outcome = _localized(name, sequence, output, config, reading, overwrite, model=loaded)
+    return replace(outcome, error=f"{outcome.error} (on {node()})") if told and outcome.error else outcome
+
+
+@lru_cache(maxsize=1)
+def _loaded_once(file: Path, name: str, sha256: str, config: RunConfig) -> LoadedModel:
+    """The model under the name that it was asked for by, the same in every process."""
+    loaded = load_model(str(fetched(file)), config)
+    if loaded.sha256 != sha256:
+        raise VaporTrackError(f"{file}: is another model than where the run was started, expected the same")
+    return replace(loaded, name=name)
 
 
 def _outcome(name: str, sequence: Path, result: RunResult) -> Outcome:

@@ -18,6 +18,7 @@ from sequences.values import parse_number
 from vapor.checkpoints.stored_config import parse_config, parse_metadata
 from vapor.evaluation.validation import Validation
 from vapor.regressors.base import PoseRegressor
+from vapor.storage import published
 from vapor.stored_names import NAMES
 from vapor.tensor_files import CHECKSUM, CheckpointError, format_of, read_safetensors, write_safetensors
 from vapor.training.memory import TrainingFeatures
@@ -91,6 +92,7 @@ def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         "history": [asdict(validation) for validation in state.history],
     }
     write_safetensors(path, tensors, {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config)})
+    published(path)
 
 
 def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> tuple[str, ...]:

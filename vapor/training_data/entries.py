@@ -1,4 +1,4 @@
-"""Data as they are named on the command line, `PATH` or `PATH@START:STOP`, and their frames."""
+"""Data as they are named on the command line, `PATH` or `PATH@START:STOP`, and their frames; a URL is a path, too."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from sequences.datasets import listing
 from sequences.datasets.frames import posed_frames
 from sequences.frame import Frame
 from sequences.options import OdometryUse, SequenceOptions
+from vapor.storage import fetched, is_url, local_path
 from vapor.training_data.training_set import TrainingError
 
 
@@ -48,12 +49,14 @@ def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
 
 
 def parse_entry(entry: Path | str) -> tuple[Path, slice]:
-    """Path and frames of `PATH` or `PATH@START:STOP`.
+    """Path and frames of `PATH` or `PATH@START:STOP`; of a URL the path of its copy, which is made.
 
     Raises:
         TrainingError: what follows the @ is not a range.
     """
     match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
+    if is_url(text := match["path"] if match else str(entry)):
+        return fetched(local_path(text)), parse_entry(f"x{str(entry)[len(text) :]}")[1]
     if match:
         return Path(match["path"]), slice(int(match["start"] or 0), int(match["stop"]) if match["stop"] else None)
     if re.search(r"@[^/]*:[^/]*$", str(entry)) and not Path(entry).exists():

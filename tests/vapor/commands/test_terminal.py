@@ -150,9 +150,9 @@ def test_signals_within_a_python_program_stay_its_own(capsys):
 
 WORKERS = """
 import time
-from vapor.parallel import in_parallel
+from vapor.parallel.jobs import Workers, in_parallel
 try:
-    list(in_parallel(time.sleep, [(30,)] * 4, 2))
+    list(in_parallel(time.sleep, [(30,)] * 4, Workers(2)))
 except KeyboardInterrupt:
     raise SystemExit(130) from None
 """

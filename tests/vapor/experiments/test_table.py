@@ -145,7 +145,7 @@ def test_the_same_scene_twice_is_refused(tmp_path):
 )
 def test_a_table_and_a_schedule_start_from_a_preset(words, experiment, monkeypatch, tmp_path):
     given = []
-    monkeypatch.setattr(experiment_command, experiment, lambda *arguments: given.append(arguments[-1]) or sys.exit(0))
+    monkeypatch.setattr(experiment_command, experiment, lambda *arguments: given.append(arguments[2]) or sys.exit(0))
     with pytest.raises(SystemExit):
         main(["experiment", *words, "--output", str(tmp_path)])
     assert given[0].train == replace(PRESETS["tables"], epochs=3)

@@ -17,10 +17,11 @@ from vapor.benchmark.faults.runs import Chosen, FaultRun, find_walk, run_fault
 from vapor.benchmark.faults.table import FAULTS
 from vapor.benchmark.faults.walks import FaultWalk, SyntheticWalk
 from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
+from vapor.benchmark.recordings.storage import not_recorded
 from vapor.benchmark.trials.landmarks_in_view import trials_by_seed
 from vapor.benchmark.trials.recording_jobs import camera_paths, make_recordings
 from vapor.benchmark.trials.setup import Setup, TrialsConfig, make_setups
-from vapor.parallel import in_parallel
+from vapor.parallel.jobs import Workers, in_parallel
 
 _BARREN = 20  # walks in a row without a moment for a fault, after which there is no hope of another
 
@@ -61,6 +62,7 @@ class FaultBenchmark:
         recordings: MCAP files and rosbag2 folders with odometry and true poses, each a walk, by name.
         model: The model to localize in them by.
         reading: What to read of them.
+        workers: Where jobs are done; None for as many processes here as configured.
 
     Raises:
         VaporTrackError: a model or an error model that cannot be used.
@@ -76,9 +78,11 @@ class FaultBenchmark:
         recordings: Mapping[str, Path] = MappingProxyType({}),
         model: str | None = None,
         reading: SequenceOptions | None = None,
+        workers: Workers | None = None,
     ) -> None:
         self.directory = directory
         self.config = config
+        self._workers = workers or Workers(config.workers)
         self._setups = make_setups(scenes, config, errors)
         self._recorded: list[RecordedWalk] = []
         if model is not None:
@@ -110,7 +114,7 @@ class FaultBenchmark:
         for done, _ in self._record({walk.own: walk for walk in self._recorded}):
             progress(done)
         jobs = [((walk,), self.directory) for walk in self._recorded]
-        chosen = [each for each in in_parallel(find_walk, jobs, self.config.workers) if each is not None]
+        chosen = [each for each in in_parallel(find_walk, jobs, self._workers) if each is not None]
         chosen.sort(key=lambda each: each.walk.name)
         unused = sorted({walk.name for walk in self._recorded} - {each.walk.name for each in chosen})
         if self._recorded and not chosen:
@@ -143,12 +147,12 @@ class FaultBenchmark:
                 for trials in islice(seeds, c.walks - len(found))
             }
             wanted = {setup.recording(scene, "cue", walks[0].trial.segments[0]): setup for walks in batch.values()}
-            for _ in make_recordings(wanted, self.directory / "recordings", c.workers):
+            for _ in make_recordings(wanted, self.directory / "recordings", self._workers):
                 pass
             jobs = [(walks, self.directory) for walks in batch.values()]
             usable = {
                 each.walk.seed: each
-                for each in in_parallel(find_walk, jobs, c.workers)
+                for each in in_parallel(find_walk, jobs, self._workers)
                 if each is not None and isinstance(each.walk, SyntheticWalk)
             }
             found += [usable[seed] for seed in sorted(usable)]
@@ -168,14 +172,14 @@ class FaultBenchmark:
 
     def _record(self, wanted: Mapping[RecordingSettings | FileSettings, FaultWalk]) -> Iterator[tuple[int, int]]:
         directory = self.directory / "recordings"
-        missing = [(walk, film, directory) for film, walk in wanted.items() if not (directory / film.name).is_dir()]
-        for done, _ in enumerate(in_parallel(_record, missing, self.config.workers), len(wanted) - len(missing) + 1):
+        missing = [(wanted[film], film, directory) for film in not_recorded(wanted, directory)]
+        for done, _ in enumerate(in_parallel(_record, missing, self._workers), len(wanted) - len(missing) + 1):
             yield done, len(wanted)
 
     def localize(self, chosen: Sequence[Chosen]) -> Iterator[dict[str, Any]]:
         """The result of every walk with every fault, in no order; cached ones are not computed again."""
         jobs = [(run.walk, run.begin, run.fault, run.film, self.directory) for run in self.runs(chosen)]
-        yield from in_parallel(run_fault, jobs, self.config.workers)
+        yield from in_parallel(run_fault, jobs, self._workers)
 
     def runs(self, chosen: Sequence[Chosen]) -> list[FaultRun]:
         """Every walk with every fault that it can have: there are no images between those of a recording."""

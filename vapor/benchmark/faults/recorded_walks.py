@@ -22,6 +22,7 @@ from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
 from vapor.benchmark.recordings.storage import load_recording
 from vapor.benchmark.trials.replay import Replay, follow_replay
 from vapor.benchmark.trials.setup import Setup, setup_settings
+from vapor.storage import fetched
 from vapor.tracking.belief import Belief
 
 RECORDED = "recorded"
@@ -120,7 +121,7 @@ class RecordedWalk:
         """Read or render a film, and show it to the network."""
         checkpoint, engine = self.setup.checkpoint(), self.setup.network.engine
         if isinstance(film, FileSettings):
-            record_file(film, self.file, checkpoint, directory, self.reading, engine)
+            record_file(film, fetched(self.file), checkpoint, directory, self.reading, engine)
         else:
             make_recording(film, checkpoint, directory, engine)
 

@@ -15,7 +15,7 @@ from vapor.benchmark.trials.recording_jobs import camera_paths, make_recordings
 from vapor.benchmark.trials.run import run_trial
 from vapor.benchmark.trials.setup import Setup, TrialsConfig, make_setups
 from vapor.benchmark.trials.trial import Trial
-from vapor.parallel import in_parallel
+from vapor.parallel.jobs import Workers, in_parallel
 from vapor.tracking.ablations import ABLATIONS
 
 
@@ -53,13 +53,20 @@ class LocalizationBenchmark:
         directory: For recordings and results; an interrupted benchmark continues where it was.
         config: Settings.
         errors: What replaces numbers of the models' own error models, by name.
+        workers: Where jobs are done; None for as many processes here as configured.
     """
 
     def __init__(
-        self, scenes: Mapping[str, str], directory: Path, config: LocalizationConfig, errors: Mapping[str, Any]
+        self,
+        scenes: Mapping[str, str],
+        directory: Path,
+        config: LocalizationConfig,
+        errors: Mapping[str, Any],
+        workers: Workers | None = None,
     ) -> None:
         self.directory = directory
         self.config = config
+        self._workers = workers or Workers(config.workers)
         self._setups = make_setups(scenes, config, errors)
 
     def choose(self, progress: Callable[[int, int], None]) -> list[Trial]:
@@ -80,7 +87,7 @@ class LocalizationBenchmark:
         for trial in trials:
             setup = self._setups[trial.scene]
             wanted |= {setup.recording(trial.scene, trial.kind, segment): setup for segment in trial.segments}
-        yield from make_recordings(wanted, self.directory / "recordings", self.config.workers)
+        yield from make_recordings(wanted, self.directory / "recordings", self._workers)
 
     def localize(self, trials: Sequence[Trial]) -> Iterator[dict[str, Any]]:
         """The result of every trial and ablation, in no order; cached ones are not computed again."""
@@ -89,4 +96,4 @@ class LocalizationBenchmark:
             for ablation in self.config.ablations
             for trial in trials
         ]
-        yield from in_parallel(run_trial, jobs, self.config.workers)
+        yield from in_parallel(run_trial, jobs, self._workers)

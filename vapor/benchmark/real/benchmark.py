@@ -17,6 +17,7 @@ from vapor.benchmark.real.rows import ROWS
 from vapor.cache import cached, code_digest
 from vapor.engines.engine import EngineConfig
 from vapor.evaluation.comparison import compare
+from vapor.parallel.jobs import Workers, in_parallel
 from vapor.threads import limited_threads
 from vapor.tracking.follow import follow
 
@@ -90,6 +91,23 @@ def measure(rows: Sequence[Row], context: RowContext, config: RealConfig) -> Ite
         for seed in range(config.seeds if row.simulated else 1):
             with limited_threads(1):
                 yield _evaluated(row, seed, context, config)
+
+
+def measure_rows(
+    rows: Sequence[Row], data: Path, output: Path, config: RealConfig, workers: Workers
+) -> Iterator[list[dict[str, Any]]]:
+    """The results of every row as it is done, in no order: all that `measure` gives of it, in one list.
+
+    Raises:
+        VaporTrackError: as `measure`, and as `in_parallel`.
+    """
+    yield from in_parallel(_measured, [(row.name, data, output, config) for row in rows], workers)
+
+
+def _measured(name: str, data: Path, output: Path, config: RealConfig) -> list[dict[str, Any]]:
+    """As `measure` of one row, by its name: rows hold functions, which do not travel."""
+    (row,) = (row for row in ROWS if row.name == name)
+    return [result for draw in measure([row], RowContext(data, output, config.num_samples), config) for result in draw]
 
 
 def _evaluated(row: Row, seed: int, context: RowContext, config: RealConfig) -> list[dict[str, Any]]:

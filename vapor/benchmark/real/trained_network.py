@@ -19,16 +19,18 @@ from sequences.odometry import OdometryNoise
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.benchmark.recordings.record import record_file
 from vapor.benchmark.recordings.settings import FileSettings
-from vapor.benchmark.recordings.storage import load_recording
+from vapor.benchmark.recordings.storage import load_recording, not_recorded
 from vapor.cache import code_digest, digest
 from vapor.calibration.calibrate import calibrate
 from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.checkpoints.thinning import spaced
+from vapor.storage import fetched, published, withdrawn
 from vapor.tracking.passage import Passage, posterior_of
 from vapor.training.config import TrainConfig
 from vapor.training.progress import Progress
+from vapor.training.state import state_path
 from vapor.training.train import train
 from vapor.training_data.entries import open_sequences
 from vapor.training_data.load import load_training_set
@@ -81,7 +83,7 @@ class TrainedNetwork:
     def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
         """Convert, train, calibrate, and ask the network about every image."""
         file, _ = self._sequence(context, seed)
-        if not file.is_file():
+        if not fetched(file).is_file():
             context.advance("converting", seed, None)
             recorded = None if self.odometry is None else context.data / self.odometry
             noise = OdometryNoise() if recorded is None else None
@@ -93,10 +95,11 @@ class TrainedNetwork:
                 frames=slice(*self.frames),
                 seed=seed,
             )
+            published(file)
         model = self._calibrated(context)
         checkpoint = load_checkpoint(model)
         settings, recordings = self._recording(context, seed, checkpoint), context.folder("recordings")
-        if not (recordings / settings.name).is_dir():
+        if not_recorded([settings], recordings):
             context.advance("asking the network", seed, None)
             record_file(settings, file, checkpoint, recordings, engine=context.network.engine)
         return {"recording": settings.stored, "calibration": asdict(checkpoint.calibration)}
@@ -127,20 +130,23 @@ class TrainedNetwork:
     def _trained(self, context: RowContext) -> Path:
         """The model file, trained if it is not there; an interrupted training run continues."""
         file = context.folder("models") / f"{self.name}-{digest(self._training_settings)}.safetensors"
-        if not file.is_file():
+        if not fetched(file).is_file():
+            fetched(state_path(file))
 
             def report(progress: Progress) -> None:
                 context.advance(progress.stage, progress.done, progress.total)
 
             training, held_out = ([context.data / entry for entry in part] for part in (self.training, self.held_out))
             train(training, file, self.config, validation=held_out, progress=report)
+            published(file)
+            withdrawn(state_path(file))
         return file
 
     def _calibrated(self, context: RowContext) -> Path:
         """The model as calibrated by the current code: calibrated anew if that code has changed."""
         trained = self._trained(context)
         file = trained.with_name(f"{trained.stem}-calibrated-{calibration_code()}.safetensors")
-        if file.is_file():
+        if fetched(file).is_file():
             return file
         context.advance("calibrating", 0, None)
         checkpoint = load_checkpoint(trained)
@@ -172,6 +178,7 @@ class TrainedNetwork:
             training=json.loads(json.dumps(provenance)),
         )
         save_checkpoint(file, calibrated, store_float16=self.config.store_float16)
+        published(file)
         return file
 
     def _sequence(self, context: RowContext, seed: int) -> tuple[Path, str]:

@@ -36,6 +36,7 @@ from vapor.benchmark.recordings.storage import (
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines.engine import EngineName, Precision
 from vapor.observation import VaporObservationModel
+from vapor.storage import published
 from vapor.threads import limited_threads
 
 _NO_MOTION = Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
@@ -132,6 +133,7 @@ def _store(settings: RecordingSettings | FileSettings, directory: Path, record: 
     """Let a recording be made in a hidden folder, then give that folder its name; nothing to do if it exists."""
     folder = directory / settings.name
     if folder.is_dir():
+        published(folder, last=SETTINGS)
         return
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -143,6 +145,7 @@ def _store(settings: RecordingSettings | FileSettings, directory: Path, record: 
             (partial / SETTINGS).write_text(json.dumps(settings.stored, indent=2) + "\n", encoding="utf-8")
             if not folder.is_dir():  # another process may have been faster
                 partial.rename(folder)
+        published(folder, last=SETTINGS)
     except OSError as error:
         raise VaporTrackError(
             f"{folder}: cannot write: {error.strerror or error}, expected a directory that can be written to"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -16,6 +16,9 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.files.structured import read_arrays, read_json
 from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
+from vapor.storage import absent, fetched
+
+Settings = TypeVar("Settings", RecordingSettings, FileSettings, RecordingSettings | FileSettings)
 
 SETTINGS, PATH, SAMPLES = "settings.json", "path.npz", "samples.npy"
 """The files of a recording."""
@@ -64,13 +67,20 @@ class Recording:
         return Odometry(self.odometry[image], self.odometry_covariance[image], duration_s)
 
 
+def not_recorded(wanted: Iterable[Settings], directory: Path) -> list[Settings]:
+    """Those of some recordings that a directory has not."""
+    files = {settings: directory / settings.name / SETTINGS for settings in wanted}
+    lacking = absent(files.values(), directory)
+    return [settings for settings, file in files.items() if file in lacking]
+
+
 def load_recording(settings: RecordingSettings | FileSettings, directory: Path) -> Recording:
     """A recording made before.
 
     Raises:
         VaporTrackError: there is none, or it was made with other settings.
     """
-    folder = directory / settings.name
+    folder = fetched(directory / settings.name)
     stored = _checked(settings, folder)
     return Recording(
         stored["times_ns"],

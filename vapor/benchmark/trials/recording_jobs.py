@@ -8,18 +8,17 @@ from pathlib import Path
 
 from vapor.benchmark.recordings.record import camera_path, make_recording
 from vapor.benchmark.recordings.settings import RecordingSettings
-from vapor.benchmark.recordings.storage import CameraPath
+from vapor.benchmark.recordings.storage import CameraPath, not_recorded
 from vapor.benchmark.trials.kinds import Kind
 from vapor.benchmark.trials.setup import Setup
-from vapor.parallel import in_parallel
+from vapor.parallel.jobs import Workers, in_parallel
 
 
 def make_recordings(
-    wanted: Mapping[RecordingSettings, Setup], directory: Path, workers: int
+    wanted: Mapping[RecordingSettings, Setup], directory: Path, workers: Workers
 ) -> Iterator[tuple[int, int]]:
     """Make the recordings that are missing; yields the number done and the number of all after each."""
-    missing = [each for each in wanted.items() if not (directory / each[0].name).is_dir()]
-    jobs = [(settings, setup, directory) for settings, setup in missing]
+    jobs = [(settings, wanted[settings], directory) for settings in not_recorded(wanted, directory)]
     for done, _ in enumerate(in_parallel(_make, jobs, workers), len(wanted) - len(jobs) + 1):
         yield done, len(wanted)
 

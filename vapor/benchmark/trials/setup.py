@@ -21,6 +21,7 @@ from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.shipped_models import find_model
 from vapor.engines.engine import EngineConfig
+from vapor.storage import fetched
 
 _MAX_SEED = 2**62
 _CODE = (
@@ -179,4 +180,4 @@ def results_code() -> str:
 
 @cache
 def _load(model: Path, sha256: str) -> Checkpoint:
-    return load_checkpoint(model)
+    return load_checkpoint(fetched(model))

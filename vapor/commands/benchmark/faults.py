@@ -12,15 +12,17 @@ import tyro
 from filtering.errors import VaporTrackError
 from sequences.datasets import listing
 from sequences.options import SequenceOptions
-from sequences.outputs.claims import claim_folder
 from vapor.benchmark.faults.benchmark import FaultBenchmark, FaultsConfig
 from vapor.benchmark.faults.summary import summarise_faults
 from vapor.benchmark.faults.table import FAULTS
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.benchmark.fault_tables import fault_failures, fault_tables
 from vapor.commands.benchmark.scenes import SCENE_NAMES, SceneOptions, listed, with_help, write_summary
-from vapor.commands.console import bar, parse, show
+from vapor.commands.console import InputPath, bar, parse, show
+from vapor.commands.workers import claim_shared, publish_results, workers_for
+from vapor.parallel.jobs import Workers
 from vapor.pipeline.find_sequences import unique_names
+from vapor.storage import fetched, url_of
 
 _CONFIG = with_help(
     FaultsConfig,
@@ -39,9 +41,9 @@ class Options(SceneOptions):
     ] = ()
     """What the camera moves through; the number N of a building is the seed that it is drawn from. None beside
     recordings."""
-    recordings: tuple[Path, ...] = ()
-    """MCAP files or rosbag2 folders with odometry and true poses, each a walk, instead of scenes; the one model of
-    --models is used for all."""
+    recordings: tuple[InputPath, ...] = ()
+    """MCAP files or rosbag2 folders, or their URLs, with odometry and true poses, each a walk, instead of scenes; the
+    one model of --models is used for all."""
     config: Annotated[FaultsConfig, tyro.conf.arg(name="", constructor=_CONFIG)] = field(default_factory=_CONFIG)
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
@@ -79,18 +81,30 @@ class Options(SceneOptions):
 
     @property
     def named(self) -> dict[str, Path]:
-        """The recordings, by names that distinguish them."""
-        return dict(zip(unique_names(self.recordings), self.recordings, strict=True))
+        """The recordings, by names that distinguish them; copies of what has a URL are made."""
+        return dict(zip(unique_names(self.recordings), map(fetched, self.recordings), strict=True))
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("benchmark faults", Options, arguments)
+    with workers_for("benchmark faults", o.config.workers, o.scheduler) as workers:
+        _measure(o, workers)
+
+
+def _measure(o: Options, workers: Workers) -> None:
     model = o.models[0] if o.recordings else None
     benchmark = FaultBenchmark(
-        o.model_of, o.output, o.config, o.replaced, recordings=o.named, model=model, reading=o.reading
+        o.model_of,
+        o.output,
+        o.config,
+        o.replaced,
+        recordings=o.named,
+        model=model,
+        reading=o.reading,
+        workers=workers,
     )
-    claim_folder(o.output, "benchmark faults", reads=o.files_read, overwrite=o.overwrite)
+    claim_shared(o.output, "benchmark faults", workers, reads=o.files_read, overwrite=o.overwrite)
     with bar("choosing walks") as advance:
         chosen, unused = benchmark.choose(advance)
     with bar("recording") as advance:
@@ -105,9 +119,10 @@ def main(arguments: Sequence[str]) -> None:
     summary = summarise_faults(results)
     left_out = [fault for fault in o.config.faults if fault not in {run.fault for run in runs}]
     partial = {name: {"used": used, "images": count} for name, used, count in benchmark.left_out()}
-    recordings = {name: str(path) for name, path in o.named.items()}
+    recordings = {name: url_of(path) or str(path) for name, path in o.named.items()}
     read = {"recordings": recordings, "reading": o.reading.told, "partial": partial} if recordings else {}
     write_summary(o, asdict(o.config), summary, results, unused=unused, left_out=left_out, **read)
+    publish_results(o.output)
     for table in fault_tables(summary):
         show(table)
     for line in fault_failures(summary):

@@ -8,13 +8,14 @@ from typing import Annotated
 
 import tyro
 
-from sequences.outputs.claims import claim_folder
 from vapor.benchmark.localization.benchmark import LocalizationBenchmark, LocalizationConfig
 from vapor.benchmark.localization.summary import summarise
 from vapor.benchmark.trials.kinds import KINDS
 from vapor.commands.benchmark.localization_tables import failures, tables
 from vapor.commands.benchmark.scenes import SceneOptions, listed, with_help, write_summary
 from vapor.commands.console import bar, parse, show
+from vapor.commands.workers import claim_shared, publish_results, workers_for
+from vapor.parallel.jobs import Workers
 from vapor.tracking.ablations import ABLATIONS
 
 _CONFIG = with_help(
@@ -34,8 +35,13 @@ class Options(SceneOptions):
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("benchmark localization", Options, arguments)
-    benchmark = LocalizationBenchmark(o.model_of, o.output, o.config, o.replaced)
-    claim_folder(o.output, "benchmark localization", reads=o.files_read, overwrite=o.overwrite)
+    with workers_for("benchmark localization", o.config.workers, o.scheduler) as workers:
+        _measure(o, workers)
+
+
+def _measure(o: Options, workers: Workers) -> None:
+    benchmark = LocalizationBenchmark(o.model_of, o.output, o.config, o.replaced, workers)
+    claim_shared(o.output, "benchmark localization", workers, reads=o.files_read, overwrite=o.overwrite)
     with bar("choosing runs") as advance:
         trials = benchmark.choose(advance)
     with bar("recording") as advance:
@@ -49,6 +55,7 @@ def main(arguments: Sequence[str]) -> None:
     results.sort(key=lambda result: (result["variant"], result["name"]))
     summary = summarise(results)
     write_summary(o, o.config.settings(), summary, results)
+    publish_results(o.output)
     for table in tables(summary):
         show(table)
     for line in failures(summary):

@@ -13,7 +13,8 @@ from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from sequences.scenes import find_scene, is_scene, scene_names
 from vapor.checkpoints.shipped_models import find_model
-from vapor.commands.console import OutputPath, Overwrite
+from vapor.commands.console import Overwrite, SharedOutputPath
+from vapor.commands.workers import Scheduler
 from vapor.reporting.report import write_report
 from vapor.stored_names import with_stored_names
 
@@ -42,12 +43,14 @@ class SceneOptions:
         tyro.conf.arg(metavar=f"{{{','.join(SCENE_NAMES)}}} ..."),
     ]
     """What the camera moves through; the number N of a building is the seed that it is drawn from."""
-    output: OutputPath
-    """Directory for recordings, results and summary.json; an interrupted benchmark with the same output continues."""
+    output: SharedOutputPath
+    """Directory for recordings, results and summary.json, or its URL; an interrupted benchmark with the same output
+    continues."""
     overwrite: Overwrite = False
     models: tuple[str, ...] = ()
     """Model file, or name of a model that ships, for each scene. Default: the scenes' names; none ships for the
     corridor or for a building."""
+    scheduler: Scheduler = None
     errors: Annotated[Any, tyro.conf.arg(constructor=_Override)] = field(default_factory=_Override)
     """What replaces numbers of the models' own error models."""
 

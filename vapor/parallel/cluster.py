@@ -1,0 +1,169 @@
+"""The workers of a Dask scheduler: which they are, and one function over many jobs on them."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from filtering.errors import VaporTrackError
+from sequences.atomic import workspace
+from vapor.parallel.worker import About, Done, Failed, Refused, about_this, do, packed
+
+if TYPE_CHECKING:
+    from distributed import Future
+
+Result = TypeVar("Result")
+
+_PATIENCE_S = 10.0
+_GONE = "what is done stays, and the same call goes on from there"
+
+
+class ClusterError(VaporTrackError):
+    """A scheduler or workers that cannot be used, or jobs that failed on them."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """The workers of a scheduler, from `connected`.
+
+    Attributes:
+        address: Of the scheduler.
+        client: Connected to it; a `Client` of Dask, whose answers have other types where it is asynchronous.
+        expected: What every worker must say of itself.
+    """
+
+    address: str
+    client: Any
+    expected: About
+
+    @property
+    def dashboard(self) -> str | None:
+        """Where a browser sees what the workers do; None where the scheduler serves none."""
+        return self.client.dashboard_link if "dashboard" in self.client.scheduler_info()["services"] else None
+
+    @property
+    def size(self) -> int:
+        """Number of workers now."""
+        return len(self.client.nthreads())
+
+    def require_to_see(self, folder: Path) -> None:
+        """Check that a folder is there for all workers now, by one that is made in it.
+
+        Raises:
+            ClusterError: it is not; names a worker.
+        """
+        with workspace(folder, "seen") as made:
+            found = self.client.run(os.path.isdir, str(made.absolute()))
+        for worker in (worker for worker, seen in found.items() if not seen):
+            raise ClusterError(f"worker {worker} does not see {folder}, expected a disk that all see, or a URL")
+
+    def results(self, function: Callable[..., Result], jobs: Sequence[tuple]) -> Iterator[Result]:
+        """The result of `function(*job)` for every job, as each finishes, in no order.
+
+        Jobs travel with their paths made absolute (`worker.packed`). Those of a worker that dies are done by others. A
+        job that fails for its input or for a full disk keeps no other from being done. What is queued is cancelled when
+        no more results are asked for, as after Ctrl-C; what is being done then goes on to its end.
+
+        Raises:
+            ClusterError: in the end, some failed; at once, a worker that joined is of another version, or the scheduler
+                went away.
+        """
+        from distributed import as_completed
+
+        submitted = [self.client.submit(do, packed(function, job), self.expected, pure=False) for job in jobs]
+        failed: list[Failed] = []
+        try:
+            for future in as_completed(submitted, loop=self.client.loop):
+                outcome = self._outcome(future)
+                if isinstance(outcome, Failed):
+                    failed.append(outcome)
+                else:
+                    yield outcome.result
+        finally:
+            if self.client.status == "running":
+                self.client.cancel([future for future in submitted if not future.done()], force=True)
+        if failed:
+            others = "" if len(failed) == len(jobs) else ", the others are done"
+            raise ClusterError(f"{len(failed)} of {len(jobs)} jobs failed{others}; worker {failed[0]}")
+
+    def _outcome(self, future: Future) -> Done | Failed:
+        from distributed import KilledWorker
+
+        error: Any = future.exception() if future.status == "error" else None
+        if future.status in ("cancelled", "lost"):
+            raise ClusterError(f"{self.address}: the scheduler went away; {_GONE}")
+        if isinstance(error, KilledWorker):
+            tries = error.allowed_failures + 1
+            what = f"died in this job as {tries - 1} others did before, perhaps for lack of memory"
+            return Failed(error.last_worker.address, what)
+        if error is not None:
+            raise error
+        outcome = future.result()
+        if isinstance(outcome, Refused):
+            raise ClusterError(f"{_refusal({outcome.worker: outcome.about}, self.expected)}; {_GONE}")
+        return outcome
+
+
+@contextmanager
+def connected(address: str, tell: Callable[[str], None]) -> Iterator[Cluster]:
+    """Connect to the scheduler at an address, such as `tcp://host:8786`, and check its workers.
+
+    Args:
+        address: Of the scheduler.
+        tell: Called with a line on every worker that dies.
+
+    Raises:
+        ClusterError: Dask is not installed, no scheduler answers within ten seconds, or workers that are no copies of
+            this program, with one thread each. (Those that come later are checked when they get their first job.)
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ClusterError("--scheduler needs Dask: pip install 'vapor-track[cluster]'") from error
+    try:
+        asyncio.run(_ask(address))
+        client: Any = Client(address, timeout=_PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        reason = " ".join(str(error).split()) or f"no answer within {_PATIENCE_S:g} s"
+        raise ClusterError(f"{address}: {reason}; expected a Dask scheduler, such as tcp://host:8786") from error
+
+    def told(event: tuple[float, Any]) -> None:
+        about = event[1]
+        if isinstance(about, dict) and about.get("action") == "remove-worker" and not about.get("expected"):
+            tell(f"worker {about['worker']} went away; what it was doing is done again by others")
+
+    try:
+        expected = about_this()
+        found = client.run(about_this, on_error="return")
+        others = {worker: about for worker, about in found.items() if about != expected}
+        if others:
+            raise ClusterError(_refusal(others, expected))
+        client.subscribe_topic("all", told)
+        yield Cluster(address, client, expected)
+        if client.status == "running":
+            client.unsubscribe_topic("all")
+    finally:
+        client.close(timeout=2)
+
+
+async def _ask(address: str) -> None:
+    """Let a scheduler answer: `Client` waits for ever for what is none, and takes long to give up a wrong address."""
+    from distributed.core import rpc
+    from distributed.security import Security
+
+    async with asyncio.timeout(_PATIENCE_S):
+        async with rpc(address, connection_args=Security().get_connection_args("client")) as scheduler:
+            await scheduler.identity()
+
+
+def _refusal(others: dict[str, Any], expected: About) -> str:
+    """What is wrong with some workers, the first of them in full."""
+    worker, about = next(iter(others.items()))
+    found = about if isinstance(about, About) else f"another vapor-track, or none ({' '.join(str(about).split())})"
+    more = f"; so have {len(others) - 1} more" if len(others) > 1 else ""
+    return f"worker {worker} has {found}, expected {expected} as here{more}"
