@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from filtering.density import KernelDensity
 from filtering.errors import require_within
@@ -22,6 +22,8 @@ from filtering.se3 import Poses
 SURE = 0.9
 """A textbook filter says `converged` from this weight on, within `REACH_M` and `REACH_RAD` of its best pose."""
 REACH_M, REACH_RAD = 0.3, 0.5
+
+_BLOCK = 256  # particles at a time
 
 _HASH = np.array([1, 1_000_003, 998_244_353, 1_000_000_007, 2_147_483_647, 67_867_979])  # of cells
 
@@ -56,6 +58,7 @@ class TextbookSettings:
         )
 
 
+@runtime_checkable
 class TextbookFilter(Protocol):
     """A filter as the benchmark sees it."""
 
@@ -104,10 +107,29 @@ def log_likelihood(
         flat_log_density: Log density of poses spread evenly over the map, per m³ rad³.
     """
     log_outlier = np.log(settings.outlier_probability) + flat_log_density
-    density = KernelDensity(samples, settings.kernel_m, settings.kernel_rad)
-    # Float32 matrix products, blocks of particles, and no kernel that is too far from a block to count.
-    log_seen = density.log_density(poses, log_floor=log_outlier - 5.0, near_only=True)
+    widths = settings.kernel_m, settings.kernel_rad
+    one = KernelDensity(Poses.identity(1), *widths)
+    log_scale = -np.log(len(samples)) - one.log_normaliser[0]
+    with np.errstate(divide="ignore"):
+        log_seen = np.log(_sums(poses, samples, *widths), dtype=np.float64) + log_scale
     return settings.power * np.logaddexp(np.log1p(-settings.outlier_probability) + log_seen, log_outlier)
+
+
+def _sums(poses: Poses, samples: Poses, width_m: float, width_rad: float) -> Float32[np.ndarray, " n"]:
+    """Sums of the kernels exp(−½ d²) between each pose (n,) and all samples (m,), d the chordal distance in widths.
+
+    −½|a − b|² = a·b − ½|a|² − ½|b|² is one matrix product of 14 columns; blocks of 256 rows stay in a core's cache.
+    """
+    scale, origin = np.repeat([1.0 / width_m, 1.0 / width_rad], [3, 9]), samples.chordal.mean(axis=0)
+    left, right = np.empty((len(poses), 14), np.float32), np.empty((14, len(samples)), np.float32)
+    rows, columns = (poses.chordal - origin) * scale, ((samples.chordal - origin) * scale).T
+    left[:, :12], left[:, 12], left[:, 13] = rows, -0.5 * np.einsum("ij,ij->i", rows, rows), 1.0
+    right[:12], right[12], right[13] = columns, 1.0, -0.5 * np.einsum("ij,ij->j", columns, columns)
+    sums = np.empty(len(poses), np.float32)
+    for start in range(0, len(poses), _BLOCK):
+        exponent = left[start : start + _BLOCK] @ right
+        sums[start : start + _BLOCK] = np.exp(exponent, out=exponent).sum(axis=1)
+    return sums
 
 
 def heaviest_place(poses: Poses, weights: Float64[np.ndarray, " n"]) -> tuple[Poses, float]:
