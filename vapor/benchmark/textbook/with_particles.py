@@ -6,6 +6,8 @@ Source: Chopin and Papaspiliopoulos, "An Introduction to Sequential Monte Carlo"
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import particles  # pyright: ignore[reportMissingImports]
 from jaxtyping import Float64
@@ -24,6 +26,8 @@ from vapor.benchmark.textbook.building_blocks import (
 )
 
 Rows = Float64[np.ndarray, "n 12"]
+Seen = tuple[Poses, Odometry]
+"""Samples of an image, and the motion before it."""
 
 
 class ParticlesFilter:
@@ -39,52 +43,71 @@ class ParticlesFilter:
     def __init__(
         self, count: int, settings: TextbookSettings, flat_log_density: float, rng: np.random.Generator
     ) -> None:
-        self._model = _Camera(settings=settings, flat=flat_log_density, rng=rng)
-        self._model.seen = []
         self._rng = rng
-        model = state_space_models.Bootstrap(ssm=self._model, data=self._model.seen)
+        self._seen: list[Seen | None] = []
+        camera = _Camera(self._seen, settings, flat_log_density, rng)
+        model = state_space_models.Bootstrap(ssm=camera, data=self._seen)
         self._smc = particles.SMC(fk=model, N=count, resampling="systematic", ESSrmin=0.5, collect="off")
 
     def update(self, samples: Poses, odometry: Odometry) -> tuple[Poses, float]:
         """Take one image, see `TextbookFilter`."""
-        self._model.seen.append((samples, odometry))
+        self._seen.append((samples, odometry))
         with drawing_from(self._rng):
             next(self._smc)
-        self._model.seen[-1] = None  # it is not asked for again, and a walk's samples would fill the memory
-        return heaviest_place(from_rows(self._smc.X), self._smc.W)
+        self._seen[-1] = None  # it is not asked for again, and a walk's samples would fill the memory
+        return heaviest_place(from_rows(np.asarray(self._smc.X)), self._smc.W)
 
 
 class _Camera(state_space_models.StateSpaceModel):
-    """A camera that moves as odometry says, and images of it; `seen` has samples and odometry of each image."""
+    """A camera that moves as odometry says, and what its images say; the last of `seen` is the image now."""
 
-    def PX0(self) -> _Law:
+    def __init__(
+        self, seen: Sequence[Seen | None], settings: TextbookSettings, flat: float, rng: np.random.Generator
+    ) -> None:
+        super().__init__()
+        self._seen, self._settings, self._flat, self._rng = seen, settings, flat, rng
+
+    def PX0(self) -> _Drawn:
         """Where the camera is when the first image comes: where that image says."""
-        return _Law(draw=lambda n: to_rows(drawn(self.seen[0][0], n, self.settings, self.rng)))
+        return _Drawn(lambda count: to_rows(drawn(self._now(0)[0], count, self._settings, self._rng)))
 
-    def PX(self, t: int, xp: Rows) -> _Law:
+    def PX(self, t: int, xp: Rows) -> _Drawn:
         """Where it is after the motion to image t."""
-        samples, odometry = self.seen[t]
-        return _Law(draw=lambda n: to_rows(moved(from_rows(xp), odometry, samples, self.settings, self.rng)))
+        samples, odometry = self._now(t)
+        return _Drawn(lambda _: to_rows(moved(from_rows(xp), odometry, samples, self._settings, self._rng)))
 
-    def PY(self, t: int, xp: Rows | None, x: Rows) -> _Law:
+    def PY(self, t: int, xp: Rows | None, x: Rows) -> _Fit:
         """What image t says; the first one has said it in `PX0`."""
+        samples, _ = self._now(t)
         if t == 0:
-            return _Law(fit=lambda _: np.zeros(len(x)))
-        return _Law(fit=lambda seen: log_likelihood(seen[0], from_rows(x), self.settings, self.flat))
+            return _Fit(lambda: np.zeros(len(x)))
+        return _Fit(lambda: log_likelihood(samples, from_rows(x), self._settings, self._flat))
+
+    def _now(self, t: int) -> Seen:
+        seen = self._seen[t]
+        assert seen is not None
+        return seen
 
 
-class _Law(distributions.ProbDist):
-    """A distribution by how it is drawn from and by its log density, whichever is asked for."""
+class _Drawn(distributions.ProbDist):
+    """A distribution of rows that one can draw from."""
 
     dim = 12
 
-    def __init__(self, draw=None, fit=None) -> None:
-        self._draw, self._fit = draw, fit
+    def __init__(self, draw: Callable[[int], Rows]) -> None:
+        self._draw = draw
 
-    def rvs(self, size: int) -> Rows:
-        """Draw rows (size, 12)."""
-        return self._draw(size)
+    def rvs(self, size: int | None = None) -> Rows:
+        """Rows (size, 12)."""
+        return self._draw(size or 1)
 
-    def logpdf(self, seen) -> Float64[np.ndarray, " n"]:
-        """Log density of what was seen for each particle, (n,)."""
-        return self._fit(seen)
+
+class _Fit(distributions.ProbDist):
+    """A distribution of what is seen, given each of n particles, by its density at what was seen."""
+
+    def __init__(self, log_density: Callable[[], Float64[np.ndarray, " n"]]) -> None:
+        self._log_density = log_density
+
+    def logpdf(self, x: object) -> Float64[np.ndarray, " n"]:
+        """Log density of what was seen, (n,)."""
+        return self._log_density()
