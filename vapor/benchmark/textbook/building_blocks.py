@@ -36,15 +36,15 @@ class TextbookSettings:
     """Standard deviation of the kernels along each axis, metres."""
     kernel_rad: float = 0.1
     """And about each axis, radians."""
-    power: float = 0.3
+    power: float = 0.1
     """Images ten times a second are not independent: of the likelihood, this power is taken."""
     outlier_probability: float = 0.05
     """Probability that an image says nothing about where the camera is."""
-    injected: float = 0.01
+    injected: float = 0.005
     """Fraction of the particles that every image draws anew from its samples."""
     rough_m: float = 0.01
     """Noise along each axis that is added to that of the odometry for every image, metres."""
-    rough_rad: float = 0.01
+    rough_rad: float = 0.005
     """And about each axis, radians."""
 
     def __post_init__(self) -> None:
@@ -53,7 +53,7 @@ class TextbookSettings:
             **dict.fromkeys(("kernel_m", "kernel_rad"), (1e-6, 1e6)),
             **dict.fromkeys(("rough_m", "rough_rad"), (0.0, 1e6)),
             power=(0.0, 1.0),
-            outlier_probability=(1e-9, 1.0),
+            outlier_probability=(1e-9, 0.999),
             injected=(0.0, 1.0),
         )
 

@@ -13,8 +13,9 @@ from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
+from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-from vapor.benchmark.textbook.building_blocks import SURE, TextbookFilter, TextbookSettings
+from vapor.benchmark.textbook.building_blocks import SURE, TextbookFilter, TextbookSettings, drawn
 from vapor.tracking.passage import posterior_of
 
 OURS = "filter"
@@ -95,9 +96,16 @@ def start(
     if method.particles is not None:
         config = replace(config, max_hypotheses=method.particles, merge_divergence=0.0, least_weight=0.0)
     localizer = ParticleLocalizer(None, config, rng=rng)
+    crowd = method.particles  # until the first image, as otherwise an image has a few places
 
     def localize(image: Image) -> Said:
-        posterior = posterior_of(image.samples, errors, image.unfamiliarity)
+        nonlocal crowd
+        if crowd is None:
+            posterior = posterior_of(image.samples, errors, image.unfamiliarity)
+        else:
+            particles = drawn(image.samples, crowd, settings, rng)
+            posterior = PosePosterior.from_estimates(particles, settings.kernel_m, settings.kernel_rad, errors)
+            crowd = None
         estimate = localizer.update(posterior, image.odometry)
         return Said(estimate.modes[0].world_from_camera, estimate.status == "converged", len(estimate.particles))
 

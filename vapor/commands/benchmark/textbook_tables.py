@@ -34,7 +34,7 @@ def filter_tables(summary: Mapping[str, Mapping[str, Mapping[str, Aggregate]]]) 
             for key, total in sorted(methods.items(), key=lambda each: _rank(each[0])):
                 table.add_row(_named(key), *_cells(total))
             table.caption = (
-                "Below a figure: its 95 % interval over walks. All filters side by side, one thread. Textbook filters"
+                "Below a figure: its 95 % interval over walks. Filters side by side, processor time. Textbook filters"
                 f" say converged where {100 * SURE:.0f} % of the weight is within {REACH_M} m of the best pose."
             )
             yield table
