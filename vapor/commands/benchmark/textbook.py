@@ -22,7 +22,8 @@ from vapor.observation import VaporObservationModel
 from vapor.training.presets import PRESETS
 
 _CONFIG = with_help(
-    TextbookConfig, kinds=f"What happens in the runs. {listed({name: kind.meaning for name, kind in KINDS.items()})}."
+    TextbookConfig,
+    kinds=f"What happens in the runs. {listed({name: kind.meaning for name, kind in KINDS.items() if kind.scale == 1.0})}.",
 )
 
 
