@@ -21,10 +21,8 @@ from vapor.commands.console import bar, parse, show
 from vapor.observation import VaporObservationModel
 from vapor.training.presets import PRESETS
 
-_CONFIG = with_help(
-    TextbookConfig,
-    kinds=f"What happens in the runs. {listed({name: kind.meaning for name, kind in KINDS.items() if kind.scale == 1.0})}.",
-)
+_MEANINGS = {name: kind.meaning for name, kind in KINDS.items() if kind.scale == 1.0}
+_CONFIG = with_help(TextbookConfig, kinds=f"What happens in the runs. {listed(_MEANINGS)}.")
 
 
 @dataclass(frozen=True, kw_only=True)
