@@ -151,6 +151,8 @@ def test_of_two_places_the_best_pose_lies_in_the_heavier_one():
         ({"methods": ("amcl",)}, "amcl"),
         ({"particles": (0,)}, "particles"),
         ({"particles": (10, 10)}, "at most once"),
+        ({"methods": ()}, "none"),
+        ({"runs": 0}, "runs"),
     ],
 )
 def test_bad_settings_are_refused(wrong, said):

@@ -39,20 +39,21 @@ class TextbookConfig(TrialsConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_within(self, equal_runs=(0, 10**6))
+        require_within(self, runs=(1, 10**6), equal_runs=(0, 10**6))
+        for name, chosen in (("kinds", self.kinds), ("methods", self.methods), ("particles", self.particles)):
+            if not chosen or len(set(chosen)) < len(chosen):
+                listed = ", ".join(map(str, chosen)) or "none"
+                raise VaporTrackError(f"{name} are {listed}, expected each at most once, and one")
         for name in self.methods:
             if name not in TEXTBOOK:
                 raise VaporTrackError(f"unknown textbook filter {name!r}, expected one of {', '.join(TEXTBOOK)}")
-        if not self.particles or not all(1 <= count <= 10**6 for count in self.particles):
+        if not all(1 <= count <= 10**6 for count in self.particles):
             raise VaporTrackError(f"particles are {self.particles}, expected numbers between 1 and 1000000")
         for kind in self.kinds:
             if KINDS[kind].scale != 1.0:
                 raise VaporTrackError(
                     f"kind is {kind}, expected one of unchanged lengths: textbook filters have metres"
                 )
-        for chosen in (self.methods, self.particles):
-            if len(set(chosen)) < len(chosen):
-                raise VaporTrackError(f"{', '.join(map(str, chosen))}: expected each at most once")
 
 
 class TextbookBenchmark:
