@@ -16,8 +16,8 @@ from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import read_safetensors, write_safetensors
 
 NETWORK = NetworkConfig(image_width=32, image_height=32, shortest_edge=36, feature_dim=16, latent_dim=4)
-SMALL = ["--num-samples", "60", "--localizer.max-hypotheses", "40"]
-"""Options of `vapor-track run` that make a step cheap."""
+SMALL = ["--engine", "torch", "--num-samples", "60", "--localizer.max-hypotheses", "40"]
+"""Options of `vapor-track run` that make a step cheap, and its start: to compile a network takes seconds."""
 
 Tensors = dict[str, torch.Tensor]
 Metadata = dict[str, str]

@@ -125,8 +125,8 @@ def read_familiarity(path: Path, tensors: Mapping[str, StoredTensor]) -> Familia
     """
     found = {name: float32(tensors[FAMILIARITY + name]) for name in (f.name for f in fields(Familiarity))}
     try:
-        numbers = {name: float(found.pop(name)) for name in ("own_distance", "threshold")}
-        return Familiarity(**found, **numbers)
+        own_distance, threshold = (float(found.pop(name)) for name in ("own_distance", "threshold"))
+        return Familiarity(**found, own_distance=own_distance, threshold=threshold)
     except VaporTrackError as error:
         raise CheckpointError(f"{path}: {error}") from error
 

@@ -56,7 +56,7 @@ class Options:
     """Of the samples."""
     device: Device = "auto"
     """Where the network runs."""
-    network: Annotated[EngineConfig, tyro.conf.arg(name="")] = EngineConfig()
+    network: Annotated[EngineConfig, tyro.conf.arg(name="")] = field(default_factory=EngineConfig)
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
     def __post_init__(self) -> None:

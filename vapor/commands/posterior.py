@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -49,7 +49,7 @@ class Options:
     """Of the samples."""
     device: Device = "auto"
     """Where the network runs."""
-    network: Annotated[EngineConfig, tyro.conf.arg(name="")] = EngineConfig()
+    network: Annotated[EngineConfig, tyro.conf.arg(name="")] = field(default_factory=EngineConfig)
 
     def __post_init__(self) -> None:
         if self.image < 0 or self.seed < 0:

@@ -113,7 +113,7 @@ def _run(path: Path, runtime: str, inputs: Sequence[np.ndarray]) -> list[np.ndar
         import onnxruntime
 
         session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-        return session.run(None, dict(zip(INPUTS, inputs, strict=True)))
+        return [np.asarray(each) for each in session.run(None, dict(zip(INPUTS, inputs, strict=True)))]
     from vapor.engines.openvino_engine import compile_network
 
     found = compile_network(path, "float32", 1)(list(inputs))

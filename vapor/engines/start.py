@@ -33,7 +33,7 @@ def describe(file: Path) -> ModelDescription:
 
 def start_engine(
     model: Checkpoint | ModelDescription,
-    config: EngineConfig = EngineConfig(),  # noqa: B008 - it is frozen
+    config: EngineConfig = EngineConfig(),
     *,
     device: Device = "auto",
     threads: int = 1,

@@ -75,7 +75,7 @@ class FlowRegressor(DensityRegressor):
             uniform = normal_cdf(noise)
             known: list[Tensor] = []
             for k, conditional in enumerate(self.conditionals):
-                spline = conditional(condition, _waves(known, uniform), noise.shape[1])
+                spline = conditional(condition, _waves(known, uniform), uniform)
                 known.append(spline.inverse(uniform[..., k]))
             return self._pose(torch.stack(known, dim=-1))
 
@@ -92,7 +92,7 @@ class FlowRegressor(DensityRegressor):
             inside = ((unit >= 0.0) & (unit <= 1.0)).all(dim=-1)
             known = unit.clamp(0.0, 1.0).unbind(dim=-1)
             slopes = [
-                conditional(condition, _waves(known[:k], unit), unit.shape[1]).log_slope(known[k])
+                conditional(condition, _waves(known[:k], unit), unit).log_slope(known[k])
                 for k, conditional in enumerate(self.conditionals)
             ]
             log_volume = (self.upper - self.lower).log().sum() + math.log(8 * math.pi**2)
@@ -159,10 +159,12 @@ class _Conditional(nn.Module):
         self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(config.hidden_layers))
         self.last = nn.Linear(width, 3 * config.components)
 
-    def forward(self, condition: Float[Tensor, "b 1 w"], before: Float[Tensor, "b n e"], count: int | Tensor) -> Spline:
+    def forward(
+        self, condition: Float[Tensor, "b 1 w"], before: Float[Tensor, "b n e"], like: Float[Tensor, "b n f"]
+    ) -> Spline:
         hidden = self.first(condition)
-        # While a network is traced `count` is a tensor, and the shape of what is empty a constant.
-        hidden = hidden.expand(-1, count, -1) if self.before is None else hidden + self.before(before)
+        # While a network is traced, only arithmetic keeps n open: what is empty, or zeros, would have a constant shape.
+        hidden = hidden + (0.0 * like[..., :1] if self.before is None else self.before(before))
         hidden = functional.relu(hidden)
         for layer in self.hidden:
             hidden = functional.relu(layer(hidden))

@@ -45,8 +45,8 @@ class PoseMap(nn.Module):
 
 
 def repeated(
-    poses: tuple[Float[Tensor, "b 3"], Float[Tensor, "b 3 3"]], count: int
+    poses: tuple[Float[Tensor, "b 3"], Float[Tensor, "b 3 3"]], count: int | Tensor
 ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
-    """One pose of each image, so many times."""
+    """One pose of each image, so many times; while a network is traced, `count` is a tensor."""
     translation, rotation = poses
     return translation[:, None].expand(-1, count, -1), rotation[:, None].expand(-1, count, -1, -1)

@@ -27,6 +27,7 @@ from vapor.regressors.mixture_density import Components, MixtureDensity
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.rotations import rodrigues
 from vapor.regressors.scene_box import SceneBox
+from vapor.regressors.traceable import mean_of_cells
 
 _GRID = 3, 4  # rows and columns in which the third stage is kept: where in the image things are
 _KEY_DIM = 128
@@ -79,7 +80,7 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
         """The backbone's numbers of normalised images, each in units of its spread over the training images."""
         with torch.no_grad():
             third, last = self.backbone.maps(images)
-            cells = functional.adaptive_avg_pool2d(third, _GRID).flatten(1)
+            cells = mean_of_cells(third, _GRID).flatten(1)
             numbers = torch.cat([last.mean(dim=(2, 3)), cells], dim=1).to(self.centre.dtype)
             return (numbers - self.centre) / self.spread
 

@@ -81,4 +81,5 @@ def _fractions(raw: Float[Tensor, "*batch k"], least: float) -> Float[Tensor, "*
 def _knots(fractions: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch l"]:
     """From 0 to 1, l = k + 1."""
     sums = fractions[..., :-1].cumsum(dim=-1)
-    return torch.cat([torch.zeros_like(sums[..., :1]), sums, torch.ones_like(sums[..., :1])], dim=-1)
+    zero = 0.0 * sums[..., :1]  # by arithmetic, which keeps sizes open while a network is traced
+    return torch.cat([zero, sums, zero + 1.0], dim=-1)

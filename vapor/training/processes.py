@@ -19,7 +19,7 @@ from jaxtyping import Int64
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from vapor.observation import Device, resolve_device
+from vapor.engines.device import Device, resolve_device
 from vapor.regressors.base import PoseRegressor
 from vapor.training.batch_statistics import share_batch_statistics
 from vapor.training_data.training_set import TrainingError

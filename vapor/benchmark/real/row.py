@@ -35,7 +35,7 @@ class RowContext:
     data: Path
     output: Path
     num_samples: int = 1000
-    network: EngineConfig = EngineConfig()
+    network: EngineConfig = field(default_factory=EngineConfig)
     advance: Advance = field(default=lambda what, done, total: None, compare=False)
 
     def folder(self, name: str) -> Path:

@@ -98,7 +98,7 @@ class Setup:
     errors: Mapping[str, Any]
     ablation: str = "full"
     odometry_scale: float | None = None
-    network: EngineConfig = EngineConfig()
+    network: EngineConfig = field(default_factory=EngineConfig)
 
     def walk(self, scene: str, kind: Kind, seed: int) -> RecordingSettings:
         """The walk with a seed that trials of a kind are cut from, at ten images a second."""

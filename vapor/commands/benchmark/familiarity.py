@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -36,7 +36,7 @@ class Options:
     """Seed of the noise."""
     device: Device = "auto"
     """Where the network runs."""
-    network: Annotated[EngineConfig, tyro.conf.arg(name="")] = EngineConfig()
+    network: Annotated[EngineConfig, tyro.conf.arg(name="")] = field(default_factory=EngineConfig)
 
     def __post_init__(self) -> None:
         require_within(self, every=(1, 10**6), seed=(0, _MAX_SEED))

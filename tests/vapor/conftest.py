@@ -1,0 +1,15 @@
+"""Engines: no network is compiled where a test does not ask for it, as that takes seconds."""
+
+from collections.abc import Iterator
+
+import pytest
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_is_compiled_by_itself() -> Iterator[None]:
+    """`--engine auto` is torch."""
+    from vapor.engines import start  # after the hook
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(start, "can_be_kept", lambda _: False)
+        yield
