@@ -19,8 +19,8 @@ from vapor.experiments.sweep import Sweep
 from vapor.parallel.jobs import Workers
 from vapor.storage import StorageError, absent, fetched, listed, local_path, published, url_of, withdrawn
 from vapor.track import main
+from vapor.training import saving as saving_module
 from vapor.training import state as state_module
-from vapor.training import train as train_module
 from vapor.training.state import state_path
 
 Machine = Callable[[str], None]
@@ -143,11 +143,11 @@ def test_a_training_that_was_killed_goes_on_on_another_machine_to_the_same_resul
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(train_module, "save_state", killed)
+        patch.setattr(saving_module, "save_state", killed)
         with pytest.raises(KeyboardInterrupt):
             results(local_path("memory://alpha"))
     machine("two")
-    monkeypatch.setattr(train_module, "save_state", lambda *state: save(*state) or epochs.append(state[0]))
+    monkeypatch.setattr(saving_module, "save_state", lambda *state: save(*state) or epochs.append(state[0]))
     trains = runs_module.train_on_images
 
     def resuming(images: object, names: object, model: Path, *rest: object) -> object:

@@ -70,7 +70,7 @@ def time_step(model: VaporObservationModel, *, repetitions: int, hypotheses: Seq
         timings.append(_time_filter(label, LocalizerConfig(), posteriors[0], posteriors[1:], repetitions, rng))
     for count in hypotheses:
         config = LocalizerConfig(max_hypotheses=count, merge_divergence=0.0, least_weight=0.0)
-        first, *later = _alike(count, model.checkpoint.calibration.errors, repetitions + 4, rng)
+        first, *later = _alike(count, model.description.calibration.errors, repetitions + 4, rng)
         timings.append(_time_filter("filter, none merged", config, first, later, repetitions, rng))
     return timings
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -49,4 +51,5 @@ def repeated(
 ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
     """One pose of each image, so many times; while a network is traced, `count` is a tensor."""
     translation, rotation = poses
-    return translation[:, None].expand(-1, count, -1), rotation[:, None].expand(-1, count, -1, -1)
+    counted: Any = count  # of which torch's type hints know the first kind only
+    return translation[:, None].expand(-1, counted, -1), rotation[:, None].expand(-1, counted, -1, -1)

@@ -227,7 +227,7 @@ def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, mon
 
 
 def test_processes_give_the_results_of_one(folder, tiny_model, tmp_path):
-    asked = ("--kinds", "cue", "no-cue")
+    asked = ("--kinds", "cue", "no-cue", "--engine", "torch")
     assert run(folder, tiny_model, *asked) == 0
     alone = json.loads((folder / "summary.json").read_text())["runs"]
     assert run(tmp_path, tiny_model, *asked, "--workers", "2") == 0

@@ -74,7 +74,7 @@ def test_what_is_recorded_is_not_recorded_again(directory, checkpoint, monkeypat
 
 
 def test_an_interrupted_recording_leaves_nothing(checkpoint, tmp_path, monkeypatch):
-    def interrupted(settings, checkpoint, folder):
+    def interrupted(settings, checkpoint, folder, engine):
         (folder / "samples.npy").write_bytes(b"half")
         raise KeyboardInterrupt
 
@@ -88,7 +88,7 @@ OTHER = {
     "scene": "staircase", "seed": 4, "cues": "none", "frames": 13, "width": 50, "height": 40,
     "network_sha256": "1" * 64, "num_samples": 31, "rate_hz": 30.0, "stand": (3, 1.0), "part": (2, 4),
     "change": "black", "odometry_scale": 0.02, "camera": (16, 12, 9.0, 9.0, 7.5, 5.5), "synthesis": 99,
-    "package": "9.9",
+    "package": "9.9", "precision": "bfloat16",
 }  # fmt: skip
 
 
@@ -127,7 +127,10 @@ def test_recordings_of_earlier_versions_are_found_by_their_names():
     """Rendering them takes hours: these names are on users' disks."""
     of_then = replace(SETTINGS, synthesis=3, package="0.1.0")
     assert of_then.name == "ceiling-early-5-5c0d76a75d"
-    assert replace(of_then, **{**OTHER, "synthesis": 3, "package": "0.1.0"}).name == "staircase-none-4-da5502c67f"
+    assert (
+        replace(of_then, **{**OTHER, "synthesis": 3, "package": "0.1.0", "precision": "float32"}).name
+        == "staircase-none-4-da5502c67f"
+    )
     assert FileSettings("walk", "x", "y", 1, 100).name == "walk-5f3900d157"
     assert FileSettings("walk", "x", "y", 1, 100, 3, "black").name == "walk-df5174c707"
 

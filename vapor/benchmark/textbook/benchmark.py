@@ -15,7 +15,7 @@ from vapor.benchmark.textbook.run import run_methods
 from vapor.benchmark.trials.kinds import KINDS, Kind
 from vapor.benchmark.trials.setup import TrialsConfig, make_setups
 from vapor.benchmark.trials.trial import Trial
-from vapor.parallel import in_parallel
+from vapor.parallel.jobs import Workers, in_parallel
 
 
 @dataclass(frozen=True)
@@ -64,17 +64,24 @@ class TextbookBenchmark:
         directory: For recordings and results; an interrupted benchmark continues where it was.
         config: Settings.
         errors: What replaces numbers of the models' own error models, by name.
+        workers: Where jobs are done; None for as many processes here as configured.
     """
 
     def __init__(
-        self, scenes: Mapping[str, str], directory: Path, config: TextbookConfig, errors: Mapping[str, Any]
+        self,
+        scenes: Mapping[str, str],
+        directory: Path,
+        config: TextbookConfig,
+        errors: Mapping[str, Any],
+        workers: Workers | None = None,
     ) -> None:
         self.directory = directory
         self.config = config
+        self._workers = workers or Workers(config.workers)
         self._setups = make_setups(scenes, config, errors)
         shared = {each.name: getattr(config, each.name) for each in fields(TrialsConfig)}
         like = LocalizationConfig(**shared, kinds=config.kinds, runs=config.runs)
-        self._localization = LocalizationBenchmark(scenes, directory, like, errors)
+        self._localization = LocalizationBenchmark(scenes, directory, like, errors, self._workers)
 
     def choose(self, progress: Callable[[int, int], None]) -> list[Trial]:
         """The trials: the same for the same settings."""
@@ -93,7 +100,7 @@ class TextbookBenchmark:
             of_group[group] = before = of_group.get(group, -1) + 1
             methods = self.methods(equal=before < self.config.equal_runs)
             jobs.append((trial, self._setups[trial.scene], methods, self.config.textbook, self.directory))
-        yield from in_parallel(run_methods, jobs, self.config.workers)
+        yield from in_parallel(run_methods, jobs, self._workers)
 
     def methods(self, *, equal: bool) -> list[Method]:
         """The filters of a trial; those of which the library is missing are left out."""

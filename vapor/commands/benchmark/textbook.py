@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import tyro
 
 from filtering.errors import VaporTrackError, require_within
-from sequences.outputs.claims import claim_folder
 from vapor.benchmark.textbook.benchmark import TextbookBenchmark, TextbookConfig
 from vapor.benchmark.textbook.methods import INSTALL_PARTICLES, installed
 from vapor.benchmark.textbook.networks import time_networks
@@ -18,7 +17,9 @@ from vapor.benchmark.trials.kinds import KINDS
 from vapor.commands.benchmark.scenes import SceneOptions, listed, with_help, write_summary
 from vapor.commands.benchmark.textbook_tables import filter_tables, network_table
 from vapor.commands.console import bar, parse, show
+from vapor.commands.workers import claim_shared, publish_results, workers_for
 from vapor.observation import VaporObservationModel
+from vapor.parallel.jobs import Workers
 from vapor.training.presets import PRESETS
 
 _MEANINGS = {name: kind.meaning for name, kind in KINDS.items() if kind.scale == 1.0}
@@ -45,8 +46,13 @@ class Options(SceneOptions):
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("benchmark textbook", Options, arguments)
-    benchmark = TextbookBenchmark(o.model_of, o.output, o.config, o.replaced)
-    claim_folder(o.output, "benchmark textbook", reads=o.files_read, overwrite=o.overwrite)
+    with workers_for("benchmark textbook", o.config.workers, o.scheduler) as workers:
+        _measure(o, workers)
+
+
+def _measure(o: Options, workers: Workers) -> None:
+    benchmark = TextbookBenchmark(o.model_of, o.output, o.config, o.replaced, workers)
+    claim_shared(o.output, "benchmark textbook", workers, reads=o.files_read, overwrite=o.overwrite)
     for name in sorted(set(o.config.methods) - set(installed())):
         show(f"left out: {name}, which is not installed: {INSTALL_PARTICLES}")
     with bar("choosing runs") as advance:
@@ -62,6 +68,7 @@ def main(arguments: Sequence[str]) -> None:
     results.sort(key=lambda result: result["name"])
     summary, networks = summarise_methods(results), _networks(o)
     write_summary(o, asdict(o.config) | {"preset": o.preset}, summary, results, networks=networks)
+    publish_results(o.output)
     for table in filter_tables(summary):
         show(table)
     for scene, timings in networks.items():
@@ -73,7 +80,13 @@ def _networks(o: Options) -> dict[str, list[dict[str, Any]]]:
     timings: dict[str, list[dict[str, Any]]] = {}
     with bar("timing networks") as advance:
         for scene, name in o.model_of.items():
-            model = VaporObservationModel.from_checkpoint(name, num_samples=o.config.num_samples, device="cpu")
+            model = VaporObservationModel.from_checkpoint(
+                name,
+                num_samples=o.config.num_samples,
+                device="cpu",
+                engine=o.config.engine,
+                precision=o.config.precision,
+            )
             size = o.config.width, o.config.height
             each = time_networks(
                 scene,
