@@ -118,9 +118,10 @@ def test_a_walk_is_rendered_on_a_machine_that_has_no_copy_of_anything(machine):
     names = {"train_walks": 1, "train_frames": 8, "test_walks": 0, "test_frames": 8, "height": 24}
     steps = render_scenes(["dinner-table"], local_path("memory://new"), workers=Workers(1), **names)
     _, _, (scene,) = next(steps)
+    (walk,) = scene.anywhere.train
+    assert walk.startswith("memory://new/images/dinner-table-train-0-8-32x24")
     machine("two")
-    assert scene.anywhere.train[0].startswith("memory://new/images/dinner-table-train-0-8-32x24")
-    _render(local_path(scene.anywhere.train[0]), "dinner-table", "train", 0, 8, (32, 24))
+    _render(local_path(walk), "dinner-table", "train", 0, 8, (32, 24))
     assert len(listed(local_path("memory://new"))) == 1
 
 
