@@ -15,6 +15,7 @@ from vapor.benchmark.recordings import record as record_module
 from vapor.benchmark.trials import run as run_module
 from vapor.experiments import training_runs as runs_module
 from vapor.experiments.alpha import AlphaConfig
+from vapor.experiments.scenes import _render, render_scenes
 from vapor.experiments.sweep import Sweep
 from vapor.parallel.jobs import Workers
 from vapor.storage import StorageError, absent, fetched, listed, local_path, published, url_of, withdrawn
@@ -110,6 +111,18 @@ def test_a_benchmark_under_a_url_goes_on_from_any_machine(machine, tiny_model, m
     fsspec.filesystem("memory").pipe("/other/notes.txt", b"mine")
     assert main([*words[:6], "memory://other", *words[7:]]) == 1
     assert "memory://other: holds notes.txt, expected an empty folder" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_walk_is_rendered_on_a_machine_that_has_no_copy_of_anything(machine):
+    names = {"train_walks": 1, "train_frames": 8, "test_walks": 0, "test_frames": 8, "height": 24}
+    steps = render_scenes(["dinner-table"], local_path("memory://new"), workers=Workers(1), **names)
+    _, _, (scene,) = next(steps)
+    (walk,) = scene.anywhere.train
+    assert walk.startswith("memory://new/images/dinner-table-train-0-8-32x24")
+    machine("two")
+    _render(local_path(walk), "dinner-table", "train", 0, 8, (32, 24))
+    assert len(listed(local_path("memory://new"))) == 1
 
 
 @pytest.mark.usefixtures("unchecked")

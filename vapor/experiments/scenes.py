@@ -125,5 +125,6 @@ def rendered_height(frame_size: tuple[int, int]) -> int:
 def _render(
     file: Path, scene: str, split: Literal["train", "test"], seed: int, frames: int, size: tuple[int, int]
 ) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)  # a worker may have no copy of the folder yet
     write_synthetic(synthesize(scene, seed=seed, num_frames=frames, split=split, width=size[0], height=size[1]), file)
     published(file)
