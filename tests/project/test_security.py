@@ -29,7 +29,7 @@ POSE = np.eye(4).tolist()
 
 _FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "subprocess", "pty", "commands"}
 _FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "yaml.unsafe_load", "joblib.load"}
-_OWN = {  # no file: what a scheduler sends, which may run anything anyhow, and what two processes of a run tell each other
+_OWN = {  # no files: what a scheduler sends, which may run anything anyhow, and what two processes of a run exchange
     ROOT / "vapor" / "parallel" / "worker.py": ["pickle"],
     ROOT / "vapor" / "reporting" / "output_calls.py": ["pickle"],
     ROOT / "vapor" / "reporting" / "output_process.py": ["pickle", "subprocess"],
