@@ -62,7 +62,7 @@ SMALL := --network.image-width 64 --network.image-height 48 --network.shortest-e
 MIDDLE := --network.image-width 96 --network.image-height 72 --network.shortest-edge 76
 FULL := --select-by log_density
 HELD_OUT_100 = $(DATA)/$*-held-out-100.mcap
-TRAIN = $(BIN)/vapor-track train $(subst %,$*,$(WALKS)) --validation $(HELD_OUT_100) --output $@ --preset demo --no-calibrate
+TRAIN = $(BIN)/vapor-track train $(subst %,$*,$(WALKS)) --validation $(HELD_OUT_100) --output $@ --preset demo --small-images-first 0 --no-calibrate
 LEARN_FROM := $(WALKS) $(DATA)/%-held-out-100.mcap
 
 $(DATA)/staircase-small.safetensors: $(DATA)/%-small.safetensors: $(LEARN_FROM)

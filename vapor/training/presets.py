@@ -108,7 +108,7 @@ def _retrieval(c: TrainConfig) -> TrainConfig:
 PRESETS: Mapping[str, TrainConfig] = MappingProxyType(
     {
         "auto": _retrieval(TrainConfig(network=_FAST, augment=AugmentConfig(light=0.3), larger_from_hours=1.0)),
-        "demo": TrainConfig(aspect="network", epochs=30, finish=0.0),
+        "demo": TrainConfig(aspect="network", epochs=30, finish=0.0, small_images_first=0.7),
         "resnet18": TrainConfig(network=_RESNET18, aspect="network", learning_rate=1e-3, epochs=30, finish=0.0),
         "efficientnet-lite0": TrainConfig(network=_LITE0, aspect="network", learning_rate=1e-3, epochs=30, finish=0.0),
         "tables": _TABLES,

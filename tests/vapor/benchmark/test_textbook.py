@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,12 +91,14 @@ def test_ours_is_given_what_the_benchmark_of_localization_gives_it(folder, tiny_
 
 
 def test_without_the_library_its_filter_is_left_out_and_one_is_told_how_to_install_it(
-    done, tiny_model, monkeypatch, capsys
+    done, tiny_model, monkeypatch, tmp_path, capsys
 ):
+    shutil.copytree(done, tmp_path, dirs_exist_ok=True)
+    shutil.rmtree(tmp_path / "textbook")
     asked = []
     monkeypatch.setattr(methods, "find_spec", lambda name: None if name == "particles" else name)
     monkeypatch.setattr(run, "compare_methods", lambda _, __, chosen, *___: asked.extend(chosen) or {})
-    assert command(done, tiny_model) == 0
+    assert command(tmp_path, tiny_model) == 0
     assert {method.name for method in asked} == {"filter", "filterpy"}
     assert "left out: particles, which is not installed: pip install" in capsys.readouterr().out
 

@@ -1,0 +1,155 @@
+"""Networks run by OpenVINO: as torch runs them, compiled once, and refused in a line where it cannot be."""
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import openvino
+import pytest
+
+from filtering.errors import VaporTrackError
+from sequences.atomic import CACHE
+from tests.helpers.checkout import CHECKOUT
+from tests.helpers.engines import an_image, any_checkpoint, noise
+from tests.helpers.tiny_model import SMALL
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.engines import compiled_cache, openvino_engine, start
+from vapor.engines.compiled_cache import Variant, read_compiled, write_compiled
+from vapor.engines.engine import Engine, EngineConfig
+from vapor.engines.start import describe, start_engine
+from vapor.engines.torch_engine import TorchEngine
+
+OPENVINO = EngineConfig("openvino")
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model file that is compiled already, in float32."""
+    file = tmp_path_factory.mktemp("compiled") / "model.safetensors"
+    save_checkpoint(file, any_checkpoint())
+    start_engine(describe(file), OPENVINO)
+    return file
+
+
+@pytest.fixture
+def kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled networks are kept, as they are outside of the tests; and none is compiled anew."""
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("compiled once more")
+
+    monkeypatch.setattr(start, "can_be_kept", compiled_cache.can_be_kept)
+    monkeypatch.setattr(openvino_engine, "compile_network", refuse)
+
+
+def poses(engine: Engine) -> np.ndarray:
+    seen = engine.run(an_image(), noise(4))
+    return np.concatenate([seen.translation, seen.rotation.reshape(-1, 9)], axis=1)
+
+
+def test_openvino_gives_what_torch_gives_within_rounding(model: Path) -> None:
+    torchs = TorchEngine(load_checkpoint(model), device="cpu").run(an_image(), noise(4))
+    found = start_engine(describe(model), OPENVINO).run(an_image(), noise(4))
+    np.testing.assert_allclose(found.translation, torchs.translation, atol=1e-5)
+    np.testing.assert_allclose(found.rotation, torchs.rotation, atol=1e-5)
+    np.testing.assert_allclose(found.description, torchs.description, atol=1e-4)
+
+
+def test_bfloat16_rounds_and_float32_does_not(model: Path) -> None:
+    try:
+        openvino_engine.require_bfloat16()
+    except VaporTrackError as error:
+        pytest.skip(str(error))
+    exact = poses(start_engine(describe(model), OPENVINO))
+    rounded = poses(start_engine(describe(model), EngineConfig("openvino", "bfloat16")))
+    assert 1e-4 < np.abs(rounded - exact).max() < 0.3
+
+
+@pytest.mark.usefixtures("kept")
+def test_a_network_is_compiled_once_and_then_gives_the_same_bits(model: Path) -> None:
+    assert {file.name for file in model.parent.iterdir()} == {model.name, CACHE}
+    first, second = (poses(start_engine(describe(model), OPENVINO)) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.usefixtures("kept")
+def test_auto_takes_what_was_faster_when_the_network_was_compiled(model: Path) -> None:
+    described = describe(model)
+    variant = Variant(
+        described.network_sha256,
+        described.familiarity is not None,
+        "float32",
+        openvino_engine.processor(),
+        openvino.__version__,
+    )
+    compiled = read_compiled(model, variant)
+    assert compiled is not None
+    for faster, name in ((True, "openvino"), (False, "torch")):
+        write_compiled(model, variant, replace(compiled, faster=faster))
+        assert start_engine(described).name == name
+    assert start_engine(described, OPENVINO).name == "openvino"
+
+
+def test_what_is_kept_but_damaged_or_of_another_model_is_compiled_anew(model: Path, tmp_path: Path) -> None:
+    shutil.copytree(model.parent, tmp_path, dirs_exist_ok=True)
+    file = tmp_path / model.name
+    expected = poses(start_engine(describe(model), OPENVINO))
+    (compiled,) = (each for each in (tmp_path / CACHE).glob("model*") if b"float32" in each.read_bytes())
+    compiled.write_bytes(compiled.read_bytes()[:-100])
+    np.testing.assert_array_equal(poses(start_engine(describe(file), OPENVINO)), expected)
+    state = load_checkpoint(file).state_dict
+    other = {name: value + 0.1 if value.is_floating_point() else value for name, value in state.items()}
+    save_checkpoint(file, replace(load_checkpoint(file), state_dict=other))
+    assert np.abs(poses(start_engine(describe(file), OPENVINO)) - expected).max() > 1e-3
+    assert [each.name for each in (tmp_path / CACHE).iterdir() if each.name.startswith("model")] != [compiled.name]
+    assert len(list((tmp_path / CACHE).glob("model*"))) == 1  # that of the model before is gone
+
+
+def test_where_nothing_can_be_written_beside_the_model_it_is_kept_in_the_users_cache(
+    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "models"
+    folder.mkdir()
+    file = folder / "model.safetensors"
+    file.write_bytes(model.read_bytes())
+    (folder / CACHE).write_text("no folder")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    start_engine(describe(file), OPENVINO)
+    assert len(list((tmp_path / "cache" / "vapor-track").glob("*/model.safetensors-*"))) == 1
+
+
+def test_a_run_by_openvino_loads_no_torch(model: Path, walk_of_25: Path, tmp_path: Path) -> None:
+    words = ["run", str(walk_of_25), "--model", str(model), "--output", str(tmp_path / "out"), "--duration-s", "0.5"]
+    words += [*SMALL[2:], "--engine", "openvino", "--no-recording"]
+    code = f"import sys; from vapor.track import main; sys.exit(main({words}) or 3 * ('torch' in sys.modules))"
+    ran = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": str(CHECKOUT)}, capture_output=True, text=True
+    )
+    assert ran.returncode == 0, ran.stderr[-500:]
+
+
+def test_an_engine_that_is_not_installed_says_how_to_install_it(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(openvino_engine, "find_spec", lambda name: None if name == "openvino" else find_spec(name))
+    with pytest.raises(VaporTrackError, match=r"OpenVINO is not installed.*pip install 'vapor-track\[openvino\]'"):
+        start_engine(describe(model), OPENVINO)
+    assert start_engine(describe(model)).name == "torch"
+
+
+def test_a_processor_without_bfloat16_is_told_so(model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    old = tmp_path / "cpuinfo"
+    old.write_text("flags\t\t: fpu sse2 avx2\n")
+    monkeypatch.setattr(openvino_engine, "_CPU_FLAGS", old)
+    with pytest.raises(VaporTrackError, match="precision bfloat16: this processor has no arithmetic for it"):
+        start_engine(describe(model), EngineConfig("auto", "bfloat16"))
+
+
+def test_engines_that_do_not_go_with_a_device_are_refused(model: Path) -> None:
+    with pytest.raises(VaporTrackError, match="engine openvino with device cuda"):
+        start_engine(describe(model), OPENVINO, device="cuda")
+    with pytest.raises(VaporTrackError, match="precision bfloat16: torch is slow with it on processors"):
+        start_engine(describe(model), EngineConfig("torch", "bfloat16"), device="cpu")
