@@ -16,6 +16,7 @@ from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 
 _SOUGHT = 250  # samples among which peaks are sought
+_KERNEL_APART = np.exp(-2.0 * 1.5**2)  # of two samples that are 1.5 radii apart
 _MOST_PLACES = 40
 _LEAST_FRACTION = 0.01  # of the samples: fewer are no place of their own
 
@@ -200,12 +201,13 @@ def find_places(samples: Poses, radius_m: float, radius_rad: float) -> tuple[Int
     embedded -= np.median(embedded[some][::10], axis=0)  # distances are differences of large numbers where it is far
     sought = embedded[some].copy()
     squares = np.vecdot(embedded, embedded)
-    apart = sought @ sought.T
-    apart *= -2.0
-    apart += squares[some, None]
-    apart += squares[some]
-    height = np.multiply(apart, -2.0, out=np.empty(apart.shape, np.float32), casting="same_kind")
-    height = np.exp(np.minimum(height, 0.0, out=height), out=height).sum(axis=1)
+    # The kernel of every pair, exp(−2 × squared distance): −2|a|² + 4ab − 2|b|² is one product.
+    own, one = squares[some, None], np.ones((len(sought), 1))
+    kernel = (
+        np.concatenate([4.0 * sought, -2.0 * own, one], axis=1) @ np.concatenate([sought, one, -2.0 * own], axis=1).T
+    )
+    kernel = np.minimum(kernel, 0.0, out=np.empty(kernel.shape, np.float32), casting="same_kind")
+    height = np.exp(kernel, out=kernel).sum(axis=1)
     peaks: list[int] = []
     free = np.ones(len(height), bool)
     least = max(1.5, _LEAST_FRACTION * len(height))
@@ -214,7 +216,7 @@ def find_places(samples: Poses, radius_m: float, radius_rad: float) -> tuple[Int
         if peaks and height[peak] < least:
             break
         peaks.append(peak)
-        free &= apart[peak] > 1.5**2
+        free &= kernel[peak] < _KERNEL_APART
     centres = sought[peaks]
     label = _nearest(embedded, squares, centres)
     member = (label == np.arange(len(centres))[:, None]).astype(np.float64)

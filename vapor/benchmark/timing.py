@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import cycle
 
 import cv2
 import numpy as np
+from jaxtyping import UInt8
 
 from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
@@ -15,6 +18,7 @@ from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from sequences.frame import Frame
 from sequences.images.decoding import decode_image_bytes
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
@@ -25,6 +29,7 @@ from vapor.regressors.scene_box import SceneBox
 
 _IMAGE_SHAPE = (240, 320, 3)
 _STEP = Odometry(Poses.exp(np.array([0.05, 0, 0, 0, 0, 0.01])), np.diag([0.005**2] * 3 + [0.003**2] * 3), 0.1)
+_WARM_UP = 3  # times that are not counted
 _PLACES, _SAMPLES = 30, 1000  # of an image that many places look like
 
 
@@ -43,36 +48,104 @@ class Timing:
     p95_ms: float
 
 
-def time_step(model: VaporObservationModel, *, repetitions: int, hypotheses: Sequence[int], seed: int) -> list[Timing]:
-    """Time decoding, network and filter separately, on an image of noise and with odometry at walking pace.
+def time_step(
+    models: Mapping[str, VaporObservationModel],
+    *,
+    repetitions: int,
+    hypotheses: Sequence[int],
+    seed: int,
+    frames: Sequence[Frame] = (),
+) -> list[Timing]:
+    """Time decoding, network and filter separately; and, on a recording's images, a whole step.
 
-    The filter is timed as it ships, over posteriors of that image, finding the places among the samples included; and
+    The filter is timed as it ships, over posteriors of one image, finding the places among the samples included; and
     with beliefs of as many hypotheses as asked for, of which none is merged or dropped as light: the lightest are
     thinned out in every step.
 
     Args:
-        model: The network and its number of posterior samples.
+        models: The network by each way to run it, which take turns, and its number of posterior samples.
         repetitions: Of every part, after three that are not counted.
         hypotheses: Sizes of the beliefs.
         seed: Of the image and all draws.
+        frames: Images and odometry. Without any, the image is blurred noise, and no whole step is timed.
     """
     rng = np.random.default_rng(seed)
-    image = rng.integers(0, 256, _IMAGE_SHAPE, dtype=np.uint8)
-    blurred = cv2.GaussianBlur(image, (0, 0), 3)  # compresses like a photograph, unlike noise
-    encoded = bytes(cv2.imencode(".jpg", blurred, [cv2.IMWRITE_JPEG_QUALITY, 90])[1])
-    timings = [
-        _time("decode a JPEG image of 320 × 240", lambda: decode_image_bytes(encoded), repetitions),
-        _time(f"network, {model.num_samples} samples", lambda: model.observe(blurred, rng=rng), repetitions),
-    ]
+    image = frames[0].image if frames else _blurred_noise(rng)
+    height, width, _ = image.shape
+    encoded = as_jpeg(image)
+    timings = [_time(f"decode a JPEG image of {width} × {height}", lambda: decode_image_bytes(encoded), repetitions)]
+    timings += time_by_turns(
+        {
+            f"network by {way}, {model.num_samples} samples": partial(model.observe, image, rng=rng)
+            for way, model in models.items()
+        },
+        repetitions,
+    )
+    if frames:
+        timings += time_by_turns(
+            {
+                f"whole step by {way}, image bytes to estimate": WholeStep(ParticleLocalizer(model, rng=rng), frames)
+                for way, model in models.items()
+            },
+            repetitions,
+        )
+    model = next(iter(models.values()))
     if hypotheses:
-        posteriors = [model.observe(blurred, rng=rng) for _ in range(repetitions + 4)]
+        posteriors = [model.observe(image, rng=rng) for _ in range(repetitions + _WARM_UP + 1)]
         label = f"filter as it ships, {model.num_samples} samples"
         timings.append(_time_filter(label, LocalizerConfig(), posteriors[0], posteriors[1:], repetitions, rng))
     for count in hypotheses:
         config = LocalizerConfig(max_hypotheses=count, merge_divergence=0.0, least_weight=0.0)
-        first, *later = _alike(count, model.description.calibration.errors, repetitions + 4, rng)
+        first, *later = _alike(count, model.description.calibration.errors, repetitions + _WARM_UP + 1, rng)
         timings.append(_time_filter("filter, none merged", config, first, later, repetitions, rng))
     return timings
+
+
+def time_by_turns(parts: Mapping[str, Callable[[], object]], repetitions: int) -> list[Timing]:
+    """Time calls that take turns, so that all have their share of what else the machine does.
+
+    Args:
+        parts: The calls by what is timed.
+        repetitions: Of each, after three that are not counted.
+    """
+    durations_ms: dict[str, list[float]] = {part: [] for part in parts}
+    for _ in range(repetitions + _WARM_UP):
+        for part, call in parts.items():
+            begin = time.perf_counter()
+            call()
+            durations_ms[part].append(1e3 * (time.perf_counter() - begin))
+    return [Timing(part, *map(float, np.percentile(each[_WARM_UP:], [50, 95]))) for part, each in durations_ms.items()]
+
+
+class WholeStep:
+    """From an image's bytes to the estimate: every call is a step on the next image of a recording, over and over.
+
+    From the last image to the first one the camera jumps, as if nothing were known of how it moved.
+
+    Args:
+        localizer: The filter and its network.
+        frames: Images, which are compressed here as JPEG, and the odometry between them.
+    """
+
+    def __init__(self, localizer: ParticleLocalizer, frames: Sequence[Frame]) -> None:
+        self._localizer = localizer
+        motions = [None, *(frame.odometry for frame in frames[1:])]
+        self._next = cycle(list(zip([as_jpeg(frame.image) for frame in frames], motions, strict=True)))
+
+    def __call__(self) -> None:
+        """Take the step."""
+        encoded, odometry = next(self._next)
+        self._localizer.step(decode_image_bytes(encoded), odometry)
+
+
+def as_jpeg(image: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    """An RGB image as the bytes of a JPEG file."""
+    return bytes(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1])
+
+
+def _blurred_noise(rng: np.random.Generator) -> UInt8[np.ndarray, "h w 3"]:
+    """An image that compresses like a photograph, unlike noise."""
+    return cv2.GaussianBlur(rng.integers(0, 256, _IMAGE_SHAPE, dtype=np.uint8), (0, 0), 3).astype(np.uint8)
 
 
 def _time_filter(
@@ -93,7 +166,7 @@ def _time_filter(
         sizes.append(len(estimate.log_weights))
 
     timing = _time(label, update, repetitions)
-    return replace(timing, part=f"{label}, {int(np.median(sizes[3:]))} hypotheses")
+    return replace(timing, part=f"{label}, {int(np.median(sizes[_WARM_UP:]))} hypotheses")
 
 
 def _alike(count: int, errors: ErrorModel, images: int, rng: np.random.Generator) -> Iterator[PosePosterior]:
@@ -120,10 +193,4 @@ def untrained(config: NetworkConfig) -> Checkpoint:
 
 
 def _time(part: str, call: Callable[[], object], repetitions: int) -> Timing:
-    durations_ms = []
-    for _ in range(repetitions + 3):
-        begin = time.perf_counter()
-        call()
-        durations_ms.append(1e3 * (time.perf_counter() - begin))
-    median_ms, p95_ms = np.percentile(durations_ms[3:], [50, 95])
-    return Timing(part, float(median_ms), float(p95_ms))
+    return time_by_turns({part: call}, repetitions)[0]

@@ -60,6 +60,14 @@ WRONG = {
     "no such rate": (["synthesize", "staircase", "s.mcap", "--rate", "0"], "0 images a second"),
     "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),
     "negative seed of a scene": (["synthesize", "staircase", "s.mcap", "--seed", "-1"], "seed -1"),
+    "engine twice": (
+        ["benchmark", "step", "--engines", "torch", "torch"],
+        "engines are torch, torch, expected each once",
+    ),
+    "random weights on a walk": (
+        ["benchmark", "step", "--sequence", "a.mcap", "--preset", "demo"],
+        "expected one of them",
+    ),
     "demo of no frames": (["demo", "--frames", "0"], "0 frames"),
     "unknown preset": (["train", "a.mcap", "--output", "m.safetensors", "--preset", "fast"], "expected one of auto"),
     "preset without name": (["train", "a.mcap", "--output", "m.safetensors", "--preset"], "preset"),

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from itertools import cycle
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import cv2
 import numpy as np
 import torch
 
 from filtering.config import LocalizerConfig
 from filtering.localizer import ParticleLocalizer
 from sequences.frame import Frame
-from sequences.images.decoding import decode_image_bytes
 from sequences.reader import SequenceReader
 from sequences.synthesize import synthesize, write_synthetic
-from vapor.benchmark.timing import Timing
+from vapor.benchmark.timing import Timing, WholeStep, time_by_turns
 from vapor.images import prepare
 from vapor.observation import VaporObservationModel
 from vapor.regressors.network_config import NetworkConfig
@@ -29,8 +26,6 @@ from vapor.threads import limited_threads
 PAPER = "paper: network alone, eager PyTorch"
 OURS = "ours: network alone"
 WHOLE = "ours: whole step, image bytes to estimate"
-
-_WARM_UP = 3
 
 
 def time_networks(
@@ -54,27 +49,16 @@ def time_networks(
         repetitions: Of each, after three that are not counted.
         seed: Of the images and all draws.
     """
-    frames = _frames(scene, size, min(repetitions + _WARM_UP, 30), seed)
-    encoded = [bytes(cv2.imencode(".jpg", frame.image[..., ::-1])[1]) for frame in frames]
+    frames = _frames(scene, size, min(repetitions, 30), seed)
     rng = np.random.default_rng(seed)
-    localizer = ParticleLocalizer(model, config, rng=rng)
-    ask = _plain(paper, model.num_samples)
-    at = cycle(range(len(frames)))
-    parts: dict[str, Callable[[int], object]] = {
-        PAPER: lambda i: ask(frames[i].image),
-        OURS: lambda i: model.observe(frames[i].image, rng=rng),
-        # From the last image to the first one the camera jumps, as if nothing were known of how it moved.
-        WHOLE: lambda i: localizer.step(decode_image_bytes(encoded[i]), frames[i].odometry if i else None),
+    ask, images = _plain(paper, model.num_samples), {part: cycle(frames) for part in (PAPER, OURS)}
+    parts: dict[str, Callable[[], object]] = {
+        PAPER: lambda: ask(next(images[PAPER]).image),
+        OURS: lambda: model.observe(next(images[OURS]).image, rng=rng),
+        WHOLE: WholeStep(ParticleLocalizer(model, config, rng=rng), frames),
     }
-    durations_ms: dict[str, list[float]] = {part: [] for part in parts}
     with limited_threads(1):
-        for _ in range(repetitions + _WARM_UP):
-            i = next(at)
-            for part, call in parts.items():
-                begin = time.perf_counter()
-                call(i)
-                durations_ms[part].append(1e3 * (time.perf_counter() - begin))
-    return [Timing(part, *map(float, np.percentile(each[_WARM_UP:], [50, 95]))) for part, each in durations_ms.items()]
+        return time_by_turns(parts, repetitions)
 
 
 def _plain(config: NetworkConfig, num_samples: int) -> Callable[[np.ndarray], object]:
