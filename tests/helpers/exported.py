@@ -4,7 +4,7 @@ import base64
 import hashlib
 import json
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from safetensors.numpy import load
@@ -53,12 +53,24 @@ def with_digest(graph: bytes, entries: Entries) -> bytes:
     return put_together(graph, [(name, digest if name == GRAPH.encode() else text) for name, text in entries])
 
 
+def with_arrays(content: bytes, change: Callable[[bytes], bytes]) -> bytes:
+    """An exported model whose description, the content of a safetensors file, was changed."""
+    graph, entries = take_apart(content)
+    said = base64.b64encode(change(base64.b64decode(dict(entries)[ARRAYS.encode()])))
+    return put_together(graph, [(name, said if name == ARRAYS.encode() else text) for name, text in entries])
+
+
 def with_config(content: bytes, config: str) -> bytes:
     """An exported model of another configuration, under a checksum that fits."""
-    graph, entries = take_apart(content)
-    told = dict(entries)
-    arrays = base64.b64decode(told[ARRAYS.encode()])
+
+    def other(arrays: bytes) -> bytes:
+        return arrays_as_bytes(load(arrays), metadata_of(arrays) | {"config": config})
+
+    graph, entries = take_apart(with_arrays(content, other))
+    return put_together(graph, [(name, config.encode() if name == CONFIG.encode() else text) for name, text in entries])
+
+
+def metadata_of(arrays: bytes) -> dict[str, str]:
+    """The metadata of a safetensors file."""
     (length,) = struct.unpack("<Q", arrays[:8])
-    metadata = json.loads(arrays[8 : 8 + length])["__metadata__"] | {"config": config}
-    said = base64.b64encode(arrays_as_bytes(load(arrays), metadata))
-    return put_together(graph, (told | {CONFIG.encode(): config.encode(), ARRAYS.encode(): said}).items())
+    return json.loads(arrays[8 : 8 + length])["__metadata__"]
