@@ -1,5 +1,6 @@
 """`vapor-track export`: what it says, what it refuses, and that it replaces nothing but exported models."""
 
+import os
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from sequences.outputs.results import results_folder
 from tests.helpers.command_line import contents, refuse
 from vapor.engines import onnx_export
 from vapor.engines.onnx_file import describe_onnx
+from vapor.engines.start import start_engine
 from vapor.track import main
 
 
@@ -31,6 +33,14 @@ def test_a_model_is_exported_and_replaced_by_another_export(folder, capsys):
     assert main(["export", "m.safetensors", "mine.onnx", "--overwrite"]) == 0
     assert describe_onnx(folder / "mine.onnx").box == first.box
     assert sorted(path.name for path in folder.iterdir()) == ["m.safetensors", "mine.onnx", "out.onnx"]
+
+
+def test_names_of_any_bytes_can_be_written_and_read(folder):
+    name = os.fsdecode(b"r\xe4ume.onnx")  # as of Latin-1
+    assert main(["export", "m.safetensors", name]) == 0
+    assert main(["export", "m.safetensors", name]) == 0
+    engine = start_engine(describe_onnx(Path(name)))
+    assert engine.noise_dim == 4
 
 
 def test_what_is_no_exported_model_is_not_replaced(folder, capsys, monkeypatch):

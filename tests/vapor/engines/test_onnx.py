@@ -4,6 +4,7 @@ import json
 import os
 import time
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -255,6 +256,23 @@ def test_an_export_that_differs_from_torch_is_not_written(tmp_path, monkeypatch)
     run = onnx_export._run
     monkeypatch.setattr(onnx_export, "_run", turned)
     with pytest.raises(VaporTrackError, match=r"gives poses up to 0\.000\d+ m .* from torch's, expected 0\.0001 m"):
+        export_onnx(any_checkpoint(), tmp_path / "m.onnx")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_openvino_checks_an_export_where_there_is_no_onnxruntime(tmp_path, monkeypatch):
+    monkeypatch.setattr(onnx_export, "find_spec", lambda name: None if name == "onnxruntime" else find_spec(name))
+    runtime, metres, radians = export_onnx(any_checkpoint(), tmp_path / "m.onnx")
+    assert (runtime, metres < 1e-4, radians < 1e-4) == ("openvino", True, True)
+
+
+def test_a_network_that_torch_cannot_export_is_refused_in_a_line(tmp_path, monkeypatch):
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("no such operator\nin this version")
+
+    monkeypatch.setattr(torch.onnx, "export", fail)
+    said = r"^export: a network with head 'variational' cannot be exported \(no such operator\)$"
+    with pytest.raises(VaporTrackError, match=said):
         export_onnx(any_checkpoint(), tmp_path / "m.onnx")
     assert list(tmp_path.iterdir()) == []
 
