@@ -97,7 +97,7 @@ def _parts(content: bytes) -> tuple[memoryview, dict[str, str]]:
     """An ONNX file's graph and all else before its metadata, and the names and texts of the metadata.
 
     Raises:
-        ValueError: the content is no such file, or one in which metadata are not last or have a name twice.
+        ValueError: the content is no such file, or one whose metadata have a name twice.
     """
     view, metadata, end_of_graph = memoryview(content), {}, 0
     for number, value, end in _fields(view):
@@ -107,9 +107,7 @@ def _parts(content: bytes) -> tuple[memoryview, dict[str, str]]:
             if name in metadata:
                 raise ValueError(f"metadata have {name} twice")
             metadata[name] = entry.get(_VALUE, "")
-        elif metadata:  # a second graph would be merged with the first
-            raise ValueError(f"field {number} comes after the metadata")
-        else:
+        else:  # also after the metadata, where a second graph would be merged with the first: then no digest fits
             end_of_graph = end
     return view[:end_of_graph], metadata
 

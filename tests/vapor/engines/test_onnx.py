@@ -15,7 +15,7 @@ from onnx import TensorProto, helper
 
 from filtering.errors import VaporTrackError
 from tests.helpers.engines import an_image, any_checkpoint, noise
-from tests.helpers.exported import GRAPH_BYTES, field, put_together, take_apart, with_config, write_export
+from tests.helpers.exported import GRAPH_BYTES, field, put_together, take_apart, with_config, with_digest, write_export
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines import onnx_export
 from vapor.engines.engine import EngineConfig
@@ -170,7 +170,18 @@ def test_another_graph_or_version_of_its_operators_is_refused(small):
     small.write_bytes(put_together(graph[:-1] + b"\x12", entries))
     assert "damaged: its graph does not match its digest" in refused(small)
     small.write_bytes(put_together(graph, entries) + field(7, b"\x12\x01a"))  # readers merge it with the first
-    refused(small)
+    assert "damaged: its graph does not match its digest" in refused(small)
+
+
+def test_a_length_of_more_than_ten_bytes_is_refused(small):
+    graph, entries = take_apart(small.read_bytes())
+    for zeros, fits in ((8, True), (9, False)):
+        padded = graph.replace(b"\x3a\x05", b"\x3a\x85" + b"\x80" * zeros + b"\x00")
+        small.write_bytes(with_digest(padded, entries))
+        if fits:
+            describe_onnx(small)
+        else:
+            refused(small)
 
 
 def test_settings_for_all_to_read_that_were_changed_alone_are_refused(small):
