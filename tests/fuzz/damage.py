@@ -1,5 +1,6 @@
 """Damage to files of every kind: by disks and transfers, by programs that err, and by people who edit."""
 
+import base64
 import io
 import json
 import math
@@ -16,6 +17,8 @@ import torch
 from safetensors.torch import load, save
 from torch import Tensor
 
+from tests.helpers.exported import metadata_of, put_together, take_apart, with_arrays, with_digest
+from vapor.engines.onnx_file import ARRAYS, CONFIG
 from vapor.tensor_files import CHECKSUM, content_sha256
 
 Rng = np.random.Generator
@@ -275,6 +278,61 @@ def _model(header: bytes, tensors: bytes) -> bytes:
     return struct.pack("<Q", len(header)) + header + tensors
 
 
+def damaged_onnx(data: bytes, rng: Rng) -> tuple[bytes, str]:
+    """An exported model: its bytes, its graph, its metadata or what these hold; mostly under a digest that fits."""
+    kind = int(rng.integers(8))
+    if kind == 0:
+        return damaged_bytes(data, rng)
+    graph, entries = take_apart(data)
+    number = int(rng.integers(len(entries)))
+    name, text = entries[number]
+    if kind == 1:
+        graph, told = damaged_bytes(graph, rng)
+        told = f"graph: {told}"
+    elif kind == 2:
+        length = _as_varint(pick(rng, (*NUMBERS, len(data), len(data) - 1))) if rng.random() < 0.7 else b"\xff" * 1000
+        graph, told = b"\x3a" + length + graph[8:], "a graph of another length"
+    elif kind == 3:
+        other = [entries[:number] + entries[number + 1 :], [*entries, (name, text)], [*entries, entries[number - 1]]]
+        entries, told = pick(rng, (*other, entries[::-1])), f"{name.decode()} gone, twice or in another order"
+    elif kind == 4:
+        damaged, told = damaged_bytes(name, rng)
+        entries[number], told = (damaged, text), f"name {name.decode()}: {told}"
+    elif kind == 5:
+        damaged, told = (damaged_json if name == CONFIG.encode() else damaged_bytes)(text, rng)
+        entries[number], told = (name, damaged), f"{name.decode()}: {told}"
+    else:
+        return _with_other_description(data, rng)
+    if rng.random() < 0.7:
+        return with_digest(graph, entries), f"{told}, digest made to fit"
+    return put_together(graph, entries), told
+
+
+def _with_other_description(data: bytes, rng: Rng) -> tuple[bytes, str]:
+    """An exported model whose tensors and settings are damaged, mostly with settings for all to read that fit."""
+    told = ""
+
+    def damaged(arrays: bytes) -> bytes:
+        nonlocal told
+        arrays, told = damaged_model(arrays, rng)
+        return arrays
+
+    changed = with_arrays(data, damaged)
+    graph, entries = take_apart(changed)
+    try:
+        config = metadata_of(base64.b64decode(dict(entries)[ARRAYS.encode()]))["config"].encode("utf-8", "replace")
+    except Exception:  # of any damage
+        return changed, told
+    if rng.random() < 0.9:
+        entries = [(name, config if name == CONFIG.encode() else text) for name, text in entries]
+    return put_together(graph, entries), told
+
+
+def _as_varint(value: int) -> bytes:
+    """As protocol buffers have numbers."""
+    return bytes([value]) if value < 128 else bytes([value & 127 | 128]) + _as_varint(value >> 7)
+
+
 def damage_of(name: str) -> Damage:
     """How to damage a file of this name."""
     from tests.fuzz.mcap_damage import damaged_mcap  # which damages what messages hold by this
@@ -285,6 +343,7 @@ def damage_of(name: str) -> Damage:
         ".png": damaged_png,
         ".r3d": damaged_zip,
         ".safetensors": damaged_model,
+        ".onnx": damaged_onnx,
         ".mcap": damaged_mcap,
     }
     return kinds.get(PurePath(name).suffix, damaged_bytes)

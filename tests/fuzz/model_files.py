@@ -1,8 +1,10 @@
 """Small model files and training states: written, and read."""
 
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,10 +13,12 @@ from torch import Tensor
 from filtering.se3 import Poses
 from tests.fuzz.damage import in_order
 from tests.fuzz.reading import NUM_IMAGES, Content, Reading, require
+from tests.helpers.exported import with_arrays, write_export
 from tests.helpers.sequence_files import CAMERA, Walk
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.engines.onnx_file import describe_onnx
 from vapor.evaluation.validation import Validation
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity, description_size
@@ -43,7 +47,7 @@ def _regressor(network: NetworkConfig, box: SceneBox, rng: np.random.Generator) 
     return regressor
 
 
-def make_model(folder: Path, *, retrieval: bool) -> Path:
+def _checkpoint(*, retrieval: bool) -> Checkpoint:
     poses = Poses.stack([pose for _, pose in Walk(NUM_IMAGES).truth])
     box = SceneBox.around(poses)
     network = replace(_NETWORK, head="retrieval", hidden_width=8, components=2) if retrieval else _NETWORK
@@ -60,7 +64,11 @@ def make_model(folder: Path, *, retrieval: bool) -> Path:
         assert memory is not None
         memory = replace(memory, keys=_numbers(memory.keys, rng), views=_numbers(memory.views, rng))
     told = {"familiarity": Familiarity(*numbers, 0.5, 1.0), "camera": CAMERA, "memory": memory}
-    checkpoint = Checkpoint(network, box, Calibration(), poses, regressor.state_dict(), **told)
+    return Checkpoint(network, box, Calibration(), poses, regressor.state_dict(), **told)
+
+
+def make_model(folder: Path, *, retrieval: bool) -> Path:
+    checkpoint = _checkpoint(retrieval=retrieval)
     save_checkpoint(folder / "model.safetensors", checkpoint, store_float16=True)
     return _in_order(folder / "model.safetensors")
 
@@ -73,15 +81,41 @@ def _in_order(file: Path) -> Path:
 def load_model(path: Path) -> Reading:
     loaded = load_checkpoint(path)
     content = Content()
-    content.add(loaded.network, loaded.box, loaded.calibration, loaded.prior_poses, loaded.camera, loaded.training)
-    parts = dict(loaded.state_dict)
-    for part in (loaded.familiarity, loaded.memory):
-        parts |= vars(part) if part is not None else {}
-    for name, values in sorted(parts.items()):
-        array = np.asarray(values)
+    content.add(loaded.network, loaded.box, loaded.calibration, loaded.camera, loaded.training)
+    parts = [loaded.state_dict, *_fields(loaded.prior_poses, loaded.familiarity, loaded.memory)]
+    count = _add_arrays(content, parts)
+    return Reading(content.digest, count)
+
+
+def _fields(*parts: Any) -> list[Mapping[str, Any]]:
+    return [vars(part) for part in parts if part is not None]
+
+
+def _add_arrays(content: Content, parts: Iterable[Mapping[str, Any]]) -> int:
+    """Add arrays, which must be finite; gives how many. Rotations in models may be so within 1e-3: they are no poses
+    here, which must be exact."""
+    arrays = [(name, np.asarray(values)) for part in parts for name, values in sorted(part.items())]
+    for name, array in arrays:
         require(bool(np.isfinite(array).all()), "tensor", name)
         content.add(name, array)
-    return Reading(content.digest, len(parts))
+    return len(arrays)
+
+
+def make_exported(folder: Path) -> Path:
+    """A graph that is none, as what torch writes depends on its version."""
+    file = write_export(folder / "model.onnx", _checkpoint(retrieval=True).description)
+    file.write_bytes(with_arrays(file.read_bytes(), in_order))
+    return file
+
+
+def read_exported(path: Path) -> Reading:
+    """What a model says of itself; its digest is of all bytes, and would tell of those as well that do not matter."""
+    told = describe_onnx(path)
+    content = Content()
+    content.add(told.network, told.box, told.calibration, told.camera, told.training, told.notices)
+    parts = _fields(told.prior_poses, told.familiarity, told.memory_poses)
+    count = _add_arrays(content, parts)
+    return Reading(content.digest, count)
 
 
 _TRAINING = {"seed": 0}

@@ -21,7 +21,14 @@ from sequences.reader import SequenceReader
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.trajectories.tum import read_tum, write_tum
 from tests.fuzz.damage import zipped
-from tests.fuzz.model_files import load_model, load_training, make_model, make_training_state
+from tests.fuzz.model_files import (
+    load_model,
+    load_training,
+    make_exported,
+    make_model,
+    make_training_state,
+    read_exported,
+)
 from tests.fuzz.reading import NUM_IMAGES, Content, Reader, Reading, of_frames, require
 from tests.helpers import data_sets, foxglove_files, phone_data_sets, pose_table_files, pose_text, tf_files
 from tests.helpers.sequence_files import BEGIN_NS, CAMERA, Walk, as_split_folder, picture, rewrite
@@ -243,6 +250,7 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "estimates-timed": Reader(partial(_estimates, named=False), partial(_read_estimates, named=False)),
         "model": Reader(partial(make_model, retrieval=False), load_model),
         "model-retrieval": Reader(partial(make_model, retrieval=True), load_model),
+        "model-exported": Reader(make_exported, read_exported),
         "training-state": Reader(make_training_state, load_training),
     }
 )

@@ -13,7 +13,9 @@ from typing import Any
 
 from sequences.atomic import is_workspace
 from sequences.outputs.manifest import MANIFEST, read_manifest
+from tests.helpers.exported import take_apart
 from tests.helpers.tiny_model import SMALL
+from vapor.engines.onnx_file import describe_onnx
 from vapor.tensor_files import CHECKSUM, read_safetensors
 from vapor.track import main
 
@@ -26,7 +28,11 @@ LOADED = [
         "torch._dynamo",
     ),
     *("rerun", "pandas", "pyarrow.compute", "matplotlib.backends.backend_agg", "tyro._backends._argparse_formatter"),
-    *(f"vapor.commands.{name}" for name in ("run", "train", "calibrate", "benchmark.localization", "experiment")),
+    *("torch.onnx.utils", "onnx", "onnxruntime"),
+    *(
+        f"vapor.commands.{name}"
+        for name in ("run", "train", "calibrate", "export", "benchmark.localization", "experiment")
+    ),
 ]
 
 TINY = [
@@ -60,6 +66,7 @@ CALLS = {
         ("train", "walk.mcap", "other.mcap", "--preset", "demo", "--output", "out/result.safetensors", *TINY)
     ),
     "calibrate": Call(("calibrate", "tiny.safetensors", "walk.mcap", "--output", "out/result.safetensors")),
+    "export": Call(("export", "tiny.safetensors", "out/result.onnx")),
     "benchmark": Call(
         (
             *("benchmark", "localization", "ceiling", "--models", "tiny.safetensors", "--output", "out/result"),
@@ -100,6 +107,8 @@ def told(path: Path) -> Any:
         return {name: told(path / name) for name in listed}
     if path.suffix == ".safetensors":
         return read_safetensors(path)[0][CHECKSUM]
+    if path.suffix == ".onnx":
+        return describe_onnx(path).training, take_apart(path.read_bytes())[0]
     if path.suffix == ".json":
         return json.loads(path.read_text(), object_hook=lambda o: {k: v for k, v in o.items() if k not in TIMES})
     return None if path.suffix in NEVER_ALIKE else path.read_bytes()

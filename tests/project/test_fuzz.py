@@ -17,6 +17,7 @@ from tests.fuzz.damage import with_checksum
 from tests.fuzz.mcap_damage import put_together, stated_images, take_apart
 from tests.fuzz.readers import READERS
 from tests.fuzz.reading import Reader, Reading, UnsoundError
+from tests.helpers import exported
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -156,6 +157,26 @@ def test_models_are_damaged_under_checksums_that_fit(name: str, tmp_path: Path) 
     altered = data[:-1] + bytes([data[-1] ^ 1])
     assert sample.judge({file: altered}).outcome == "refused"
     assert sample.judge({file: with_checksum(altered)}).outcome == "silent"
+
+
+def test_exported_models_are_damaged_under_digests_and_checksums_that_fit(tmp_path: Path) -> None:
+    sample = Sample("model-exported", tmp_path)
+    ((file, data),) = sample.files.items()
+
+    def altered(arrays: bytes) -> bytes:
+        return arrays[:-1] + bytes([arrays[-1] ^ 1])
+
+    def altered_and_fitting(arrays: bytes) -> bytes:
+        fitting = with_checksum(altered(arrays))
+        assert fitting is not None
+        return fitting
+
+    assert sample.judge({file: exported.with_arrays(data, altered)}).outcome == "refused"
+    assert sample.judge({file: exported.with_arrays(data, altered_and_fitting)}).outcome == "silent"
+    graph, entries = exported.take_apart(data)
+    other = graph[:-1] + bytes([graph[-1] ^ 1])
+    assert sample.judge({file: exported.put_together(other, entries)}).outcome == "refused"
+    assert sample.judge({file: exported.with_digest(other, entries)}).outcome == "same"  # it is not looked into
 
 
 def test_what_once_failed_fails_no_more() -> None:

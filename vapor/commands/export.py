@@ -9,6 +9,7 @@ from typing import Annotated
 
 import tyro
 
+from filtering.errors import VaporTrackError
 from sequences.outputs.claims import refuse_other
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.shipped_models import find_model
@@ -34,6 +35,8 @@ def main(arguments: Sequence[str]) -> None:
     if not is_onnx(o.output):
         usage_error("export", f"output {o.output}, expected a name that ends in {SUFFIX}")
     file = find_model(o.model)
+    if is_onnx(file):
+        raise VaporTrackError(f"{file}: is an exported model, expected one that is not exported yet (*.safetensors)")
     refuse_other(o.output, "model that vapor-track exported", is_exported, reads=[file], overwrite=o.overwrite)
     runtime, metres, radians = export_onnx(load_checkpoint(file), o.output)
     show(f"{o.output}: {_megabytes(o.output)} MB; by {runtime} within {metres:.1g} m and {radians:.1g} rad of torch")

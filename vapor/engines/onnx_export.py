@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -69,7 +70,7 @@ def _write(whole: WholeNetwork, path: Path) -> None:
 
     from vapor.engines.whole_network import traced_inputs
 
-    inputs = traced_inputs(whole)
+    inputs, graph = traced_inputs(whole), io.BytesIO()
     outputs = OUTPUTS if whole.described else OUTPUTS[:2]
     try:
         with torch.no_grad(), warnings.catch_warnings():
@@ -77,7 +78,7 @@ def _write(whole: WholeNetwork, path: Path) -> None:
             torch.onnx.export(
                 whole,
                 inputs,
-                str(path),
+                graph,  # pyright: ignore[reportArgumentType]  # to a path it could write names in UTF-8 only
                 dynamo=False,  # the newer one takes ten times as long, and bakes in the number of samples
                 input_names=list(INPUTS),
                 output_names=list(outputs),
@@ -88,6 +89,7 @@ def _write(whole: WholeNetwork, path: Path) -> None:
         head = whole.network.config.head
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise VaporTrackError(f"export: a network with head {head!r} cannot be exported ({reason})") from error
+    path.write_bytes(graph.getbuffer())
 
 
 def _difference(whole: WholeNetwork, path: Path, runtime: str) -> tuple[float, float]:
@@ -112,7 +114,7 @@ def _run(path: Path, runtime: str, inputs: Sequence[np.ndarray]) -> list[np.ndar
     if runtime == "onnxruntime":
         import onnxruntime
 
-        session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
         return [np.asarray(each) for each in session.run(None, dict(zip(INPUTS, inputs, strict=True)))]
     from vapor.engines.openvino_engine import compile_network
 

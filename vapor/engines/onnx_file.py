@@ -25,9 +25,12 @@ from vapor.tensor_files import CheckpointError, arrays_as_bytes, parse_stored
 SUFFIX = ".onnx"
 CONFIG, ARRAYS, GRAPH = "vapor-track config", "vapor-track arrays", "vapor-track graph_sha256"
 """Names of the metadata: settings as JSON, for all to read; all of the description, as a safetensors file in base64;
-SHA-256 of the graph."""
-_GRAPH, _METADATA_PROPS, _KEY, _VALUE = 7, 14, 1, 2  # numbers of fields
+SHA-256 of all that comes before the metadata, which is the graph and the version of its operators."""
+_METADATA_PROPS, _KEY, _VALUE = 14, 1, 2  # numbers of fields
 _BYTES_BY_WIRE = {1: 8, 5: 4}  # lengths of fields of fixed length, by their type
+_MOST_BYTES = 2**31  # of a protocol buffer
+_MOST_FIELDS = 1000  # of a message that is read here; an exported model has nine
+_MOST_BYTES_OF_VARINT = 10
 
 
 def is_onnx(path: Path) -> bool:
@@ -42,10 +45,8 @@ def add_description(path: Path, model: ModelDescription) -> None:
         arrays |= {MEMORY_ROTATION: poses.rotation, MEMORY_TRANSLATION: poses.translation}
     content = path.read_bytes()
     said = base64.b64encode(arrays_as_bytes(arrays, metadata)).decode()
-    for name, text in ((CONFIG, metadata["config"]), (ARRAYS, said), (GRAPH, _graph_sha256(content))):
-        entry = _field(_KEY, name.encode()) + _field(_VALUE, text.encode())
-        content += _field(_METADATA_PROPS, entry)
-    path.write_bytes(content)
+    told = {CONFIG: metadata["config"], ARRAYS: said, GRAPH: hashlib.sha256(content).hexdigest()}
+    path.write_bytes(content + b"".join(_entry(name, text) for name, text in told.items()))
 
 
 def describe_onnx(path: Path) -> ModelDescription:
@@ -54,18 +55,19 @@ def describe_onnx(path: Path) -> ModelDescription:
     Raises:
         CheckpointError: no such file, no ONNX file, one that `vapor-track export` did not write, or a damaged one.
     """
+    content = _read(path)
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise CheckpointError(f"{path}: cannot be read ({error.strerror}), expected an ONNX file") from error
-    try:
-        metadata = dict(_metadata(content))
-        said, graph = base64.b64decode(metadata[ARRAYS], validate=True), metadata[GRAPH]
-    except (ValueError, KeyError, IndexError) as error:
+        graph, told = _parts(content)
+        said = base64.b64decode(told[ARRAYS], validate=True)
+    except (ValueError, KeyError) as error:
         raise CheckpointError(f"{path}: no ONNX file of `vapor-track export`, expected one") from error
-    if graph != _graph_sha256(content):
+    if told.get(GRAPH) != hashlib.sha256(graph).hexdigest():
         raise CheckpointError(f"{path}: damaged: its graph does not match its digest, expected the file as written")
     stored, tensors = parse_stored(path, said)
+    if told.get(CONFIG) != stored.get("config"):
+        raise CheckpointError(
+            f"{path}: damaged: {CONFIG!r} in its metadata is not what {ARRAYS!r} has, expected the file as written"
+        )
     config = parse_stored_config(path, stored)
     check_tensors(path, tensors, shapes_beside_weights(config, tensors))
     return parse_description(path, config, tensors, hashlib.sha256(content).hexdigest())
@@ -74,31 +76,49 @@ def describe_onnx(path: Path) -> ModelDescription:
 def is_exported(path: Path) -> bool:
     """Whether a file is a model that `vapor-track export` wrote."""
     try:
-        return ARRAYS in dict(_metadata(path.read_bytes()))
-    except (OSError, ValueError, IndexError):
+        return ARRAYS in _parts(_read(path))[1]
+    except (CheckpointError, ValueError):
         return False
 
 
-def _metadata(content: bytes) -> Iterator[tuple[str, str]]:
-    """The names and texts in an ONNX file's `metadata_props`.
+def _read(path: Path) -> bytes:
+    try:
+        if not path.is_file():
+            raise CheckpointError(f"{path}: no such file, expected an ONNX file of `vapor-track export`")
+        size = path.stat().st_size
+        if size > _MOST_BYTES:
+            raise CheckpointError(f"{path}: has {size} bytes, expected an ONNX file, which has {_MOST_BYTES} at most")
+        return path.read_bytes()
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be read ({error.strerror}), expected an ONNX file") from error
+
+
+def _parts(content: bytes) -> tuple[memoryview, dict[str, str]]:
+    """An ONNX file's graph and all else before its metadata, and the names and texts of the metadata.
 
     Raises:
-        ValueError, IndexError: the content is no such file.
+        ValueError: the content is no such file, or one whose metadata have a name twice.
     """
-    for number, value in _fields(memoryview(content)):
+    view, metadata, end_of_graph = memoryview(content), {}, 0
+    for number, value, end in _fields(view):
         if number == _METADATA_PROPS:
-            entry = {part: bytes(text).decode() for part, text in _fields(value)}
-            yield entry.get(_KEY, ""), entry.get(_VALUE, "")
+            entry = {part: bytes(text).decode() for part, text, _ in _fields(value)}
+            name = entry.get(_KEY, "")
+            if name in metadata:
+                raise ValueError(f"metadata have {name} twice")
+            metadata[name] = entry.get(_VALUE, "")
+        else:  # also after the metadata, where a second graph would be merged with the first: then no digest fits
+            end_of_graph = end
+    return view[:end_of_graph], metadata
 
 
-def _graph_sha256(content: bytes) -> str:
-    graphs = (value for number, value in _fields(memoryview(content)) if number == _GRAPH)
-    return hashlib.sha256(b"".join(graphs)).hexdigest()
+def _fields(content: memoryview) -> Iterator[tuple[int, memoryview, int]]:
+    """Numbers and contents of a message's fields, and where they end; those that are numbers have no content.
 
-
-def _fields(content: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Numbers and contents of a message's fields; those that are numbers have none."""
-    position = 0
+    Raises:
+        ValueError: no message, or one of very many fields.
+    """
+    position = fields = 0
     while position < len(content):
         tag, position = _varint(content, position)
         number, wire = tag >> 3, tag & 7
@@ -112,21 +132,26 @@ def _fields(content: memoryview) -> Iterator[tuple[int, memoryview]]:
             end = position + _BYTES_BY_WIRE[wire]
         else:
             raise ValueError(f"field {number} is of type {wire}")
-        if end > len(content):
-            raise ValueError(f"field {number} ends after the file")
-        yield number, content[position:end]
+        fields += 1
+        if end > len(content) or fields > _MOST_FIELDS:
+            raise ValueError(f"field {number} ends after the file, or is one of more than {_MOST_FIELDS}")
+        yield number, content[position:end], end
         position = end
 
 
 def _varint(content: memoryview, position: int) -> tuple[int, int]:
     """A number, seven bits a byte, the lowest first; and where it ends."""
-    value = shift = 0
-    while True:
-        byte = content[position]
-        value |= (byte & 127) << shift
-        position, shift = position + 1, shift + 7
+    value = 0
+    for count, byte in enumerate(content[position : position + _MOST_BYTES_OF_VARINT]):
+        value |= (byte & 127) << 7 * count
         if byte < 128:
-            return value, position
+            return value, position + count + 1
+    raise ValueError(f"a number does not end within {_MOST_BYTES_OF_VARINT} bytes, or the file")
+
+
+def _entry(name: str, text: str) -> bytes:
+    """An entry of an ONNX file's metadata."""
+    return _field(_METADATA_PROPS, _field(_KEY, name.encode()) + _field(_VALUE, text.encode()))
 
 
 def _field(number: int, content: bytes) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,7 +14,9 @@ from jaxtyping import Float32, UInt8
 
 from filtering.errors import VaporTrackError
 from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.description import ModelDescription
 from vapor.engines.engine import EngineName, Precision, Seen
+from vapor.tensor_files import CheckpointError
 
 if TYPE_CHECKING:
     import openvino
@@ -22,6 +25,9 @@ _HINTS = {"float32": "f32", "bfloat16": "bf16"}
 _CPU_FLAGS = Path("/proc/cpuinfo")
 _FLAG_LINES = "flags", "Features"  # of x86 and Arm
 _BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}  # of Intel and AMD, Intel, and Arm
+
+_NOISE = re.compile(r"noise f32 \[\?,[1-9]\d{0,4}]")  # columns: no regressor takes more, which would fill the memory
+_POSES = "translation f32 [?,3], rotation f32 [?,3,3]"
 
 
 class OpenVINOEngine:
@@ -87,6 +93,32 @@ def converted_network(checkpoint: Checkpoint) -> openvino.Model:
         traced = torch.jit.trace(whole, inputs, check_trace=False)
         shapes = [openvino.PartialShape(list(inputs[0].shape)), openvino.PartialShape([-1, inputs[1].shape[1]])]
         return openvino.convert_model(traced, example_input=inputs, input=shapes)
+
+
+def compile_exported(model: ModelDescription, precision: Precision, threads: int) -> openvino.CompiledModel:
+    """The network of an exported model compiled for this processor.
+
+    Raises:
+        CheckpointError: its file has none that can be compiled, or one of other inputs and outputs than it should have.
+    """
+    assert model.file is not None
+    try:
+        compiled = compile_network(model.file, precision, threads)
+        found = ", ".join(
+            f"{port.get_any_name()} {port.element_type.to_string()} {port.partial_shape}"
+            for port in (*compiled.inputs, *compiled.outputs)
+        )
+    except RuntimeError as error:  # of many lines, of which the last one says most
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+        raise CheckpointError(
+            f"{model.file}: OpenVINO cannot compile its network ({reason}), expected the file as written"
+        ) from error
+    size, known = model.network, model.familiarity
+    expected = f"image u8 [{size.image_height},{size.image_width},3], noise f32 [?,d], {_POSES}"
+    expected += f", description f32 [{len(known.centre)}]" if known is not None else ""
+    if _NOISE.sub("noise f32 [?,d]", found) != expected:
+        raise CheckpointError(f"{model.file}: its network has {found or 'no inputs'}; expected {expected}")
+    return compiled
 
 
 def compile_network(model: openvino.Model | Path, precision: Precision, threads: int) -> openvino.CompiledModel:

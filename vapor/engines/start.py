@@ -125,8 +125,7 @@ def _openvino(
         except RuntimeError:  # OpenVINO's way to say that the network is of another build: it is compiled anew
             pass
     if exported:
-        assert file is not None
-        compiled, torch = openvino_engine.compile_network(file, precision, threads), None
+        compiled, torch = openvino_engine.compile_exported(described, precision, threads), None
     else:
         checkpoint = _with_weights(model)
         network = openvino_engine.converted_network(checkpoint)

@@ -34,9 +34,10 @@ OUTPUTS = {
     "train": ["train", "walk.mcap", "--output"],
     "calibrate": ["calibrate", "m.safetensors", "walk.mcap", "--output"],
     "evaluate": ["evaluate", "earlier", "--output"],
+    "export": ["export", "m.safetensors"],
 }
 
-FILES = ("synthesize", "convert", "posterior", "train", "calibrate", "evaluate")
+FILES = ("synthesize", "convert", "posterior", "train", "calibrate", "evaluate", "export")
 
 
 @pytest.fixture
@@ -46,10 +47,11 @@ def belongings(walk_of_25, tiny_model, earlier, monkeypatch) -> Path:
     monkeypatch.chdir(folder)
     (folder / "walk.mcap").write_bytes(walk_of_25.read_bytes())
     (folder / "m.safetensors").write_bytes(tiny_model.read_bytes())
-    for name in ("report.json", "summary.json", "walk/trajectory.tum", "notes.txt", "photo.png"):
+    for name in ("report.json", "summary.json", "walk/trajectory.tum", "notes.txt", "photo.png", "notes.onnx"):
         (folder / "mine" / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / "mine" / name).write_text("mine")
-    (folder / "link").symlink_to("nowhere")
+    for link in ("link", "link.onnx"):
+        (folder / link).symlink_to("nowhere")
     for file in ("stairs_test.txt", "estimates/stairs_hloc.txt"):
         (folder / "real" / "7scenes_stairs" / file).parent.mkdir(parents=True, exist_ok=True)
         (folder / "real" / "7scenes_stairs" / file).write_text("mine")
@@ -66,9 +68,12 @@ def test_the_state_of_a_training_replaces_no_file_of_another_kind(belongings, ca
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_no_command_replaces_what_no_command_wrote(name, belongings, capsys):
     before = contents(belongings)
-    for output in ["mine/notes.txt", "mine/photo.png", "mine/report.json"] if name in FILES else ["mine"]:
+    files, link = ["mine/notes.txt", "mine/photo.png", "mine/report.json"], "link"
+    if name == "export":  # which looks at the names of outputs first
+        files, link = ["mine/notes.onnx"], "link.onnx"
+    for output in files if name in FILES else ["mine"]:
         refuse([*OUTPUTS[name], output], capsys, "mine", "--overwrite")
-    refuse([*OUTPUTS[name], "link"], capsys, "link: is a link to nowhere, which does not exist")
+    refuse([*OUTPUTS[name], link], capsys, f"{link}: is a link to nowhere, which does not exist")
     for empty in ("", " "):
         with pytest.raises(SystemExit) as stopped:
             main([*OUTPUTS[name], empty])

@@ -1,14 +1,21 @@
 """Exported models: the network and all that it says of itself in one ONNX file, checked; run without torch."""
 
+import json
+import os
+import time
 from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import onnxruntime
 import pytest
 import torch
+from onnx import TensorProto, helper
 
 from filtering.errors import VaporTrackError
 from tests.helpers.engines import an_image, any_checkpoint, noise
+from tests.helpers.exported import GRAPH_BYTES, field, put_together, take_apart, with_config, with_digest, write_export
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines import onnx_export
 from vapor.engines.engine import EngineConfig
@@ -55,19 +62,201 @@ def test_an_exported_model_says_all_of_itself_but_its_weights(exported):
     assert is_exported(file)
 
 
+def refused(file: Path) -> str:
+    """Why a file is refused, in a line that names it and says what was expected."""
+    with pytest.raises(CheckpointError) as found:
+        describe_onnx(file)
+    said = str(found.value)
+    assert said.startswith(f"{file}: ")
+    assert "expected" in said
+    assert "\n" not in said
+    return said
+
+
 def test_a_damaged_export_and_a_file_that_is_none_are_refused(exported, tmp_path):
     content, rng = exported[1].read_bytes(), np.random.default_rng(0)
     bad = tmp_path / "bad.onnx"
     graph, arrays = content.index(b"relative"), content.index(b"vapor-track arrays")
     for place in (*rng.integers(200, graph, 5), *rng.integers(arrays, len(content), 20)):
         bad.write_bytes(content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :])
-        with pytest.raises(CheckpointError, match=r"bad\.onnx: "):
-            describe_onnx(bad)
+        refused(bad)
     for other in (b"", b"no model", content[:5000]):
         bad.write_bytes(other)
         assert not is_exported(bad)
-        with pytest.raises(CheckpointError, match="no ONNX file of `vapor-track export`, expected one"):
-            describe_onnx(bad)
+        assert "no ONNX file of `vapor-track export`, expected one" in refused(bad)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """The working directory, so that names of files are short and messages whole."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def small(here):
+    """An exported model of a few thousand bytes, whose graph is none."""
+    return write_export(Path("m.onnx"), any_checkpoint().description)
+
+
+def test_an_export_that_is_cut_off_anywhere_is_refused(small):
+    content = small.read_bytes()
+    describe_onnx(small)
+    for length in (*range(200), *range(200, len(content), 97), *range(len(content) - 100, len(content))):
+        small.write_bytes(content[:length])
+        refused(small)
+
+
+FOREIGN = helper.make_model(
+    helper.make_graph(
+        [helper.make_node("Identity", ["image"], ["out"])],
+        "foreign",
+        [helper.make_tensor_value_info("image", TensorProto.UINT8, [32, 40, 3])],
+        [helper.make_tensor_value_info("out", TensorProto.UINT8, [32, 40, 3])],
+    )
+).SerializeToString()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        FOREIGN,
+        put_together(FOREIGN, [(b"author", b"another"), (b"vapor-track config", b"{}")]),
+        put_together(GRAPH_BYTES, [(b"vapor-track arrays", b"no base64"), (b"vapor-track graph_sha256", b"")]),
+        b"\xff" * 10**6,
+        b"\x3a" + b"\x80" * 10 + b"\x01",
+        b"\x08\x01" * 10**7,
+        field(14, b"\x08\x01" * 10**7),
+        b"\x3a\xff\xff\xff\xff\xff\xff\xff\xff\xff\x01",
+    ],
+    ids=["foreign", "foreign config", "no base64", "no end", "long number", "fields", "fields in an entry", "length"],
+)
+def test_another_file_is_refused_at_once(content, here):
+    Path("m.onnx").write_bytes(content)
+    begin = time.process_time()
+    assert "no ONNX file of `vapor-track export`, expected one" in refused(Path("m.onnx"))
+    assert time.process_time() - begin < 1.0
+
+
+def test_what_is_no_file_or_far_too_large_is_refused_without_being_read(here):
+    assert "no such file" in refused(Path("absent.onnx"))
+    Path("folder.onnx").mkdir()
+    assert "no such file" in refused(Path("folder.onnx"))
+    os.mkfifo("pipe.onnx")
+    assert "no such file" in refused(Path("pipe.onnx"))
+    with Path("large.onnx").open("wb") as file:
+        file.truncate(2**40)
+    assert "has 1099511627776 bytes" in refused(Path("large.onnx"))
+    assert not is_exported(Path("large.onnx"))
+    with pytest.raises(CheckpointError, match=r"cannot be read \(File name too long\), expected an ONNX file"):
+        describe_onnx(Path("a" * 300 + ".onnx"))
+
+
+@pytest.mark.parametrize("name", [b"vapor-track config", b"vapor-track arrays", b"vapor-track graph_sha256", b"other"])
+def test_metadata_that_are_there_twice_or_are_no_text_are_refused(name, small):
+    graph, entries = take_apart(small.read_bytes())
+    described = describe_onnx(small)
+    small.write_bytes(put_together(graph, [*entries, (b"other", b"of another program")]))
+    assert describe_onnx(small).network == described.network
+    for more in ([(name, b"1"), (name, b"1")], [(name + b"\xff", b"1")], [(b"text", name + b"\xff")]):
+        small.write_bytes(put_together(graph, [*entries, *more]))
+        assert "no ONNX file of `vapor-track export`" in refused(small)
+
+
+def test_another_graph_or_version_of_its_operators_is_refused(small):
+    graph, entries = take_apart(small.read_bytes())
+    for place in range(len(graph)):  # the last byte is the operators' version
+        small.write_bytes(put_together(graph[:place] + bytes([graph[place] ^ 1]) + graph[place + 1 :], entries))
+        refused(small)
+    small.write_bytes(put_together(graph[:-1] + b"\x12", entries))
+    assert "damaged: its graph does not match its digest" in refused(small)
+    small.write_bytes(put_together(graph, entries) + field(7, b"\x12\x01a"))  # readers merge it with the first
+    assert "damaged: its graph does not match its digest" in refused(small)
+
+
+def test_a_length_of_more_than_ten_bytes_is_refused(small):
+    graph, entries = take_apart(small.read_bytes())
+    for zeros, fits in ((8, True), (9, False)):
+        padded = graph.replace(b"\x3a\x05", b"\x3a\x85" + b"\x80" * zeros + b"\x00")
+        small.write_bytes(with_digest(padded, entries))
+        if fits:
+            describe_onnx(small)
+        else:
+            refused(small)
+
+
+def test_settings_for_all_to_read_that_were_changed_alone_are_refused(small):
+    graph, entries = take_apart(small.read_bytes())
+    name, config = entries[0]
+    small.write_bytes(put_together(graph, [(name, config.replace(b"40", b"41")), *entries[1:]]))
+    assert "'vapor-track config' in its metadata is not what 'vapor-track arrays' has" in refused(small)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (lambda c: c["network"].update(image_width=10**9), "image_width 1000000000"),
+        (lambda c: c["network"].update(image_width="wide"), "image_width"),
+        (lambda c: c["network"].update(latent_dim=2**70), "latent_dim"),
+        (lambda c: c["network"].update(head="os.system"), "head is 'os.system', expected one of"),
+        (lambda c: c["network"].pop("head"), "lacks ['head']"),
+        (lambda c: c["network"].update(more=1), "surplus ['more']"),
+        (lambda c: c.update(network=[]), "network configuration lacks"),
+        (lambda c: c.update(box={"centre": [1, 2, "x"]}), "box configuration has centre"),
+        (lambda c: c.update(camera={"width": "x"}), "camera configuration"),
+        (lambda c: c.update(training=7), "training is int"),
+        (lambda c: c.pop("calibration"), "calibration"),
+        (lambda c: c.update(calibration={"errors": 1e999}), "configuration"),
+    ],
+)
+@pytest.mark.usefixtures("unchecked")
+def test_a_configuration_of_wrong_values_is_refused_though_checksums_fit(changed, said, small):
+    content = small.read_bytes()
+    config = json.loads(take_apart(content)[1][0][1])
+    changed(config)
+    small.write_bytes(with_config(content, json.dumps(config)))
+    assert said in refused(small)
+
+
+@pytest.mark.parametrize("config", ["", "{", "[" * 100_000, "null", '{"network": NaN}', "9" * 5000, '"\\ud800"'])
+def test_a_configuration_that_is_no_object_is_refused(config, small):
+    small.write_bytes(with_config(small.read_bytes(), config))
+    assert "configuration" in refused(small)
+
+
+def graph_of(image: list, noise: list, outputs: tuple[str, ...], operator: str = "Identity") -> bytes:
+    """A graph of other inputs, outputs or operators than an exported model has."""
+    shapes = {"translation": ["m", 3], "rotation": ["m", 3, 3]}
+    nodes = [helper.make_node(operator, ["noise"], [name]) for name in outputs]
+    graph = helper.make_graph(
+        nodes,
+        "other",
+        [
+            helper.make_tensor_value_info("image", TensorProto.UINT8, image),
+            helper.make_tensor_value_info("noise", TensorProto.FLOAT, noise),
+        ],
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shapes[name]) for name in outputs],
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8).SerializeToString()
+
+
+@pytest.mark.parametrize(
+    ("graph", "said"),
+    [
+        (graph_of([32, 40, 3], ["m", 3], ("translation",), "Unknown"), "OpenVINO cannot compile its network ("),
+        (GRAPH_BYTES, "its network has no inputs; expected image"),
+        (graph_of([32, 40, 3], ["m", 3], ("translation",)), "expected image u8 [32,40,3], noise f32 [?,d], trans"),
+        (graph_of([64, 40, 3], ["m", 3], ("translation", "rotation")), "image u8 [64,40,3]"),
+        (graph_of([32, 40, 3], ["m", 10**6], ("translation", "rotation")), "noise f32 [?,1000000]"),
+    ],
+    ids=["unknown operator", "no graph", "one output", "other image", "much noise"],
+)
+def test_another_network_whose_digest_fits_is_not_run(graph, said, here):
+    told = describe_onnx(write_export(Path("m.onnx"), any_checkpoint(familiar=False).description, graph))
+    with pytest.raises(CheckpointError) as found:
+        start_engine(told)
+    assert said in str(found.value)
+    assert str(found.value).startswith("m.onnx: ")
+    assert "\n" not in str(found.value)
 
 
 def test_an_export_that_differs_from_torch_is_not_written(tmp_path, monkeypatch):
@@ -78,6 +267,23 @@ def test_an_export_that_differs_from_torch_is_not_written(tmp_path, monkeypatch)
     run = onnx_export._run
     monkeypatch.setattr(onnx_export, "_run", turned)
     with pytest.raises(VaporTrackError, match=r"gives poses up to 0\.000\d+ m .* from torch's, expected 0\.0001 m"):
+        export_onnx(any_checkpoint(), tmp_path / "m.onnx")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_openvino_checks_an_export_where_there_is_no_onnxruntime(tmp_path, monkeypatch):
+    monkeypatch.setattr(onnx_export, "find_spec", lambda name: None if name == "onnxruntime" else find_spec(name))
+    runtime, metres, radians = export_onnx(any_checkpoint(), tmp_path / "m.onnx")
+    assert (runtime, metres < 1e-4, radians < 1e-4) == ("openvino", True, True)
+
+
+def test_a_network_that_torch_cannot_export_is_refused_in_a_line(tmp_path, monkeypatch):
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("no such operator\nin this version")
+
+    monkeypatch.setattr(torch.onnx, "export", fail)
+    said = r"^export: a network with head 'variational' cannot be exported \(no such operator\)$"
+    with pytest.raises(VaporTrackError, match=said):
         export_onnx(any_checkpoint(), tmp_path / "m.onnx")
     assert list(tmp_path.iterdir()) == []
 
