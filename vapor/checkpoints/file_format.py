@@ -31,7 +31,10 @@ from vapor.checkpoints.stored_tensors import (
 )
 from vapor.regressors.familiarity import description_size
 from vapor.regressors.registry import make_regressor
-from vapor.tensor_files import StoredTensor, format_of, read_stored, write_safetensors
+from vapor.tensor_files import CheckpointError, StoredTensor, format_of, read_stored, write_safetensors
+
+ONNX = ".onnx"
+"""How names of exported models end."""
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool = False) -> None:
@@ -70,6 +73,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
     from vapor.regressors.memory import Memory
 
+    _refuse_exported(path)
     metadata, tensors = read_stored(path)
     config = parse_stored_config(path, metadata)
     with torch.device("meta"):  # names and shapes only, no memory
@@ -108,12 +112,23 @@ def load_description(path: Path) -> ModelDescription:
     Raises:
         CheckpointError: as `load_checkpoint`, but for the weights.
     """
+    _refuse_exported(path)
     metadata, tensors = read_stored(path)
     config = parse_stored_config(path, metadata)
     weights = {name: value for name, value in tensors.items() if name.startswith((NETWORK, MEMORY))}
     rest = {name: value for name, value in tensors.items() if name not in weights or name.removeprefix(MEMORY) in POSES}
     check_tensors(path, rest, shapes_beside_weights(config, rest))
     return parse_description(path, config, rest, _digest(config, weights))
+
+
+def is_onnx(path: Path) -> bool:
+    """Whether a model is an exported one, by the name of its file."""
+    return path.suffix.lower() == ONNX
+
+
+def _refuse_exported(path: Path) -> None:
+    if is_onnx(path):
+        raise CheckpointError(f"{path}: is an exported model, expected one that is not exported yet (*.safetensors)")
 
 
 def shapes_beside_weights(config: StoredConfig, tensors: Mapping[str, StoredTensor]) -> Shapes:

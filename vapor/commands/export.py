@@ -9,13 +9,12 @@ from typing import Annotated
 
 import tyro
 
-from filtering.errors import VaporTrackError
 from sequences.outputs.claims import refuse_other
-from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.file_format import ONNX, is_onnx, load_checkpoint
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, usage_error
 from vapor.engines.onnx_export import export_onnx
-from vapor.engines.onnx_file import SUFFIX, is_exported, is_onnx
+from vapor.engines.onnx_file import is_exported
 
 
 @dataclass(frozen=True)
@@ -33,10 +32,8 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("export", Options, arguments)
     if not is_onnx(o.output):
-        usage_error("export", f"output {o.output}, expected a name that ends in {SUFFIX}")
+        usage_error("export", f"output {o.output}, expected a name that ends in {ONNX}")
     file = find_model(o.model)
-    if is_onnx(file):
-        raise VaporTrackError(f"{file}: is an exported model, expected one that is not exported yet (*.safetensors)")
     refuse_other(o.output, "model that vapor-track exported", is_exported, reads=[file], overwrite=o.overwrite)
     runtime, metres, radians = export_onnx(load_checkpoint(file), o.output)
     show(f"{o.output}: {_megabytes(o.output)} MB; by {runtime} within {metres:.1g} m and {radians:.1g} rad of torch")

@@ -22,7 +22,6 @@ from vapor.checkpoints.stored_description import (
 from vapor.checkpoints.stored_tensors import MEMORY_ROTATION, MEMORY_TRANSLATION, check_tensors
 from vapor.tensor_files import CheckpointError, arrays_as_bytes, parse_stored
 
-SUFFIX = ".onnx"
 CONFIG, ARRAYS, GRAPH = "vapor-track config", "vapor-track arrays", "vapor-track graph_sha256"
 """Names of the metadata: settings as JSON, for all to read; all of the description, as a safetensors file in base64;
 SHA-256 of all that comes before the metadata, which is the graph and the version of its operators."""
@@ -31,11 +30,6 @@ _BYTES_BY_WIRE = {1: 8, 5: 4}  # lengths of fields of fixed length, by their typ
 _MOST_BYTES = 2**31  # of a protocol buffer
 _MOST_FIELDS = 1000  # of a message that is read here; an exported model has nine
 _MOST_BYTES_OF_VARINT = 10
-
-
-def is_onnx(path: Path) -> bool:
-    """Whether a model is an exported one, by the name of its file."""
-    return path.suffix.lower() == SUFFIX
 
 
 def add_description(path: Path, model: ModelDescription) -> None:

@@ -119,7 +119,7 @@ def test_a_process_that_is_killed_is_told_of_in_one_line_and_another_takes_its_p
 
 
 SCRIPT = """
-import sys, time
+import signal, sys, time
 from dataclasses import replace
 from pathlib import Path
 from filtering.config import LocalizerConfig
@@ -127,6 +127,7 @@ from tests.helpers.simulated_run import simulated_steps
 from tests.helpers.simulation import seen_at
 from vapor.reporting.beside import outputs_beside
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 settings = {"seed": 0, "recording": True, "view": False, "particles": 50}
 with outputs_beside(Path(sys.argv[1]), LocalizerConfig(), **settings) as outputs:
     for frame, step in simulated_steps(3):
