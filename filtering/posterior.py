@@ -209,14 +209,11 @@ def find_places(samples: Poses, radius_m: float, radius_rad: float) -> tuple[Int
     kernel = np.minimum(kernel, 0.0, out=np.empty(kernel.shape, np.float32), casting="same_kind")
     height = np.exp(kernel, out=kernel).sum(axis=1)
     peaks: list[int] = []
-    free = np.ones(len(height), bool)
+    free = np.argsort(-height, kind="stable")  # from the highest down
     least = max(1.5, _LEAST_FRACTION * len(height))
-    while free.any() and len(peaks) < _MOST_PLACES:
-        peak = int(np.argmax(np.where(free, height, -1.0)))
-        if peaks and height[peak] < least:
-            break
-        peaks.append(peak)
-        free &= kernel[peak] < _KERNEL_APART
+    while len(free) and len(peaks) < _MOST_PLACES and not (peaks and height[free[0]] < least):
+        peaks.append(free[0])
+        free = free[kernel[free[0], free] < _KERNEL_APART]
     centres = sought[peaks]
     label = _nearest(embedded, squares, centres)
     member = (label == np.arange(len(centres))[:, None]).astype(np.float64)
