@@ -55,7 +55,8 @@ class ScheduleOptions:
     """Train by our schedule and by the paper's, and compare images and time to the same recall.
 
     Both train the same network from the same weights, with the same α and unit of positions. The paper's schedule
-    differs in rate, batches, samples an image, crops and arithmetic, and neither averages nor decays weights.
+    differs in rate, batches, samples an image, crops and arithmetic, sees whole images only, and neither averages nor
+    decays weights.
     """
 
     output: OutputPath

@@ -18,7 +18,7 @@ from vapor.training.presets import PRESETS
 def _config(preset: str, epochs: int, width: int, height: int, shortest: int) -> TrainConfig:
     chosen = PRESETS[preset]
     network = replace(chosen.network, image_width=width, image_height=height, shortest_edge=shortest)
-    return replace(chosen, network=network, epochs=epochs, calibrate=False)
+    return replace(chosen, network=network, epochs=epochs, small_images_first=0.0, calibrate=False)
 
 
 def _tum_fr1() -> TrainedNetwork:
