@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from sequences.reader import SequenceReader as SequenceReader
     from vapor.calibration.calibrate_model import calibrate_model as calibrate_model
     from vapor.observation import VaporObservationModel as VaporObservationModel
+    from vapor.pipeline.config import RunConfig as RunConfig
     from vapor.pipeline.fuse import fuse as fuse
     from vapor.pipeline.run import run as run
     from vapor.training.config import TrainConfig as TrainConfig
@@ -38,6 +39,7 @@ _MODULES = {
     "PRESETS": "vapor.training.presets",
     "PosePosterior": "filtering.posterior",
     "Poses": "filtering.se3",
+    "RunConfig": "vapor.pipeline.config",
     "SequenceReader": "sequences.reader",
     "TrainConfig": "vapor.training.config",
     "VaporObservationModel": "vapor.observation",

@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -190,3 +191,11 @@ def test_sequences_under_urls_are_found_and_localized(machine, walk_of_25, tiny_
     many, one = ((tmp_path / at / "trajectory.tum").read_bytes() for at in ("many/a", "one"))
     assert many == one
     assert os.listdir(tmp_path / "many" / "b")
+
+
+def test_where_fsspec_is_missing_one_is_told_how_to_install_it(machine, monkeypatch):
+    monkeypatch.setitem(sys.modules, "fsspec.core", None)
+    with pytest.raises(
+        StorageError, match=r"memory://a/b\.mcap: URLs need fsspec: pip install 'vapor-track\[cluster\]'"
+    ):
+        fetched(local_path("memory://a/b.mcap"))

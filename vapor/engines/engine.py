@@ -20,8 +20,8 @@ class EngineConfig:
     """What runs the network. openvino is for processors, and compiles a network once, beside its file (extra
     `openvino`); auto takes it there where it was faster when the network was compiled, torch otherwise."""
     precision: Precision = "float32"
-    """Arithmetic of the network: bfloat16 is faster on processors and GPUs that have it, and moves samples by
-    centimetres."""
+    """Arithmetic of the network: bfloat16 is faster on GPUs, and by openvino on processors that have it; it moves
+    samples by centimetres."""
 
     @property
     def network(self) -> EngineConfig:

@@ -54,7 +54,7 @@ def describe_onnx(path: Path) -> ModelDescription:
         graph, told = _parts(content)
         said = base64.b64decode(told[ARRAYS], validate=True)
     except (ValueError, KeyError) as error:
-        raise CheckpointError(f"{path}: no ONNX file of `vapor-track export`, expected one") from error
+        raise CheckpointError(f"{path}: no ONNX file of `vapor-track export`, or cut off, expected one") from error
     if told.get(GRAPH) != hashlib.sha256(graph).hexdigest():
         raise CheckpointError(f"{path}: damaged: its graph does not match its digest, expected the file as written")
     stored, tensors = parse_stored(path, said)

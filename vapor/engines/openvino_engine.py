@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import io
 import re
+import sys
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     import openvino
 
 _HINTS = {"float32": "f32", "bfloat16": "bf16"}
+_TELEMETRY = "openvino_telemetry"
 _CPU_FLAGS = Path("/proc/cpuinfo")
 _FLAG_LINES = "flags", "Features"  # of x86 and Arm
 _BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}  # of Intel and AMD, Intel, and Arm
@@ -57,6 +61,29 @@ def is_installed() -> bool:
     return find_spec("openvino") is not None
 
 
+def imported() -> ModuleType:
+    """OpenVINO without its telemetry, which nobody here was asked about.
+
+    It tells the Internet of every import and conversion, from forks of this process, and a fork of a process with
+    threads can hang. Where the telemetry cannot be imported OpenVINO does without, for good.
+    """
+    if "openvino" in sys.modules:
+        return sys.modules["openvino"]
+    hidden = _TELEMETRY not in sys.modules
+    if hidden:
+        sys.modules[_TELEMETRY] = None  # pyright: ignore[reportArgumentType]  # an import of it fails
+    try:
+        return importlib.import_module("openvino")
+    finally:
+        if hidden:
+            del sys.modules[_TELEMETRY]
+
+
+def version() -> str:
+    """Which OpenVINO it is."""
+    return imported().__version__
+
+
 def require_installed(what: str) -> None:
     """Raise a VaporTrackError where OpenVINO is not installed; `what` asks for it."""
     if not is_installed():
@@ -72,20 +99,18 @@ def require_bfloat16() -> None:
         lines = (line.partition(":") for line in _CPU_FLAGS.read_text(encoding="utf-8").splitlines())
         has = any(_BFLOAT16_FLAGS & set(value.split()) for name, _, value in lines if name.strip() in _FLAG_LINES)
     else:
-        import openvino
-
-        has = "BF16" in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+        has = "BF16" in imported().Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
     if not has:
         raise VaporTrackError("precision bfloat16: this processor has no arithmetic for it, expected float32")
 
 
 def converted_network(checkpoint: Checkpoint) -> openvino.Model:
     """A model's network as OpenVINO has it before it is compiled; BatchNorm becomes part of the convolutions then."""
-    import openvino
     import torch
 
     from vapor.engines.whole_network import WholeNetwork, traced_inputs
 
+    openvino = imported()
     whole = WholeNetwork(checkpoint).eval()
     inputs = traced_inputs(whole)
     with torch.no_grad(), warnings.catch_warnings():
@@ -123,9 +148,7 @@ def compile_exported(model: ModelDescription, precision: Precision, threads: int
 
 def compile_network(model: openvino.Model | Path, precision: Precision, threads: int) -> openvino.CompiledModel:
     """A network compiled for this processor, from OpenVINO's own form or from an ONNX file."""
-    import openvino
-
-    return openvino.Core().compile_model(model, "CPU", _settings(precision, threads))
+    return imported().Core().compile_model(model, "CPU", _settings(precision, threads))
 
 
 def compiled_network(blob: bytes, precision: Precision, threads: int) -> openvino.CompiledModel:
@@ -134,9 +157,7 @@ def compiled_network(blob: bytes, precision: Precision, threads: int) -> openvin
     Raises:
         RuntimeError: it cannot be used here.
     """
-    import openvino
-
-    return openvino.Core().import_model(io.BytesIO(blob), "CPU", _settings(precision, threads))
+    return imported().Core().import_model(io.BytesIO(blob), "CPU", _settings(precision, threads))
 
 
 def _settings(precision: Precision, threads: int) -> dict[str, object]:
@@ -150,6 +171,4 @@ def _settings(precision: Precision, threads: int) -> dict[str, object]:
 
 def processor() -> str:
     """What compiled networks depend on beside OpenVINO's version."""
-    import openvino
-
-    return openvino.Core().get_property("CPU", "FULL_DEVICE_NAME")
+    return imported().Core().get_property("CPU", "FULL_DEVICE_NAME")

@@ -56,10 +56,17 @@ def start_engine(
     asked = _asked(config, device, file if exported else None)
     if asked == "torch" or (asked == "auto" and not (file and can_be_kept(file) and openvino_engine.is_installed())):
         return _torch(model, config.precision, device)
-    openvino_engine.require_installed(f"{file}" if exported else f"engine {config.engine}")
+    openvino_engine.require_installed(_what(config, file if exported else None))
     if config.precision == "bfloat16":
         openvino_engine.require_bfloat16()
     return _openvino(model, config, exported=exported, threads=threads, must=asked == "openvino")
+
+
+def _what(config: EngineConfig, exported: Path | None) -> str:
+    """What asks for OpenVINO, in words."""
+    if exported is not None:
+        return str(exported)
+    return "engine openvino" if config.engine == "openvino" else f"precision {config.precision} on a processor"
 
 
 def _asked(config: EngineConfig, device: Device, exported: Path | None) -> str:
@@ -105,15 +112,13 @@ def _openvino(
     model: Checkpoint | ModelDescription, config: EngineConfig, *, exported: bool, threads: int, must: bool
 ) -> Engine:
     """OpenVINO's engine from what is kept, or compiled and kept; torch's where that was faster and will do."""
-    import openvino
-
     described = model if isinstance(model, ModelDescription) else model.description
     variant = Variant(
         described.network_sha256,
         described.familiarity is not None,
         config.precision,
         openvino_engine.processor(),
-        openvino.__version__,
+        openvino_engine.version(),
     )
     file, precision = described.file, config.precision
     kept = None if file is None else read_compiled(file, variant)

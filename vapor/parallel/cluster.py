@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 
 _PATIENCE_S = 10.0
-_GONE = "what is done stays, and the same call goes on from there"
+_GONE = "what is done stays; jobs that workers are at go on to their end"
 
 
 class ClusterError(VaporTrackError):

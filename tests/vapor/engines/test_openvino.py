@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import openvino
 import pytest
 
 from filtering.errors import VaporTrackError
@@ -85,7 +84,7 @@ def test_auto_takes_what_was_faster_when_the_network_was_compiled(model: Path) -
         described.familiarity is not None,
         "float32",
         openvino_engine.processor(),
-        openvino.__version__,
+        openvino_engine.version(),
     )
     compiled = read_compiled(model, variant)
     assert compiled is not None
@@ -133,11 +132,41 @@ def test_a_run_by_openvino_loads_no_torch(model: Path, walk_of_25: Path, tmp_pat
     assert ran.returncode == 0, ran.stderr[-500:]
 
 
+COUNTED = """
+import os, sys
+forks = []
+os.register_at_fork(before=lambda: forks.append(1))
+from pathlib import Path
+from vapor.engines.engine import EngineConfig
+from vapor.engines.start import describe, start_engine
+for kept in (False, True):
+    assert start_engine(describe(Path(sys.argv[1])), EngineConfig("openvino")).name == "openvino"
+sys.exit(len(forks) or "openvino_telemetry" in sys.modules)
+"""
+
+
+def test_neither_compiling_nor_loading_a_network_forks_or_loads_what_tells_the_internet(
+    model: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "model.safetensors"
+    file.write_bytes(model.read_bytes())
+    ran = subprocess.run(
+        [sys.executable, "-c", COUNTED, str(file)],
+        env=os.environ | {"PYTHONPATH": str(CHECKOUT), "HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert ran.returncode == 0, ran.stderr[-500:]
+    assert not (tmp_path / "intel").exists()
+
+
 def test_an_engine_that_is_not_installed_says_how_to_install_it(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(openvino_engine, "find_spec", lambda name: None if name == "openvino" else find_spec(name))
     with pytest.raises(VaporTrackError, match=r"OpenVINO is not installed.*pip install 'vapor-track\[openvino\]'"):
         start_engine(describe(model), OPENVINO)
     assert start_engine(describe(model)).name == "torch"
+    with pytest.raises(VaporTrackError, match="precision bfloat16 on a processor: OpenVINO is not installed"):
+        start_engine(describe(model), EngineConfig("auto", "bfloat16"), device="cpu")
 
 
 def test_a_processor_without_bfloat16_is_told_so(model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
