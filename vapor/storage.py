@@ -188,12 +188,12 @@ def _asking(path: Path) -> Iterator[tuple[Any, str]]:
     url = url_of(path) or str(path)
     try:
         from fsspec.core import url_to_fs
-
+    except ModuleNotFoundError as error:
+        raise StorageError(f"{url}: URLs need fsspec: pip install 'vapor-track[cluster]'") from error
+    try:
         yield url_to_fs(url, **({"auto_mkdir": True} if url.startswith("file:") else {}))
     except VaporTrackError:
         raise
-    except ModuleNotFoundError as error:
-        raise StorageError(f"{url}: URLs need fsspec: pip install 'vapor-track[cluster]'") from error
     except Exception as error:  # every file system has errors of its own
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise StorageError(f"{url}, with its copy at {path}: {' '.join(reason.split())}") from error

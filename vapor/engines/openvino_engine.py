@@ -67,16 +67,14 @@ def imported() -> ModuleType:
     It tells the Internet of every import and conversion, from forks of this process, and a fork of a process with
     threads can hang. Where the telemetry cannot be imported OpenVINO does without, for good.
     """
-    if "openvino" in sys.modules:
-        return sys.modules["openvino"]
-    hidden = _TELEMETRY not in sys.modules
+    hidden = sys.modules.keys().isdisjoint({"openvino", _TELEMETRY})
     if hidden:
         sys.modules[_TELEMETRY] = None  # pyright: ignore[reportArgumentType]  # an import of it fails
     try:
-        return importlib.import_module("openvino")
+        return importlib.import_module("openvino")  # which waits where another thread is about it
     finally:
         if hidden:
-            del sys.modules[_TELEMETRY]
+            sys.modules.pop(_TELEMETRY, None)
 
 
 def version() -> str:

@@ -60,10 +60,8 @@ def test_openvino_gives_what_torch_gives_within_rounding(model: Path) -> None:
 
 
 def test_bfloat16_rounds_and_float32_does_not(model: Path) -> None:
-    try:
-        openvino_engine.require_bfloat16()
-    except VaporTrackError as error:
-        pytest.skip(str(error))
+    if "BF16" not in openvino_engine.imported().Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES"):
+        pytest.skip("this processor has no arithmetic for bfloat16")
     exact = poses(start_engine(describe(model), OPENVINO))
     rounded = poses(start_engine(describe(model), EngineConfig("openvino", "bfloat16")))
     assert 1e-4 < np.abs(rounded - exact).max() < 0.3

@@ -12,7 +12,7 @@ import tyro
 from rich.table import Table
 
 from filtering.errors import VaporTrackError, require_within
-from sequences.frame import Frame
+from sequences.frame import Camera, Frame
 from sequences.reader import SequenceReader
 from vapor.benchmark.timing import time_step, untrained
 from vapor.commands.console import parse, show
@@ -76,11 +76,11 @@ class Options:
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("benchmark step", Options, arguments)
-    frames = [] if o.sequence is None else _frames(o.sequence)
+    frames, camera = ([], None) if o.sequence is None else _frames(o.sequence)
     table = Table("part of a step", "median ms", "95 % ms")
     with limited_threads(o.threads):
         timings = time_step(
-            _models(o),
+            _models(o, camera),
             repetitions=o.repetitions,
             hypotheses=o.hypotheses if o.preset is None else (),
             seed=o.seed,
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str]) -> None:
     show(table)
 
 
-def _models(o: Options) -> dict[str, VaporObservationModel]:
+def _models(o: Options, camera: Camera | None) -> dict[str, VaporObservationModel]:
     """The network by each way to run it; two that turn out to be the same are one."""
     network = o.model if o.preset is None else untrained(PRESETS[o.preset].network)
     models = {}
@@ -101,6 +101,7 @@ def _models(o: Options) -> dict[str, VaporObservationModel]:
             network,
             num_samples=o.num_samples,
             device=o.device,
+            camera=camera,
             engine=asked.engine,
             precision=asked.precision,
             threads=o.threads,
@@ -111,8 +112,10 @@ def _models(o: Options) -> dict[str, VaporObservationModel]:
     return models
 
 
-def _frames(recording: Path) -> list[Frame]:
-    frames = list(islice(SequenceReader(recording), _IMAGES))
+def _frames(recording: Path) -> tuple[list[Frame], Camera | None]:
+    """The first images of a recording, and their camera."""
+    reader = SequenceReader(recording)
+    frames = list(islice(reader, _IMAGES))
     if not frames:
         raise VaporTrackError(f"{recording}: no images, expected one to time a step on")
-    return frames
+    return frames, reader.camera
