@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens, pinhole_of, undistorted
-from sequences.recordings.bag import Bag, Topic
+from sequences.recordings.source import MessageSource, Topic
 from sequences.recordings.topics import first
 
 _MODELS: dict[str, DistortionModel] = {
@@ -33,7 +33,7 @@ class ImageCamera:
         notices: What a person should know of that.
     """
 
-    def __init__(self, bag: Bag, info: Topic | None, image: Topic, *, undistort: bool = True) -> None:
+    def __init__(self, bag: MessageSource, info: Topic | None, image: Topic, *, undistort: bool = True) -> None:
         """Read the first message of the intrinsics.
 
         Args:

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.recordings.bag import TF, TF_STATIC, Bag, RawMessage
 from sequences.recordings.messages import transforms_from_message
+from sequences.recordings.source import TF, TF_STATIC, MessageSource, RawMessage
 from sequences.recordings.topics import decode
 from sequences.recordings.transforms import Step, TransformTree, along
 
@@ -50,7 +50,13 @@ class Extrinsics:
 
 
 def find_extrinsics(
-    bag: Bag, body: str, camera: str, *, body_is: str = "", camera_is: str = "", instead: str = "--base-from-camera"
+    bag: MessageSource,
+    body: str,
+    camera: str,
+    *,
+    body_is: str = "",
+    camera_is: str = "",
+    instead: str = "--base-from-camera",
 ) -> Extrinsics:
     """Pose of the camera on a body: the identity where both are one, else from tf, read until it says.
 
@@ -80,7 +86,7 @@ def find_extrinsics(
 
 
 def read_tree(
-    bag: Bag,
+    bag: MessageSource,
     found: Callable[[TransformTree], bool] = lambda _: False,
     *,
     within_s: float | None = None,

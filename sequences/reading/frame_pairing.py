@@ -19,8 +19,8 @@ from sequences.reading.motion import MotionOfCamera
 from sequences.reading.requested_segment import RequestedSegment
 from sequences.reading.roles import Roles
 from sequences.reading.stamps import Clocks, Stamps, odometry_apart
-from sequences.recordings.bag import RawMessage
 from sequences.recordings.messages import stamp_ns
+from sequences.recordings.source import RawMessage
 
 _MAX_WAITING = 64  # images held, still encoded, until odometry and true poses reach them
 _SORTED_WITHIN_S = 0.5  # images are held until one so much later has come, and so put in the order of their stamps

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 from filtering.se3 import Poses
 from sequences.reading.pose_source import MAX_STILL_GAP_S, Jumps, PoseSource, Sample
-from sequences.recordings.bag import TF, Bag, Topic
 from sequences.recordings.messages import (
     frame_name,
     pose_from_message,
@@ -15,6 +14,7 @@ from sequences.recordings.messages import (
     stamp_ns,
     transforms_from_message,
 )
+from sequences.recordings.source import TF, MessageSource, Topic
 from sequences.recordings.topics import first
 from sequences.recordings.transforms import Step, along
 from sequences.trajectories.pose_window import PoseWindow
@@ -131,7 +131,7 @@ def poses_of_tree(
     )
 
 
-def frames_of_topic(bag: Bag, topic: Topic) -> tuple[str, str]:
+def frames_of_topic(bag: MessageSource, topic: Topic) -> tuple[str, str]:
     """Frame that the poses of a topic are in, and the one that they are of; '' where that is not said."""
     message = first(bag, topic)
     return frame_name(message.header.frame_id), frame_name(getattr(message, "child_frame_id", ""))

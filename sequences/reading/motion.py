@@ -23,8 +23,8 @@ from sequences.reading.stamps import (
     jumps_of_true_poses,
     true_poses_apart,
 )
-from sequences.recordings.bag import RawMessage
 from sequences.recordings.messages import odometry_from_message, stamp_ns
+from sequences.recordings.source import RawMessage
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 from sequences.trajectories.pose_window import PoseWindow
 

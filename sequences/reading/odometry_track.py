@@ -10,13 +10,13 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.reading.pose_source import PoseSource
-from sequences.recordings.bag import Bag
+from sequences.recordings.source import MessageSource
 from sequences.recordings.topics import decode
 
 _OFFSET_SEGMENT_S, _OFFSET_STEP_S = 1800.0, 0.02  # of odometry, to find a time offset in
 
 
-def odometry_track(bag: Bag, source: PoseSource) -> Trajectory:
+def odometry_track(bag: MessageSource, source: PoseSource) -> Trajectory:
     """The first half hour of odometry, at most fifty poses a second."""
     times_ns, numbers = array("q"), array("d")
     step_ns = round(_OFFSET_STEP_S * 1e9)

@@ -16,8 +16,8 @@ from sequences.reading.linked_poses import LinkedPoses, frames_of_topic, poses_o
 from sequences.reading.pose_source import MAX_GAP_S, PoseSource
 from sequences.reading.rig import Rig
 from sequences.reading.tabled_poses import TabledPoses, read_path
-from sequences.recordings.bag import TF, Bag, Topic
 from sequences.recordings.messages import frame_name
+from sequences.recordings.source import TF, MessageSource, Topic
 from sequences.recordings.transforms import along
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, MAX_TRUE_POSE_GAP_S
 from sequences.trajectories.pose_tables import read_pose_table
@@ -47,7 +47,7 @@ class PoseRoute:
     notices: list[str] = field(default_factory=list)
 
 
-def tree_odometry(bag: Bag, options: SequenceOptions, rig: Rig) -> tuple[PoseRoute, Rig]:
+def tree_odometry(bag: MessageSource, options: SequenceOptions, rig: Rig) -> tuple[PoseRoute, Rig]:
     """Odometry as tf has it: poses of a base in a frame such as odom, to which the camera is fixed.
 
     Raises:
@@ -75,7 +75,7 @@ def tree_odometry(bag: Bag, options: SequenceOptions, rig: Rig) -> tuple[PoseRou
     return route, replace(rig, odometry_frame=frame, base=base if rig.base_from_camera is None else end)
 
 
-def route_of_topic(bag: Bag, options: SequenceOptions, rig: Rig, topic: Topic) -> PoseRoute:
+def route_of_topic(bag: MessageSource, options: SequenceOptions, rig: Rig, topic: Topic) -> PoseRoute:
     """Poses of a topic. Raises SequenceError where nothing says where the camera sits on the body that they are of."""
     resolved: dict[str, object] = {"ground_truth_topic": topic.name}
     child = frame_name(options.ground_truth_child_frame or "")
@@ -99,7 +99,7 @@ def route_of_topic(bag: Bag, options: SequenceOptions, rig: Rig, topic: Topic) -
     return PoseRoute(topic.name, topic.name, source, extrinsics, resolved, notices)
 
 
-def route_of_tree(bag: Bag, options: SequenceOptions, rig: Rig, frame: str) -> PoseRoute:
+def route_of_tree(bag: MessageSource, options: SequenceOptions, rig: Rig, frame: str) -> PoseRoute:
     """Poses of the camera in a frame of tf. Raises SequenceError where no transforms lead there, or none moves."""
     if options.ground_truth_child_frame is not None and rig.base_from_camera is not None:
         rig = replace(rig, base=frame_name(options.ground_truth_child_frame))
@@ -123,7 +123,9 @@ def route_of_tree(bag: Bag, options: SequenceOptions, rig: Rig, frame: str) -> P
     return PoseRoute(f"tf frame {frame}", TF, source, Extrinsics(rig.end), {"ground_truth_frame": frame})
 
 
-def route_of_file(bag: Bag, options: SequenceOptions, rig: Rig, odometry: Callable[[], Trajectory]) -> PoseRoute:
+def route_of_file(
+    bag: MessageSource, options: SequenceOptions, rig: Rig, odometry: Callable[[], Trajectory]
+) -> PoseRoute:
     """Poses of the file that the options name; the odometry is to find a time offset by.
 
     Raises:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from filtering.se3 import Poses
 from sequences.reading.extrinsics import Extrinsics, find_extrinsics
-from sequences.recordings.bag import Bag
+from sequences.recordings.source import MessageSource
 from sequences.recordings.transforms import Step, TransformTree
 
 BASES = ("base_link", "base_footprint")
@@ -30,7 +30,7 @@ class Rig:
     odometry_topic: str = ""
     odometry_frame: str = ""
 
-    def on(self, bag: Bag, body: str, body_is: str = "") -> Extrinsics:
+    def on(self, bag: MessageSource, body: str, body_is: str = "") -> Extrinsics:
         """Where the camera sits on a body. Raises SequenceError where neither tf nor the option says it."""
         if not body or body == self.camera:
             return Extrinsics(Poses.identity())

@@ -20,8 +20,8 @@ from sequences.reading.pose_routes import PoseRoute, tree_odometry
 from sequences.reading.pose_source import PoseSource
 from sequences.reading.rig import Rig
 from sequences.reading.true_poses import find_true_poses
-from sequences.recordings.bag import Bag, Topic
 from sequences.recordings.messages import frame_name
+from sequences.recordings.source import MessageSource, Topic
 from sequences.recordings.topics import choose, first
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 
@@ -37,7 +37,7 @@ _TRANSPORTS = ("compressed", "ffmpeg", "foxglove")  # by the habit of image_tran
 class Roles:
     """Which topic, frame or file plays which role: the one named by an option, or the only one of its kind."""
 
-    def __init__(self, bag: Bag, options: SequenceOptions, odometry: OdometryUse, true_poses: TruePoseUse):
+    def __init__(self, bag: MessageSource, options: SequenceOptions, odometry: OdometryUse, true_poses: TruePoseUse):
         image = choose(bag, "image", tuple(_IMAGE_STREAMS), options.image_topic, required=True)
         assert image is not None
         self.image = image

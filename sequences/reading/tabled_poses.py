@@ -12,8 +12,8 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.reading.pose_source import MAX_GAP_S, MAX_STILL_GAP_S, Jumps, PoseSource
-from sequences.recordings.bag import Bag, Topic
 from sequences.recordings.messages import pose_from_message, stamp_ns
+from sequences.recordings.source import MessageSource, Topic
 from sequences.recordings.topics import decode, first
 from sequences.trajectories.interpolation import pose_at
 from sequences.trajectories.jumps import Motion, is_jump
@@ -55,7 +55,7 @@ class TabledPoses(PoseSource):
         return int(self._times_ns[0]), int(self._times_ns[-1])
 
 
-def read_path(bag: Bag, topic: Topic) -> Trajectory:
+def read_path(bag: MessageSource, topic: Topic) -> Trajectory:
     """Poses of nav_msgs/Path: the last message where it begins no later than the first one ends, else what each adds.
 
     Raises:
@@ -87,7 +87,7 @@ def read_path(bag: Bag, topic: Topic) -> Trajectory:
 
 
 def _extend(
-    rows: list[tuple[int, Float64[np.ndarray, " 7"]]], message: SimpleNamespace, bag: Bag, topic: Topic
+    rows: list[tuple[int, Float64[np.ndarray, " 7"]]], message: SimpleNamespace, bag: MessageSource, topic: Topic
 ) -> None:
     """Add the poses of a path that are later than those there are. Raises SequenceError where they share a stamp."""
     if len(message.poses) > 1 and len({stamp_ns(stamped.header) for stamped in message.poses}) == 1:

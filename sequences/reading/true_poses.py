@@ -18,14 +18,14 @@ from sequences.reading.pose_routes import (
     route_of_tree,
 )
 from sequences.reading.rig import BASES, Rig
-from sequences.recordings.bag import TF, Bag
 from sequences.recordings.messages import frame_name
+from sequences.recordings.source import TF, MessageSource
 from sequences.recordings.topics import choose, listing
 from sequences.recordings.transforms import TransformTree
 
 
 def find_true_poses(
-    bag: Bag, options: SequenceOptions, rig: Rig, *, required: bool, odometry: Callable[[], Trajectory]
+    bag: MessageSource, options: SequenceOptions, rig: Rig, *, required: bool, odometry: Callable[[], Trajectory]
 ) -> PoseRoute | None:
     """The true poses that options name, else the only ones that there are.
 
@@ -52,7 +52,7 @@ def find_true_poses(
     return _only_candidate(bag, options, rig, required=required)
 
 
-def _only_candidate(bag: Bag, options: SequenceOptions, rig: Rig, *, required: bool) -> PoseRoute | None:
+def _only_candidate(bag: MessageSource, options: SequenceOptions, rig: Rig, *, required: bool) -> PoseRoute | None:
     topics, others = [], []
     for topic in bag.topics.values():
         enough = topic.num_messages > (topic.read_as != "nav_msgs/Path")  # one pose is a goal or a start

@@ -3,95 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Literal, NamedTuple
 
 from mcap.records import Channel, Schema
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.recordings import foxglove, serializations
 from sequences.recordings.mcap_file import McapFile
-from sequences.recordings.messages import frame_name
 from sequences.recordings.rosbag2 import read_listing
+from sequences.recordings.source import RawMessage, Stamps, Topic, fixed_links_of, stands_for
 
-Stamps = Literal["header", "log"]
-TF_STATIC, TF = "/tf_static", "/tf"
 METADATA_NAME = "vapor-track"
 """Of the metadata record in which a file says where its odometry comes from."""
-
-
-@dataclass(frozen=True)
-class Topic:
-    """One topic of a bag.
-
-    Attributes:
-        name: Name of the topic.
-        type: Message type as the file names it, without `/msg`: `nav_msgs/Odometry`, `foxglove.PoseInFrame`.
-        num_messages: How many messages it has, all files of the bag together.
-        encoding: How messages are serialized; ROS 2 has "cdr".
-    """
-
-    name: str
-    type: str
-    num_messages: int
-    encoding: str
-
-    @property
-    def read_as(self) -> str:
-        """The ROS 2 type whose fields its messages get."""
-        return foxglove.read_as(self.type)
-
-    @property
-    def encodings(self) -> tuple[str, ...]:
-        """The encodings in which its type is read."""
-        return foxglove.encodings(self.type)
-
-    @property
-    def is_misnamed(self) -> bool:
-        """Whether it is called /tf or /tf_static and has no transforms."""
-        is_transforms = self.type in ("tf2_msgs/TFMessage", "tf/tfMessage") or foxglove.is_transforms(self.type)
-        return self.name in (TF_STATIC, TF) and not is_transforms
-
-    @property
-    def is_foxglove_tf(self) -> bool:
-        """Whether it has transforms of Foxglove's, which may have any name, and stand for /tf and /tf_static."""
-        return foxglove.is_transforms(self.type) and self.encoding in self.encodings
-
-
-class RawMessage(NamedTuple):
-    """One message, not yet decoded.
-
-    Attributes:
-        topic: The topic that was asked for: of Foxglove's transforms /tf or /tf_static.
-        log_time_ns: The time it was logged.
-        data: Its bytes.
-        type: Its type, as of `Topic`.
-        encoding: How it is serialized.
-        definition: What the file says of its type.
-        restamped: Whether its headers get the time it was logged, in place of their own stamps.
-    """
-
-    topic: str
-    log_time_ns: int
-    data: bytes
-    type: str
-    encoding: str
-    definition: bytes
-    restamped: bool = False
-
-    def decode(self) -> SimpleNamespace:
-        """Its fields, named as in ROS 2. What it raises where it is damaged depends on the encoding."""
-        message = serializations.decoder(self.type, self.encoding, self.definition)(self.data)
-        if self.restamped:
-            sec, nanosec = divmod(self.log_time_ns, 1_000_000_000)
-            for stamped in getattr(message, "transforms", [message]):
-                if hasattr(stamped, "header"):
-                    stamped.header.stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
-        return message
 
 
 class Bag:
@@ -117,6 +40,7 @@ class Bag:
         self._restamped = stamps == "log"
         self.topics: dict[str, Topic] = {}
         self.metadata: dict[str, dict[str, str]] = {}
+        self._fixed_links: frozenset[tuple[str, str]] | None = None
         self._listing = None if self.path.is_file() else read_listing(self.path)
         self._files = [McapFile(file) for file in (self._listing.files if self._listing else [self.path])]
         for file in self._files:
@@ -131,7 +55,7 @@ class Bag:
 
     def __contains__(self, topic: str) -> bool:
         """Whether messages of a topic can be asked for."""
-        return any(topic in self._stands_for(known) for known in self.topics.values())
+        return any(topic in stands_for(known) for known in self.topics.values())
 
     def account_for(self, topic: str) -> list[str]:
         """Compare how many messages of a topic there are with how many metadata.yaml states.
@@ -185,7 +109,7 @@ class Bag:
             SequenceError: a file is damaged, or at its end has other numbers of messages than it states, or a topic has
                 messages of several types.
         """
-        asked = {t.name: [name for name in self._stands_for(t) if name in topics] for t in self.topics.values()}
+        asked = {t.name: [name for name in stands_for(t) if name in topics] for t in self.topics.values()}
         names = [name for name, stands_for in asked.items() if stands_for]
         for file in self._files:
             known: dict[int, tuple[str, str, bytes]] = {}  # of channels: type, encoding, definition
@@ -208,35 +132,11 @@ class Bag:
             )
         return type_name, channel.message_encoding, schema.data if schema is not None else b""
 
-    @cached_property
     def fixed_links(self) -> frozenset[tuple[str, str]]:
-        """Parent and child of those of Foxglove's transforms that say the same from the first message to the last.
-
-        Foxglove has no topic for what never changes; a transform that is told only once holds throughout.
-        """
-        first: dict[tuple[str, str], SimpleNamespace] = {}
-        moving: set[tuple[str, str]] = set()
-        if not any(topic.is_foxglove_tf for topic in self.topics.values()):
-            return frozenset()
-        for raw in self.messages([TF]):
-            try:
-                message = raw.decode()
-            except Exception:  # said where it is used
-                continue
-            for stamped in message.transforms:
-                link = link_of(stamped)
-                if first.setdefault(link, stamped.transform) != stamped.transform:
-                    moving.add(link)
-        return frozenset(first.keys() - moving)
-
-    @staticmethod
-    def _stands_for(topic: Topic) -> tuple[str, ...]:
-        return (TF_STATIC, TF) if topic.is_foxglove_tf else (topic.name,)
-
-
-def link_of(stamped: SimpleNamespace) -> tuple[str, str]:
-    """Names of parent and child of geometry_msgs/TransformStamped."""
-    return frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
+        """Of Foxglove's transforms, see `fixed_links_of`."""
+        if self._fixed_links is None:
+            self._fixed_links = fixed_links_of(self)
+        return self._fixed_links
 
 
 def bag_files(path: Path) -> list[Path]:

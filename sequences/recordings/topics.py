@@ -8,13 +8,19 @@ from types import SimpleNamespace
 
 from sequences.errors import SequenceError
 from sequences.recordings import foxglove
-from sequences.recordings.bag import TF_STATIC, Bag, RawMessage, Topic, link_of
+from sequences.recordings.source import TF_STATIC, MessageSource, RawMessage, Topic, link_of
 
 _LISTED = 120  # characters of names and types
 
 
 def choose(
-    bag: Bag, role: str, types: tuple[str, ...], name: str | None, *, required: bool = False, besides: str | None = None
+    bag: MessageSource,
+    role: str,
+    types: tuple[str, ...],
+    name: str | None,
+    *,
+    required: bool = False,
+    besides: str | None = None,
 ) -> Topic | None:
     """The topic named, or the only one of its types; None where the name is '', or there is none and none is required.
 
@@ -71,7 +77,7 @@ def listing(topics: Iterable[Topic]) -> str:
     return f"found {', '.join(fitting)}{more}" if found else "found no topics"
 
 
-def decode(bag: Bag, raw: RawMessage, *, tolerate: bool = False) -> SimpleNamespace | None:
+def decode(bag: MessageSource, raw: RawMessage, *, tolerate: bool = False) -> SimpleNamespace | None:
     """Fields of a message; where its bytes are no such message, an error or, if tolerated, None.
 
     Of Foxglove's transforms, those that never change are on /tf_static, the others on /tf.
@@ -88,11 +94,11 @@ def decode(bag: Bag, raw: RawMessage, *, tolerate: bool = False) -> SimpleNamesp
         ) from error
     if foxglove.is_transforms(raw.type):
         static = raw.topic == TF_STATIC
-        message.transforms = [t for t in message.transforms if (link_of(t) in bag.fixed_links) == static]
+        message.transforms = [t for t in message.transforms if (link_of(t) in bag.fixed_links()) == static]
     return message
 
 
-def first(bag: Bag, topic: Topic) -> SimpleNamespace:
+def first(bag: MessageSource, topic: Topic) -> SimpleNamespace:
     """First message of a topic that can be decoded. Raises SequenceError where there is none."""
     for raw in bag.messages([topic.name]):
         if (message := decode(bag, raw, tolerate=True)) is not None:

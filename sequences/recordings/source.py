@@ -1,0 +1,150 @@
+"""What gives raw messages by topic: a recording, or what was heard of a running system so far."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
+
+from sequences.recordings import foxglove, serializations
+from sequences.recordings.messages import frame_name
+
+Stamps = Literal["header", "log"]
+TF_STATIC, TF = "/tf_static", "/tf"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic of a bag.
+
+    Attributes:
+        name: Name of the topic.
+        type: Message type as the file names it, without `/msg`: `nav_msgs/Odometry`, `foxglove.PoseInFrame`.
+        num_messages: How many messages it has, all files of the bag together.
+        encoding: How messages are serialized; ROS 2 has "cdr".
+    """
+
+    name: str
+    type: str
+    num_messages: int
+    encoding: str
+
+    @property
+    def read_as(self) -> str:
+        """The ROS 2 type whose fields its messages get."""
+        return foxglove.read_as(self.type)
+
+    @property
+    def encodings(self) -> tuple[str, ...]:
+        """The encodings in which its type is read."""
+        return foxglove.encodings(self.type)
+
+    @property
+    def is_misnamed(self) -> bool:
+        """Whether it is called /tf or /tf_static and has no transforms."""
+        is_transforms = self.type in ("tf2_msgs/TFMessage", "tf/tfMessage") or foxglove.is_transforms(self.type)
+        return self.name in (TF_STATIC, TF) and not is_transforms
+
+    @property
+    def is_foxglove_tf(self) -> bool:
+        """Whether it has transforms of Foxglove's, which may have any name, and stand for /tf and /tf_static."""
+        return foxglove.is_transforms(self.type) and self.encoding in self.encodings
+
+
+class RawMessage(NamedTuple):
+    """One message, not yet decoded.
+
+    Attributes:
+        topic: The topic that was asked for: of Foxglove's transforms /tf or /tf_static.
+        log_time_ns: The time it was logged.
+        data: Its bytes.
+        type: Its type, as of `Topic`.
+        encoding: How it is serialized.
+        definition: What the file says of its type.
+        restamped: Whether its headers get the time it was logged, in place of their own stamps.
+    """
+
+    topic: str
+    log_time_ns: int
+    data: bytes
+    type: str
+    encoding: str
+    definition: bytes
+    restamped: bool = False
+
+    def decode(self) -> SimpleNamespace:
+        """Its fields, named as in ROS 2. What it raises where it is damaged depends on the encoding."""
+        message = serializations.decoder(self.type, self.encoding, self.definition)(self.data)
+        if self.restamped:
+            sec, nanosec = divmod(self.log_time_ns, 1_000_000_000)
+            for stamped in getattr(message, "transforms", [message]):
+                if hasattr(stamped, "header"):
+                    stamped.header.stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
+        return message
+
+
+@runtime_checkable
+class MessageSource(Protocol):
+    """Raw messages by topic: whoever reads them knows neither files nor networks."""
+
+    @property
+    def path(self) -> Path:
+        """What messages of errors call it."""
+        ...
+
+    @property
+    def topics(self) -> Mapping[str, Topic]:
+        """Topics by name; without those that are misnamed, which nobody could ask for."""
+        ...
+
+    def fixed_links(self) -> frozenset[tuple[str, str]]:
+        """Of Foxglove's transforms, see `fixed_links_of`."""
+        ...
+
+    def __contains__(self, topic: str) -> bool:
+        """Whether messages of a topic can be asked for."""
+        ...
+
+    def messages(
+        self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
+    ) -> Iterator[RawMessage]:
+        """Messages of some topics, in the order in which they were logged or heard.
+
+        Args:
+            topics: Names of topics.
+            until: Whether messages from a log time on are not wanted.
+        """
+        ...
+
+
+def stands_for(topic: Topic) -> tuple[str, ...]:
+    """The names under which the messages of a topic can be asked for."""
+    return (TF_STATIC, TF) if topic.is_foxglove_tf else (topic.name,)
+
+
+def link_of(stamped: SimpleNamespace) -> tuple[str, str]:
+    """Names of parent and child of geometry_msgs/TransformStamped."""
+    return frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
+
+
+def fixed_links_of(source: MessageSource) -> frozenset[tuple[str, str]]:
+    """Parent and child of those of Foxglove's transforms that say the same from the first message to the last.
+
+    Foxglove has no topic for what never changes; a transform that is told only once holds throughout.
+    """
+    first: dict[tuple[str, str], SimpleNamespace] = {}
+    moving: set[tuple[str, str]] = set()
+    if not any(topic.is_foxglove_tf for topic in source.topics.values()):
+        return frozenset()
+    for raw in source.messages([TF]):
+        try:
+            message = raw.decode()
+        except Exception:  # said where it is used
+            continue
+        for stamped in message.transforms:
+            link = link_of(stamped)
+            if first.setdefault(link, stamped.transform) != stamped.transform:
+                moving.add(link)
+    return frozenset(first.keys() - moving)
