@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 from filtering.se3 import Poses
-from sequences.errors import SequenceError
+from sequences.errors import NotFoundError, SequenceError
 from sequences.recordings.messages import transforms_from_message
 from sequences.recordings.source import TF, TF_STATIC, MessageSource, RawMessage
 from sequences.recordings.topics import decode
@@ -69,7 +69,7 @@ def find_extrinsics(
         instead: The option that would say it.
 
     Raises:
-        SequenceError: no transforms lead from one to the other.
+        NotFoundError: no transforms lead from one to the other.
     """
     if body and body == camera:
         return Extrinsics(Poses.identity())
@@ -77,7 +77,7 @@ def find_extrinsics(
     tree = read_tree(bag, lambda tree: named and tree.path(body, camera) is not None)
     path = tree.path(body, camera) if named else None
     if path is None:
-        raise SequenceError(
+        raise NotFoundError(
             f"{bag.path}: no transform from {body!r}{body_is} to {camera!r}{camera_is}"
             f" on {TF_STATIC} or {TF}, found frames: {', '.join(tree.frames) or 'none'}; expected a chain of transforms"
             f" between the two (or name --camera-frame, or give {instead})"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,7 +13,7 @@ from sequences.images.headers import why_left_out
 from sequences.images.streams import Picture
 from sequences.options import SequenceOptions
 from sequences.reading.camera_info import ImageCamera
-from sequences.reading.counts import OUTSIDE
+from sequences.reading.counts import OUTSIDE, OVERTAKEN
 from sequences.reading.left_out import LeftOut
 from sequences.reading.motion import MotionOfCamera
 from sequences.reading.requested_segment import RequestedSegment
@@ -22,8 +22,8 @@ from sequences.reading.stamps import Clocks, Stamps, odometry_apart
 from sequences.recordings.messages import stamp_ns
 from sequences.recordings.source import RawMessage
 
-_MAX_WAITING = 64  # images held, still encoded, until odometry and true poses reach them
-_SORTED_WITHIN_S = 0.5  # images are held until one so much later has come, and so put in the order of their stamps
+MOST_WAITING = 64
+SORTED_WITHIN_S = 0.5
 
 
 class FramePairing:
@@ -36,10 +36,29 @@ class FramePairing:
     """
 
     def __init__(
-        self, path: Path, roles: Roles, options: SequenceOptions, camera: ImageCamera, num_images: int
+        self,
+        path: Path,
+        roles: Roles,
+        options: SequenceOptions,
+        camera: ImageCamera,
+        num_images: int,
+        *,
+        most_waiting: int = MOST_WAITING,
+        sorted_within_s: float = SORTED_WITHIN_S,
     ) -> None:
-        """Set up a reading that no message was taken into yet."""
+        """Set up a reading that no message was taken into yet.
+
+        Args:
+            path: What messages of errors call the recording.
+            roles: Which topic is what.
+            options: What to read.
+            camera: Of the images.
+            num_images: How many there are.
+            most_waiting: Images held, still encoded, until odometry and true poses reach them.
+            sorted_within_s: Images are held until one so much later has come, and so put in the order of their stamps.
+        """
         clocks = Clocks()
+        self._most_waiting, self._sorted_within_ns = most_waiting, round(sorted_within_s * 1e9)
         self.left_out = LeftOut(num_images)
         self.segment = RequestedSegment(options.start_s, options.duration_s)
         self.motion = MotionOfCamera(path, roles, options, self.left_out, clocks)
@@ -90,24 +109,42 @@ class FramePairing:
 
     def ready_frames(self, *, at_end: bool = False) -> Iterator[Frame]:
         """Frames of the images that need to wait no longer."""
-        while self._waiting and (at_end or len(self._waiting) > _MAX_WAITING or self._is_due(self._waiting[0][2])):
+        for picture in self._ready_pictures(at_end=at_end):
+            if (frame := self._frame_asked_for(picture)) is not None:
+                yield frame
+
+    def newest_frame(self) -> Frame | None:
+        """The frame of the newest image that needs to wait no longer and can be used; those before it are skipped."""
+        frame: Frame | None = None
+        for picture in reversed(list(self._ready_pictures())):
+            if frame is not None:
+                self._counts.skipped[OVERTAKEN] += 1
+            else:
+                frame = self._frame_asked_for(picture)
+        return frame
+
+    def _ready_pictures(self, *, at_end: bool = False) -> Iterator[Picture]:
+        while self._waiting and (
+            at_end or len(self._waiting) > self._most_waiting or self._is_due(self._waiting[0][2])
+        ):
             _, _, time_ns, message = heapq.heappop(self._waiting)
-            yield from self._frames(self._images.take(time_ns, message))
+            yield from self._images.take(time_ns, message)
         if at_end:
-            yield from self._frames(self._images.finish())
+            yield from self._images.finish()
 
     def _is_due(self, time_ns: int) -> bool:
         """Whether no image before this one is to be expected any more, and odometry and true poses have come as far."""
-        in_order = self._images.remembers or self._image_stamps.end_ns - time_ns >= _SORTED_WITHIN_S * 1e9
+        in_order = self._images.remembers or self._image_stamps.end_ns - time_ns >= self._sorted_within_ns
         return in_order and self.motion.reaches(time_ns)
 
-    def _frames(self, pictures: Iterable[Picture]) -> Iterator[Frame]:
-        for picture in pictures:
-            if not self.segment.has(picture.time_ns):
-                self._counts.skipped[OUTSIDE] += 1
-            elif (frame := self._frame(picture)) is not None:
-                self._counts.used += 1
-                yield frame
+    def _frame_asked_for(self, picture: Picture) -> Frame | None:
+        """The frame of an image of the segment, which is counted; None elsewhere."""
+        if not self.segment.has(picture.time_ns):
+            self._counts.skipped[OUTSIDE] += 1
+            return None
+        frame = self._frame(picture)
+        self._counts.used += frame is not None
+        return frame
 
     def _frame(self, picture: Picture) -> Frame | None:
         """The frame of an image; None, and a count of why, where it is skipped."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from sequences.errors import SequenceError
+from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Trajectory
 from sequences.options import SequenceOptions
 from sequences.reading.extrinsics import Extrinsics, read_tree
@@ -51,7 +51,7 @@ def tree_odometry(bag: MessageSource, options: SequenceOptions, rig: Rig) -> tup
     """Odometry as tf has it: poses of a base in a frame such as odom, to which the camera is fixed.
 
     Raises:
-        SequenceError: no such frame is above the camera, or nothing moves in between.
+        NotFoundError: no such frame is above the camera, or nothing moves in between.
     """
     frame = frame_name(options.odometry_frame or "odom")
     within_s = None if options.odometry_frame else SURVEY_S
@@ -59,7 +59,7 @@ def tree_odometry(bag: MessageSource, options: SequenceOptions, rig: Rig) -> tup
     path = rig.path(tree, frame)
     moving = [i for i, step in enumerate(path or ()) if not step.static]
     if path is None or not moving:
-        raise SequenceError(
+        raise NotFoundError(
             f"{bag.path}: tf has no {frame!r} in which {rig.camera!r} moves (--odometry-frame), found frames:"
             f" {', '.join(tree.frames) or 'none'}"
         )

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from filtering.se3 import Poses
-from sequences.errors import SequenceError
+from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Trajectory
 from sequences.images.decoding import decode_compressed_image, decode_image
 from sequences.images.streams import ImageStream, Stills
@@ -99,13 +99,13 @@ class Roles:
                 required=True,
                 besides=options.ground_truth_topic,
             )
-        except SequenceError as error:
-            if options.odometry_topic is not None or any(t.type == "nav_msgs/Odometry" for t in bag.topics.values()):
+        except NotFoundError as error:
+            if options.odometry_topic is not None:
                 raise
             try:
                 return self._take_tree(rig)
-            except SequenceError as without:
-                raise SequenceError(f"{error}; {str(without).removeprefix(f'{bag.path}: ')}") from error
+            except NotFoundError as without:
+                raise NotFoundError(f"{error}; {str(without).removeprefix(f'{bag.path}: ')}") from error
         assert topic is not None
         self.odometry = topic
         message = first(bag, topic)

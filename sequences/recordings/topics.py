@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from itertools import accumulate
 from types import SimpleNamespace
 
-from sequences.errors import SequenceError
+from sequences.errors import NotFoundError, SequenceError
 from sequences.recordings import foxglove
 from sequences.recordings.source import TF_STATIC, MessageSource, RawMessage, Topic, link_of
 
@@ -33,7 +33,8 @@ def choose(
         besides: Name of a topic that has another role, and is not found.
 
     Raises:
-        SequenceError: no topic of that name, one of another type or encoding, or several where none is named.
+        NotFoundError: no topic of that name, or none of these types.
+        SequenceError: one of another type or encoding, or several where none is named.
     """
     others = f" or {len(types) - 2} others" if len(types) > 2 else ""
     option, expected = f"--{role}-topic", " or ".join(types[:2]) + others
@@ -41,7 +42,7 @@ def choose(
         return None
     if name:
         if name not in bag.topics:
-            raise SequenceError(f"{bag.path}: no topic {name} ({option}); {listing(bag.topics.values())}")
+            raise NotFoundError(f"{bag.path}: no topic {name} ({option}); {listing(bag.topics.values())}")
         chosen = bag.topics[name]
         if chosen.read_as not in types:
             raise SequenceError(f"{bag.path}: {name} is {chosen.type}, expected {expected} for {option}")
@@ -51,7 +52,7 @@ def choose(
         if not candidates and not required:
             return None
         if not candidates:
-            raise SequenceError(
+            raise NotFoundError(
                 f"{bag.path}: no {role} topic, expected one of type {expected}; {listing(bag.topics.values())}"
             )
         if len(candidates) > 1:
@@ -99,8 +100,8 @@ def decode(bag: MessageSource, raw: RawMessage, *, tolerate: bool = False) -> Si
 
 
 def first(bag: MessageSource, topic: Topic) -> SimpleNamespace:
-    """First message of a topic that can be decoded. Raises SequenceError where there is none."""
+    """First message of a topic that can be decoded. Raises NotFoundError where there is none."""
     for raw in bag.messages([topic.name]):
         if (message := decode(bag, raw, tolerate=True)) is not None:
             return message
-    raise SequenceError(f"{bag.path}: no readable message on {topic.name} ({topic.type}), expected at least one")
+    raise NotFoundError(f"{bag.path}: no readable message on {topic.name} ({topic.type}), expected at least one")
