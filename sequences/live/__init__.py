@@ -1,0 +1,1 @@
+"""A running robot: its topics, as raw messages like those of a recording."""

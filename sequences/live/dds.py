@@ -1,0 +1,197 @@
+"""Topics of ROS 2 by Cyclone DDS, without ROS: every node speaks DDS, whichever distribution it is of.
+
+Messages stay the bytes that they are on the wire, which are those of a recording: no type is declared but by name.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+from weakref import WeakValueDictionary
+
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.core import (
+    DDSException,
+    GuardCondition,
+    InstanceState,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl.types import sequence, uint8
+from cyclonedds.internal import InvalidSample
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from filtering.errors import VaporTrackError
+from sequences.live.options import DdsOptions
+from sequences.live.transport import Offer, Publish
+from sequences.recordings.source import RawMessage
+
+_DEPTH, _LATCHED_DEPTH = 100, 1000  # messages kept for who is slow, or comes late
+_IMAGE_DEPTH = 4
+_AT_ONCE = 64
+_LARGE = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "foxglove_msgs/CompressedVideo")
+_MOST_PUBLISHERS = 10_000
+_LONG_NS = 3600 * 10**9
+_DOMAINS: WeakValueDictionary[int, Domain] = WeakValueDictionary()
+_JOINING = threading.Lock()
+_RELIABLE_S = 0.1  # that a publisher waits for a slow subscriber
+_TYPE = "::msg::dds_::"
+_NAME = re.compile(r"rt(/.+)")
+_TYPE_NAME = re.compile(r"(\w+)::msg::dds_::(\w+)_")
+
+
+class DdsTransport:
+    """A participant of a ROS 2 system, see `Transport`; used in a `with` statement, or closed.
+
+    Args:
+        config: Which system.
+
+    Raises:
+        VaporTrackError: the domain cannot be joined.
+    """
+
+    def __init__(self, config: DdsOptions | None = None) -> None:
+        self._config = config or DdsOptions()
+        self.name = f"ROS domain {self._config.number}"
+        try:
+            self._domain = _domain(self._config)
+            self._participant = DomainParticipant(self._config.number)
+        except DDSException as error:
+            raise VaporTrackError(f"{self.name} cannot be joined: {_reason(error)}") from error
+        self._own = self._participant.guid
+        publications = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        self._publications = publications
+        self._alive = ReadCondition(publications, ViewState.Any | SampleState.Any | InstanceState.Alive)
+        self._topics: dict[tuple[str, str], Any] = {}
+        self._readers: list[tuple[Any, Offer, Callable[[RawMessage], None]]] = []
+        self._changed = GuardCondition(self._participant)
+        self._waitset = WaitSet(self._participant)
+        self._waitset.attach(self._changed)
+        self._closed = False
+        self._thread = threading.Thread(target=self._listen, name="dds", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> DdsTransport:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def offers(self) -> list[Offer]:
+        """See `Transport.offers`."""
+        found: dict[tuple[str, str], list[tuple[bool, bool]]] = defaultdict(list)
+        for endpoint in self._publications.read(_MOST_PUBLISHERS, self._alive):
+            topic, type_name = (
+                _NAME.fullmatch(endpoint.topic_name or ""),
+                _TYPE_NAME.fullmatch(endpoint.type_name or ""),
+            )
+            if topic is None or type_name is None or endpoint.participant_key == self._own:
+                continue
+            reliable = endpoint.qos[Policy.Reliability] != Policy.Reliability.BestEffort
+            latched = endpoint.qos[Policy.Durability] != Policy.Durability.Volatile
+            found[topic[1], "/".join(type_name.groups())].append((reliable, latched))
+        return [Offer(*names, *(all(each) for each in zip(*qos, strict=True))) for names, qos in sorted(found.items())]
+
+    def subscribe(self, offer: Offer, deliver: Callable[[RawMessage], None]) -> None:
+        """See `Transport.subscribe`: reliable where all publishers are, but for images that nobody asked that of."""
+        is_image = offer.type in _LARGE
+        reliable = offer.reliable and (self._config.reliable or not is_image)
+        qos = Qos(
+            Policy.Reliability.Reliable(0) if reliable else Policy.Reliability.BestEffort,
+            Policy.Durability.TransientLocal if offer.latched else Policy.Durability.Volatile,
+            Policy.History.KeepLast(_IMAGE_DEPTH if is_image else _LATCHED_DEPTH if offer.latched else _DEPTH),
+            _as_cdr(),
+        )
+        reader = DataReader(self._participant, self._topic(offer.topic, offer.type), qos)
+        self._waitset.attach(ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any))
+        self._readers.append((reader, offer, deliver))
+        self._changed.set(True)  # the waitset looks at what was attached when it is called the next time
+
+    def advertise(self, topic: str, message_type: str, *, latched: bool = False) -> Publish:
+        """See `Transport.advertise`."""
+        declared = self._topic(topic, message_type)
+        qos = Qos(
+            Policy.Reliability.Reliable(duration(seconds=_RELIABLE_S)),
+            Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
+            Policy.History.KeepLast(1 if latched else _DEPTH),
+            _as_cdr(),
+        )
+        writer = DataWriter(self._participant, declared, qos)
+        return lambda data: writer.write(declared.data_type(data))
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        if self._closed:
+            return
+        self._closed = True
+        self._changed.set(True)
+        self._thread.join()
+        self._readers.clear()
+        self._topics.clear()
+        # An entity leaves when nothing refers to it any more; the participant takes with it what remains.
+        del self._waitset, self._changed, self._alive, self._publications, self._participant, self._domain
+
+    def _topic(self, topic: str, message_type: str) -> Any:
+        """The topic as DDS has it, declared once."""
+        if (topic, message_type) not in self._topics:
+            package, _, name = message_type.partition("/")
+            raw = _raw_type(f"{package}{_TYPE}{name}_")
+            self._topics[topic, message_type] = Topic(self._participant, f"rt{topic}", raw)
+        return self._topics[topic, message_type]
+
+    def _listen(self) -> None:
+        """Deliver what comes, until the transport is closed."""
+        while not self._closed:
+            self._waitset.wait(_LONG_NS)
+            self._changed.set(False)
+            for reader, offer, deliver in list(self._readers):
+                while not self._closed and (samples := reader.take(_AT_ONCE)):
+                    now_ns = time.time_ns()
+                    for sample in samples:
+                        if not isinstance(sample, InvalidSample):  # which tells that a publisher came or went
+                            deliver(RawMessage(offer.topic, now_ns, sample.data, offer.type, "cdr", b""))
+                    if len(samples) < _AT_ONCE:
+                        break
+
+
+def _domain(options: DdsOptions) -> Domain:
+    """The domain with its settings: those of whoever of this process joined first, until the last one leaves."""
+    number = options.number
+    with _JOINING:
+        if (domain := _DOMAINS.get(number)) is None:
+            settings = ",".join(filter(None, [os.environ.get("CYCLONEDDS_URI"), options.xml]))
+            domain = _DOMAINS[number] = Domain(number, settings)
+    return domain
+
+
+@cache
+def _raw_type(name: str) -> Any:
+    """A type of that name whose values are bytes: nobody looks into them."""
+    declared: Any = make_idl_struct("Raw", name, {"data": sequence[uint8]})
+    declared.serialize = lambda self, *_, **__: self.data
+    declared.deserialize = classmethod(lambda cls, data, *_, **__: cls(data))  # pyright: ignore[reportCallIssue]
+    declared.deserialize_key = declared.deserialize
+    return declared
+
+
+def _as_cdr() -> Any:
+    """The one encoding of ROS 2; by default DDS would accept another as well."""
+    return Policy.DataRepresentation(use_cdrv0_representation=True)
+
+
+def _reason(error: Exception) -> str:
+    return str(error).splitlines()[0].removeprefix("[DDSException] ")
