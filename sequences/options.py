@@ -25,8 +25,8 @@ _MAX_ORIGIN_M = 1e8  # further than from any frame on Earth
 
 
 @dataclass(frozen=True)
-class SequenceOptions:
-    """What to read of a sequence. Topics are found by their type where there is only one."""
+class ReadingOptions:
+    """What to read of a recording or a running system. Topics are found by their type where there is only one."""
 
     image_topic: str | None = None
     """Topic of the images: sensor_msgs/Image or CompressedImage, foxglove.RawImage or CompressedImage; or of video:
@@ -36,21 +36,6 @@ class SequenceOptions:
     odometry_frame: str | None = None
     """Take the odometry from tf instead: the frame that it is in, such as odom. Default: odom, where there is no topic
     of odometry and tf says how the camera moves in a frame of that name."""
-    ground_truth_topic: str | None = None
-    """Topic of true poses: geometry_msgs/PoseStamped, PoseWithCovarianceStamped or TransformStamped, nav_msgs/Odometry
-    or Path, foxglove.PoseInFrame or PosesInFrame; '' for none."""
-    ground_truth_frame: str | None = None
-    """Take true poses from tf instead: the frame that they are in, such as map."""
-    poses: Path | None = None
-    """Take true poses from a file instead: TUM text, EuRoC's data.csv, or KITTI's with a file of times beside it."""
-    poses_times: Path | None = None
-    """Times of KITTI's poses, seconds, one a line. Default: times.txt beside the poses."""
-    time_offset_s: float | Literal["auto"] = 0.0
-    """Seconds to add to the stamps of the file of poses; auto finds them by comparing its rotation with odometry's."""
-    ground_truth_child_frame: str | None = None
-    """Frame whose poses the true poses are. Default: the one that the messages name, else the camera itself."""
-    ground_truth_origin: tuple[float, float, float] | None = None
-    """Point to subtract from the positions of true poses, x y z in metres: for coordinates far from zero, as of UTM."""
     camera_info_topic: str | None = None
     """Topic of the intrinsics, sensor_msgs/CameraInfo or foxglove.CameraCalibration; '' for none. Default: the one
     beside the image topic."""
@@ -66,22 +51,13 @@ class SequenceOptions:
     variance of 10 or more for, a placeholder for what is not measured."""
     stamps: Literal["header", "log"] = "header"
     """When messages are of: by the stamps in their headers or, where those are none, by the times they were logged."""
-    allow_few_images: bool = False
-    """Localize also where fewer than one image in ten can be used."""
-    start_s: float = 0.0
-    """Seconds after the first image at which to begin."""
-    duration_s: float | None = None
-    """Seconds to read. Default: to the end."""
 
     def __post_init__(self) -> None:
-        require_within(self, start_s=(0.0, _MAX_DURATION_S))
-        if self.duration_s is not None:
-            require_within(self, duration_s=(0.0, _MAX_DURATION_S))
         for name in ("image_topic", "odometry_topic"):
             if getattr(self, name) == "":
                 raise SequenceError(f"{name} is '', expected the name of a topic: it cannot be left out")
         for name in ("odometry_frame", "ground_truth_frame", "ground_truth_child_frame"):
-            if getattr(self, name) == "":
+            if getattr(self, name, None) == "":
                 raise SequenceError(f"{name} is '', expected the name of a frame, or that it is left out")
         if self.base_from_camera is not None:
             try:
@@ -90,6 +66,39 @@ class SequenceOptions:
                 raise SequenceError(f"--base-from-camera: {error}; expected tx ty tz qx qy qz qw") from error
         if self.odometry_topic is not None and self.odometry_frame is not None:
             raise SequenceError("--odometry-topic and --odometry-frame are both given, expected one of them")
+
+
+@dataclass(frozen=True)
+class SequenceOptions(ReadingOptions):
+    """What to read of a sequence. Topics are found by their type where there is only one."""
+
+    ground_truth_topic: str | None = None
+    """Topic of true poses: geometry_msgs/PoseStamped, PoseWithCovarianceStamped or TransformStamped, nav_msgs/Odometry
+    or Path, foxglove.PoseInFrame or PosesInFrame; '' for none."""
+    ground_truth_frame: str | None = None
+    """Take true poses from tf instead: the frame that they are in, such as map."""
+    poses: Path | None = None
+    """Take true poses from a file instead: TUM text, EuRoC's data.csv, or KITTI's with a file of times beside it."""
+    poses_times: Path | None = None
+    """Times of KITTI's poses, seconds, one a line. Default: times.txt beside the poses."""
+    time_offset_s: float | Literal["auto"] = 0.0
+    """Seconds to add to the stamps of the file of poses; auto finds them by comparing its rotation with odometry's."""
+    ground_truth_child_frame: str | None = None
+    """Frame whose poses the true poses are. Default: the one that the messages name, else the camera itself."""
+    ground_truth_origin: tuple[float, float, float] | None = None
+    """Point to subtract from the positions of true poses, x y z in metres: for coordinates far from zero, as of UTM."""
+    allow_few_images: bool = False
+    """Localize also where fewer than one image in ten can be used."""
+    start_s: float = 0.0
+    """Seconds after the first image at which to begin."""
+    duration_s: float | None = None
+    """Seconds to read. Default: to the end."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_within(self, start_s=(0.0, _MAX_DURATION_S))
+        if self.duration_s is not None:
+            require_within(self, duration_s=(0.0, _MAX_DURATION_S))
         self._check_true_poses()
 
     @property

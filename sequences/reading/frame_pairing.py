@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
+from filtering.motion import Odometry
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.images.headers import why_left_out
@@ -45,6 +46,7 @@ class FramePairing:
         *,
         most_waiting: int = MOST_WAITING,
         sorted_within_s: float = SORTED_WITHIN_S,
+        over_gaps: bool = True,
     ) -> None:
         """Set up a reading that no message was taken into yet.
 
@@ -56,12 +58,13 @@ class FramePairing:
             num_images: How many there are.
             most_waiting: Images held, still encoded, until odometry and true poses reach them.
             sorted_within_s: Images are held until one so much later has come, and so put in the order of their stamps.
+            over_gaps: Whether odometry leads over times without messages, by the poses before and after them.
         """
         clocks = Clocks()
         self._most_waiting, self._sorted_within_ns = most_waiting, round(sorted_within_s * 1e9)
         self.left_out = LeftOut(num_images)
         self.segment = RequestedSegment(options.start_s, options.duration_s)
-        self.motion = MotionOfCamera(path, roles, options, self.left_out, clocks)
+        self.motion = MotionOfCamera(path, roles, options, self.left_out, clocks, over_gaps=over_gaps)
         self._path, self._roles, self._camera, self._clocks = path, roles, camera, clocks
         self._counts = self.left_out.counts
         self._images = roles.open_images()
@@ -160,15 +163,35 @@ class FramePairing:
             image = picture.decode()
         except SequenceError as error:
             return self.left_out.image(why_left_out(error), time_ns, error)
-        odometry = None
-        if previous_ns is not None and covered and self._previous_covered:
-            odometry = self.motion.odometry_between(previous_ns, time_ns)
+        odometry = self._odometry_until(time_ns) if covered else None
         truth = self.motion.true_pose(time_ns)
         self.motion.forget_before(time_ns)
         self._previous_ns, self._previous_covered = time_ns, covered
         self._span_ns = (self._span_ns[0] if self._span_ns else time_ns, time_ns)
         image, camera = self._camera.seen(image)
         return Frame(time_ns, image, odometry, truth, camera)
+
+    def _odometry_until(self, time_ns: int) -> Odometry | None:
+        """Motion of the camera from the last frame to a covered time; None where it is unknown."""
+        if self._previous_ns is None or not self._previous_covered:
+            return None
+        return self.motion.odometry_between(self._previous_ns, time_ns)
+
+    def moved_until(self, time_ns: int, *, settled: bool = False) -> Odometry | None:
+        """Motion of the camera since the last frame, for use between images; None where it is unknown.
+
+        Args:
+            time_ns: Until when.
+            settled: The next motion begins there, as if it were of a frame: images of before come too late from now on.
+        """
+        previous_ns = self._previous_ns
+        if previous_ns is None or time_ns <= previous_ns or not self.motion.covers(time_ns):
+            return None
+        odometry = self._odometry_until(time_ns)
+        if settled and odometry is not None:
+            self.motion.forget_before(time_ns)
+            self._previous_ns, self._previous_covered = time_ns, True
+        return odometry
 
     def account_for_the_rest(self) -> None:
         """Count the images that were not read as outside the segment; raise SequenceError where one is missing."""

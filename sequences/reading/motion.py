@@ -37,8 +37,18 @@ class MotionOfCamera:
         odometry_stamps: Stamps of the messages of odometry.
     """
 
-    def __init__(self, path: Path, roles: Roles, options: SequenceOptions, left_out: LeftOut, clocks: Clocks) -> None:
-        """Set up what no message was taken into yet."""
+    def __init__(
+        self,
+        path: Path,
+        roles: Roles,
+        options: SequenceOptions,
+        left_out: LeftOut,
+        clocks: Clocks,
+        *,
+        over_gaps: bool = True,
+    ) -> None:
+        """Set up what no message was taken into yet; arguments as of `FramePairing`."""
+        self._over_gaps = over_gaps
         self.across_jumps = 0
         self.odometry_stamps = Stamps()
         self._path, self._roles, self._left_out, self._clocks = path, roles, left_out, clocks
@@ -142,13 +152,19 @@ class MotionOfCamera:
         return pose is not None and (self._odometry.append(time_ns, pose) or self._odometry.covers(time_ns))
 
     def odometry_between(self, start_ns: int, end_ns: int) -> Odometry | None:
-        """Odometry of the camera between two covered times; None where it had begun to move on the base."""
+        """Odometry of the camera between two covered times; None where it had begun to move on the base, or is gone."""
         moves = self._moves_from_ns is not None and end_ns >= self._moves_from_ns
         if self._base_from_camera is None or moves:
+            return None
+        if not (self._over_gaps or self._odometry.is_whole(start_ns, end_ns)):
             return None
         return self._odometry.odometry_between(
             start_ns, end_ns, base_from_camera=self._base_from_camera, motion_noise=self._motion_noise
         )
+
+    def odom_from_base(self, time_ns: int) -> Poses | None:
+        """Pose of the base by odometry, one pose; None where that does not cover the time."""
+        return self._odometry.at(time_ns) if self.covers(time_ns) else None
 
     def true_pose(self, time_ns: int) -> Poses | None:
         """True pose of the camera at one time, one pose; None, and counted where it jumps, where there is none."""

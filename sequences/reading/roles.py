@@ -46,6 +46,7 @@ class Roles:
         self.odometry_required = odometry == "required"
         self.truth_required = true_poses == "required"
         self.odometry: Topic | None = None
+        self.odometry_frame = ""  # of which its poses are, where it is read
         self.tree_odometry: PoseRoute | None = None
         self.extrinsics: Extrinsics | None = None
         given = options.base_from_camera
@@ -110,6 +111,7 @@ class Roles:
         self.odometry = topic
         message = first(bag, topic)
         base, frame = frame_name(message.child_frame_id), frame_name(message.header.frame_id)
+        self.odometry_frame = frame
         rig = replace(rig, base=base, odometry_topic=topic.name, odometry_frame=frame)
         if rig.base_from_camera is not None:
             self.extrinsics = Extrinsics(rig.base_from_camera)
@@ -121,7 +123,7 @@ class Roles:
 
     def _take_tree(self, rig: Rig) -> Rig:
         self.tree_odometry, rig = tree_odometry(self._bag, self._options, rig)
-        self.extrinsics = self.tree_odometry.extrinsics
+        self.extrinsics, self.odometry_frame = self.tree_odometry.extrinsics, rig.odometry_frame
         return rig
 
     def _odometry_track(self) -> Trajectory:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64
@@ -115,6 +116,12 @@ class PoseWindow:
             return False
         is_known = self._times_ns[after] == time_ns
         return is_known or (after > 0 and self._times_ns[after] - self._times_ns[after - 1] <= self.max_gap_s * 1e9)
+
+    def is_whole(self, start_ns: int, end_ns: int) -> bool:
+        """Whether all neighbours between two covered times are within `max_gap_s` of each other."""
+        told = slice(bisect_right(self._times_ns, start_ns) - 1, bisect_left(self._times_ns, end_ns) + 1)
+        times_ns = self._times_ns[told]
+        return all(after - before <= self.max_gap_s * 1e9 for before, after in pairwise(times_ns))
 
     def jumps_at(self, time_ns: int) -> bool:
         """Whether a time lies between two poses with a jump between them."""
