@@ -77,7 +77,7 @@ class DdsTransport:
         self._publications = publications
         self._alive = ReadCondition(publications, ViewState.Any | SampleState.Any | InstanceState.Alive)
         self._topics: dict[tuple[str, str], Any] = {}
-        self._readers: list[tuple[Any, Offer, Callable[[RawMessage], None]]] = []
+        self._readers: list[tuple[DataReader[Any], Offer, Callable[[RawMessage], None]]] = []
         self._changed = GuardCondition(self._participant)
         self._waitset = WaitSet(self._participant)
         self._waitset.attach(self._changed)
@@ -116,8 +116,11 @@ class DdsTransport:
             Policy.History.KeepLast(_IMAGE_DEPTH if is_image else _LATCHED_DEPTH if offer.latched else _DEPTH),
             _as_cdr(),
         )
+        for before in [each for each in self._readers if each[1].topic == offer.topic]:
+            self._readers.remove(before)
         reader = DataReader(self._participant, self._topic(offer.topic, offer.type), qos)
-        self._waitset.attach(ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any))
+        coming = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any)
+        self._waitset.attach(coming)
         self._readers.append((reader, offer, deliver))
         self._changed.set(True)  # the waitset looks at what was attached when it is called the next time
 

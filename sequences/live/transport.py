@@ -46,6 +46,8 @@ class Transport(Protocol):
     def subscribe(self, offer: Offer, deliver: Callable[[RawMessage], None]) -> None:
         """Have all messages of a topic delivered from now on, whoever publishes them, from a thread of its own.
 
+        A second subscription of a topic takes the place of the first.
+
         Args:
             offer: The topic, and how it is published.
             deliver: Called with every message, in the order in which they come; it must not wait.

@@ -135,6 +135,11 @@ class FramePairing:
         if at_end:
             yield from self._images.finish()
 
+    @property
+    def num_waiting(self) -> int:
+        """How many images wait."""
+        return len(self._waiting)
+
     def _is_due(self, time_ns: int) -> bool:
         """Whether no image before this one is to be expected any more, and odometry and true poses have come as far."""
         in_order = self._images.remembers or self._image_stamps.end_ns - time_ns >= self._sorted_within_ns

@@ -31,6 +31,7 @@ _IMAGE_STREAMS: dict[str, Callable[[], ImageStream]] = {
     "foxglove_msgs/CompressedVideo": partial(Video, "format"),
     "ffmpeg_image_transport_msgs/FFMPEGPacket": partial(Video, "encoding"),
 }
+IMAGE_TYPES = tuple(_IMAGE_STREAMS)
 _TRANSPORTS = ("compressed", "ffmpeg", "foxglove")  # by the habit of image_transport, the last part of a topic's name
 
 
@@ -38,7 +39,7 @@ class Roles:
     """Which topic, frame or file plays which role: the one named by an option, or the only one of its kind."""
 
     def __init__(self, bag: MessageSource, options: SequenceOptions, odometry: OdometryUse, true_poses: TruePoseUse):
-        image = choose(bag, "image", tuple(_IMAGE_STREAMS), options.image_topic, required=True)
+        image = choose(bag, "image", IMAGE_TYPES, options.image_topic, required=True)
         assert image is not None
         self.image = image
         self._bag, self._options = bag, options

@@ -1,0 +1,115 @@
+"""What was heard of a running system so far, read as a recording is: by whoever finds out which topic is what."""
+
+from __future__ import annotations
+
+import queue
+from collections import deque
+from collections.abc import Callable, Collection, Iterator
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from sequences.errors import SequenceError
+from sequences.live.transport import Offer, Transport
+from sequences.reading.roles import IMAGE_TYPES
+from sequences.recordings.source import RawMessage, Stamps, Topic, fixed_links_of, stands_for
+
+_KEPT_IMAGES, _KEPT = 16, 2000  # of every topic
+
+
+class Heard:
+    """A `MessageSource` that grows: topics are heard from when they are first asked for.
+
+    Attributes:
+        path: What messages of errors call it: the name of the system.
+        topics: Topics that are published now, by name.
+    """
+
+    def __init__(self, transport: Transport, events: queue.SimpleQueue[Any], *, stamps: Stamps = "header") -> None:
+        """Begin to listen.
+
+        Args:
+            transport: The system.
+            events: Where messages are put as they come, for `take`.
+            stamps: Whether messages keep the stamps of their headers, or get the times at which they came.
+        """
+        self.path = Path(transport.name)
+        self.topics: dict[str, Topic] = {}
+        self._transport, self._events, self._restamped = transport, events, stamps == "log"
+        self._offers: dict[str, list[Offer]] = {}
+        self._heard_from: dict[str, Offer] = {}
+        self._kept: dict[str, deque[tuple[int, RawMessage]]] = {}
+        self._numbers = count()
+
+    def refresh(self) -> bool:
+        """Look which topics are published now; says whether that has changed."""
+        offers: dict[str, list[Offer]] = {}
+        for offer in self._transport.offers():
+            offers.setdefault(offer.topic, []).append(offer)
+        if offers == self._offers:
+            return False
+        self._offers = offers
+        topics = [Topic(name, same[0].type, 1, "cdr") for name, same in offers.items()]
+        self.topics = {topic.name: topic for topic in topics if not topic.is_misnamed}
+        for name, before in list(self._heard_from.items()):
+            now = offers.get(name, [before])[0]
+            if now.type == before.type and now != before:  # a publisher that came back otherwise may not fit any more
+                self._hear(now)
+        return True
+
+    def __contains__(self, topic: str) -> bool:
+        return any(topic in stands_for(known) for known in self.topics.values())
+
+    def messages(
+        self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
+    ) -> Iterator[RawMessage]:
+        """What was heard of some topics so far, as `MessageSource` has it; from now on they are heard from.
+
+        Raises:
+            SequenceError: a topic is published with several types.
+        """
+        found: list[tuple[int, RawMessage]] = []
+        for topic in self.topics.values():
+            for name in stands_for(topic):
+                if name in topics:
+                    self.hear(topic.name)
+                    kept = self._kept[topic.name]
+                    found += kept if name == topic.name else [(n, raw._replace(topic=name)) for n, raw in kept]
+        for _, raw in sorted(found, key=lambda numbered: numbered[0]):
+            if not until(raw.log_time_ns):
+                yield raw
+
+    def hear(self, topic: str) -> None:
+        """Hear from a topic that is published, from now on. Raises SequenceError where it has several types."""
+        if topic in self._heard_from:
+            return
+        offers = self._offers[topic]
+        if len(offers) > 1:
+            types = " and of ".join(offer.type for offer in offers)
+            raise SequenceError(f"{self.path}: {topic} has messages of {types}, expected one type a topic")
+        size = _KEPT_IMAGES if self.topics[topic].read_as in IMAGE_TYPES else _KEPT
+        self._kept[topic] = deque(maxlen=size)
+        self._hear(offers[0])
+
+    def _hear(self, offer: Offer) -> None:
+        self._heard_from[offer.topic] = offer
+        self._transport.subscribe(offer, self._events.put)
+
+    def keep(self, raw: RawMessage) -> None:
+        """Take a message in, until `kept` was asked for."""
+        if (kept := self._kept.get(raw.topic)) is not None:
+            kept.append((next(self._numbers), self.stamped(raw)))
+
+    def kept(self) -> list[RawMessage]:
+        """What was kept, in the order in which it came; nothing is kept any more."""
+        found = sorted((numbered for kept in self._kept.values() for numbered in kept), key=lambda each: each[0])
+        self._kept = {}
+        return [raw for _, raw in found]
+
+    def stamped(self, raw: RawMessage) -> RawMessage:
+        """A message with the stamps that were asked for."""
+        return raw._replace(restamped=True) if self._restamped else raw
+
+    def fixed_links(self) -> frozenset[tuple[str, str]]:
+        """Of Foxglove's transforms, see `fixed_links_of`."""
+        return fixed_links_of(self)

@@ -1,0 +1,234 @@
+"""A running system -> frames: the newest image with the odometry since the one before, as soon as both are there."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+from sequences.errors import NotFoundError, SequenceError
+from sequences.frame import Frame
+from sequences.live.clock_steps import ClockOfStream, Told
+from sequences.live.heard import Heard
+from sequences.live.transport import Transport
+from sequences.options import ReadingOptions, SequenceOptions
+from sequences.reading.camera_info import ImageCamera
+from sequences.reading.counts import ImageCounts
+from sequences.reading.frame_pairing import FramePairing
+from sequences.reading.roles import IMAGE_TYPES, Roles
+from sequences.recordings.messages import stamp_ns
+from sequences.recordings.source import RawMessage
+from sequences.recordings.topics import choose, decode, first
+
+_MOST_WAITING = 16  # images, still encoded, for odometry to come as far
+_SETTLED_S = 1.0  # since the last topic appeared: which are there by themselves is not known before
+_ASK_AGAIN_S = 0.2
+_SAY_AGAIN_S = 5.0
+
+
+class LiveReader:
+    """Takes the messages of a running system as they come, and gives frames; used by one thread.
+
+    A clock that is set begins a new reading: what leads from the frame before it to the one after it is not known.
+
+    Attributes:
+        path: What messages of errors call the system.
+        heard: The system's topics.
+        roles: Which topic is what.
+        camera: Of the images.
+        readings: How many readings there were so far: frames of different ones have no odometry between them.
+    """
+
+    def __init__(self, heard: Heard, options: ReadingOptions) -> None:
+        """Find topics, intrinsics and extrinsics among what was heard so far.
+
+        Raises:
+            NotFoundError: something is not there yet.
+            SequenceError: what is there cannot be used, or there is a choice to make.
+        """
+        self.path: Path = heard.path
+        self.heard = heard
+        shared = {name: getattr(options, name) for name in ReadingOptions.__dataclass_fields__}
+        self._options = SequenceOptions(**shared, ground_truth_topic="")
+        image = choose(heard, "image", IMAGE_TYPES, options.image_topic, required=True)
+        assert image is not None
+        first(heard, image)  # whose header names the frame of the camera
+        self.roles = Roles(heard, self._options, "required", "optional")
+        self.camera = ImageCamera(heard, self.roles.camera_info, self.roles.image, undistort=options.undistort)
+        for name in self.roles.streamed:
+            heard.hear(name)
+        self.readings = 0
+        self._past_counts, self._past_messages = ImageCounts(0), Counter[str]()
+        self._clocks: dict[str, ClockOfStream] = {}
+        self._odd: dict[str, list[tuple[RawMessage, SimpleNamespace]]] = {}
+        self._links = self.roles.tree_odometry.open() if self.roles.tree_odometry is not None else None
+        self._pairing = self._begin()
+
+    def _begin(self) -> FramePairing:
+        self.readings += 1
+        return FramePairing(
+            self.path,
+            self.roles,
+            self._options,
+            self.camera,
+            0,
+            most_waiting=_MOST_WAITING,
+            sorted_within_s=0.0,
+            over_gaps=False,
+        )
+
+    @property
+    def base_from_camera(self) -> Poses:
+        """Extrinsics, one pose."""
+        assert self.roles.extrinsics is not None
+        return self.roles.extrinsics.body_from_camera
+
+    @property
+    def counts(self) -> ImageCounts:
+        """What became of the images so far."""
+        now = self._past_counts + self._pairing.left_out.counts
+        return ImageCounts(now.read, now.read, now.used, now.skipped)
+
+    @property
+    def messages_left_out(self) -> Counter[str]:
+        """How many messages that are no images were left out so far, by reason."""
+        return self._past_messages + self._pairing.left_out.messages
+
+    def take(self, raw: RawMessage) -> bool:
+        """Take a message, of whichever topic; what is damaged is counted. Says whether it brought odometry."""
+        raw = self.heard.stamped(raw)
+        if raw.topic not in self.roles.streamed:
+            return False
+        message = decode(self.heard, raw, tolerate=True)
+        is_image = raw.topic == self.roles.image.name
+        if message is not None and (time_ns := self._stamp(raw, message)) is not None:
+            told = self._clocks.setdefault(raw.topic, ClockOfStream()).take(time_ns, raw.log_time_ns)
+            if not self._goes_on(told, raw, message):
+                return False
+        self._feed(raw, message)
+        return message is not None and not is_image
+
+    def _goes_on(self, told: Told, raw: RawMessage, message: SimpleNamespace) -> bool:
+        """Whether a message belongs to the reading; an odd one waits until it is known whether the clock was set."""
+        waiting = self._odd.setdefault(raw.topic, [])
+        if told == "odd":
+            waiting.append((raw, message))
+            if len(waiting) > 2:
+                self._leave_out(*waiting.pop(0))
+            return False
+        if told == "stepped":
+            self._end()
+            for each in waiting:
+                self._feed(*each)
+        else:
+            for each in waiting:
+                self._leave_out(*each)
+        waiting.clear()
+        return True
+
+    def _end(self) -> None:
+        """End this reading, and begin the next."""
+        self._past_counts, self._past_messages = self.counts, self.messages_left_out
+        self._past_counts.skipped["clock was set"] += self._pairing.num_waiting
+        self._pairing = self._begin()
+
+    def _leave_out(self, raw: RawMessage, message: SimpleNamespace) -> None:
+        if raw.topic == self.roles.image.name:
+            self._pairing.left_out.counts.read += 1
+            self._pairing.left_out.image("time stamp unlike those before", stamp_ns(message.header))
+        else:
+            self._pairing.left_out.message("time stamp unlike those before", raw.log_time_ns)
+
+    def _feed(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+        try:
+            self._pairing.take(raw, message)
+        except SequenceError as error:  # damage that a recording would be refused for
+            self._pairing.left_out.message(f"unusable message on {raw.topic}", raw.log_time_ns, error)
+
+    def _stamp(self, raw: RawMessage, message: SimpleNamespace) -> int | None:
+        """The stamp by which the clock of a stream is watched; None where a message has none that counts."""
+        if hasattr(message, "header"):
+            return stamp_ns(message.header)
+        if self._links is None or raw.topic != self._links.topic:
+            return None
+        try:
+            return max((sample.time_ns for sample in self._links.samples(message)), default=None)
+        except Exception:  # counted where it is taken in
+            return None
+
+    def newest_frame(self) -> Frame | None:
+        """The newest image that odometry has come to and that was not given before; None where there is none."""
+        return self._pairing.newest_frame()
+
+    @property
+    def odometry_ns(self) -> int | None:
+        """Stamp of the latest odometry of this reading; None before any came."""
+        span = self._pairing.motion.odometry_span_ns
+        return None if span is None else span[1]
+
+    def odom_from_base(self, time_ns: int) -> Poses | None:
+        """Pose of the base in the frame of the odometry, one pose; None where it is not known."""
+        return self._pairing.motion.odom_from_base(time_ns)
+
+    def moved_until(self, time_ns: int, *, settled: bool = False) -> Odometry | None:
+        """Motion of the camera since the last frame, see `FramePairing.moved_until`."""
+        return self._pairing.moved_until(time_ns, settled=settled)
+
+
+def open_live(
+    transport: Transport,
+    events: queue.SimpleQueue[Any],
+    options: ReadingOptions,
+    *,
+    waiting: Callable[[str], None],
+    other: Callable[[Any], bool],
+) -> LiveReader | None:
+    """Wait until everything that a reading needs is there.
+
+    Args:
+        transport: The system.
+        events: Where its messages are put, and whatever else may happen.
+        options: What to read.
+        waiting: Told every five seconds what is not there yet.
+        other: Takes events that are no messages; says whether to wait no longer.
+
+    Returns:
+        The reader, which was given all that was heard meanwhile; None where `other` ended it.
+
+    Raises:
+        SequenceError: what is there cannot be used, or there is a choice to make.
+    """
+    heard = Heard(transport, events, stamps=options.stamps)
+    changed_s = said_s = time.monotonic()
+    while True:
+        if heard.refresh():
+            changed_s = time.monotonic()
+        problem = "looks which topics are there"
+        if time.monotonic() - changed_s >= _SETTLED_S:
+            try:
+                reader = LiveReader(heard, options)
+            except NotFoundError as error:
+                problem = str(error).removeprefix(f"{heard.path}: ")
+            else:
+                for raw in heard.kept():
+                    reader.take(raw)
+                return reader
+        if time.monotonic() - said_s >= _SAY_AGAIN_S:
+            said_s = time.monotonic()
+            waiting(problem)
+        again_s = time.monotonic() + _ASK_AGAIN_S
+        while (left_s := again_s - time.monotonic()) > 0:
+            try:
+                event = events.get(timeout=left_s)
+            except queue.Empty:
+                break
+            if isinstance(event, RawMessage):
+                heard.keep(event)
+            elif other(event):
+                return None
