@@ -141,6 +141,13 @@ def born(
     return Hypotheses(posterior.means, mean, covariance, log_weights)
 
 
+def without_bias(covariance: Float64[np.ndarray, "n d d"], camera: int) -> Float64[np.ndarray, "n d d"]:
+    """Covariances of states whose poses do not err as the images of a camera do."""
+    apart = covariance.copy()
+    apart[:, POSE, bias(camera)] = apart[:, bias(camera), POSE] = 0.0
+    return apart
+
+
 def with_camera(hypotheses: Hypotheses) -> Hypotheses:
     """The same with the lasting error of one more camera, of which nothing is known, at the end of the state."""
     count, size = hypotheses.covariance.shape[:2]

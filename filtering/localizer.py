@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from filtering.association import associate
 from filtering.cameras import SeenCamera, View
@@ -13,7 +14,7 @@ from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status, describe_modes
-from filtering.hypotheses import Hypotheses, born, concatenate, moved, reduced, widened, with_camera
+from filtering.hypotheses import Hypotheses, born, concatenate, moved, reduced, widened, with_camera, without_bias
 from filtering.motion import Odometry, require_odometry
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
@@ -116,16 +117,53 @@ class ParticleLocalizer:
             self._filter_rng.bit_generator.state = generator
             raise
 
-    def predict(self, odom: Odometry) -> Estimate:
+    def predict(self, odom: Odometry | None, *, elapsed_s: float = 0.0) -> Estimate:
         """Move the belief without an image.
+
+        Args:
+            odom: Motion since the previous step; None where it is unknown, see `GapConfig`.
+            elapsed_s: Seconds since the previous step; used where `odom` is None.
 
         Raises:
             VaporTrackError: there is no belief yet, or the odometry is none (`require_odometry`).
         """
         if self._belief is None:
             raise VaporTrackError("nothing to predict from: no image was localized yet")
-        self._move(odom, 0.0)
+        self._move(odom, elapsed_s)
         return self._look([])
+
+    @property
+    def has_belief(self) -> bool:
+        """Whether there is anything to predict from."""
+        return self._belief is not None
+
+    def forget(self) -> None:
+        """Forget where the camera is: the next image that says something begins anew."""
+        self._belief, self._best, self._cameras, self._last_image = None, None, {}, None
+        self._agreement, self._unseen_s, self._provisional, self._way = 1.0, 0.0, False, 0.0
+
+    def start_at(
+        self, world_from_camera: Poses, covariance: Float64[np.ndarray, "6 6"], errors: ErrorModel
+    ) -> Estimate:
+        """Begin anew where somebody says that the camera is.
+
+        Args:
+            world_from_camera: One pose.
+            covariance: Of ξ = (v, ω), metres and radians, in the tangent at the pose; positive definite.
+            errors: How the images to come err.
+
+        Raises:
+            VaporTrackError: the pose or its covariance is none. The localizer is then as it was before.
+        """
+        pose = Poses.stack([world_from_camera])
+        stated = PosePosterior(pose, np.asarray(covariance, np.float64)[None], np.ones(1), errors, pose)
+        self.forget()
+        self._start([View(stated, Poses.identity(), _ONLY)], provisional=False)
+        belief = self._belief
+        assert belief is not None
+        # What was stated errs in its own way, not as the images do.
+        self._belief = replace(belief, covariance=without_bias(belief.covariance, 0))
+        return self._estimate(self._belief, 0.0, 0.0)
 
     def _move(self, odom: Odometry | None, elapsed_s: float) -> None:
         """Carry the belief to the present, on odometry or across a gap."""
