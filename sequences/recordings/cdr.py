@@ -18,7 +18,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 _HEADER = 4  # bytes; the last bit of the second says whether numbers are little-endian
-_CODES = {"bool": "?", "uint8": "B", "int32": "i", "uint32": "I", "uint64": "Q", "float32": "f", "float64": "d"}
+_CODES = {
+    "bool": "?",
+    "byte": "B",
+    "uint8": "B",
+    "int32": "i",
+    "uint32": "I",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,11 @@ from vapor.engines.engine import EngineConfig
 
 
 @dataclass(frozen=True)
-class FilteringConfig:
-    """Settings of a run, whatever the observation model."""
+class FilterConfig:
+    """Settings of the filter, wherever its images come from."""
 
     seed: int = 0
     """Seed of all random draws: on the same machine, the same seed and file give the same output."""
-    recording: bool = True
-    """Write recording.rrd for the Rerun viewer."""
-    view: bool = False
-    """Open the Rerun viewer and stream into it."""
     localizer: LocalizerConfig = field(default_factory=LocalizerConfig)
     """The particle filter."""
 
@@ -29,8 +25,18 @@ class FilteringConfig:
 
 
 @dataclass(frozen=True)
-class RunConfig(EngineConfig, FilteringConfig):
-    """Settings of a run with a regressor, beside the sequence and the model."""
+class FilteringConfig(FilterConfig):
+    """Settings of a run, whatever the observation model."""
+
+    recording: bool = True
+    """Write recording.rrd for the Rerun viewer."""
+    view: bool = False
+    """Open the Rerun viewer and stream into it."""
+
+
+@dataclass(frozen=True)
+class ModelConfig(EngineConfig):
+    """How a regressor observes."""
 
     num_samples: int = 1000
     """Posterior samples per image."""
@@ -43,7 +49,15 @@ class RunConfig(EngineConfig, FilteringConfig):
     the sequence states it."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         for name in ("num_samples", "threads"):
             if getattr(self, name) < 1:
                 raise VaporTrackError(f"{name} is {getattr(self, name)}, expected at least 1")
+
+
+@dataclass(frozen=True)
+class RunConfig(ModelConfig, FilteringConfig):
+    """Settings of a run with a regressor, beside the sequence and the model."""
+
+    def __post_init__(self) -> None:
+        ModelConfig.__post_init__(self)
+        FilteringConfig.__post_init__(self)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from vapor.checkpoints.shipped_models import find_model
 from vapor.observation import VaporObservationModel
-from vapor.pipeline.config import RunConfig
+from vapor.pipeline.config import ModelConfig
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class LoadedModel:
     observation: VaporObservationModel
 
 
-def load_model(model: str, config: RunConfig) -> LoadedModel:
+def load_model(model: str, config: ModelConfig) -> LoadedModel:
     """Load a model for runs with some settings.
 
     Args:

@@ -1,0 +1,84 @@
+"""What the filter believes -> messages that Foxglove and RViz show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.se3 import Poses
+from sequences.recordings.mcap_writer import MAP_FRAME, ros_header, ros_poses
+from sequences.recordings.messages import covariance_to_ros
+
+_MAX_PARTICLES = 500
+_ARROW_M = 0.5  # length of the arrow of a mode, along its optical axis
+_MARKER_ARROW, _MARKER_DELETE_ALL = 0, 3
+_NO_TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # an arrow's points are in the map
+
+Believed = tuple[Poses, Float64[np.ndarray, "6 6"], float]
+"""A mode: world_from_camera, covariance in the tangent at it (camera frame), and weight in [0, 1]."""
+
+
+class Message(NamedTuple):
+    """A message to write or to send.
+
+    Attributes:
+        topic: Its topic.
+        type: Its type, such as `geometry_msgs/PoseArray`.
+        fields: Its fields, as `cdr.write` takes them.
+    """
+
+    topic: str
+    type: str
+    fields: dict[str, Any]
+
+
+def estimate_messages(
+    time_ns: int, modes: Sequence[Believed], particles: Poses, *, under: str = "/estimate", frame: str = MAP_FRAME
+) -> list[Message]:
+    """The belief after one image.
+
+    Topics: `pose` (best mode, PoseWithCovarianceStamped; none without modes), `modes` (MarkerArray: an arrow along each
+    mode's optical axis, its opacity the weight), `particles` (PoseArray, thinned). Poses are of the camera's optical
+    frame: z is where it looks.
+
+    Args:
+        time_ns: Stamp of the image.
+        modes: Best first.
+        particles: world_from_camera, batch (n,); thinned evenly to at most 500.
+        under: What the names of topics begin with.
+        frame: The frame that poses are in.
+    """
+    header = ros_header(time_ns, frame)
+    if len(particles) > _MAX_PARTICLES:
+        particles = particles[np.linspace(0, len(particles) - 1, _MAX_PARTICLES).astype(int)]
+    best = Poses.stack([modes[0][0]]) if modes else Poses.identity(0)
+    poses = ros_poses(Poses.concatenate([best, particles]), known_valid=True)  # the check takes nine times as long
+    markers = [{"header": header, "ns": "modes", "action": _MARKER_DELETE_ALL}]
+    markers += [_arrow(header, rank, pose, weight) for rank, (pose, _, weight) in enumerate(modes)]
+    messages = [
+        Message(f"{under}/modes", "visualization_msgs/MarkerArray", {"markers": markers}),
+        Message(f"{under}/particles", "geometry_msgs/PoseArray", {"header": header, "poses": poses[len(best) :]}),
+    ]
+    if modes:
+        told = {"pose": poses[0], "covariance": covariance_to_ros(modes[0][1], modes[0][0])}
+        pose = {"header": header, "pose": told}
+        messages.insert(0, Message(f"{under}/pose", "geometry_msgs/PoseWithCovarianceStamped", pose))
+    return messages
+
+
+def _arrow(header: dict, rank: int, world_from_camera: Poses, weight: float) -> dict:
+    tip = world_from_camera.apply(np.array([0.0, 0.0, _ARROW_M]))
+    return {
+        "header": header,
+        "ns": "modes",
+        "id": rank,
+        "type": _MARKER_ARROW,
+        "pose": _NO_TURN,
+        "points": np.stack([world_from_camera.translation, tip]),
+        "scale": (0.1 * _ARROW_M, 0.2 * _ARROW_M, 0.3 * _ARROW_M),
+        "color": (1.0, 0.4, 0.0, min(max(weight, 0.0), 1.0)),
+        "text": f"{weight:.6g}",
+    }
