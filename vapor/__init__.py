@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from vapor.pipeline.config import RunConfig as RunConfig
     from vapor.pipeline.fuse import fuse as fuse
     from vapor.pipeline.run import run as run
+    from vapor.robot.config import LiveConfig as LiveConfig
+    from vapor.robot.estimate import LiveEstimate as LiveEstimate
+    from vapor.robot.live import live as live
     from vapor.training.config import TrainConfig as TrainConfig
     from vapor.training.presets import PRESETS as PRESETS
     from vapor.training.train import train as train
@@ -31,6 +34,8 @@ if TYPE_CHECKING:
 _MODULES = {
     "ErrorModel": "filtering.error_model",
     "Estimate": "filtering.estimate",
+    "LiveConfig": "vapor.robot.config",
+    "LiveEstimate": "vapor.robot.estimate",
     "LocalizerConfig": "filtering.config",
     "Mode": "filtering.estimate",
     "ObservationModel": "filtering.posterior",
@@ -47,6 +52,7 @@ _MODULES = {
     "View": "filtering.cameras",
     "calibrate_model": "vapor.calibration.calibrate_model",
     "fuse": "vapor.pipeline.fuse",
+    "live": "vapor.robot.live",
     "run": "vapor.pipeline.run",
     "train": "vapor.training.train",
 }

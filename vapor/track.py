@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 COMMANDS = {
     "run": "localize the camera of a recorded sequence",
+    "live": "localize a robot from its ROS 2 topics while it moves, and publish its pose, tf and diagnostics",
+    "replay": "publish a recording as ROS 2 topics, in real time",
     "demo": "synthesize a sequence, localize in it with a model that ships, and compare",
     "fuse": "localize from pose estimates of others, given as text, and odometry",
     "inspect": "say of recordings whether they are good enough to train on, and what to record again",

@@ -115,6 +115,7 @@ class DdsTransport:
             Policy.Durability.TransientLocal if offer.latched else Policy.Durability.Volatile,
             Policy.History.KeepLast(_IMAGE_DEPTH if is_image else _LATCHED_DEPTH if offer.latched else _DEPTH),
             _as_cdr(),
+            Policy.IgnoreLocal.Participant,  # what this process publishes itself, such as on /tf
         )
         for before in [each for each in self._readers if each[1].topic == offer.topic]:
             self._readers.remove(before)
@@ -134,7 +135,14 @@ class DdsTransport:
             _as_cdr(),
         )
         writer = DataWriter(self._participant, declared, qos)
-        return lambda data: writer.write(declared.data_type(data))
+
+        def publish(data: bytes) -> None:
+            try:
+                writer.write(declared.data_type(data))
+            except DDSException as error:
+                raise VaporTrackError(_reason(error)) from error
+
+        return publish
 
     def close(self) -> None:
         """See `Transport.close`."""

@@ -41,6 +41,7 @@ class LiveReader:
         path: What messages of errors call the system.
         heard: The system's topics.
         roles: Which topic is what.
+        streamed: Names of the topics that it takes messages of.
         camera: Of the images.
         readings: How many readings there were so far: frames of different ones have no odometry between them.
     """
@@ -61,8 +62,10 @@ class LiveReader:
         first(heard, image)  # whose header names the frame of the camera
         self.roles = Roles(heard, self._options, "required", "optional")
         self.camera = ImageCamera(heard, self.roles.camera_info, self.roles.image, undistort=options.undistort)
-        for name in self.roles.streamed:
+        self.streamed = self.roles.streamed
+        for name in self.streamed:
             heard.hear(name)
+        self._arrived_ns: dict[int, int] = {}  # by stamp, of the latest images
         self.readings = 0
         self._past_counts, self._past_messages = ImageCounts(0), Counter[str]()
         self._clocks: dict[str, ClockOfStream] = {}
@@ -101,18 +104,24 @@ class LiveReader:
         return self._past_messages + self._pairing.left_out.messages
 
     def take(self, raw: RawMessage) -> bool:
-        """Take a message, of whichever topic; what is damaged is counted. Says whether it brought odometry."""
+        """Take a message, of whichever topic; what is damaged is counted. Says whether it brought later odometry."""
+        before_ns, reading = self.odometry_ns, self.readings
+        self._take(raw)
+        return self.odometry_ns != before_ns or self.readings != reading
+
+    def _take(self, raw: RawMessage) -> None:
         raw = self.heard.stamped(raw)
-        if raw.topic not in self.roles.streamed:
-            return False
+        if raw.topic not in self.streamed:
+            return
         message = decode(self.heard, raw, tolerate=True)
         is_image = raw.topic == self.roles.image.name
         if message is not None and (time_ns := self._stamp(raw, message)) is not None:
             told = self._clocks.setdefault(raw.topic, ClockOfStream()).take(time_ns, raw.log_time_ns)
+            if is_image:
+                self._arrived_ns[time_ns] = raw.log_time_ns
             if not self._goes_on(told, raw, message):
-                return False
+                return
         self._feed(raw, message)
-        return message is not None and not is_image
 
     def _goes_on(self, told: Told, raw: RawMessage, message: SimpleNamespace) -> bool:
         """Whether a message belongs to the reading; an odd one waits until it is known whether the clock was set."""
@@ -164,7 +173,18 @@ class LiveReader:
 
     def newest_frame(self) -> Frame | None:
         """The newest image that odometry has come to and that was not given before; None where there is none."""
+        while len(self._arrived_ns) > 2 * _MOST_WAITING:
+            del self._arrived_ns[next(iter(self._arrived_ns))]
         return self._pairing.newest_frame()
+
+    def arrived_ns(self, time_ns: int) -> int | None:
+        """When the image of a stamp came, one of the latest; by the clock that messages are logged by."""
+        return self._arrived_ns.get(time_ns)
+
+    @property
+    def frame_ns(self) -> int | None:
+        """Stamp that the next motion begins at: of the last frame, or a later one that was settled."""
+        return self._pairing.previous_ns
 
     @property
     def odometry_ns(self) -> int | None:
@@ -186,20 +206,20 @@ def open_live(
     events: queue.SimpleQueue[Any],
     options: ReadingOptions,
     *,
+    admit: Callable[[Any], RawMessage | None],
     waiting: Callable[[str], None],
-    other: Callable[[Any], bool],
-) -> LiveReader | None:
+) -> LiveReader:
     """Wait until everything that a reading needs is there.
 
     Args:
         transport: The system.
         events: Where its messages are put, and whatever else may happen.
         options: What to read.
+        admit: Called with every event; gives those that are messages to keep. It may raise to wait no longer.
         waiting: Told every five seconds what is not there yet.
-        other: Takes events that are no messages; says whether to wait no longer.
 
     Returns:
-        The reader, which was given all that was heard meanwhile; None where `other` ended it.
+        The reader, which was given all that was heard meanwhile.
 
     Raises:
         SequenceError: what is there cannot be used, or there is a choice to make.
@@ -228,7 +248,5 @@ def open_live(
                 event = events.get(timeout=left_s)
             except queue.Empty:
                 break
-            if isinstance(event, RawMessage):
-                heard.keep(event)
-            elif other(event):
-                return None
+            if (raw := admit(event)) is not None:
+                heard.keep(raw)

@@ -136,6 +136,11 @@ class FramePairing:
             yield from self._images.finish()
 
     @property
+    def previous_ns(self) -> int | None:
+        """Stamp of the last frame, or a later one that a motion was asked for until; None before any."""
+        return self._previous_ns
+
+    @property
     def num_waiting(self) -> int:
         """How many images wait."""
         return len(self._waiting)

@@ -14,6 +14,7 @@ from mcap.writer import Writer
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from sequences.recordings.message_definitions import encoder, schema_name, schema_text
+from sequences.recordings.source import RawMessage
 
 MAP_FRAME, ODOM_FRAME, BASE_FRAME, CAMERA_FRAME = "map", "odom", "base_link", "camera_optical_frame"
 
@@ -48,10 +49,14 @@ class MessageWriter:
 
     def _write(self, topic: str, message_type: str, message: dict, time_ns: int) -> None:
         """Write a message, whose fields are as `cdr.write` takes them."""
-        if topic not in self._channels:
-            self._channels[topic] = self._channel(topic, message_type)
         data = encoder(message_type)(message)
-        self._writer.add_message(self._channels[topic], int(time_ns), data, int(time_ns))
+        self._write_raw(RawMessage(topic, int(time_ns), data, message_type, MessageEncoding.CDR, b""))
+
+    def _write_raw(self, raw: RawMessage) -> None:
+        """Write a message as it is."""
+        if raw.topic not in self._channels:
+            self._channels[raw.topic] = self._channel(raw.topic, raw.type)
+        self._writer.add_message(self._channels[raw.topic], raw.log_time_ns, raw.data, raw.log_time_ns)
 
     def _channel(self, topic: str, message_type: str) -> int:
         if message_type not in self._schemas:

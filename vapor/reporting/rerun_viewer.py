@@ -34,6 +34,7 @@ class RerunViewer:
     Args:
         path: The recording to write, `.rrd`; it appears under its name on `close`. None for none.
         spawn: Whether to open the viewer's window now and stream into it.
+        connect: Address of a viewer that is open, to stream into, such as rerun+http://127.0.0.1:9876/proxy.
         title: Name of the run in the viewer.
 
     Raises:
@@ -41,9 +42,16 @@ class RerunViewer:
         VaporTrackError: the viewer cannot be started, or nothing was asked for.
     """
 
-    def __init__(self, path: Path | None = None, *, spawn: bool = False, title: str = "vapor-track") -> None:
+    def __init__(
+        self,
+        path: Path | None = None,
+        *,
+        spawn: bool = False,
+        connect: str | None = None,
+        title: str = "vapor-track",
+    ) -> None:
         rr = load_rerun()
-        if path is None and not spawn:
+        if path is None and not spawn and connect is None:
             raise VaporTrackError("a viewer needs a recording to write or a window to open, got neither")
         self._recording: Recording | None = None
         self._stream = rr.RecordingStream("vapor-track", recording_id=title)
@@ -54,11 +62,16 @@ class RerunViewer:
             except RuntimeError as error:
                 raise VaporTrackError(f"the Rerun viewer cannot be started: {error}") from error
             sinks.append(rr.GrpcSink())
+        if connect is not None:
+            try:
+                sinks.append(rr.GrpcSink(connect))
+            except (RuntimeError, ValueError) as error:
+                raise VaporTrackError(f"no Rerun viewer can be reached at {connect!r}: {error}") from error
         if path is not None:
             self._recording = Recording(path)
             sinks.append(rr.FileSink(self._recording.pipe))
         self._stream.set_sinks(*sinks, default_blueprint=blueprint())
-        self._rows = Rows(self._stream, 1 if spawn else _IMAGES_AT_ONCE)
+        self._rows = Rows(self._stream, 1 if (sinks and path is None) or spawn else _IMAGES_AT_ONCE)
         self._camera: Camera | None = None
         self._last_best: Poses | None = None
         self._last_truth: Poses | None = None

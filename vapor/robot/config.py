@@ -1,0 +1,54 @@
+"""Settings of live localization."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from filtering.errors import VaporTrackError, require_within
+from sequences.recordings.mcap_writer import MAP_FRAME
+from vapor.pipeline.config import FilterConfig, ModelConfig
+
+
+@dataclass(frozen=True)
+class LiveConfig(ModelConfig, FilterConfig):
+    """Settings of live localization, beside the model and the system."""
+
+    under: str = "/estimate"
+    """What the names of published topics begin with, but for /tf and /diagnostics."""
+    map_frame: str = MAP_FRAME
+    """Name of the frame that the model's poses are in."""
+    tf: bool = True
+    """Publish tf from the map to the frame of the odometry, while the estimate is converged."""
+    tf_ahead_s: float = 0.1
+    """How far that transform's stamp lies ahead of the odometry it was last told with, so that who asks for the pose of
+    now need not wait for the next; AMCL's transform_tolerance."""
+    keep_tf: bool = False
+    """While the estimate is not converged, go on with the last transform and the pose of the base by it, rather than
+    publish neither."""
+    sim_time: bool = False
+    """Take the time from /clock, as of a simulation or a recording played back; use_sim_time of ROS nodes."""
+    record: Path | None = None
+    """Write all messages that come into an MCAP file, which `run` can read."""
+    snapshots: Path = field(default_factory=Path)
+    """Folder that snapshots are written to."""
+    foxglove: bool = False
+    """Serve topics to Foxglove, by a WebSocket."""
+    foxglove_host: str = "127.0.0.1"
+    """Address to serve on; 0.0.0.0 for all of this machine."""
+    foxglove_port: int = 8765
+    """Port to serve on."""
+    view: bool = False
+    """Open the Rerun viewer and stream into it."""
+    view_at: str | None = None
+    """Stream into a Rerun viewer that is open elsewhere, such as rerun+http://192.168.1.5:9876/proxy."""
+
+    def __post_init__(self) -> None:
+        ModelConfig.__post_init__(self)
+        FilterConfig.__post_init__(self)
+        require_within(self, tf_ahead_s=(0.0, 10.0), foxglove_port=(0, 65535))
+        if not re.fullmatch(r"(/[A-Za-z_]\w*)+", self.under):
+            raise VaporTrackError(f"under is {self.under!r}, expected how names of topics begin, such as /estimate")
+        if not self.map_frame.strip("/"):
+            raise VaporTrackError("map_frame is empty, expected the name of a frame")

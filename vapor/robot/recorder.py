@@ -1,0 +1,106 @@
+"""Everything that comes, into an MCAP file: written beside the localization, which never waits for a disk."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from pathlib import Path
+from types import TracebackType
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+
+from filtering.errors import quoted
+from sequences.errors import SequenceError
+from sequences.recordings.message_definitions import DEFINITIONS, schema_name, schema_text
+from sequences.recordings.source import RawMessage
+
+_MOST_WAITING = 256 * 2**20  # bytes
+_INCOMPLETE = ".incomplete"
+
+
+class MessageRecorder:
+    """Writes messages as they are; used in a `with` block, at whose end the file gets its name.
+
+    Until then it is called NAME.incomplete, and of a process that was killed that remains: a recording of a robot is
+    not thrown away. A full disk ends the recording, not the localization.
+
+    Attributes:
+        number: How many messages were written.
+        lost: How many messages were not, as the disk was too slow.
+        error: What ended the recording early; None where nothing did.
+
+    Raises:
+        SequenceError: the file is there already, or cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.number = self.lost = 0
+        self.error: str | None = None
+        self._partial = path.with_name(path.name + _INCOMPLETE)
+        for taken in (path, self._partial):
+            if taken.exists():
+                raise SequenceError(f"{quoted(str(taken))} exists, expected the name of a new recording")
+        if not path.parent.is_dir():
+            raise SequenceError(f"{path}: cannot write, expected the folder {path.parent} to exist")
+        try:
+            self._file = self._partial.open("xb")
+        except OSError as error:
+            raise SequenceError(f"{path}: cannot write: {error.strerror or error}") from error
+        # Images are compressed already, or too large to be compressed at the rate of a camera.
+        self._writer = Writer(self._file, compression=CompressionType.NONE)
+        self._channels: dict[tuple[str, str], int] = {}
+        self._waiting: queue.SimpleQueue[RawMessage | None] = queue.SimpleQueue()
+        self._bytes = 0
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> MessageRecorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write(self, raw: RawMessage) -> None:
+        """Take a message; it is written soon, or counted as lost."""
+        if self.error is not None or self._bytes > _MOST_WAITING:
+            self.lost += 1
+            return
+        with self._lock:
+            self._bytes += len(raw.data)
+        self._waiting.put(raw)
+
+    def close(self) -> None:
+        """Write what waits; the file gets its name."""
+        self._waiting.put(None)
+        self._thread.join()
+        with self._file:
+            if self.error is None:
+                os.replace(self._partial, self.path)
+
+    def _work(self) -> None:
+        try:
+            self._writer.start(profile="ros2")
+            while (raw := self._waiting.get()) is not None:
+                self._writer.add_message(self._channel(raw), raw.log_time_ns, raw.data, raw.log_time_ns)
+                self.number += 1
+                with self._lock:
+                    self._bytes -= len(raw.data)
+            self._writer.finish()
+        except OSError as error:
+            self.error = f"{self.path}: recording ended: {error.strerror or error}; what was written is {self._partial}"
+            while not self._waiting.empty() and self._waiting.get() is not None:
+                self.lost += 1
+
+    def _channel(self, raw: RawMessage) -> int:
+        key = raw.topic, raw.type
+        if key not in self._channels:
+            text = schema_text(raw.type) if raw.type in DEFINITIONS else ""
+            schema = self._writer.register_schema(schema_name(raw.type), SchemaEncoding.ROS2, text.encode())
+            self._channels[key] = self._writer.register_channel(raw.topic, MessageEncoding.CDR, schema)
+        return self._channels[key]
