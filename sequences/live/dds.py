@@ -27,7 +27,7 @@ from cyclonedds.core import (
 )
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import make_idl_struct
-from cyclonedds.idl.types import sequence, uint8
+from cyclonedds.idl.types import uint8
 from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
@@ -174,7 +174,7 @@ class DdsTransport:
                     now_ns = time.time_ns()
                     for sample in samples:
                         if not isinstance(sample, InvalidSample):  # which tells that a publisher came or went
-                            deliver(RawMessage(offer.topic, now_ns, sample.data, offer.type, "cdr", b""))
+                            deliver(RawMessage(offer.topic, now_ns, sample.first, offer.type, "cdr", b""))
                     if len(samples) < _AT_ONCE:
                         break
 
@@ -191,9 +191,12 @@ def _domain(options: DdsOptions) -> Domain:
 
 @cache
 def _raw_type(name: str) -> Any:
-    """A type of that name whose values are bytes: nobody looks into them."""
-    declared: Any = make_idl_struct("Raw", name, {"data": sequence[uint8]})
-    declared.serialize = lambda self, *_, **__: self.data
+    """A type of that name whose values are the bytes of messages.
+
+    DDS checks that they begin with what is declared, and looks no further: a byte, which all messages have.
+    """
+    declared: Any = make_idl_struct("Raw", name, {"first": uint8})
+    declared.serialize = lambda self, *_, **__: self.first
     declared.deserialize = classmethod(lambda cls, data, *_, **__: cls(data))  # pyright: ignore[reportCallIssue]
     declared.deserialize_key = declared.deserialize
     return declared
