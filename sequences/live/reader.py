@@ -27,6 +27,7 @@ from sequences.recordings.source import RawMessage
 from sequences.recordings.topics import choose, decode, first
 
 _MOST_WAITING = 16  # images, still encoded, for odometry to come as far
+_HEARD_EARLY = ("nav_msgs/Odometry", "sensor_msgs/CameraInfo", "tf2_msgs/TFMessage")  # some are told only once
 _SETTLED_S = 1.0  # since the last topic appeared: which are there by themselves is not known before
 _ASK_AGAIN_S = 0.2
 _SAY_AGAIN_S = 5.0
@@ -59,6 +60,9 @@ class LiveReader:
         self._options = SequenceOptions(**shared, ground_truth_topic="")
         image = choose(heard, "image", IMAGE_TYPES, options.image_topic, required=True)
         assert image is not None
+        for topic in heard.topics.values():
+            if topic.read_as in _HEARD_EARLY:
+                heard.hear(topic.name)
         first(heard, image)  # whose header names the frame of the camera
         self.roles = Roles(heard, self._options, "required", "optional")
         self.camera = ImageCamera(heard, self.roles.camera_info, self.roles.image, undistort=options.undistort)

@@ -1,0 +1,122 @@
+"""Real ROS 2 nodes: one replays a recording, and hears where its camera is."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from sequences.reader import SequenceReader
+from sequences.recordings.bag import Bag
+from sequences.recordings.messages import frame_name, pose_from_message, pose_from_transform
+from sequences.trajectories.interpolation import interpolate
+from tests.helpers.live_system import ODOMETRY, Heard, free_domain, live_command, ros_python, run_node, script_of, stamp
+from vapor.pipeline.config import RunConfig
+from vapor.pipeline.run import run
+
+pytestmark = pytest.mark.ros
+
+AHEAD_NS = 100_000_000
+FRAMES = 300 if os.environ.get("FULL") else 60
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from vapor.track import main
+
+    path = tmp_path_factory.mktemp("recording") / "stairs.mcap"
+    assert main(["synthesize", "staircase", str(path), "--frames", str(FRAMES), "--seed", "7"]) == 0
+    return path
+
+
+@pytest.fixture(scope="module", params=["jazzy", "kilted"])
+def heard(request: pytest.FixtureRequest, recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Heard:
+    """What a node of a distribution heard, once it had replayed the recording to `vapor-track live`."""
+    python, folder, domain = ros_python(request.param), tmp_path_factory.mktemp(request.param), free_domain()
+    with live_command(domain, "--model", "staircase", "--engine", "torch", log=folder / "live.log"):
+        return run_node(python, script_of(recording), folder, domain, timeout_s=FRAMES / 10 + 60)
+
+
+def odometry_of(recording: Path) -> tuple[np.ndarray, Poses]:
+    messages = [raw.decode() for raw in Bag(recording).messages([ODOMETRY])]
+    times_ns = np.array([stamp(message.header) for message in messages], np.int64)
+    return times_ns, Poses.stack([pose_from_message(message.pose.pose) for message in messages])
+
+
+def test_every_image_is_answered_with_the_pose_that_run_gives(heard: Heard, recording: Path, tmp_path: Path) -> None:
+    run(recording, "staircase", tmp_path / "run", RunConfig(engine="torch", recording=False))
+    written = [raw.decode() for raw in Bag(tmp_path / "run" / "estimate.mcap").messages(["/estimate/pose"])]
+    expected = {stamp(message.header): pose_from_message(message.pose.pose) for message in written}
+    told = [each.fields for each in heard.on("/estimate/pose")]
+    answers = {stamp(each.header): pose_from_message(each.pose.pose) for each in told}
+    assert len(expected) == FRAMES
+    assert answers.keys() >= expected.keys()  # once images have ended, where odometry leads is told, too
+    metres, radians = zip(*(answers[t].distance(expected[t]) for t in expected), strict=True)
+    print(f"{len(answers)} poses, apart by {max(metres):.2e} m and {max(radians):.2e} rad at most")
+    assert max(metres) < 1e-6
+    assert max(radians) < 1e-6
+
+
+def test_the_transform_from_the_map_agrees_with_pose_and_odometry(heard: Heard, recording: Path) -> None:
+    times_ns, odom_from_base = odometry_of(recording)
+    base_from_camera = SequenceReader(recording).base_from_camera
+    assert base_from_camera is not None
+    pose, apart_m, apart_rad, number = None, [], [], 0
+    for message in heard.messages:  # tf follows the pose that it was made of
+        if message.topic == "/estimate/pose":
+            pose = message.fields
+        elif message.topic == "/tf" and pose is not None:
+            (transform,) = message.fields.transforms
+            assert (frame_name(transform.header.frame_id), transform.child_frame_id) == ("map", "odom")
+            at_ns = np.array([stamp(pose.header)])
+            base, _ = interpolate(times_ns, odom_from_base, at_ns, max_gap_s=1.0)
+            camera = pose_from_transform(transform.transform) @ base[0] @ base_from_camera
+            metres, radians = camera.distance(pose_from_message(pose.pose.pose))
+            apart_m.append(float(metres))
+            apart_rad.append(float(radians))
+            pose, number = None, number + 1
+    print(f"{number} transforms, apart by {max(apart_m):.2e} m and {max(apart_rad):.2e} rad at most")
+    assert number > FRAMES / 10
+    assert max(apart_m) < 1e-3
+    assert max(apart_rad) < 1e-3
+
+
+def test_the_pose_of_the_base_follows_odometry_by_the_transform(heard: Heard, recording: Path) -> None:
+    times_ns, odom_from_base = odometry_of(recording)
+    transforms = {stamp(m.fields.transforms[0].header): m.fields.transforms[0].transform for m in heard.on("/tf")}
+    poses, apart_m = heard.on("/estimate/base_pose"), []
+    for message in poses:
+        time_ns = stamp(message.fields.header)
+        (known,) = np.flatnonzero(times_ns == time_ns)
+        if (transform := transforms.get(time_ns + AHEAD_NS)) is not None:  # else told again for the same odometry
+            base = pose_from_transform(transform) @ odom_from_base[int(known)]
+            apart_m.append(float(base.distance(pose_from_message(message.fields.pose.pose))[0]))
+    print(f"{len(poses)} poses of the base for {len(heard.on('/estimate/pose'))} images")
+    assert len(apart_m) > 2 * FRAMES
+    assert np.median(apart_m) < 1e-6
+
+
+def test_nothing_is_told_to_a_navigation_stack_before_it_is_sure(heard: Heard) -> None:
+    first = next(message for message in heard.messages if message.topic in ("/tf", "/estimate/base_pose"))
+    statuses = [m for m in heard.on("/diagnostics") if m.fields.status[0].values]
+    sure = next(m for m in statuses if m.fields.status[0].message == "converged")
+    unsure = [m for m in statuses if m.at_s < sure.at_s and m.fields.status[0].message == "ambiguous"]
+    assert unsure, "the walk begins where one image cannot tell the place"
+    assert first.at_s > unsure[0].at_s
+
+
+def test_diagnostics_say_how_long_an_image_takes_and_what_was_left_out(heard: Heard) -> None:
+    last = heard.on("/diagnostics")[-1].fields.status[0]
+    values = {each.key: each.value for each in last.values}
+    assert int(values["images localized"]) == FRAMES
+    assert 0 < float(values["latency, median, ms"]) < 1000
+    assert last.hardware_id == "staircase"
+
+
+def test_particles_and_modes_come_with_every_pose(heard: Heard) -> None:
+    stamps = [stamp(each.fields.header) for each in heard.on("/estimate/pose")]
+    particles = heard.on("/estimate/particles")
+    assert {*stamps} <= {stamp(each.fields.header) for each in particles}
+    assert {len(each.fields.poses) for each in particles} == {500}
+    assert {*stamps} <= {stamp(each.fields.markers[-1].header) for each in heard.on("/estimate/modes")}
