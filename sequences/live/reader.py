@@ -103,6 +103,11 @@ class LiveReader:
         return ImageCounts(now.read, now.read, now.used, now.skipped)
 
     @property
+    def first_problem(self) -> str:
+        """When the first image or message of this reading was left out, and why, to end a sentence; '' without any."""
+        return self._pairing.left_out.first_problem
+
+    @property
     def messages_left_out(self) -> Counter[str]:
         """How many messages that are no images were left out so far, by reason."""
         return self._past_messages + self._pairing.left_out.messages
@@ -161,6 +166,7 @@ class LiveReader:
     def _feed(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
         try:
             self._pairing.take(raw, message)
+            self._pairing.drop_overtaken()
         except SequenceError as error:  # damage that a recording would be refused for
             self._pairing.left_out.message(f"unusable message on {raw.topic}", raw.log_time_ns, error)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 OUTSIDE = "outside the stretch asked for"
+UNCOVERED = "odometry does not cover"
 OVERTAKEN = "a newer image was there"
 NO_ESTIMATE = "no estimate"
 """Frames that others' estimates leave out, as those of a part of a walk do: they were not asked for either."""

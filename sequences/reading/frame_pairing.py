@@ -14,7 +14,7 @@ from sequences.images.headers import why_left_out
 from sequences.images.streams import Picture
 from sequences.options import SequenceOptions
 from sequences.reading.camera_info import ImageCamera
-from sequences.reading.counts import OUTSIDE, OVERTAKEN
+from sequences.reading.counts import OUTSIDE, OVERTAKEN, UNCOVERED
 from sequences.reading.left_out import LeftOut
 from sequences.reading.motion import MotionOfCamera
 from sequences.reading.requested_segment import RequestedSegment
@@ -126,6 +126,14 @@ class FramePairing:
                 frame = self._frame_asked_for(picture)
         return frame
 
+    def drop_overtaken(self) -> None:
+        """Skip the oldest of the images that wait where there are too many: newer ones are asked for, but not yet."""
+        while len(self._waiting) > self._most_waiting:
+            _, _, time_ns, message = heapq.heappop(self._waiting)
+            reason = OVERTAKEN if self.motion.reaches(time_ns) else UNCOVERED
+            for _ in self._images.take(time_ns, message):
+                self._counts.skipped[reason] += 1
+
     def _ready_pictures(self, *, at_end: bool = False) -> Iterator[Picture]:
         while self._waiting and (
             at_end or len(self._waiting) > self._most_waiting or self._is_due(self._waiting[0][2])
@@ -168,7 +176,7 @@ class FramePairing:
             return self.left_out.image("time stamp not increasing", time_ns)
         covered = self.motion.covers(time_ns)
         if self._roles.odometry_required and not covered:
-            return self.left_out.image("odometry does not cover", time_ns)
+            return self.left_out.image(UNCOVERED, time_ns)
         try:
             image = picture.decode()
         except SequenceError as error:

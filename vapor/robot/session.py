@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from sequences.frame import Frame
 from sequences.live.reader import LiveReader, open_live
 from sequences.live.transport import Offer, Transport
 from sequences.options import ReadingOptions
+from sequences.reading.counts import OVERTAKEN
 from sequences.recordings.estimate_messages import estimate_messages
 from sequences.recordings.message_definitions import decoder
 from sequences.recordings.messages import frame_name
@@ -49,12 +50,14 @@ from vapor.threads import limited_threads
 PARTICLES = 500
 """How many particles are published after each image."""
 _TICK_S = 1.0  # between diagnostics, and between looks at what is silent
+_REFRESH_TICKS = 5  # between looks at who publishes
 _SILENT_S = 1.0
 _ODOMETRY_SILENT_S = 0.5
 _SETTLE_S, _SETTLED_S = 4.0, 2.0  # without images the belief follows odometry for good after so long, to so long ago
 _LATENCIES = 1000
 _AT_ONCE = 500
 _REFUSED = "refused"
+_USUAL = (OVERTAKEN, _REFUSED)
 _CLOCK, _INITIAL_POSE = "/clock", "/initialpose"
 """Topics that are listened to; under the name of those that are published also `start_anew` and `save_snapshot`."""
 
@@ -137,10 +140,11 @@ class LiveSession:
         self._now: Estimate | None = None  # of now, which is later than the anchor where images are silent
         self._kept_map_from_odom: Poses | None = None
         self._clock_ns: int | None = None
-        self._told_ns = self._tf_ns = 0  # stamp of the latest odometry that was told
+        self._told_ns = self._tf_ns = self._told_reading = 0  # of the latest odometry that was told, and its transform
         self._image_s = self._odometry_s = time.monotonic()  # when the last of them came
         self._latencies_ms: deque[float] = deque(maxlen=_LATENCIES)
-        self._localized = self._refused = 0
+        self._localized = self._refused = self._ticks = 0
+        self._problems: set[str] = set()  # that were told
         self._status = ""
         self._last_sent: list[RawMessage] = []
         self._recorder: MessageRecorder | None = None
@@ -241,10 +245,11 @@ class LiveSession:
                 if isinstance(event, _Observed):
                     self._localize(event)
                 elif (raw := self._admit(event)) is not None:
-                    if self._reader.take(raw):
-                        self._odometry_s = time.monotonic()
-                    elif raw.topic == self._reader.roles.image.name:
+                    is_later = self._reader.take(raw)
+                    if raw.topic == self._reader.roles.image.name:
                         self._image_s = time.monotonic()
+                    elif is_later:
+                        self._odometry_s = time.monotonic()
                 event = self._events.get_nowait()
 
     def _admit(self, event: Any) -> RawMessage | None:
@@ -365,7 +370,15 @@ class LiveSession:
             self._tell(f"an image could not be used: {error}")
         self._refused += 1
 
+    @overload
+    def _restated(self, odometry: Odometry) -> Odometry: ...
+    @overload
+    def _restated(self, odometry: None) -> None: ...
+    @overload
+    def _restated(self, odometry: Odometry | None) -> Odometry | None: ...
+
     def _restated(self, odometry: Odometry | None) -> Odometry | None:
+        """With the errors that the model's calibration found of its kind."""
         return odometry if odometry is None or self._fit is None else self._fit.restated(odometry)
 
     def _since_anchor_s(self, job: _Job) -> float:
@@ -412,41 +425,66 @@ class LiveSession:
         else:
             return
         odom_from_base = reader.odom_from_base(time_ns)
-        if map_from_odom is None or odom_from_base is None:
+        motion = self._motion_since_anchor(time_ns)
+        if map_from_odom is None or odom_from_base is None or motion is None:
             return
-        covariance = self._covariance_now(anchor, time_ns)
+        covariance = self._covariance_after(motion, anchor)
         topic, frame = f"{self._config.under}/base_pose", self._config.map_frame
         messages = [pose_message(topic, frame, time_ns, map_from_odom @ odom_from_base, covariance)]
         if self._config.tf:
             # A transform that was told with its stamp before is refused by those who listen.
-            self._tf_ns = max(time_ns + round(self._config.tf_ahead_s * 1e9), self._tf_ns + 1)
+            before_ns = self._tf_ns if self._told_reading == reader.readings else 0
+            self._tf_ns = max(time_ns + round(self._config.tf_ahead_s * 1e9), before_ns + 1)
             messages.append(tf_message(self._tf_ns, frame, reader.roles.odometry_frame, map_from_odom))
         self._outbox.send(messages, self._now_ns())
-        self._told_ns = time_ns
+        self._told_ns, self._told_reading = time_ns, reader.readings
 
-    def _covariance_now(self, anchor: _Anchor, time_ns: int) -> np.ndarray:
-        """Of the base in the tangent at its pose at a time: that of the best mode, grown by the odometry since."""
+    def _covariance_after(self, motion: Odometry, anchor: _Anchor) -> np.ndarray:
+        """Of the base in the tangent at its pose: that of the best mode, grown by a motion of the camera since."""
         assert self._reader is not None
-        covariance = anchor.estimate.modes[0].covariance
-        if (motion := self._restated(self._motion_since_anchor(time_ns))) is not None:
-            covariance = motion.carry @ covariance @ motion.carry.T + motion.covariance
+        motion = self._restated(motion)
+        covariance = motion.carry @ anchor.estimate.modes[0].covariance @ motion.carry.T + motion.covariance
         carry = self._reader.base_from_camera.adjoint()
         return carry @ covariance @ carry.T
 
     def _motion_since_anchor(self, time_ns: int) -> Odometry | None:
-        """Motion of the camera since the last image that was localized; one more may be at the network."""
+        """Motion of the camera since the last image that was localized; None where it is unknown."""
         assert self._reader is not None
-        later = self._reader.moved_until(time_ns)
-        between = None if self._job is None else self._job.frame.odometry
-        return later if between is None or later is None else between.then(later)
+        begin_ns = self._reader.frame_ns
+        if begin_ns is None or time_ns <= begin_ns:
+            later = Odometry(Poses.identity(), np.zeros((6, 6)), 0.0)
+        elif (moved := self._reader.moved_until(time_ns)) is not None:
+            later = moved
+        else:
+            return None
+        if self._job is None:
+            return later
+        between = self._job.frame.odometry  # one more image may be at the network
+        return None if between is None else between.then(later)
 
     def _tick(self) -> None:
         """Once a second: go on without images where none come, and say how things are."""
         assert self._reader is not None
-        self._reader.heard.refresh()
+        self._ticks += 1
+        if self._ticks % _REFRESH_TICKS == 0:
+            self._reader.heard.refresh()
+        self._tell_problems()
         if self._anchor is not None and self._job is None and self._age_s(self._anchor) > _SILENT_S:
             self._go_on_without_images(self._anchor)
         self._send_diagnostics()
+
+    def _tell_problems(self) -> None:
+        """Say of every reason for which something is left out that there is one, once, and what is new of the camera."""
+        reader = self._reader
+        assert reader is not None
+        for reason in [*self.skipped, *reader.messages_left_out]:
+            if reason not in self._problems and reason not in _USUAL:
+                self._tell(f"left out: {reason}{reader.first_problem}")
+            self._problems.add(reason)
+        for notice in reader.camera.notices:
+            if notice not in self._problems:
+                self._tell(notice)
+            self._problems.add(notice)
 
     def _age_s(self, anchor: _Anchor) -> float:
         return time.monotonic() - anchor.job.began_s
@@ -481,6 +519,8 @@ class LiveSession:
                 silent = f"no odometry for {now_s - self._odometry_s:.0f} s"
             elif now_s - self._image_s > _SILENT_S:
                 silent = f"no image for {now_s - self._image_s:.0f} s"
+            elif self._anchor is not None and self._age_s(self._anchor) > _SILENT_S:
+                silent = f"no image that can be used for {self._age_s(self._anchor):.0f} s"
             values = {
                 "images": counts.read,
                 "images localized": self._localized,
@@ -508,5 +548,6 @@ class LiveSession:
         odometry = roles.odometry.name if roles.odometry is not None else f"tf from {roles.odometry_frame}"
         info = f", {roles.camera_info.name}" if roles.camera_info is not None else ""
         self._tell(f"localizes by {roles.image.name}{info} and {odometry}")
-        for notice in [*reader.camera.notices, *self._model.observation.notices]:
+        for notice in self._model.observation.notices:
             self._tell(notice)
+        self._tell_problems()
