@@ -11,7 +11,7 @@ SCENES := staircase ceiling
 WALKS := $(foreach seed,$(shell seq 0 15),$(DATA)/%-$(seed).mcap)
 HELD_OUT := $(foreach seed,100 101 102 103,$(DATA)/%-held-out-$(seed).mcap)
 
-.PHONY: demo test check fuzz models clean
+.PHONY: demo live-demo test check fuzz models clean
 
 demo: $(INSTALLED)
 	$(BIN)/vapor-track demo
@@ -36,6 +36,12 @@ $(INSTALLED): pyproject.toml
 	$(BIN)/python -m pip install --quiet torch==2.13.0
 	$(BIN)/python -m pip install --quiet --editable . --group dev
 	touch $@
+
+# A recording played as a robot's topics, and the localization of that robot, until Ctrl-C.
+live-demo: $(INSTALLED)
+	test -f build/live-demo.mcap || $(BIN)/vapor-track synthesize staircase build/live-demo.mcap --frames 300
+	$(BIN)/vapor-track replay build/live-demo.mcap --localhost --restamp --loop & trap "kill $$!" EXIT; \
+	    $(BIN)/vapor-track live --model staircase --localhost $(LIVE)
 
 # Real ROS 2 nodes, from the package index: they are not built from source but for empy, which is Python alone.
 $(ROS): .venv/%/.installed: pyproject.toml tests/ros/build_tf2_msgs.py | $(INSTALLED)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 
-_EXTRAS = ("", "cluster", "evo", "export", "openvino", "video")
+_EXTRAS = ("", "cluster", "evo", "export", "live", "openvino", "video")
 _TEXT = """# Licences of the dependencies
 
 vapor-track is under Apache-2.0. What it depends on, directly and through others, with versions as installed and
 licences as the packages state them; made by `python docs/licences.py > docs/licences.md`. *Extra* names the optional
-extra (`cluster`, `evo`, `export`, `openvino`, `video`) that first brings a package.
+extra (`cluster`, `evo`, `export`, `live`, `openvino`, `video`) that first brings a package.
 
 Packages under the GPL come with extras only: evo is GPL-3.0; PyAV is BSD, but its wheels carry FFmpeg with encoders
 under the GPL. NumPy, SciPy, OpenCV and others carry libraries within their wheels whose licences are not in this table;

@@ -474,7 +474,7 @@ class LiveSession:
         self._send_diagnostics()
 
     def _tell_problems(self) -> None:
-        """Say of every reason for which something is left out that there is one, once, and what is new of the camera."""
+        """Say once of every reason why something is left out that there is one, and what is new of the camera."""
         reader = self._reader
         assert reader is not None
         for reason in [*self.skipped, *reader.messages_left_out]:
