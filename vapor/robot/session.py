@@ -425,10 +425,17 @@ class LiveSession:
         else:
             return
         odom_from_base = reader.odom_from_base(time_ns)
-        motion = self._motion_since_anchor(time_ns)
-        if map_from_odom is None or odom_from_base is None or motion is None:
+        if map_from_odom is None or odom_from_base is None:
             return
-        covariance = self._covariance_after(motion, anchor)
+        if now.status != "converged":  # kept
+            covariance = now.modes[0].covariance
+        elif (motion := self._motion_since_anchor(time_ns)) is not None:
+            motion = self._restated(motion)
+            covariance = motion.carry @ anchor.estimate.modes[0].covariance @ motion.carry.T + motion.covariance
+        else:
+            return
+        carry = reader.base_from_camera.adjoint()
+        covariance = carry @ covariance @ carry.T
         topic, frame = f"{self._config.under}/base_pose", self._config.map_frame
         messages = [pose_message(topic, frame, time_ns, map_from_odom @ odom_from_base, covariance)]
         if self._config.tf:
@@ -438,14 +445,6 @@ class LiveSession:
             messages.append(tf_message(self._tf_ns, frame, reader.roles.odometry_frame, map_from_odom))
         self._outbox.send(messages, self._now_ns())
         self._told_ns, self._told_reading = time_ns, reader.readings
-
-    def _covariance_after(self, motion: Odometry, anchor: _Anchor) -> np.ndarray:
-        """Of the base in the tangent at its pose: that of the best mode, grown by a motion of the camera since."""
-        assert self._reader is not None
-        motion = self._restated(motion)
-        covariance = motion.carry @ anchor.estimate.modes[0].covariance @ motion.carry.T + motion.covariance
-        carry = self._reader.base_from_camera.adjoint()
-        return carry @ covariance @ carry.T
 
     def _motion_since_anchor(self, time_ns: int) -> Odometry | None:
         """Motion of the camera since the last image that was localized; None where it is unknown."""
@@ -481,7 +480,8 @@ class LiveSession:
             if reason not in self._problems and reason not in _USUAL:
                 self._tell(f"left out: {reason}{reader.first_problem}")
             self._problems.add(reason)
-        for notice in reader.camera.notices:
+        lost = [] if self._recorder is None or self._recorder.error is None else [self._recorder.error]
+        for notice in [*reader.camera.notices, *lost]:
             if notice not in self._problems:
                 self._tell(notice)
             self._problems.add(notice)

@@ -7,7 +7,7 @@ from importlib import import_module
 
 from vapor.commands.console import show, usage_error
 
-BENCHMARKS = ("step", "localization", "textbook", "faults", "familiarity", "real", "cluster")
+BENCHMARKS = ("step", "localization", "textbook", "faults", "familiarity", "real", "cluster", "live")
 """Names of the modules here that each have `Options`, with a docstring that says what is measured, and `main`."""
 
 
