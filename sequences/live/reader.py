@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import time
 from collections import Counter
@@ -226,7 +227,7 @@ def open_live(
         events: Where its messages are put, and whatever else may happen.
         options: What to read.
         admit: Called with every event; gives those that are messages to keep. It may raise to wait no longer.
-        waiting: Told every five seconds what is not there yet.
+        waiting: Told what is not there yet: once that is known, and again every five seconds.
 
     Returns:
         The reader, which was given all that was heard meanwhile.
@@ -235,11 +236,11 @@ def open_live(
         SequenceError: what is there cannot be used, or there is a choice to make.
     """
     heard = Heard(transport, events, stamps=options.stamps)
-    changed_s = said_s = time.monotonic()
+    changed_s, said_s = time.monotonic(), -math.inf
     while True:
         if heard.refresh():
             changed_s = time.monotonic()
-        problem = "looks which topics are there"
+        problem = None  # not known before topics have settled
         if time.monotonic() - changed_s >= _SETTLED_S:
             try:
                 reader = LiveReader(heard, options)
@@ -249,7 +250,7 @@ def open_live(
                 for raw in heard.kept():
                     reader.take(raw)
                 return reader
-        if time.monotonic() - said_s >= _SAY_AGAIN_S:
+        if problem is not None and time.monotonic() - said_s >= _SAY_AGAIN_S:
             said_s = time.monotonic()
             waiting(problem)
         again_s = time.monotonic() + _ASK_AGAIN_S

@@ -35,4 +35,5 @@ def main(arguments: Sequence[str]) -> None:
             done = so_far
     finally:
         transport.close()
-        show(f"{done.messages} messages published in {transport.name}")
+        if done.messages:
+            show(f"{done.messages} messages published in {transport.name}")
