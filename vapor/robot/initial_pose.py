@@ -7,12 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.recordings.messages import covariance_from_ros, pose_from_message
 
 _LEAST_M, _LEAST_RAD = 0.02, 0.02  # nobody points more exactly
 _LEVEL_RAD = 0.1  # of a robot on a floor that is not quite even
 _OF_PRIOR_M = 0.5
+_MOST_VARIANCE = 1e8
 
 
 def camera_of_initial_pose(
@@ -33,7 +35,13 @@ def camera_of_initial_pose(
     """
     base = pose_from_message(message.pose.pose)
     stated = np.array(message.pose.covariance, np.float64).reshape(6, 6)
+    if not (np.abs(stated) <= _MOST_VARIANCE).all():  # NaN compares as false
+        raise VaporTrackError(
+            f"covariance is not finite or above {_MOST_VARIANCE:g}, expected one of metres and radians"
+        )
     stated = (stated + stated.T) / 2
+    if (lowest := float(np.linalg.eigvalsh(stated)[0])) < -1e-9 * np.abs(stated).max():
+        raise VaporTrackError(f"covariance has the negative eigenvalue {lowest:.3g}")
     least = np.array([_LEAST_M, _LEAST_M, _LEAST_M, _LEVEL_RAD, _LEVEL_RAD, _LEAST_RAD])
     if stated[2, 2] == 0.0:
         heights_m = (prior_poses @ base_from_camera.inverse()).translation[:, 2]

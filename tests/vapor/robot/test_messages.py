@@ -1,0 +1,95 @@
+"""What a robot gets told, and what it says of where it is."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.recordings.message_definitions import decoder, encoder
+from sequences.recordings.messages import covariance_to_ros
+from vapor.robot.initial_pose import camera_of_initial_pose
+from vapor.robot.messages import diagnostics_message, pose_message, tf_message
+
+BASE = Poses.exp(np.array([2.0, -1.0, 0.0, 0.0, 0.0, 2.0]))
+MOUNT = Poses.exp(np.array([0.3, 0.1, 1.2, 1.2, -1.2, 1.2]))
+POSE = "geometry_msgs/PoseWithCovarianceStamped"
+
+
+def fields(message):
+    return decoder(message.type)(encoder(message.type)(message.fields))
+
+
+def initial(base: Poses, variances) -> SimpleNamespace:
+    """As RViz sends it."""
+    covariance = np.diag(np.asarray(variances, float))
+    told = {"pose": [*base.translation, *base.as_quat_xyzw()], "covariance": covariance.ravel()}
+    told["pose"] = np.array(told["pose"])
+    message = {"header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "map"}, "pose": told}
+    return decoder(POSE)(encoder(POSE)(message))
+
+
+def as_ros_has_it(camera: Poses, covariance: np.ndarray) -> np.ndarray:
+    """Covariance of the base about the axes of the map, of one of the camera in the tangent at its pose."""
+    carry = MOUNT.adjoint()
+    return covariance_to_ros(carry @ covariance @ carry.T, camera @ MOUNT.inverse())
+
+
+def test_what_rviz_states_comes_out_in_the_axes_of_the_map():
+    priors = Poses(np.stack([np.eye(3)] * 4), np.array([[0, 0, z] for z in (0.0, 3.0, 6.0, 9.0)], float)) @ MOUNT
+    camera, covariance = camera_of_initial_pose(initial(BASE, [0.25, 0.04, 0, 0, 0, 0.07]), MOUNT, priors)
+    base = camera @ MOUNT.inverse()
+    np.testing.assert_allclose(base.translation, [*BASE.translation[:2], 4.5])
+    np.testing.assert_allclose(base.rotation, BASE.rotation, atol=1e-12)
+    height = float(np.var([0, 3, 6, 9]))
+    expected = np.diag([0.25, 0.04, height, 0.01, 0.01, 0.07])
+    np.testing.assert_allclose(as_ros_has_it(camera, covariance), expected, atol=1e-9)
+
+
+def test_a_stated_height_is_kept():
+    priors = Poses(np.stack([np.eye(3)] * 2), np.array([[0, 0, 0], [0, 0, 9.0]]))
+    camera, covariance = camera_of_initial_pose(initial(BASE, [0.25, 0.25, 0.01, 0.1, 0.1, 0.1]), MOUNT, priors)
+    assert (camera @ MOUNT.inverse()).translation[2] == pytest.approx(0.0)
+    expected = np.diag([0.25, 0.25, 0.01, 0.1, 0.1, 0.1])
+    np.testing.assert_allclose(as_ros_has_it(camera, covariance), expected, atol=1e-9)
+
+
+def test_a_variance_of_zero_is_no_certainty():
+    priors = Poses.identity(2)
+    _, covariance = camera_of_initial_pose(initial(BASE, np.zeros(6)), MOUNT, priors)
+    assert np.linalg.eigvalsh(covariance)[0] > 1e-5
+
+
+def test_a_pose_that_is_none_is_refused():
+    broken = initial(BASE, np.ones(6))
+    broken.pose.pose.orientation.w = float("nan")
+    with pytest.raises(VaporTrackError):
+        camera_of_initial_pose(broken, MOUNT, Poses.identity(2))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
+def test_a_covariance_that_is_none_is_refused(bad):
+    with pytest.raises(VaporTrackError):
+        camera_of_initial_pose(initial(BASE, [bad, 1, 1, 1, 1, 1]), MOUNT, Poses.identity(2))
+
+
+def test_a_pose_has_its_covariance_about_the_axes_of_its_frame():
+    turned = Poses.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2]))
+    message = fields(pose_message("/estimate/base_pose", "map", 5, turned, np.diag([4.0, 1, 1, 1, 1, 1])))
+    covariance = np.array(message.pose.covariance).reshape(6, 6)
+    np.testing.assert_allclose(np.diag(covariance)[:3], [1, 4, 1], atol=1e-12)
+    assert message.header.frame_id == "map"
+    assert message.header.stamp.nanosec == 5
+
+
+def test_a_transform_names_both_frames():
+    (transform,) = fields(tf_message(7, "map", "odom", BASE)).transforms
+    assert (transform.header.frame_id, transform.child_frame_id, transform.header.stamp.nanosec) == ("map", "odom", 7)
+    assert transform.transform.translation.x == pytest.approx(float(BASE.translation[0]))
+
+
+def test_before_anything_was_localized_diagnostics_are_stale():
+    (status,) = fields(diagnostics_message(0, hardware="m", estimate=None, silent=None, values={"images": 3})).status
+    assert (status.level, status.message) == (3, "no image was localized yet")
+    assert [(each.key, each.value) for each in status.values] == [("images", "3")]
