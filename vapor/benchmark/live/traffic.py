@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, overload
 
 import cv2
 import numpy as np
@@ -35,7 +35,6 @@ from sequences.recordings.source import TF_STATIC
 from sequences.trajectories.interpolation import interpolate
 
 Encoding = Literal["jpeg", "rgb8"]
-Numbers = TypeVar("Numbers", int, np.ndarray)
 
 MOST_IMAGES = 300
 IMAGE, ODOMETRY, CAMERA_INFO = "/camera/image", "/odom", "/camera/camera_info"
@@ -111,7 +110,13 @@ def read_walk(recording: Path) -> Walk:
 # --- when what is played ----------------------------------------------------------------------------
 
 
-def folded(position: Numbers, end: int) -> Numbers:
+@overload
+def folded(position: int, end: int) -> int: ...
+@overload
+def folded(position: Int64[np.ndarray, " n"], end: int) -> Int64[np.ndarray, " n"]: ...
+
+
+def folded(position: int | Int64[np.ndarray, " n"], end: int) -> int | Int64[np.ndarray, " n"]:
     """Where one is that goes from 0 to an end, back to 0, and so on, after so long a way."""
     within = position % (2 * end)
     return end - abs(within - end)
