@@ -40,8 +40,8 @@ def log_styles(stream: rr.RecordingStream) -> None:
         stream.log(entity, rr.SeriesLines(names=name, colors=color, widths=1.5), static=True)
 
 
-def blueprint() -> rrb.Blueprint:
-    """The belief in space, large; beside it the image and the plots."""
+def blueprint(*, errors: bool = True) -> rrb.Blueprint:
+    """The belief in space, large; beside it the image and the plots, those of errors where there may be true poses."""
     import rerun.blueprint as rrb
 
     so_far = rrb.VisibleTimeRange(
@@ -49,6 +49,8 @@ def blueprint() -> rrb.Blueprint:
     )
     paths = {f"world/path/{name}": rrb.VisibleTimeRanges([so_far]) for name in ("filter", "truth")}
     legend, none = rrb.PlotLegend(rrb.Corner2D.RightBottom), rrb.PlotLegend(visible=False)
+    plots = [("error/translation_m", "translation error [m]"), ("error/rotation_deg", "rotation error [°]")]
+    error_views = [rrb.TimeSeriesView(origin=entity, name=name, plot_legend=none) for entity, name in plots if errors]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(origin="world", name="belief", overrides=paths),  # pyright: ignore[reportArgumentType]
@@ -57,9 +59,8 @@ def blueprint() -> rrb.Blueprint:
                 rrb.TimeSeriesView(
                     origin="belief", name="belief", axis_y=rrb.ScalarAxis(range=(0.0, 1.05)), plot_legend=legend
                 ),
-                rrb.TimeSeriesView(origin="error/translation_m", name="translation error [m]", plot_legend=none),
-                rrb.TimeSeriesView(origin="error/rotation_deg", name="rotation error [°]", plot_legend=none),
-                row_shares=[3, 2, 2, 2],
+                *error_views,
+                row_shares=[3, 2, *(2 for _ in error_views)],
             ),
             column_shares=[3, 2],
         ),

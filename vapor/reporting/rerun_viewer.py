@@ -36,6 +36,7 @@ class RerunViewer:
         spawn: Whether to open the viewer's window now and stream into it.
         connect: Address of a viewer that is open, to stream into, such as rerun+http://127.0.0.1:9876/proxy.
         title: Name of the run in the viewer.
+        errors: Whether there may be true poses, and plots of errors.
 
     Raises:
         SequenceError: the folder is missing.
@@ -49,6 +50,7 @@ class RerunViewer:
         spawn: bool = False,
         connect: str | None = None,
         title: str = "vapor-track",
+        errors: bool = True,
     ) -> None:
         rr = load_rerun()
         if path is None and not spawn and connect is None:
@@ -70,7 +72,7 @@ class RerunViewer:
         if path is not None:
             self._recording = Recording(path)
             sinks.append(rr.FileSink(self._recording.pipe))
-        self._stream.set_sinks(*sinks, default_blueprint=blueprint())
+        self._stream.set_sinks(*sinks, default_blueprint=blueprint(errors=errors))
         self._rows = Rows(self._stream, 1 if (sinks and path is None) or spawn else _IMAGES_AT_ONCE)
         self._camera: Camera | None = None
         self._last_best: Poses | None = None

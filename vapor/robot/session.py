@@ -187,7 +187,7 @@ class LiveSession:
             self._viewer: Viewer = NullViewer()
             if config.view or config.view_at is not None:
                 self._viewer = block.enter_context(
-                    RerunViewer(spawn=config.view, connect=config.view_at, title=self._model.name)
+                    RerunViewer(spawn=config.view, connect=config.view_at, title=self._model.name, errors=False)
                 )
             self._outbox = Outbox(self._transport, sinks, self._tell)
             self._advertise()
