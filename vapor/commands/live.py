@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -33,13 +34,10 @@ def main(arguments: Sequence[str]) -> None:
     options = parse("live", Options, arguments)
     localization = live(options.model, options.config, system=options.system, reading=options.reading, tell=_say)
     begin_s = time.monotonic()
-    try:
+    with suppress(KeyboardInterrupt):  # by which a robot's localization ends
         localization.run()
-    except KeyboardInterrupt:  # by which a robot's localization ends
-        pass
-    finally:
-        show(f"{localization.localized} images localized in {time.monotonic() - begin_s:.0f} s")
-        show_skipped(localization.skipped)
+    show(f"{localization.localized} images localized in {time.monotonic() - begin_s:.0f} s")
+    show_skipped(localization.skipped)
 
 
 def _say(line: str) -> None:

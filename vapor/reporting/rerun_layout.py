@@ -40,24 +40,41 @@ def log_styles(stream: rr.RecordingStream) -> None:
         stream.log(entity, rr.SeriesLines(names=name, colors=color, widths=1.5), static=True)
 
 
-def blueprint(*, errors: bool = True) -> rrb.Blueprint:
-    """The belief in space, large; beside it the image and the plots, those of errors where there may be true poses."""
+def blueprint(*, live: bool = False) -> rrb.Blueprint:
+    """The belief in space, large; beside it the image and the plots.
+
+    Args:
+        live: For what goes on without an end, and without true poses: the view follows the camera, shows five minutes
+            of its path and one of the belief, and plots no errors.
+    """
     import rerun.blueprint as rrb
 
-    so_far = rrb.VisibleTimeRange(
-        "time", start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-    )
-    paths = {f"world/path/{name}": rrb.VisibleTimeRanges([so_far]) for name in ("filter", "truth")}
-    legend, none = rrb.PlotLegend(rrb.Corner2D.RightBottom), rrb.PlotLegend(visible=False)
+    def last(seconds: int) -> rrb.VisibleTimeRange:
+        begin = rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds) if live else rrb.TimeRangeBoundary.infinite()
+        return rrb.VisibleTimeRange("time", start=begin, end=rrb.TimeRangeBoundary.cursor_relative())
+
+    paths = {f"world/path/{name}": rrb.VisibleTimeRanges([last(300)]) for name in ("filter", "truth")}
+    corner = rrb.Corner2D.LeftBottom if live else rrb.Corner2D.RightBottom
+    legend, none = rrb.PlotLegend(corner), rrb.PlotLegend(visible=False)
+    following = rrb.EyeControls3D(tracking_entity="world/camera") if live else None
     plots = [("error/translation_m", "translation error [m]"), ("error/rotation_deg", "rotation error [°]")]
-    error_views = [rrb.TimeSeriesView(origin=entity, name=name, plot_legend=none) for entity, name in plots if errors]
+    error_views = [rrb.TimeSeriesView(origin=entity, name=name, plot_legend=none) for entity, name in plots if not live]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Spatial3DView(origin="world", name="belief", overrides=paths),  # pyright: ignore[reportArgumentType]
+            rrb.Spatial3DView(
+                origin="world",
+                name="belief",
+                overrides=paths,  # pyright: ignore[reportArgumentType]
+                eye_controls=following,
+            ),
             rrb.Vertical(
                 rrb.Spatial2DView(origin="world/camera", contents="world/camera", name="image"),
                 rrb.TimeSeriesView(
-                    origin="belief", name="belief", axis_y=rrb.ScalarAxis(range=(0.0, 1.05)), plot_legend=legend
+                    origin="belief",
+                    name="belief",
+                    axis_y=rrb.ScalarAxis(range=(0.0, 1.05)),
+                    plot_legend=legend,
+                    time_ranges=[last(60)] if live else None,
                 ),
                 *error_views,
                 row_shares=[3, 2, *(2 for _ in error_views)],

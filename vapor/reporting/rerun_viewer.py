@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING
@@ -24,6 +28,7 @@ if TYPE_CHECKING:
 _CLOUD_SIZE = 300
 _FRUSTA = 40  # samples of an image's posterior that are shown as cameras
 _IMAGES_AT_ONCE = 32  # are sent, where nobody watches
+_FLUSH_S = 2.0  # that a viewer elsewhere gets to take what is under way
 _JUMP_M = 0.5  # an estimate that moves so much farther than the odometry changed its mind
 _STATUS_LEVEL: dict[Status, float] = {"lost": 0.0, "ambiguous": 0.5, "converged": 1.0}
 
@@ -36,7 +41,7 @@ class RerunViewer:
         spawn: Whether to open the viewer's window now and stream into it.
         connect: Address of a viewer that is open, to stream into, such as rerun+http://127.0.0.1:9876/proxy.
         title: Name of the run in the viewer.
-        errors: Whether there may be true poses, and plots of errors.
+        live: Whether what is shown goes on without an end, and without true poses.
 
     Raises:
         SequenceError: the folder is missing.
@@ -50,7 +55,7 @@ class RerunViewer:
         spawn: bool = False,
         connect: str | None = None,
         title: str = "vapor-track",
-        errors: bool = True,
+        live: bool = False,
     ) -> None:
         rr = load_rerun()
         if path is None and not spawn and connect is None:
@@ -59,10 +64,12 @@ class RerunViewer:
         self._stream = rr.RecordingStream("vapor-track", recording_id=title)
         sinks: list[rr.FileSink | rr.GrpcSink] = []
         if spawn:
+            _require_display()
             try:
-                self._stream.spawn(connect=False, hide_welcome_screen=True)
+                with _scripts_on_path():
+                    self._stream.spawn(connect=False, hide_welcome_screen=True)
             except RuntimeError as error:
-                raise VaporTrackError(f"the Rerun viewer cannot be started: {error}") from error
+                raise VaporTrackError(f"the Rerun viewer cannot be started: {' '.join(str(error).split())}") from error
             sinks.append(rr.GrpcSink())
         if connect is not None:
             try:
@@ -72,7 +79,7 @@ class RerunViewer:
         if path is not None:
             self._recording = Recording(path)
             sinks.append(rr.FileSink(self._recording.pipe))
-        self._stream.set_sinks(*sinks, default_blueprint=blueprint(errors=errors))
+        self._stream.set_sinks(*sinks, default_blueprint=blueprint(live=live))
         self._rows = Rows(self._stream, 1 if (sinks and path is None) or spawn else _IMAGES_AT_ONCE)
         self._camera: Camera | None = None
         self._last_best: Poses | None = None
@@ -197,7 +204,7 @@ class RerunViewer:
         try:
             if keep:
                 self._rows.send()
-            self._stream.flush()
+            self._stream.flush(timeout_sec=_FLUSH_S if self._recording is None else math.inf)
         except RuntimeError as error:  # it says no more than that there was one
             if keep:
                 keep = False
@@ -207,6 +214,23 @@ class RerunViewer:
             if self._recording is not None:
                 recording, self._recording = self._recording, None
                 recording.close(keep=keep)
+
+
+def _require_display() -> None:
+    """Raise VaporTrackError where no window can open: the viewer would end, and be waited for."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise VaporTrackError("the Rerun viewer needs a display, expected DISPLAY or WAYLAND_DISPLAY to be set")
+
+
+@contextmanager
+def _scripts_on_path() -> Iterator[None]:
+    """Have the viewer found that was installed beside this Python, also where its environment is not activated."""
+    path = os.environ.get("PATH", "")
+    os.environ["PATH"] = os.pathsep.join([path, os.path.dirname(sys.executable)])
+    try:
+        yield
+    finally:
+        os.environ["PATH"] = path
 
 
 def load_rerun() -> ModuleType:

@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, overload
 
@@ -45,8 +46,11 @@ from vapor.robot.messages import diagnostics_message, pose_message, tf_message
 from vapor.robot.outbox import Outbox, Sink
 from vapor.robot.recorder import MessageRecorder
 from vapor.robot.snapshot import write_snapshot
+from vapor.robot.watching import WatchingViewer
 from vapor.threads import limited_threads
 
+LAYOUT = Path(__file__).with_name("foxglove_layout.json")
+"""For Foxglove, to import."""
 PARTICLES = 500
 """How many particles are published after each image."""
 _TICK_S = 1.0  # between diagnostics, and between looks at what is silent
@@ -182,13 +186,12 @@ class LiveSession:
             if config.foxglove:
                 server = block.enter_context(FoxgloveServer(config.foxglove_host, config.foxglove_port))
                 sinks.append(server)
-                self._tell(f"Foxglove: ws://{config.foxglove_host}:{server.port}")
+                host = f"[{config.foxglove_host}]" if ":" in config.foxglove_host else config.foxglove_host
+                self._tell(f"Foxglove: ws://{host}:{server.port}, layout {LAYOUT}")
             self._sinks = sinks
             self._viewer: Viewer = NullViewer()
             if config.view or config.view_at is not None:
-                self._viewer = block.enter_context(
-                    RerunViewer(spawn=config.view, connect=config.view_at, title=self._model.name, errors=False)
-                )
+                self._viewer = block.enter_context(WatchingViewer(self._open_viewer, self._tell))
             self._outbox = Outbox(self._transport, sinks, self._tell)
             self._advertise()
             for topic, (message_type, _) in self._controls.items():
@@ -201,6 +204,10 @@ class LiveSession:
             finally:
                 self._jobs.put(None)
                 worker.join()
+
+    def _open_viewer(self) -> RerunViewer:
+        title = f"{self._model.name} {time.strftime('%Y-%m-%d %H:%M:%S')}"  # of two at once, each is shown for itself
+        return RerunViewer(spawn=self._config.view, connect=self._config.view_at, title=title, live=True)
 
     def _advertise(self) -> None:
         """Be known by one's topics from the beginning."""

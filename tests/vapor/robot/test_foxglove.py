@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from filtering.se3 import Poses
 from sequences.recordings.bag import Bag
 from sequences.recordings.estimate_messages import estimate_messages
 from sequences.recordings.estimate_writer import EstimateWriter
+from sequences.recordings.mcap_writer import ros_transform
 from sequences.recordings.message_definitions import decoder, encoder, schema_name, schema_text
 from sequences.recordings.source import RawMessage
 from tests.helpers.checkout import CHECKOUT
@@ -129,11 +131,38 @@ def test_one_who_does_not_read_holds_up_nobody(server: FoxgloveServer) -> None:
         assert time.monotonic() - begin_s < 5.0
 
 
-def test_when_it_has_stopped_its_port_is_free() -> None:
+def test_when_it_has_stopped_its_port_is_soon_free() -> None:
     with FoxgloveServer("127.0.0.1", 0) as server:
         port = server.port
-    with FoxgloveServer("127.0.0.1", port) as again:
-        assert again.port == port
+    end_s = time.monotonic() + 3.0
+    while True:
+        with suppress(VaporTrackError), FoxgloveServer("127.0.0.1", port) as again:
+            assert again.port == port
+            return
+        assert time.monotonic() < end_s
+
+
+def test_what_is_told_only_once_is_told_to_those_who_come_late() -> None:
+    kind, pose = "tf2_msgs/TFMessage", np.array([0.0, 0, 0, 0, 0, 0, 1])
+    raws = [
+        RawMessage(
+            "/tf_static",
+            at,
+            encoder(kind)({"transforms": [ros_transform(at, "base_link", child, pose)]}),
+            kind,
+            "cdr",
+            b"",
+        )
+        for at, child in ((5, "camera"), (6, "lidar"))
+    ]
+    with FoxgloveServer("127.0.0.1", 0) as server:
+        for raw in [*raws, *raws]:
+            server.write(raw)
+        with FoxgloveClient(server.port) as client:
+            client.wait_for("/tf_static")
+            client.subscribe("/tf_static")
+            heard = [client.message(lambda: None, 3.0) for _ in raws]
+    assert [message.data for message in heard] == [raw.data for raw in raws]
 
 
 def test_a_port_in_use_is_named(taken_port: int) -> None:
@@ -153,7 +182,6 @@ def test_without_foxglove_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) ->
         FoxgloveServer("127.0.0.1", 0)
 
 
-@pytest.mark.xfail(strict=True, reason="Python prints errors of a logger without handlers")
 def test_clients_that_break_off_print_nothing() -> None:
     script = """
 import socket, time

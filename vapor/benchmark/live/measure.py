@@ -7,8 +7,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,6 +28,7 @@ POSE, BASE_POSE = "/estimate/pose", "/estimate/base_pose"
 POSE_TYPE = "geometry_msgs/PoseWithCovarianceStamped"
 _START_S = 120.0  # until the first answer: a model may have to be compiled
 _LAST_ANSWERS_S = 2.0
+_FOUND_S = 1.0  # until a participant knows of all others
 _END_S = 30.0
 _WARM_UP_S, _AVERAGED_S = 20.0, 300.0
 
@@ -241,6 +243,18 @@ class Answers:
         transport.subscribe(Offer(topic, POSE_TYPE, reliable=True, latched=False), take)
 
 
+@dataclass
+class _AllSent:
+    """When messages were sent, by topic and stamp, and how late: numbers alone, which no garbage collector looks at."""
+
+    at_ns: defaultdict[str, dict[int, int]] = field(default_factory=lambda: defaultdict(dict))
+    late_s: list[float] = field(default_factory=list)
+
+    def add(self, sent: Sent) -> None:
+        self.at_ns[sent.topic][sent.stamp_ns] = sent.at_ns
+        self.late_s.append(sent.late_s)
+
+
 def measure(
     walk: Walk,
     words: Sequence[str],
@@ -265,30 +279,38 @@ def measure(
         advance: Told how many seconds are done, and all.
 
     Raises:
-        VaporTrackError: `live` ends, does not answer within two minutes, or does not end well.
+        VaporTrackError: others are in the domain, or `live` ends, does not answer within two minutes, or does not end well.
     """
     traffic = Traffic(walk, rate, size, encoding)
     poses, base_poses = Answers(), Answers()
-    with running_live(domain, words) as live:
-        transport = join(DdsOptions(domain=domain, localhost=True))
-        try:
+    with closing(join(DdsOptions(domain=domain, localhost=True))) as transport:
+        time.sleep(_FOUND_S)
+        require_alone(transport)
+        with running_live(domain, words) as live:
             poses.listen(transport, POSE)
             base_poses.listen(transport, BASE_POSE)
             playing = play(transport, traffic)
             _play_until_answered(playing, live, poses)
             sent, usage = _play_and_watch(playing, live, duration_s, advance)
             time.sleep(_LAST_ANSWERS_S)
-        finally:
-            transport.close()
     return Measured(
         rate,
         *size,
         traffic.timeline.speed,
-        latency_of({each.stamp_ns: each.at_ns for each in sent if each.topic == traffic.image}, poses.arrived_ns),
-        latency_of({each.stamp_ns: each.at_ns for each in sent if each.topic == ODOMETRY}, base_poses.arrived_ns),
+        latency_of(sent.at_ns[traffic.image], poses.arrived_ns),
+        latency_of(sent.at_ns[ODOMETRY], base_poses.arrived_ns),
         usage,
-        float(np.percentile([each.late_s * 1e3 for each in sent], 99)),
+        float(np.percentile(sent.late_s, 99)) * 1e3,
     )
+
+
+def require_alone(transport: Transport) -> None:
+    """Check that nobody else publishes anything. Raises VaporTrackError with what they do."""
+    if offers := transport.offers():
+        names = ", ".join(offer.topic for offer in offers[:3]) + ", ..." * (len(offers) > 3)
+        raise VaporTrackError(
+            f"{transport.name}: others publish {names}, expected nobody there: choose another --domain"
+        )
 
 
 def _play_until_answered(playing: Iterator[Sent], live: LiveProcess, poses: Answers) -> None:
@@ -306,14 +328,14 @@ def _play_until_answered(playing: Iterator[Sent], live: LiveProcess, poses: Answ
 
 def _play_and_watch(
     playing: Iterator[Sent], live: LiveProcess, duration_s: float, advance: Callable[[int, int], None]
-) -> tuple[list[Sent], Usage]:
+) -> tuple[_AllSent, Usage]:
     """Play for so long; gives what was sent, and what the process took each second."""
     begin_s, begin_processor_s = time.monotonic(), live.processor_s
-    sent: list[Sent] = []
+    sent = _AllSent()
     times_s: list[float] = []
     each_mb: list[float] = []
     for each in playing:
-        sent.append(each)
+        sent.add(each)
         elapsed_s = time.monotonic() - begin_s
         if elapsed_s >= len(times_s):
             live.require_running()
