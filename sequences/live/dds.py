@@ -9,6 +9,7 @@ import os
 import re
 import threading
 import time
+import weakref
 from collections import defaultdict
 from collections.abc import Callable
 from functools import cache
@@ -77,7 +78,8 @@ class DdsTransport:
         self._publications = publications
         self._alive = ReadCondition(publications, ViewState.Any | SampleState.Any | InstanceState.Alive)
         self._topics: dict[tuple[str, str], Any] = {}
-        self._readers: list[tuple[DataReader[Any], Offer, Callable[[RawMessage], None]]] = []
+        self._readers: list[tuple[DataReader[Any], Offer, Callable[[RawMessage], None], ReadCondition]] = []
+        self._writers: list[DataWriter[Any]] = []
         self._changed = GuardCondition(self._participant)
         self._waitset = WaitSet(self._participant)
         self._waitset.attach(self._changed)
@@ -109,7 +111,7 @@ class DdsTransport:
     def subscribe(self, offer: Offer, deliver: Callable[[RawMessage], None]) -> None:
         """See `Transport.subscribe`: reliable where all publishers are, but for images that nobody asked that of."""
         is_image = offer.type in _LARGE
-        reliable = offer.reliable and (self._config.reliable or not is_image)
+        reliable = offer.reliable and (self._config.reliable or offer.latched or not is_image)
         qos = Qos(
             Policy.Reliability.Reliable(0) if reliable else Policy.Reliability.BestEffort,
             Policy.Durability.TransientLocal if offer.latched else Policy.Durability.Volatile,
@@ -119,10 +121,11 @@ class DdsTransport:
         )
         for before in [each for each in self._readers if each[1].topic == offer.topic]:
             self._readers.remove(before)
+            self._waitset.detach(before[3])
         reader = DataReader(self._participant, self._topic(offer.topic, offer.type), qos)
         coming = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any)
         self._waitset.attach(coming)
-        self._readers.append((reader, offer, deliver))
+        self._readers.append((reader, offer, deliver, coming))
         self._changed.set(True)  # the waitset looks at what was attached when it is called the next time
 
     def advertise(self, topic: str, message_type: str, *, latched: bool = False) -> Publish:
@@ -135,10 +138,14 @@ class DdsTransport:
             _as_cdr(),
         )
         writer = DataWriter(self._participant, declared, qos)
+        self._writers.append(writer)
+        kept = weakref.ref(writer)
 
         def publish(data: bytes) -> None:
+            if (open_writer := kept()) is None:
+                raise VaporTrackError(f"{self.name} was left")
             try:
-                writer.write(declared.data_type(data))
+                open_writer.write(declared.data_type(data))
             except DDSException as error:
                 raise VaporTrackError(_reason(error)) from error
 
@@ -152,6 +159,7 @@ class DdsTransport:
         self._changed.set(True)
         self._thread.join()
         self._readers.clear()
+        self._writers.clear()
         self._topics.clear()
         # An entity leaves when nothing refers to it any more; the participant takes with it what remains.
         del self._waitset, self._changed, self._alive, self._publications, self._participant, self._domain
@@ -169,12 +177,12 @@ class DdsTransport:
         while not self._closed:
             self._waitset.wait(_LONG_NS)
             self._changed.set(False)
-            for reader, offer, deliver in list(self._readers):
+            for reader, offer, deliver, _ in list(self._readers):
                 while not self._closed and (samples := reader.take(_AT_ONCE)):
                     now_ns = time.time_ns()
-                    for sample in samples:
+                    for number, sample in enumerate(samples):  # which came together, one after the other
                         if not isinstance(sample, InvalidSample):  # which tells that a publisher came or went
-                            deliver(RawMessage(offer.topic, now_ns, sample.first, offer.type, "cdr", b""))
+                            deliver(RawMessage(offer.topic, now_ns + number, sample.first, offer.type, "cdr", b""))
                     if len(samples) < _AT_ONCE:
                         break
 

@@ -12,7 +12,7 @@ from typing import Any
 from sequences.errors import SequenceError
 from sequences.live.transport import Offer, Transport
 from sequences.reading.roles import IMAGE_TYPES
-from sequences.recordings.source import RawMessage, Stamps, Topic, fixed_links_of, stands_for
+from sequences.recordings.source import RawMessage, Stamps, Topic
 
 _KEPT_IMAGES, _KEPT = 16, 2000  # of every topic
 
@@ -22,7 +22,7 @@ class Heard:
 
     Attributes:
         path: What messages of errors call it: the name of the system.
-        topics: Topics that are published now, by name.
+        topics: Topics that are published now, by name; without Foxglove's transforms, which ROS's stand for.
     """
 
     def __init__(self, transport: Transport, events: queue.SimpleQueue[Any], *, stamps: Stamps = "header") -> None:
@@ -50,7 +50,7 @@ class Heard:
             return False
         self._offers = offers
         topics = [Topic(name, same[0].type, 1, "cdr") for name, same in offers.items()]
-        self.topics = {topic.name: topic for topic in topics if not topic.is_misnamed}
+        self.topics = {t.name: t for t in topics if not t.is_misnamed and not t.is_foxglove_tf}
         for name, before in list(self._heard_from.items()):
             now = offers.get(name, [before])[0]
             if now.type == before.type and now != before:  # a publisher that came back otherwise may not fit any more
@@ -58,7 +58,7 @@ class Heard:
         return True
 
     def __contains__(self, topic: str) -> bool:
-        return any(topic in stands_for(known) for known in self.topics.values())
+        return topic in self.topics
 
     def messages(
         self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
@@ -69,12 +69,9 @@ class Heard:
             SequenceError: a topic is published with several types.
         """
         found: list[tuple[int, RawMessage]] = []
-        for topic in self.topics.values():
-            for name in stands_for(topic):
-                if name in topics:
-                    self.hear(topic.name)
-                    kept = self._kept[topic.name]
-                    found += kept if name == topic.name else [(n, raw._replace(topic=name)) for n, raw in kept]
+        for name in self.topics.keys() & set(topics):
+            self.hear(name)
+            found += self._kept[name]
         for _, raw in sorted(found, key=lambda numbered: numbered[0]):
             if not until(raw.log_time_ns):
                 yield raw
@@ -111,5 +108,10 @@ class Heard:
         return raw._replace(restamped=True) if self._restamped else raw
 
     def fixed_links(self) -> frozenset[tuple[str, str]]:
-        """Of Foxglove's transforms, see `fixed_links_of`."""
-        return fixed_links_of(self)
+        """None, as Foxglove's transforms are not heard."""
+        return frozenset()
+
+    @property
+    def is_running(self) -> bool:
+        """It goes on."""
+        return True

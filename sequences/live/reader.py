@@ -80,6 +80,7 @@ class LiveReader:
 
     def _begin(self) -> FramePairing:
         self.readings += 1
+        self._fed: set[str] = set()  # topics that this reading has messages of
         return FramePairing(
             self.path,
             self.roles,
@@ -142,7 +143,8 @@ class LiveReader:
                 self._leave_out(*waiting.pop(0))
             return False
         if told == "stepped":
-            self._end()
+            if raw.topic in self._fed:  # else another stream told the same of this clock before
+                self._end()
             for each in waiting:
                 self._feed(*each)
         else:
@@ -165,6 +167,8 @@ class LiveReader:
             self._pairing.left_out.message("time stamp unlike those before", raw.log_time_ns)
 
     def _feed(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+        if message is not None:
+            self._fed.add(raw.topic)
         try:
             self._pairing.take(raw, message)
             self._pairing.drop_overtaken()

@@ -5,12 +5,13 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from filtering.errors import require_within
+from filtering.errors import VaporTrackError, require_within
 from sequences.errors import SequenceError
 from sequences.live.transport import Publish, Transport
 from sequences.recordings.bag import Bag
@@ -21,6 +22,8 @@ _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"
 _TFS = "tf2_msgs/TFMessage"
 _CLOCK_EVERY_NS = 5_000_000
 _LONGEST_SLEEP_S = 0.1
+_CDR_HEADER = 4  # bytes
+_STAMP = struct.Struct("<iI")  # a header begins with it
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,8 @@ class ReplayOptions:
     clock: bool = False
     """Publish the time of the recording on /clock as well, for nodes with use_sim_time."""
     restamp: bool = False
-    """Shift the stamps of headers to now, by as much as the times at which messages were logged."""
+    """Shift stamps to now, by as much as the times at which messages were logged: those of the headers that messages
+    begin with, and of transforms."""
     delay_s: float = 1.0
     """Seconds to wait before the first message, so that subscribers find the topics."""
 
@@ -67,18 +71,24 @@ def replay(
         path: MCAP file or rosbag2 folder.
         transport: The system to publish in.
         options: How.
-        tell: Told which topics cannot be published, as they are not of ROS 2's encoding.
+        tell: Told which topics are not published (not of ROS 2's encoding, Foxglove's transforms, a clock beside the
+            one asked for), and once of every topic that has messages which cannot be published.
 
     Raises:
         SequenceError: the recording cannot be read, or nothing in it can be published.
     """
     options = options or ReplayOptions()
     bag = Bag(path)
-    topics = {name: topic for name, topic in bag.topics.items() if topic.encoding == "cdr" and topic.num_messages}
+    topics = {
+        name: topic
+        for name, topic in bag.topics.items()
+        if topic.encoding == "cdr" and topic.num_messages and not topic.is_foxglove_tf
+        if not (options.clock and name == _CLOCK)
+    }
     if not topics:
         raise SequenceError(f"{path}: no topic of ROS 2 (CDR), expected messages that can be published")
     if others := [name for name in bag.topics if name not in topics]:
-        tell(f"not published, as not encoded as ROS 2 does: {', '.join(others)}")
+        tell(f"not published: {', '.join(others)}")
     publish: dict[str, Publish] = {
         name: transport.advertise(name, topic.type, latched=name == TF_STATIC) for name, topic in topics.items()
     }
@@ -89,12 +99,21 @@ def replay(
         publish[TF_STATIC](static)
     time.sleep(options.delay_s)
     messages = rounds = 0
+    damaged: set[str] = set()
     while True:
         pace = _Pace(options.rate, tick)
         for raw in bag.messages([name for name in topics if name != TF_STATIC]):
-            published_ns = pace.wait_for(raw.log_time_ns)
-            shift_ns = published_ns - raw.log_time_ns
-            publish[raw.topic](_restamped(raw, shift_ns) if options.restamp else raw.data)
+            if raw.type != topics[raw.topic].type:  # Foxglove's transforms, under the name that they stand for
+                continue
+            shift_ns = pace.wait_for(raw.log_time_ns) - raw.log_time_ns
+            try:
+                data = _as_published(raw)
+                publish[raw.topic](_restamped(data, raw, shift_ns) if options.restamp else data)
+            except VaporTrackError as error:
+                if raw.topic not in damaged:
+                    damaged.add(raw.topic)
+                    tell(f"{raw.topic}: message logged at {raw.log_time_ns} ns is not published: {error}")
+                continue
             messages += 1
             yield Replayed(messages, rounds)
         rounds += 1
@@ -134,23 +153,50 @@ class _Pace:
 
 
 def _merged(latched: list[bytes]) -> bytes:
-    """All transforms of several messages in one, the latest of each child."""
-    found = {t.child_frame_id: t for data in latched for t in decoder(_TFS)(data).transforms}
+    """All transforms of several messages in one, the latest of each child; damaged messages are left out."""
+    found: dict[str, SimpleNamespace] = {}
+    for data in latched:
+        with suppress(Exception):  # whatever reading damaged bytes raises
+            found |= {t.child_frame_id: t for t in decoder(_TFS)(data).transforms}
     return encoder(_TFS)({"transforms": [_as_fields(t) for t in found.values()]})
 
 
-def _restamped(raw: RawMessage, shift_ns: int) -> bytes:
+def _as_published(raw: RawMessage) -> bytes:
+    """Little-endian bytes, as DDS takes them. Raises SequenceError where a message cannot be brought to that."""
+    if len(raw.data) <= _CDR_HEADER:
+        raise SequenceError(f"{len(raw.data)} bytes, expected more than a header of {_CDR_HEADER}")
+    if raw.data[1] & 1:
+        return raw.data
+    if raw.type not in DEFINITIONS:
+        raise SequenceError(f"{raw.type} in big-endian order, expected little-endian")
+    return encoder(raw.type)(_as_fields(_read(raw.data, raw.type)))
+
+
+def _read(data: bytes, message_type: str) -> SimpleNamespace:
+    try:
+        return decoder(message_type)(data)
+    except Exception as error:  # whatever reading damaged bytes raises
+        raise SequenceError(f"no {message_type}: {type(error).__name__}: {error}") from error
+
+
+def _begins_with_stamp(raw: RawMessage) -> bool:
+    definition = DEFINITIONS.get(raw.type) or raw.definition.decode(errors="replace")
+    lines = [line.split("#")[0].strip() for line in definition.splitlines()]
+    first = next((line for line in lines if line and "=" not in line), "")
+    return first.startswith(("std_msgs/Header", "Header ", "builtin_interfaces/Time"))
+
+
+def _restamped(data: bytes, raw: RawMessage, shift_ns: int) -> bytes:
     """A message with a later stamp in its header, or in those of its transforms; any other as it is."""
     if raw.type == _TFS:
-        transforms = [_as_fields(t) for t in decoder(_TFS)(raw.data).transforms]
+        transforms = [_as_fields(t) for t in _read(data, _TFS).transforms]
         for transform in transforms:
             transform["header"]["stamp"] = _stamp(_ns(**transform["header"]["stamp"]) + shift_ns)
         return encoder(_TFS)({"transforms": transforms})
-    if not DEFINITIONS.get(raw.type, "").startswith(("std_msgs/Header", "builtin_interfaces/Time")):
-        return raw.data
-    begin = struct.Struct("<iI" if raw.data[1] & 1 else ">iI")  # a header begins with its stamp
-    stamp = _stamp(_ns(*begin.unpack_from(raw.data, 4)) + shift_ns)
-    return raw.data[:4] + begin.pack(*stamp.values()) + raw.data[12:]
+    if len(data) < _CDR_HEADER + _STAMP.size or not _begins_with_stamp(raw):
+        return data
+    stamp = _stamp(_ns(*_STAMP.unpack_from(data, _CDR_HEADER)) + shift_ns)
+    return data[:_CDR_HEADER] + _STAMP.pack(*stamp.values()) + data[_CDR_HEADER + _STAMP.size :]
 
 
 def _stamp(time_ns: int) -> dict[str, int]:

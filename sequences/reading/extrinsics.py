@@ -98,11 +98,12 @@ def read_tree(
         bag: The recording.
         found: Asked after every message; reading stops where it says yes.
         within_s: Seconds of `/tf` to read; None for all of it.
-        tolerate: Leave damaged messages out.
+        tolerate: Leave damaged messages out, as those of a running system always are.
 
     Raises:
         SequenceError: a message is damaged, or a transform is none, and that is not tolerated.
     """
+    tolerate = tolerate or bag.is_running
     tree = TransformTree()
     for name in (TF_STATIC, TF):
         if name not in bag:

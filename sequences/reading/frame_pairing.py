@@ -21,7 +21,7 @@ from sequences.reading.requested_segment import RequestedSegment
 from sequences.reading.roles import Roles
 from sequences.reading.stamps import Clocks, Stamps, odometry_apart
 from sequences.recordings.messages import stamp_ns
-from sequences.recordings.source import RawMessage
+from sequences.recordings.source import TF, TF_STATIC, RawMessage
 
 MOST_WAITING = 64
 SORTED_WITHIN_S = 0.5
@@ -85,7 +85,8 @@ class FramePairing:
             self._counts.read += 1
             self._take_image(raw, message)
         elif message is None:
-            self.left_out.message("unusable odometry", raw.log_time_ns)
+            is_transforms = raw.topic in (TF, TF_STATIC)
+            self.left_out.message("undecodable transforms" if is_transforms else "unusable odometry", raw.log_time_ns)
         else:
             before_images = self._previous_ns is None and not self._waiting
             self.motion.take(raw, message, before_images=before_images)

@@ -53,6 +53,11 @@ class Bag:
                 if not topic.is_misnamed:
                     self.topics[topic.name] = topic
 
+    @property
+    def is_running(self) -> bool:
+        """It does not go on."""
+        return False
+
     def __contains__(self, topic: str) -> bool:
         """Whether messages of a topic can be asked for."""
         return any(topic in stands_for(known) for known in self.topics.values())

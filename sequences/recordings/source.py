@@ -95,6 +95,11 @@ class MessageSource(Protocol):
         ...
 
     @property
+    def is_running(self) -> bool:
+        """Whether it goes on: then what is damaged is left out, and is no error."""
+        ...
+
+    @property
     def topics(self) -> Mapping[str, Topic]:
         """Topics by name; without those that are misnamed, which nobody could ask for."""
         ...

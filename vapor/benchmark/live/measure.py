@@ -279,7 +279,8 @@ def measure(
         advance: Told how many seconds are done, and all.
 
     Raises:
-        VaporTrackError: others are in the domain, or `live` ends, does not answer within two minutes, or does not end well.
+        VaporTrackError: others are in the domain, or `live` ends by itself, does not answer within two minutes, or does
+            not end well.
     """
     traffic = Traffic(walk, rate, size, encoding)
     poses, base_poses = Answers(), Answers()
