@@ -124,8 +124,10 @@ def resampled(image: UInt8[np.ndarray, "h w 3"], camera: Camera, like: Camera) -
 
 
 def _same_view(camera: Camera, like: Camera) -> bool:
-    """Whether both see the same, to within half a pixel of the latter at every edge."""
+    """Whether both see the same with pixels of the same shape, to within half a pixel of the latter at every edge."""
     low, high = _corners(camera, like)
+    if abs(camera.width * like.height - camera.height * like.width) > _SAME_PX * max(camera.width, camera.height):
+        return False
     return bool(max(np.abs(low).max(), np.abs(high - (like.width, like.height)).max()) <= _SAME_PX)
 
 
