@@ -132,11 +132,6 @@ class ParticleLocalizer:
         self._move(odom, elapsed_s)
         return self._look([])
 
-    @property
-    def has_belief(self) -> bool:
-        """Whether there is anything to predict from."""
-        return self._belief is not None
-
     def forget(self) -> None:
         """Forget where the camera is: the next image that says something begins anew."""
         self._belief, self._best, self._cameras, self._last_image = None, None, {}, None

@@ -84,7 +84,8 @@ class DdsTransport:
         self._waitset = WaitSet(self._participant)
         self._waitset.attach(self._changed)
         self._closed = False
-        self._thread = threading.Thread(target=self._listen, name="dds", daemon=True)
+        self._error: str | None = None
+        self._thread = threading.Thread(target=self._work, name="dds", daemon=True)
         self._thread.start()
 
     def __enter__(self) -> DdsTransport:
@@ -94,7 +95,9 @@ class DdsTransport:
         self.close()
 
     def offers(self) -> list[Offer]:
-        """See `Transport.offers`."""
+        """See `Transport.offers`. Raises VaporTrackError where messages can be heard no longer."""
+        if self._error is not None:
+            raise VaporTrackError(f"{self.name}: {self._error}")
         found: dict[tuple[str, str], list[tuple[bool, bool]]] = defaultdict(list)
         for endpoint in self._publications.read(_MOST_PUBLISHERS, self._alive):
             topic, type_name = (
@@ -171,6 +174,12 @@ class DdsTransport:
             raw = _raw_type(f"{package}{_TYPE}{name}_")
             self._topics[topic, message_type] = Topic(self._participant, f"rt{topic}", raw)
         return self._topics[topic, message_type]
+
+    def _work(self) -> None:
+        try:
+            self._listen()
+        except DDSException as error:  # told to who looks for topics the next time
+            self._error = _reason(error)
 
     def _listen(self) -> None:
         """Deliver what comes, until the transport is closed."""

@@ -105,9 +105,14 @@ class LiveReader:
         return ImageCounts(now.read, now.read, now.used, now.skipped)
 
     @property
-    def first_problem(self) -> str:
-        """When the first image or message of this reading was left out, and why, to end a sentence; '' without any."""
-        return self._pairing.left_out.first_problem
+    def problems(self) -> dict[str, str]:
+        """Of each reason for which this reading left something out: when that was first, to end a sentence."""
+        return self._pairing.left_out.problems
+
+    @property
+    def apart(self) -> str | None:
+        """What to say where odometry is of another time than all images; None elsewhere."""
+        return self._pairing.odometry_apart()
 
     @property
     def messages_left_out(self) -> Counter[str]:
@@ -211,9 +216,13 @@ class LiveReader:
         """Pose of the base in the frame of the odometry, one pose; None where it is not known."""
         return self._pairing.motion.odom_from_base(time_ns)
 
-    def moved_until(self, time_ns: int, *, settled: bool = False) -> Odometry | None:
+    def moved_until(self, time_ns: int) -> Odometry | None:
         """Motion of the camera since the last frame, see `FramePairing.moved_until`."""
-        return self._pairing.moved_until(time_ns, settled=settled)
+        return self._pairing.moved_until(time_ns)
+
+    def settle(self, time_ns: int) -> None:
+        """Have the next motion begin there, see `FramePairing.settle`."""
+        self._pairing.settle(time_ns)
 
 
 def open_live(

@@ -196,21 +196,17 @@ class FramePairing:
             return None
         return self.motion.odometry_between(self._previous_ns, time_ns)
 
-    def moved_until(self, time_ns: int, *, settled: bool = False) -> Odometry | None:
-        """Motion of the camera since the last frame, for use between images; None where it is unknown.
-
-        Args:
-            time_ns: Until when.
-            settled: The next motion begins there, as if it were of a frame: images of before come too late from now on.
-        """
+    def moved_until(self, time_ns: int) -> Odometry | None:
+        """Motion of the camera since the last frame, for use between images; None where it is unknown."""
         previous_ns = self._previous_ns
         if previous_ns is None or time_ns <= previous_ns or not self.motion.covers(time_ns):
             return None
-        odometry = self._odometry_until(time_ns)
-        if settled and odometry is not None:
-            self.motion.forget_before(time_ns)
-            self._previous_ns, self._previous_covered = time_ns, True
-        return odometry
+        return self._odometry_until(time_ns)
+
+    def settle(self, time_ns: int) -> None:
+        """Have the next motion begin there, as if it were of a frame: images of before come too late from now on."""
+        self._previous_ns, self._previous_covered = time_ns, self.motion.covers(time_ns)
+        self.motion.forget_before(time_ns)
 
     def account_for_the_rest(self) -> None:
         """Count the images that were not read as outside the segment; raise SequenceError where one is missing."""

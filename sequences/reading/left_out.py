@@ -13,25 +13,30 @@ class LeftOut:
     Attributes:
         counts: What became of the images.
         messages: How many messages that are no images were left out, by reason.
-        first_problem: When the first problem was, and what, to end a message with; '' where there was none.
+        problems: Of each reason: when it was first given, and what the problem was, to end a message with.
     """
 
     def __init__(self, num_images: int) -> None:
         """Begin to count, of a recording that states so many images."""
         self.counts = ImageCounts(num_images)
         self.messages: Counter[str] = Counter()
-        self.first_problem = ""
+        self.problems: dict[str, str] = {}
+
+    @property
+    def first_problem(self) -> str:
+        """That of the first reason there was; '' where there was none."""
+        return next(iter(self.problems.values()), "")
 
     def image(self, reason: str, time_ns: int, error: Exception | None = None) -> None:
         """Leave an image out."""
-        self._note(time_ns, error)
+        self._note(reason, time_ns, error)
         self.counts.skipped[reason] += 1
 
     def message(self, reason: str, time_ns: int, error: Exception | None = None) -> None:
         """Leave a message out that is no image."""
-        self._note(time_ns, error)
+        self._note(reason, time_ns, error)
         self.messages[reason] += 1
 
-    def _note(self, time_ns: int, error: Exception | None) -> None:
-        if not self.first_problem:
-            self.first_problem = f" (first at {time_ns} ns{f': {error}' if error else ''})"
+    def _note(self, reason: str, time_ns: int, error: Exception | None) -> None:
+        if reason not in self.problems:
+            self.problems[reason] = f" (first at {time_ns} ns{f': {error}' if error else ''})"

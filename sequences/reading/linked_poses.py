@@ -84,6 +84,10 @@ class LinkedPoses(PoseSource):
         """Whether the pose at this time would be interpolated across a jump."""
         return any(window.jumps_at(time_ns) for window in self._windows.values())
 
+    def leads(self, start_ns: int, end_ns: int) -> bool:
+        """Whether the motion between two covered times is known: without gaps and jumps, of all links."""
+        return all(window.leads(start_ns, end_ns) for window in self._windows.values())
+
     def forget_before(self, time_ns: int) -> None:
         """Drop what no earlier time needs."""
         for window in self._windows.values():

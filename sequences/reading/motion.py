@@ -111,6 +111,8 @@ class MotionOfCamera:
             self._left_out.message("odometry time stamp not increasing", time_ns)
         if before_images:
             self._odometry.forget_before(time_ns - int(MAX_LATENESS_S * 1e9))
+        elif not self._over_gaps:  # nothing may grow for ever
+            self._odometry.forget_before(self.odometry_stamps.end_ns - int(2 * MAX_LATENESS_S * 1e9))
 
     def _take_poses(
         self, raw: RawMessage, message: SimpleNamespace, source: PoseSource, what: str, before_images: bool
@@ -126,8 +128,9 @@ class MotionOfCamera:
                 continue
             if not source.append(sample):
                 self._left_out.message(f"{what} time stamp not increasing", sample.time_ns)
-            if before_images:
-                source.forget_before(sample.time_ns - int(MAX_LATENESS_S * 1e9))
+            if before_images or not self._over_gaps:
+                late_s = MAX_LATENESS_S if before_images else 2 * MAX_LATENESS_S
+                source.forget_before(sample.time_ns - int(late_s * 1e9))
 
     def reaches(self, time_ns: int) -> bool:
         """Whether odometry and true poses have come as far as a time."""
@@ -156,7 +159,8 @@ class MotionOfCamera:
         moves = self._moves_from_ns is not None and end_ns >= self._moves_from_ns
         if self._base_from_camera is None or moves:
             return None
-        if not (self._over_gaps or self._odometry.is_whole(start_ns, end_ns)):
+        told_by = self._odometry_source or self._odometry
+        if not (self._over_gaps or told_by.leads(start_ns, end_ns)):
             return None
         return self._odometry.odometry_between(
             start_ns, end_ns, base_from_camera=self._base_from_camera, motion_noise=self._motion_noise

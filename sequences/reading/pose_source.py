@@ -48,6 +48,10 @@ class PoseSource(ABC):
         """Whether everything there is to know about this time has been read."""
         return True
 
+    def leads(self, start_ns: int, end_ns: int) -> bool:
+        """Whether the motion between two covered times is known: without gaps and jumps."""
+        return True
+
     def forget_before(self, time_ns: int) -> None:
         """Learn that no earlier time will be asked for."""
         return

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float64
@@ -15,6 +14,7 @@ from sequences.trajectories.increments import odometry_between
 from sequences.trajectories.interpolation import pose_at
 from sequences.trajectories.jumps import JUMP_CONTEXT, Motion, is_jump
 
+_STEPS_BEFORE = 4
 _UNKNOWN = np.zeros((6, 6))
 _UNKNOWN.setflags(write=False)
 
@@ -117,11 +117,27 @@ class PoseWindow:
         is_known = self._times_ns[after] == time_ns
         return is_known or (after > 0 and self._times_ns[after] - self._times_ns[after - 1] <= self.max_gap_s * 1e9)
 
-    def is_whole(self, start_ns: int, end_ns: int) -> bool:
-        """Whether all neighbours between two covered times are within `max_gap_s` of each other."""
-        told = slice(bisect_right(self._times_ns, start_ns) - 1, bisect_left(self._times_ns, end_ns) + 1)
-        times_ns = self._times_ns[told]
-        return all(after - before <= self.max_gap_s * 1e9 for before, after in pairwise(times_ns))
+    def leads(self, start_ns: int, end_ns: int) -> bool:
+        """Whether the motion between two covered times is known: no neighbours are too far apart, and none jump.
+
+        A jump is told by the steps before it alone, so that nothing need be waited for: far, and many times as fast.
+        """
+        first, end = bisect_right(self._times_ns, start_ns) - 1, bisect_left(self._times_ns, end_ns) + 1
+        if first < 0:  # forgotten
+            return False
+        told = slice(max(first - _STEPS_BEFORE, 0), end)
+        seconds = np.diff(self._times_ns[told]) * 1e-9
+        begin = first - told.start
+        if (seconds[begin:] > self.max_gap_s).any():
+            return False
+        poses = Poses.stack(self._poses[told])
+        metres, radians = poses[:-1].distance(poses[1:])
+        steps = [Motion(*each) for each in zip(metres.tolist(), radians.tolist(), seconds.tolist(), strict=True)]
+        return not any(
+            is_jump(steps[max(index - _STEPS_BEFORE, 0) : index + 1], min(index, _STEPS_BEFORE))
+            for index in range(begin, len(steps))
+            if steps[index].is_large
+        )
 
     def jumps_at(self, time_ns: int) -> bool:
         """Whether a time lies between two poses with a jump between them."""

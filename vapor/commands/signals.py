@@ -54,7 +54,7 @@ class Signals:
 
     def _handle(self, number: int, _: FrameType | None) -> None:
         # A closing terminal, and most service managers, send several: the first one is being answered.
-        if self.working and time.monotonic() < self._next_s:
+        if self.received is not None and time.monotonic() < self._next_s:
             return
         self.received, self._next_s = self.received or number, time.monotonic() + _ONE_S
         if self.working:

@@ -30,9 +30,10 @@ class LiveConfig(ModelConfig, FilterConfig):
     sim_time: bool = False
     """Take the time from /clock, as of a simulation or a recording played back; use_sim_time of ROS nodes."""
     record: Path | None = None
-    """Write all messages that come into an MCAP file, which `run` can read."""
+    """Write what is heard (images, odometry, tf, intrinsics, what is listened to besides) into an MCAP file, which
+    `run` can read. Its name may have the time in it: drive-%Y%m%d-%H%M%S.mcap."""
     snapshots: Path = field(default_factory=Path)
-    """Folder that snapshots are written to."""
+    """Folder that snapshots are written to; made where there is none."""
     foxglove: bool = False
     """Serve topics to Foxglove, by a WebSocket."""
     foxglove_host: str = "127.0.0.1"

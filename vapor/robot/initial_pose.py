@@ -49,7 +49,7 @@ def camera_of_initial_pose(
         least[2] = max(float(heights_m.std()), _OF_PRIOR_M)
     diagonal = np.arange(6)
     floor = np.where(stated[diagonal, diagonal] == 0.0, least, [_LEAST_M] * 3 + [_LEAST_RAD] * 3)
-    stated[diagonal, diagonal] = np.maximum(stated[diagonal, diagonal], floor**2)
+    stated[diagonal, diagonal] += floor**2  # which makes any covariance definite
     carry = base_from_camera.inverse().adjoint()
     covariance = carry @ covariance_from_ros(stated, base) @ carry.T
     return base @ base_from_camera, (covariance + covariance.T) / 2

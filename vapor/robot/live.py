@@ -6,6 +6,7 @@ import asyncio
 import threading
 from collections.abc import AsyncIterator, Callable
 
+from filtering.errors import VaporTrackError
 from sequences.live.join import join
 from sequences.live.options import DdsOptions
 from sequences.live.transport import Transport
@@ -15,7 +16,7 @@ from vapor.robot.config import LiveConfig
 from vapor.robot.estimate import LiveEstimate
 from vapor.robot.session import LiveSession
 
-_MOST_WAITING = 100
+_MOST_WAITING = 10  # each has its image
 
 
 def live(
@@ -57,7 +58,7 @@ class Live:
         config: LiveConfig,
         tell: Callable[[str], None],
     ) -> None:
-        self._transport = transport
+        self._transport, self._has_begun = transport, False
         self._session = LiveSession(model, transport, reading, config, tell=tell)
 
     def run(self, on_estimate: Callable[[LiveEstimate], None] = lambda _: None) -> None:
@@ -69,6 +70,9 @@ class Live:
         Raises:
             VaporTrackError: the topics cannot be used, or what was asked for cannot be written or served.
         """
+        if self._has_begun:
+            raise VaporTrackError("this live localization has ended, expected another call of `live`")
+        self._has_begun = True
         try:
             self._session.run(on_estimate)
         finally:
@@ -89,7 +93,7 @@ class Live:
         self._session.stop()
 
     async def __aiter__(self) -> AsyncIterator[LiveEstimate]:
-        """Estimates as they come, until the loop over them ends; of a hundred that wait the oldest is dropped.
+        """Estimates as they come, until the loop over them ends; of ten that wait the oldest is dropped.
 
         Raises:
             VaporTrackError: as `run`.

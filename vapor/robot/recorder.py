@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import queue
 import threading
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 
@@ -24,7 +25,8 @@ class MessageRecorder:
     """Writes messages as they are; used in a `with` block, at whose end the file gets its name.
 
     Until then it is called NAME.incomplete, and of a process that was killed that remains: a recording of a robot is
-    not thrown away. A full disk ends the recording, not the localization.
+    not thrown away, and the next one of that name calls it NAME.incomplete.1, and so on. A full disk ends the
+    recording, not the localization.
 
     Attributes:
         number: How many messages were written.
@@ -40,12 +42,12 @@ class MessageRecorder:
         self.number = self.lost = 0
         self.error: str | None = None
         self._partial = path.with_name(path.name + _INCOMPLETE)
-        for taken in (path, self._partial):
-            if taken.exists():
-                raise SequenceError(f"{quoted(str(taken))} exists, expected the name of a new recording")
+        if path.exists():
+            raise SequenceError(f"{quoted(str(path))} exists, expected the name of a new recording")
         if not path.parent.is_dir():
             raise SequenceError(f"{path}: cannot write, expected the folder {path.parent} to exist")
         try:
+            _put_aside(self._partial)
             self._file = self._partial.open("xb")
         except OSError as error:
             raise SequenceError(f"{path}: cannot write: {error.strerror or error}") from error
@@ -104,3 +106,10 @@ class MessageRecorder:
             schema = self._writer.register_schema(schema_name(raw.type), SchemaEncoding.ROS2, text.encode())
             self._channels[key] = self._writer.register_channel(raw.topic, MessageEncoding.CDR, schema)
         return self._channels[key]
+
+
+def _put_aside(left: Path) -> None:
+    """Give what a killed process left a number. Raises OSError where that cannot be."""
+    if left.exists():
+        number = next(n for n in count(1) if not left.with_name(f"{left.name}.{n}").exists())
+        left.rename(left.with_name(f"{left.name}.{number}"))

@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,7 +33,7 @@ from sequences.options import ReadingOptions
 from sequences.reading.counts import OVERTAKEN
 from sequences.recordings.estimate_messages import estimate_messages
 from sequences.recordings.message_definitions import decoder
-from sequences.recordings.messages import frame_name
+from sequences.recordings.messages import frame_name, stamp_ns
 from sequences.recordings.source import RawMessage
 from vapor.pipeline.model import LoadedModel
 from vapor.reporting.rerun_viewer import RerunViewer
@@ -60,7 +60,9 @@ _ODOMETRY_SILENT_S = 0.5
 _SETTLE_S, _SETTLED_S = 4.0, 2.0  # without images the belief follows odometry for good after so long, to so long ago
 _LATENCIES = 1000
 _AT_ONCE = 500
+_BEFORE_CLOCK = 2000
 _REFUSED = "refused"
+_APART, _ENOUGH_IMAGES = "images and odometry are by different clocks", 10
 _USUAL = (OVERTAKEN, _REFUSED)
 _CLOCK, _INITIAL_POSE = "/clock", "/initialpose"
 """Topics that are listened to; under the name of those that are published also `start_anew` and `save_snapshot`."""
@@ -93,11 +95,14 @@ class _Observed:
 
 @dataclass(frozen=True)
 class _Anchor:
-    """The last image that was localized, and what leads on from it."""
+    """What is believed of the last image that was localized, or of what somebody stated, and what leads on from it."""
 
-    job: _Job
+    time_ns: int
+    reading: int
     estimate: Estimate
     map_from_odom: Poses | None
+    frame: Frame | None  # None where it was stated
+    began_s: float = field(default_factory=time.monotonic)
 
 
 class LiveSession:
@@ -140,10 +145,12 @@ class LiveSession:
         self._localizer = ParticleLocalizer(None, settings, rng=np.random.default_rng(config.seed))
         self._reader: LiveReader | None = None
         self._job: _Job | None = None  # at the network
+        self._stale: _Job | None = None  # what was at the network when all began anew
         self._anchor: _Anchor | None = None
         self._now: Estimate | None = None  # of now, which is later than the anchor where images are silent
         self._kept_map_from_odom: Poses | None = None
         self._clock_ns: int | None = None
+        self._before_clock: deque[RawMessage] = deque(maxlen=_BEFORE_CLOCK)
         self._told_ns = self._tf_ns = self._told_reading = 0  # of the latest odometry that was told, and its transform
         self._image_s = self._odometry_s = time.monotonic()  # when the last of them came
         self._latencies_ms: deque[float] = deque(maxlen=_LATENCIES)
@@ -182,7 +189,8 @@ class LiveSession:
             block.enter_context(limited_threads(config.threads))
             sinks: list[Sink] = []
             if config.record is not None:
-                self._recorder = block.enter_context(MessageRecorder(config.record))
+                path = config.record.with_name(time.strftime(config.record.name))
+                self._recorder = block.enter_context(MessageRecorder(path))
             if config.foxglove:
                 server = block.enter_context(FoxgloveServer(config.foxglove_host, config.foxglove_port))
                 sinks.append(server)
@@ -195,7 +203,9 @@ class LiveSession:
             self._outbox = Outbox(self._transport, sinks, self._tell)
             self._advertise()
             for topic, (message_type, _) in self._controls.items():
-                offer = Offer(topic, message_type, reliable=topic != _CLOCK, latched=False)
+                offer = Offer(
+                    topic, message_type, reliable=False, latched=False
+                )  # which hears both kinds of publishers
                 self._transport.subscribe(offer, self._events.put)
             worker = threading.Thread(target=self._observe, name="network", daemon=True)
             worker.start()
@@ -245,19 +255,24 @@ class LiveSession:
 
     def _take_all(self, timeout_s: float) -> None:
         """Take the events that are there, or wait for one."""
+        for _ in range(_AT_ONCE):
+            try:
+                event = self._events.get(timeout=timeout_s)
+            except queue.Empty:
+                return
+            timeout_s = 0.0
+            if isinstance(event, _Observed):
+                self._localize(event)
+            elif (raw := self._admit(event)) is not None:
+                self._take(raw)
+
+    def _take(self, raw: RawMessage) -> None:
         assert self._reader is not None
-        with suppress(queue.Empty):
-            event = self._events.get(timeout=timeout_s)
-            for _ in range(_AT_ONCE):
-                if isinstance(event, _Observed):
-                    self._localize(event)
-                elif (raw := self._admit(event)) is not None:
-                    is_later = self._reader.take(raw)
-                    if raw.topic == self._reader.roles.image.name:
-                        self._image_s = time.monotonic()
-                    elif is_later:
-                        self._odometry_s = time.monotonic()
-                event = self._events.get_nowait()
+        is_later = self._reader.take(raw)
+        if raw.topic == self._reader.roles.image.name:
+            self._image_s = time.monotonic()
+        elif is_later:
+            self._odometry_s = time.monotonic()
 
     def _admit(self, event: Any) -> RawMessage | None:
         """Record and serve a message; gives it where it is to be read. Raises _Stopped where that was asked for."""
@@ -268,6 +283,7 @@ class LiveSession:
         is_clock = event.topic == _CLOCK and self._config.sim_time
         if self._config.sim_time and not is_clock:
             if self._clock_ns is None:
+                self._before_clock.append(event)
                 return None
             event = event._replace(log_time_ns=self._clock_ns)
         if self._recorder is not None:
@@ -288,28 +304,43 @@ class LiveSession:
 
     def _set_clock(self, message: SimpleNamespace) -> None:
         self._clock_ns = int(message.clock.sec) * 1_000_000_000 + int(message.clock.nanosec)
+        while self._before_clock:
+            self._events.put(self._before_clock.popleft())
 
     def _start_anew(self, _: SimpleNamespace) -> None:
         self._localizer.forget()
-        self._anchor = self._now = self._kept_map_from_odom = None
+        self._begin_at(None if self._reader is None else self._reader.odometry_ns)
         self._tell("starts anew")
 
+    def _begin_at(self, time_ns: int | None) -> None:
+        """Have what was before count no longer: neither the belief, nor an image at the network, nor the motion."""
+        self._anchor = self._now = self._kept_map_from_odom = None
+        self._stale = self._job
+        if self._reader is not None and time_ns is not None:
+            self._reader.settle(time_ns)
+
     def _set_pose(self, message: SimpleNamespace) -> None:
-        if self._reader is None:
-            raise VaporTrackError("nothing was localized yet, expected images first")
+        reader = self._reader
+        if reader is None or (time_ns := reader.odometry_ns) is None:
+            raise VaporTrackError("there is no odometry yet, expected some before a pose is stated")
         frame = frame_name(message.header.frame_id)
         if frame != frame_name(self._config.map_frame):
             raise VaporTrackError(f"pose in {frame!r}, expected one in {self._config.map_frame!r}")
         description = self._model.observation.description
-        pose, covariance = camera_of_initial_pose(message, self._reader.base_from_camera, description.prior_poses)
-        self._localizer.start_at(pose, covariance, description.calibration.errors)
-        self._anchor = self._now = self._kept_map_from_odom = None
+        pose, covariance = camera_of_initial_pose(message, reader.base_from_camera, description.prior_poses)
+        if reader.odom_from_base(stamp_ns(message.header)) is not None:  # else it is of now
+            time_ns = stamp_ns(message.header)
+        estimate = self._localizer.start_at(pose, covariance, description.calibration.errors)
+        map_from_odom = self._map_from_odom(estimate, reader.odom_from_base(time_ns))
+        self._begin_at(time_ns)
+        self._anchor = _Anchor(time_ns, reader.readings, estimate, map_from_odom, None)
+        self._send_belief(time_ns, estimate)
         self._tell(f"starts at x {pose.translation[0]:.2f} m, y {pose.translation[1]:.2f} m, as {_INITIAL_POSE} says")
 
     def _save_snapshot(self, _: SimpleNamespace) -> None:
-        if self._anchor is None:
+        if self._anchor is None or self._anchor.frame is None:
             raise VaporTrackError("nothing was localized yet, expected an estimate to save")
-        path = write_snapshot(self._config.snapshots, self._anchor.job.frame, self._last_sent)
+        path = write_snapshot(self._config.snapshots, self._anchor.frame, self._last_sent)
         self._tell(f"snapshot {path}")
 
     # --- images -------------------------------------------------------------------------------------
@@ -338,6 +369,8 @@ class LiveSession:
         job, posterior = observed.job, observed.posterior
         self._job = None
         self._submit()
+        if job is self._stale and not isinstance(posterior, BaseException):
+            return
         if isinstance(posterior, BaseException):
             if not isinstance(posterior, VaporTrackError):
                 raise posterior
@@ -349,7 +382,8 @@ class LiveSession:
         except VaporTrackError as error:
             self._refuse(error)
             return
-        self._anchor = _Anchor(job, estimate, self._map_from_odom(estimate, job.odom_from_base))
+        map_from_odom = self._map_from_odom(estimate, job.odom_from_base)
+        self._anchor = anchor = _Anchor(frame.time_ns, job.reading, estimate, map_from_odom, frame, job.began_s)
         self._told_ns = 0
         self._send_belief(frame.time_ns, estimate)
         self._tell_motion()
@@ -357,14 +391,14 @@ class LiveSession:
         self._latencies_ms.append(latency_ms)
         self._localized += 1
         self._viewer.log(frame, estimate, posterior.samples)
-        self._on_estimate(self._live_estimate(self._anchor, latency_ms))
+        self._on_estimate(self._live_estimate(frame, anchor, latency_ms))
 
-    def _live_estimate(self, anchor: _Anchor, latency_ms: float) -> LiveEstimate:
+    def _live_estimate(self, frame: Frame, anchor: _Anchor, latency_ms: float) -> LiveEstimate:
         assert self._reader is not None
         best = anchor.estimate.modes[0].world_from_camera
         converged = anchor.estimate.status == "converged"
         return LiveEstimate(
-            anchor.job.frame,
+            frame,
             anchor.estimate,
             best @ self._reader.base_from_camera.inverse(),
             anchor.map_from_odom if converged else None,
@@ -392,10 +426,10 @@ class LiveSession:
         """Seconds since the last image: by stamps, but across a clock that was set by when images were there."""
         if self._anchor is None:
             return 0.0
-        before = self._anchor.job
+        before = self._anchor
         if before.reading != job.reading:
             return max(job.began_s - before.began_s, 0.0)
-        return max(job.frame.time_ns - before.frame.time_ns, 0) * 1e-9
+        return max(job.frame.time_ns - before.time_ns, 0) * 1e-9
 
     def _map_from_odom(self, estimate: Estimate, odom_from_base: Poses | None) -> Poses | None:
         if odom_from_base is None or self._reader is None:
@@ -425,7 +459,7 @@ class LiveSession:
             return
         if time_ns == self._told_ns:
             return
-        if now.status == "converged" and anchor.job.reading == reader.readings:
+        if now.status == "converged" and anchor.reading == reader.readings:
             map_from_odom = self._kept_map_from_odom = anchor.map_from_odom
         elif self._config.keep_tf:
             map_from_odom = self._kept_map_from_odom
@@ -434,17 +468,14 @@ class LiveSession:
         odom_from_base = reader.odom_from_base(time_ns)
         if map_from_odom is None or odom_from_base is None:
             return
-        if now.status != "converged":  # kept
-            covariance = now.modes[0].covariance
-        elif (motion := self._motion_since_anchor(time_ns)) is not None:
-            motion = self._restated(motion)
+        frame, messages = self._config.map_frame, []
+        if now.status == "converged":
+            if (motion := self._restated(self._motion_since_anchor(time_ns))) is None:
+                return
             covariance = motion.carry @ anchor.estimate.modes[0].covariance @ motion.carry.T + motion.covariance
-        else:
-            return
-        carry = reader.base_from_camera.adjoint()
-        covariance = carry @ covariance @ carry.T
-        topic, frame = f"{self._config.under}/base_pose", self._config.map_frame
-        messages = [pose_message(topic, frame, time_ns, map_from_odom @ odom_from_base, covariance)]
+            carry = reader.base_from_camera.adjoint()
+            pose, topic = map_from_odom @ odom_from_base, f"{self._config.under}/base_pose"
+            messages.append(pose_message(topic, frame, time_ns, pose, carry @ covariance @ carry.T))
         if self._config.tf:
             # A transform that was told with its stamp before is refused by those who listen.
             before_ns = self._tf_ns if self._told_reading == reader.readings else 0
@@ -475,7 +506,8 @@ class LiveSession:
         if self._ticks % _REFRESH_TICKS == 0:
             self._reader.heard.refresh()
         self._tell_problems()
-        if self._anchor is not None and self._job is None and self._age_s(self._anchor) > _SILENT_S:
+        self._settle()
+        if self._anchor is not None and self._age_s(self._anchor) > _SILENT_S:
             self._go_on_without_images(self._anchor)
         self._send_diagnostics()
 
@@ -485,36 +517,55 @@ class LiveSession:
         assert reader is not None
         for reason in [*self.skipped, *reader.messages_left_out]:
             if reason not in self._problems and reason not in _USUAL:
-                self._tell(f"left out: {reason}{reader.first_problem}")
+                self._tell(f"left out: {reason}{reader.problems.get(reason, '')}")
             self._problems.add(reason)
         lost = [] if self._recorder is None or self._recorder.error is None else [self._recorder.error]
-        for notice in [*reader.camera.notices, *lost]:
+        apart = [reader.apart] if reader.apart is not None and reader.counts.read > _ENOUGH_IMAGES else []
+        for notice in [*reader.camera.notices, *lost, *(_APART for _ in apart)]:
             if notice not in self._problems:
-                self._tell(notice)
+                self._tell(notice if notice != _APART else f"{_APART}: {apart[0]}")
             self._problems.add(notice)
 
     def _age_s(self, anchor: _Anchor) -> float:
-        return time.monotonic() - anchor.job.began_s
+        return time.monotonic() - anchor.began_s
 
-    def _go_on_without_images(self, anchor: _Anchor) -> None:
-        """Predict the belief to now, by odometry or, where that is silent as well, by how far one may have come."""
-        reader = self._reader
+    def _settle(self) -> None:
+        """Follow odometry for good where images are missing for long: what lies before need not be remembered."""
+        reader, anchor = self._reader, self._anchor
         assert reader is not None
         odometry_ns, frame_ns = reader.odometry_ns, reader.frame_ns
-        is_told = time.monotonic() - self._odometry_s < _ODOMETRY_SILENT_S and anchor.job.reading == reader.readings
-        if is_told and odometry_ns is not None and frame_ns is not None:
-            if odometry_ns - frame_ns > _SETTLE_S * 1e9:  # what lies before need not be remembered any longer
-                settled_ns = odometry_ns - round(_SETTLED_S * 1e9)
-                odom_from_base = reader.odom_from_base(settled_ns)
-                if (motion := self._restated(reader.moved_until(settled_ns, settled=True))) is not None:
-                    estimate = self._localizer.predict(motion)
-                    map_from_odom = self._map_from_odom(estimate, odom_from_base)
-                    anchor = self._anchor = replace(anchor, estimate=estimate, map_from_odom=map_from_odom)
-            motion = self._restated(reader.moved_until(odometry_ns))
-        else:
-            motion = None
+        if self._job is not None or odometry_ns is None or frame_ns is None:
+            return
+        if odometry_ns - frame_ns <= _SETTLE_S * 1e9:
+            return
+        settled_ns = odometry_ns - round(_SETTLED_S * 1e9)
+        motion, odom_from_base = self._restated(reader.moved_until(settled_ns)), reader.odom_from_base(settled_ns)
+        reader.settle(settled_ns)
+        if anchor is None:
+            return
+        elapsed_s = max(settled_ns - anchor.time_ns, 0) * 1e-9 if anchor.reading == reader.readings else _SETTLE_S
+        estimate = self._localizer.predict(motion, elapsed_s=elapsed_s)
+        self._anchor = replace(
+            anchor,
+            time_ns=settled_ns,
+            reading=reader.readings,
+            estimate=estimate,
+            map_from_odom=self._map_from_odom(estimate, odom_from_base),
+        )
+
+    def _go_on_without_images(self, anchor: _Anchor) -> None:
+        """Predict the belief to now, by odometry or, where that is unknown, by how far one may have come.
+
+        The image that is missing may be at the network, which takes its time.
+        """
+        reader = self._reader
+        assert reader is not None
+        time_ns, motion = reader.odometry_ns, None
+        is_told = time.monotonic() - self._odometry_s < _ODOMETRY_SILENT_S and anchor.reading == reader.readings
+        if is_told and time_ns is not None:
+            motion = self._restated(self._motion_since_anchor(time_ns))
         later = copy.copy(self._localizer).predict(motion, elapsed_s=self._age_s(anchor))
-        self._send_belief(odometry_ns or anchor.job.frame.time_ns, later)
+        self._send_belief(time_ns or anchor.time_ns, later)
 
     def _send_diagnostics(self, silent: str | None = None) -> None:
         reader = self._reader

@@ -33,8 +33,9 @@ def write_snapshot(folder: Path, frame: Frame, believed: Iterable[RawMessage]) -
     """Write the image, undistorted as the network saw it, and the messages that were published of it.
 
     Raises:
-        SequenceError: the file cannot be written.
+        SequenceError, OSError: the file cannot be written.
     """
+    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"snapshot-{frame.time_ns}.mcap"
     with _Snapshot(path) as snapshot:
         snapshot.write(frame, believed)

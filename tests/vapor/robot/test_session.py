@@ -64,6 +64,7 @@ def test_every_image_is_localized_and_what_a_robot_needs_is_published(walk: Path
             metres, _ = each.map_from_base.distance(world_from_base(np.array(each.time_ns)))
             assert metres < 0.05
         assert len(run.messages("pose")) >= 12
+        time.sleep(0.1)  # odometry behind the last image
         bases = run.messages("base_pose")
         assert len(bases) > 40, "one for each message of odometry"
         for base in bases:
@@ -234,6 +235,93 @@ def test_a_slow_network_gets_the_newest_image_and_the_others_are_counted(walk: P
         assert run.session.skipped == {"a newer image was there": 12 - len(run.estimates)}
         for each in run.estimates:  # the motion over images that were left out is not lost
             assert each.estimate.modes[0].world_from_camera.distance(world_from_camera(each.time_ns))[0] < 0.05
+
+
+def test_a_network_that_hangs_does_not_leave_the_estimate_converged(walk: Path) -> None:
+    model = KnowingModel()
+    with running(walk, model=model) as run:
+        replayed(run, walk, images=5)
+        assert run.messages("diagnostics")[-1].status[0].message == "converged"
+        model.seconds = 3.0
+        late = [raw for raw in messages_of(walk) if raw.log_time_ns > run.estimates[-1].time_ns + NS // 20]
+        end_s = time.monotonic() + 1.0
+        for raw in late:  # images and odometry go on
+            run.transport.say(raw)
+            time.sleep(max(0.0, min(0.02, end_s - time.monotonic())))
+        run.wait(lambda: run.messages("diagnostics")[-1].status[0].message.startswith("ambiguous"), 2.5)
+        assert len(run.estimates) == 5
+        model.seconds = 0.0
+
+
+def test_nothing_is_lost_that_comes_while_a_callback_takes_its_time(walk: Path) -> None:
+    raws = [raw for raw in messages_of(walk) if raw.topic != IMAGES]
+    image = next(raw for raw in messages_of(walk) if raw.topic == IMAGES)
+    seen: list[int] = []
+
+    def slow(_: Any) -> None:
+        time.sleep(0.3)
+
+    with running(walk, on_estimate=slow) as run:
+        run.wait(lambda: any(each.topic == IMAGES for each in run.transport.subscribed))
+        run.session._admit = lambda event, admit=run.session._admit: (seen.append(1), admit(event))[1]
+        run.transport.say(image)
+        for raw in raws:
+            run.transport.say(raw)
+        run.wait(lambda: run.session.localized == 1)
+        before = len(seen)
+        for _ in range(1100):
+            run.transport.say(raws[-1])
+        run.wait(lambda: len(seen) >= before + 1100)
+
+
+def test_a_stated_pose_is_of_now_and_not_of_the_last_image(walk: Path, tmp_path: Path) -> None:
+    raws = messages_of(Walk(40).write(tmp_path / "long.mcap"))
+    with running(walk) as run:
+        replayed(run, walk, images=3)
+        for raw in raws:  # it drives on, and nobody sees where
+            if raw.topic == ODOMETRY and raw.log_time_ns > run.estimates[-1].time_ns:
+                run.transport.say(raw)
+        last_ns = raws[-1].log_time_ns
+        run.wait(
+            lambda: run.session._reader is not None and (run.session._reader.odometry_ns or 0) > last_ns - NS // 10
+        )
+        base = world_from_base(np.array(run.session._reader.odometry_ns))  # pyright: ignore[reportOptionalMemberAccess]
+        numbers = np.array([*base.translation, *base.as_quat_xyzw()])
+        told = {"pose": numbers, "covariance": (1e-4 * np.eye(6)).ravel()}
+        run.control("/initialpose", "geometry_msgs/PoseWithCovarianceStamped", header={"frame_id": "map"}, pose=told)
+        run.wait(lambda: any("/initialpose says" in line for line in run.told))
+        pose = run.messages("pose")[-1]
+        believed = pose_from_message(pose.pose.pose)
+        assert float(believed.distance(world_from_camera(stamp(pose.header)))[0]) < 0.05
+        run.wait(lambda: len(run.messages("base_pose")) > 0)
+        assert reader.frame_ns == reader.odometry_ns
+
+
+def test_odometry_that_begins_anew_elsewhere_is_not_followed(walk: Path, tmp_path: Path) -> None:
+    away = Walk(12)
+    away.odometry = [(t, Poses.exp(np.array([40.0, 0, 0, 0, 0, 0])) @ pose) for t, pose in away.odometry]
+    elsewhere = messages_of(away.write(tmp_path / "away.mcap"))
+    with running(walk) as run:
+        replayed(run, walk, images=5)
+        time.sleep(0.05)
+        number = len(run.messages("base_pose"))
+        for raw in elsewhere:
+            if raw.topic == ODOMETRY and raw.log_time_ns > run.estimates[-1].time_ns + NS // 10:
+                run.transport.say(raw)
+                time.sleep(0.005)
+        assert len(run.messages("base_pose")) == number
+
+
+def test_what_a_latched_topic_says_before_the_first_clock_is_not_lost(walk: Path) -> None:
+    with running(walk, sim_time=True) as run:
+        run.wait(lambda: any(each.topic == "/tf_static" for each in run.transport.subscribed))
+        early = [raw for raw in messages_of(walk) if raw.topic == "/tf_static"]
+        for raw in early:
+            run.transport.say(raw)
+        time.sleep(0.1)
+        sec, nanosec = divmod(BEGIN_NS, NS)
+        run.control("/clock", "rosgraph_msgs/Clock", clock={"sec": sec, "nanosec": nanosec})
+        replayed(run, walk, images=4, skip=("/ground_truth/pose", "/tf_static"))
 
 
 def test_a_clock_that_steps_back_loses_an_instant_and_no_more(walk: Path, tmp_path: Path) -> None:
