@@ -282,10 +282,9 @@ def test_a_stated_pose_is_of_now_and_not_of_the_last_image(walk: Path, tmp_path:
             if raw.topic == ODOMETRY and raw.log_time_ns > run.estimates[-1].time_ns:
                 run.transport.say(raw)
         last_ns = raws[-1].log_time_ns
-        run.wait(
-            lambda: run.session._reader is not None and (run.session._reader.odometry_ns or 0) > last_ns - NS // 10
-        )
-        base = world_from_base(np.array(run.session._reader.odometry_ns))  # pyright: ignore[reportOptionalMemberAccess]
+        reader: Any = run.session._reader
+        run.wait(lambda: reader.odometry_ns > last_ns - NS // 10)
+        base = world_from_base(np.array(reader.odometry_ns))
         numbers = np.array([*base.translation, *base.as_quat_xyzw()])
         told = {"pose": numbers, "covariance": (1e-4 * np.eye(6)).ravel()}
         run.control("/initialpose", "geometry_msgs/PoseWithCovarianceStamped", header={"frame_id": "map"}, pose=told)
