@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -341,20 +341,40 @@ class Sent(NamedTuple):
     late_s: float
 
 
-def play(transport: Transport, traffic: Traffic) -> Iterator[Sent]:
+Altered = tuple[bytes, int] | None
+"""Bytes of a message, and by how many nanoseconds its stamp is wrong; None where it is not published."""
+
+
+def play(
+    transport: Transport,
+    traffic: Traffic,
+    *,
+    from_s: float = 0.0,
+    alter: Callable[[Outgoing], Altered] = lambda outgoing: (outgoing.data, 0),
+) -> Iterator[Sent]:
     """Publish the messages of a robot in real time without end, stamped with the times at which they are due.
 
     A message that is late is published at once.
+
+    Args:
+        transport: Where.
+        traffic: What.
+        from_s: How far along its way it begins.
+        alter: What becomes of a message when it is due.
     """
     publish = {name: transport.advertise(name, kind, latched=name == TF_STATIC) for name, kind in traffic.types.items()}
     publish[TF_STATIC](traffic.static)
-    begin_s, begin_ns = time.monotonic(), time.time_ns()
+    begin_s, begin_ns = time.monotonic() - from_s, time.time_ns() - round(from_s * 1e9)
     for outgoing in traffic.messages():
+        if outgoing.due_s < from_s:
+            continue
         due_s = begin_s + outgoing.due_s
         while (left_s := due_s - time.monotonic()) > 0:
             time.sleep(min(left_s, _LONGEST_SLEEP_S))
-        stamp_ns = begin_ns + round(outgoing.due_s * 1e9)
-        data = with_stamp(outgoing.data, stamp_ns)
+        if (altered := alter(outgoing)) is None:
+            continue
+        stamp_ns = begin_ns + round(outgoing.due_s * 1e9) + altered[1]
+        data = with_stamp(altered[0], stamp_ns)
         at_ns = time.monotonic_ns()
         publish[outgoing.topic](data)
         yield Sent(outgoing.topic, stamp_ns, at_ns, at_ns * 1e-9 - due_s)

@@ -7,7 +7,7 @@ from importlib import import_module
 
 from vapor.commands.console import show, usage_error
 
-BENCHMARKS = ("step", "localization", "textbook", "faults", "familiarity", "real", "cluster", "live")
+BENCHMARKS = ("step", "localization", "textbook", "faults", "familiarity", "real", "cluster", "live", "live-faults")
 """Names of the modules here that each have `Options`, with a docstring that says what is measured, and `main`."""
 
 
@@ -15,9 +15,13 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     if arguments[:1] in (["-h"], ["--help"]):
         show(f"usage: vapor-track benchmark {'|'.join(BENCHMARKS)} ...\n\nMeasure; each has its own --help.\n")
-        meanings = {name: import_module(f"{__name__}.{name}").Options.__doc__ for name in BENCHMARKS}
+        meanings = {name: import_module(f"{__name__}.{_module(name)}").Options.__doc__ for name in BENCHMARKS}
         show("\n".join(f"  {name:<13} {meaning}" for name, meaning in meanings.items()))
         return
     if not arguments or arguments[0] not in BENCHMARKS:
         usage_error("benchmark", f"expected one of {', '.join(BENCHMARKS)} first")
-    import_module(f"{__name__}.{arguments[0]}").main(arguments[1:])
+    import_module(f"{__name__}.{_module(arguments[0])}").main(arguments[1:])
+
+
+def _module(name: str) -> str:
+    return name.replace("-", "_")
