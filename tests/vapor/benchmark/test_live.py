@@ -136,10 +136,10 @@ def test_the_command_measures_live(
     assert main([*words, f"--live={shlex.join(SMALL)}", "--output", str(tmp_path / "out")]) == 0
     assert "160x120" in capsys.readouterr().out
     (measured,) = json.loads((tmp_path / "out" / "live.json").read_text())["measured"]
-    assert 55 <= measured["pose"]["sent"] <= 62
+    assert 40 <= measured["pose"]["sent"] <= 62
     assert measured["pose"]["answered"] > 0.5 * measured["pose"]["sent"]
     assert 0 < measured["pose"]["median_ms"] < 1000
-    assert 550 <= measured["base_pose"]["sent"] <= 602
+    assert 400 <= measured["base_pose"]["sent"] <= 602
     assert measured["usage"]["last_mb"] > 50
 
 
