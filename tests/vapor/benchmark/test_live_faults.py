@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sequences.recordings.message_definitions import decoder, encoder
-from vapor.benchmark.live.faults import changes, status_at, sure_since, wrong_for
+from vapor.benchmark.live.faults import changes, status_at, sure_from, sure_since, wrong_for
 from vapor.benchmark.live.robot import Robot, RobotConfig
 from vapor.benchmark.live.traffic import ODOMETRY, Outgoing
 from vapor.track import main
@@ -43,6 +43,13 @@ def test_sure_is_what_stays_so_to_the_end(end_s, since):
 
 def test_what_was_sure_before_a_fault_ended_is_sure_from_its_end_on():
     assert sure_since(STATUSES, 8.0, 9.0) == 8.0
+
+
+def test_recovered_is_what_is_sure_for_a_second():
+    flickering = [(1.0, "ambiguous"), (2.0, "converged"), (2.5, "lost"), (4.0, "converged"), (9.0, "ambiguous")]
+    assert sure_from(flickering, 0.0, 10.0) == 4.0
+    assert sure_from(flickering, 5.0, 10.0) == 5.0
+    assert sure_from(flickering, 8.5, 10.0) is None
 
 
 def test_time_counts_while_what_is_published_is_a_metre_off():

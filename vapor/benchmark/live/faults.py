@@ -29,7 +29,7 @@ from vapor.benchmark.live.traffic import IMAGE, ODOMETRY, Timeline, Walk
 
 _RATE, _ODOMETRY_HZ = 10.0, 50.0
 _SURE_S, _MOST_S, _AFTER_S = 5.0, 120.0, 30.0
-_FOUND_S = 1.0
+_FOUND_S, _AGAIN_S = 1.0, 1.0
 _WRONG_M = 1.0
 _IMAGES = f"{IMAGE}/compressed"
 _LOSSY = (
@@ -65,7 +65,7 @@ FAULTS = {
     "killed": Fault("robot killed for 5 s, odometry anew", lasts_s=5.0, killed=True),
     "camera": Fault("camera silent", f"drop {_IMAGES}", "resume"),
     "odometry": Fault("odometry silent", f"drop {ODOMETRY}", "resume"),
-    "slow": Fault("images at twice the speed", words=("--num-samples", "25000")),
+    "slow": Fault("images at twice the speed", words=("--num-samples", "100000")),
     "lossy": Fault("20 % of datagrams lost", lossy=True),
     "lossy-reliable": Fault("the same, --reliable", words=("--reliable",), lossy=True),
     "clock": Fault("clock steps back 5 s", "clock -5", lasts_s=1.0),
@@ -126,7 +126,7 @@ class Outcome:
         transforms_per_s: Likewise of tf.
         unsure_after_s: Seconds from the beginning of the fault until the status was not `converged`; None for never.
         statuses: All statuses from the beginning on, in their order, without repetitions.
-        recovered_after_s: Seconds from the end of the fault until it was `converged` and stayed so; None for never.
+        recovered_after_s: Seconds from the end of the fault until it was `converged` for a second; None for never.
         wrong_s: Seconds for which the pose of the base was published and more than 1 m off.
         worst_m: The furthest that it was off, metres; NaN where none was published.
     """
@@ -158,6 +158,13 @@ def sure_since(statuses: Sequence[tuple[float, str]], from_s: float, end_s: floa
         return None
     last = changes([each for each in statuses if each[0] <= end_s])[-1][0]
     return max(last, from_s)
+
+
+def sure_from(statuses: Sequence[tuple[float, str]], from_s: float, end_s: float) -> float | None:
+    """The first time from one on that it was `converged` and remained so for a second; None where there is none."""
+    told = changes([(from_s, status_at(statuses, from_s)), *(each for each in statuses if from_s < each[0] <= end_s)])
+    spans = pairwise([*told, (end_s, "")])
+    return next((now[0] for now, then in spans if now[1] == "converged" and then[0] - now[0] >= _AGAIN_S), None)
 
 
 def wrong_for(times_s: Sequence[float], errors_m: Sequence[float], *, most_s: float = 0.2) -> float:
@@ -265,7 +272,7 @@ def _outcome(
     lasted_s = end_s - begin_s
     within = [each for each in heard.statuses if begin_s < each[0] <= until_s]
     unsure_s = next((told_s for told_s, status in within if status != "converged"), None)
-    again_s = sure_since(heard.statuses, end_s, until_s)
+    again_s = sure_from(heard.statuses, end_s, until_s)
     bases = [base for base in heard.bases if begin_s <= base[0] <= until_s]
     shift_ns = 5_000_000_000 if fault.begin.startswith("clock") else 0
     errors_m = _errors_m([(s, n + shift_ns, pose) for s, n, pose in bases], walk, walk_ns)
