@@ -16,7 +16,7 @@ def status_of(words: list[str]) -> object:
 
 WRONG = {
     "no command": ([], ""),
-    "unknown command": (["localise"], "unknown command 'localise', expected one of run, demo"),
+    "unknown command": (["localise"], "unknown command 'localise', expected one of run, live"),
     "unknown option": (["run", "a.mcap", "--model", "m", "--output", "o", "--nonsense", "1"], "nonsense"),
     "misspelt option": (
         ["run", "a.mcap", "--model", "m", "--output", "o", "--localizer.max-hypthoses", "9"],
