@@ -40,6 +40,7 @@ $(INSTALLED): pyproject.toml
 
 # A recording played as a robot's topics, and the localization of that robot, until Ctrl-C.
 live-demo: $(INSTALLED)
+	mkdir -p build
 	test -f build/live-demo.mcap || $(BIN)/vapor-track synthesize staircase build/live-demo.mcap --frames 300
 	$(BIN)/vapor-track replay build/live-demo.mcap --localhost --restamp --loop & trap "kill $$!" EXIT; \
 	    $(BIN)/vapor-track live --model staircase --localhost $(LIVE)

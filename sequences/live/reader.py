@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
@@ -188,7 +189,7 @@ class LiveReader:
             return None
         try:
             return max((sample.time_ns for sample in self._links.samples(message)), default=None)
-        except Exception:  # counted where it is taken in
+        except VaporTrackError:  # counted where it is taken in
             return None
 
     def newest_frame(self) -> Frame | None:

@@ -76,6 +76,12 @@ def test_the_same_view_is_left_bit_by_bit() -> None:
     assert as_taken(taken_by(OTHERS["16:9"]), OTHERS["16:9"]).shape == (30, 40, 3)
 
 
+def test_the_same_field_of_view_with_pixels_of_another_shape_is_resampled() -> None:
+    image = np.random.default_rng(0).integers(0, 255, (90, 160, 3), dtype=np.uint8)
+    seen = AsTakenBy(A, (A.width, A.height))(image, A.scaled(160, 90))
+    assert seen.shape[1] * A.height == seen.shape[0] * A.width
+
+
 def test_what_a_person_should_know_is_said_once() -> None:
     as_taken = AsTakenBy(A, (40, 30))
     narrow = replace(A, fx=1.4 * A.fx, fy=1.4 * A.fy)

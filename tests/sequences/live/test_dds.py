@@ -21,6 +21,7 @@ from sequences.recordings.message_definitions import DEFINITIONS, decoder, encod
 from sequences.recordings.source import RawMessage
 from tests.helpers.checkout import CHECKOUT
 from tests.helpers.live_system import free_domain
+from tests.helpers.made_up_messages import made_up
 
 pytest.importorskip("cyclonedds")
 
@@ -28,7 +29,6 @@ DOMAIN = free_domain()
 UNDER = f"/test_{os.getpid()}"  # another worker may be in the same domain
 CHATTER, TEXT = f"{UNDER}/chatter", "std_msgs/Header"
 LONG_S, SHORT_S = 20.0, 0.15  # for what must come, and for what must not
-_BELOW = {"bool": 2, "byte": 200, "uint8": 200, "int32": 2**31, "uint32": 2**32, "uint64": 2**63}
 
 
 @pytest.fixture
@@ -91,25 +91,6 @@ def text(words: str) -> bytes:
 
 def words(raw: RawMessage) -> str:
     return decoder(TEXT)(raw.data).frame_id
-
-
-def made_up(message_type: str, rng: np.random.Generator) -> dict[str, Any]:
-    """A message of a type, with texts of up to ten bytes and lists of up to three."""
-
-    def one(kind: str) -> Any:
-        if "/" in kind:
-            return made_up(kind, rng)
-        if kind == "string":
-            return "ü" * int(rng.integers(2)) + "x" * int(rng.integers(9))
-        return int(rng.integers(_BELOW[kind])) if kind in _BELOW else float(np.float32(rng.normal()))
-
-    message: dict[str, Any] = {}
-    for line in DEFINITIONS[message_type].splitlines():
-        kind, name = line.split()
-        base, _, length = kind.removesuffix("]").partition("[")
-        many = [one(base) for _ in range(int(length or rng.integers(4)))]
-        message[name] = one(base) if base == kind else bytes(many) if base == "uint8" else many
-    return message
 
 
 # --- offers ---------------------------------------------------------------------------------------
