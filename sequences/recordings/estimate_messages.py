@@ -12,7 +12,8 @@ from filtering.se3 import Poses
 from sequences.recordings.mcap_writer import MAP_FRAME, ros_header, ros_poses
 from sequences.recordings.messages import covariance_to_ros
 
-_MAX_PARTICLES = 500
+PUBLISHED_PARTICLES = 500
+"""How many particles are published after each image."""
 _ARROW_M = 0.5  # length of the arrow of a mode, along its optical axis
 _MARKER_ARROW, _MARKER_DELETE_ALL = 0, 3
 _NO_TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # an arrow's points are in the map
@@ -52,8 +53,8 @@ def estimate_messages(
         frame: The frame that poses are in.
     """
     header = ros_header(time_ns, frame)
-    if len(particles) > _MAX_PARTICLES:
-        particles = particles[np.linspace(0, len(particles) - 1, _MAX_PARTICLES).astype(int)]
+    if len(particles) > PUBLISHED_PARTICLES:
+        particles = particles[np.linspace(0, len(particles) - 1, PUBLISHED_PARTICLES).astype(int)]
     best = Poses.stack([modes[0][0]]) if modes else Poses.identity(0)
     poses = ros_poses(Poses.concatenate([best, particles]), known_valid=True)  # the check takes nine times as long
     markers = [{"header": header, "ns": "modes", "action": _MARKER_DELETE_ALL}]

@@ -23,7 +23,7 @@ from tests.helpers.live_system import ANSWERS
 from tests.helpers.sequence_files import BEGIN_NS, picture, world_from_camera
 from vapor.observation import VaporObservationModel
 from vapor.pipeline.model import LoadedModel
-from vapor.robot import session
+from vapor.robot import health, session
 from vapor.robot.config import LiveConfig
 from vapor.robot.estimate import LiveEstimate
 from vapor.robot.session import LiveSession
@@ -153,5 +153,5 @@ def hurry(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(reader, "_ASK_AGAIN_S", 0.01)
     patch.setattr(reader, "_SAY_AGAIN_S", 0.1)
     patch.setattr(session, "_TICK_S", 0.05)
-    patch.setattr(session, "_SILENT_S", 0.2)
-    patch.setattr(session, "_ODOMETRY_SILENT_S", 0.1)
+    patch.setattr(health, "_SILENT_S", 0.2)
+    patch.setattr(health, "_ODOMETRY_SILENT_S", 0.1)

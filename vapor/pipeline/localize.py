@@ -20,6 +20,7 @@ from filtering.smoothing import agreement
 from sequences.estimates.sequence import EstimateSequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
+from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES
 from vapor.pipeline.ahead import ahead
 from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.beside import outputs_beside
@@ -27,9 +28,6 @@ from vapor.reporting.record import RunRecord
 from vapor.tracking.history import History
 from vapor.tracking.loop import StepLoop
 from vapor.tracking.methods import poses_at_end
-
-PUBLISHED_PARTICLES = 500
-"""How many particles of each image go into `estimate.mcap`."""
 
 
 def localize(

@@ -107,7 +107,8 @@ def test_the_last_transform_is_kept_where_that_is_asked_for(walk: Path) -> None:
         replayed(run, walk, images=6)
         run.control("/estimate/start_anew")
         run.wait(lambda: "starts anew" in run.told)
-        assert run.session._anchor is None
+        belief: Any = run.session._belief
+        assert belief.anchor is None
     model = KnowingModel()
     with running(walk, model=model, keep_tf=True) as run:
         replayed(run, walk, images=6)
@@ -142,7 +143,8 @@ def test_a_message_on_initialpose_begins_anew_there(walk: Path) -> None:
         run.wait(lambda: any("expected one in 'map'" in line for line in run.told))
         run.control("/initialpose", kind, header={"frame_id": "map"}, **told)
         run.wait(lambda: any("/initialpose says" in line for line in run.told))
-        best = run.session._localizer.predict(None).modes[0].world_from_camera
+        belief: Any = run.session._belief
+        best = belief.localizer.predict(None).modes[0].world_from_camera
         base = best @ SequenceReader(walk).base_from_camera.inverse()  # pyright: ignore[reportOptionalMemberAccess]
         assert np.allclose(base.translation[:2], [70.0, -3.0])
 
@@ -282,7 +284,8 @@ def test_a_stated_pose_is_of_now_and_not_of_the_last_image(walk: Path, tmp_path:
             if raw.topic == ODOMETRY and raw.log_time_ns > run.estimates[-1].time_ns:
                 run.transport.say(raw)
         last_ns = raws[-1].log_time_ns
-        reader: Any = run.session._reader
+        belief: Any = run.session._belief
+        reader = belief.reader
         run.wait(lambda: reader.odometry_ns > last_ns - NS // 10)
         base = world_from_base(np.array(reader.odometry_ns))
         numbers = np.array([*base.translation, *base.as_quat_xyzw()])

@@ -1,0 +1,113 @@
+"""How live localization goes: what is silent, what was left out and why, how long it takes."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+import numpy as np
+
+from sequences.live.reader import LiveReader
+from sequences.reading.counts import OVERTAKEN
+from vapor.robot.belief import Anchor
+from vapor.robot.recorder import MessageRecorder
+
+_SILENT_S = 1.0
+_ODOMETRY_SILENT_S = 0.5
+_LATENCIES = 1000
+_REFUSED = "refused"
+_USUAL = (OVERTAKEN, _REFUSED)
+_APART, _ENOUGH_IMAGES = "images and odometry are by different clocks", 10
+
+
+class Health:
+    """Counts, and knows when messages came last.
+
+    Attributes:
+        reader: Whose images and messages; None until topics are found.
+        recorder: What writes them down; None where nothing does.
+        localized: How many images were localized.
+        refused: How many images the network or the filter could not use.
+    """
+
+    def __init__(self) -> None:
+        self.reader: LiveReader | None = None
+        self.recorder: MessageRecorder | None = None
+        self.localized = self.refused = 0
+        self._image_s = self._odometry_s = time.monotonic()
+        self._latencies_ms: deque[float] = deque(maxlen=_LATENCIES)
+        self._noticed: set[str] = set()
+
+    def image_came(self) -> None:
+        """Note that there was an image, whatever became of it."""
+        self._image_s = time.monotonic()
+
+    def odometry_came(self) -> None:
+        """Note that there was later odometry."""
+        self._odometry_s = time.monotonic()
+
+    def image_was_localized(self, latency_ms: float) -> None:
+        """Count an image."""
+        self.localized += 1
+        self._latencies_ms.append(latency_ms)
+
+    @property
+    def skipped(self) -> dict[str, int]:
+        """How many images were left out, by reason."""
+        skipped = {} if self.reader is None else dict(self.reader.counts.skipped)
+        return skipped | ({_REFUSED: self.refused} if self.refused else {})
+
+    @property
+    def has_odometry(self) -> bool:
+        """Whether odometry tells of now."""
+        return time.monotonic() - self._odometry_s < _ODOMETRY_SILENT_S
+
+    def is_old(self, anchor: Anchor) -> bool:
+        """Whether images are missing since one was localized."""
+        return anchor.age_s > _SILENT_S
+
+    def silent(self, anchor: Anchor | None) -> str | None:
+        """What does not come, in words; None where everything does."""
+        now_s = time.monotonic()
+        if self.reader is None:
+            return None
+        if now_s - self._odometry_s > _SILENT_S:
+            return f"no odometry for {now_s - self._odometry_s:.0f} s"
+        if now_s - self._image_s > _SILENT_S:
+            return f"no image for {now_s - self._image_s:.0f} s"
+        if anchor is not None and self.is_old(anchor):
+            return f"no image that can be used for {anchor.age_s:.0f} s"
+        return None
+
+    def values(self) -> dict[str, object]:
+        """Counts and times for diagnostics, by name."""
+        values: dict[str, object] = {}
+        if self.reader is not None:
+            values = {"images": self.reader.counts.read, "images localized": self.localized}
+            values |= {f"images skipped, {why}": n for why, n in sorted(self.skipped.items())}
+            values |= {f"messages left out, {why}": n for why, n in sorted(self.reader.messages_left_out.items())}
+        if self._latencies_ms:
+            median, late = np.percentile(self._latencies_ms, [50, 99])
+            values |= {"latency, median, ms": f"{median:.1f}", "latency, 99 %, ms": f"{late:.1f}"}
+        if self.recorder is not None:
+            values |= {"messages recorded": self.recorder.number, "messages not recorded": self.recorder.lost}
+        return values
+
+    def notices(self) -> list[str]:
+        """What a person should know and was not told: each reason why something is left out, once; what the camera,
+        the clocks and the recording have to say."""
+        reader = self.reader
+        assert reader is not None
+        said = {
+            reason: f"left out: {reason}{reader.problems.get(reason, '')}"
+            for reason in [*self.skipped, *reader.messages_left_out]
+            if reason not in _USUAL
+        }
+        said |= {notice: notice for notice in reader.camera.notices}
+        if self.recorder is not None and self.recorder.error is not None:
+            said[self.recorder.error] = self.recorder.error
+        if reader.apart is not None and reader.counts.read > _ENOUGH_IMAGES:
+            said[_APART] = f"{_APART}: {reader.apart}"
+        new = [text for reason, text in said.items() if reason not in self._noticed]
+        self._noticed |= set(said)
+        return new
