@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shlex
 import sys
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -68,6 +69,11 @@ Overwrite = Annotated[
 ]
 """Whether to replace what is not known to be results of an earlier call."""
 _MIN_WIDTH = 100  # of a table, where the output is no terminal
+
+
+def command_line(command: str, arguments: Sequence[str]) -> str:
+    """A command as one would type it, for the page that says what it found."""
+    return shlex.join(["vapor-track", command, *arguments])
 
 
 def parse(command: str, options: type[Options], arguments: Sequence[str], default: Options | None = None) -> Options:
@@ -209,8 +215,12 @@ def show_notices(notices: Sequence[str]) -> None:
 
 def show_skipped(skipped: Mapping[str, int]) -> None:
     """Say what was left out, if anything was."""
-    for reason, count in skipped.items():
-        _show_line(f"  skipped {count}: {reason}")
+    show_notices(skipped_lines(skipped))
+
+
+def skipped_lines(skipped: Mapping[str, int]) -> list[str]:
+    """What was left out, a line for each reason."""
+    return [f"skipped {count}: {reason}" for reason, count in skipped.items()]
 
 
 def _show_line(text: str) -> None:
@@ -220,13 +230,18 @@ def _show_line(text: str) -> None:
 
 def show_images(images: Mapping[str, Any]) -> None:
     """Say what became of the images that a sequence states."""
+    show(f"images     {images_said(images)}")
+
+
+def images_said(images: Mapping[str, Any]) -> str:
+    """What became of the images that a sequence states."""
     skipped = sum(images["skipped"].values())
-    show(f"images     {images['stated']} stated, {images['read']} read, {images['used']} used, {skipped} skipped")
+    return f"{images['stated']} stated, {images['read']} read, {images['used']} used, {skipped} skipped"
 
 
 def show_files(directory: Path, pictures: Sequence[str], *, recording: bool) -> None:
     """Say where the results of a run lie."""
-    show(f"report     {directory / 'report.json'}")
+    show(f"report     {directory / 'report.html'}")
     show(f"pictures   {', '.join(str(directory / name) for name in pictures)}")
     if recording:
         show(f"recording  rerun {directory / 'recording.rrd'}")

@@ -15,7 +15,7 @@ from sequences.outputs.results import results_folder
 from sequences.scenes import SCENES
 from sequences.synthesize import synthesize, write_synthetic
 from vapor.checkpoints.shipped_models import SHIPPED
-from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_files, usage_error
+from vapor.commands.console import OutputPath, Overwrite, bar, command_line, parse, show, show_files, usage_error
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.results import RESULTS
@@ -60,7 +60,8 @@ def main(arguments: Sequence[str]) -> None:
         with bar("localizing") as advance:
             config = RunConfig(seed=options.seed)
             model = load_model(options.scene, config)
-            result = run_into(directory, directory / _SEQUENCE, model, config, progress=advance)
+            command = command_line("demo", arguments)
+            result = run_into(directory, directory / _SEQUENCE, model, config, progress=advance, command=command)
     shown = {name: result.report[name] for name in _METHODS if name in result.report}
     show(format_table(shown, title=f"{options.scene}, {result.report['frames']} synthetic images"))
     show_files(output, result.pictures, recording=True)

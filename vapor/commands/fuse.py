@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from sequences.estimates.options import EstimateOptions
-from vapor.commands.console import OutputPath, Overwrite, bar, parse, usage_error
+from vapor.commands.console import OutputPath, Overwrite, bar, command_line, parse, usage_error
 from vapor.commands.run import show_run
 from vapor.pipeline.config import FilteringConfig
 from vapor.pipeline.estimate_model import EstimateConfig
@@ -59,6 +59,7 @@ def main(arguments: Sequence[str]) -> None:
             reading=o.reading,
             overwrite=o.overwrite,
             progress=advance,
+            command=command_line("fuse", arguments),
         )
     title = ", ".join(path.name for path in o.estimates)
     show_run(result, o.output, title=title, recording=o.config.recording, tail=True)

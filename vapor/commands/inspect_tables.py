@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from rich.table import Table
 
 from sequences.reading.counts import ImageCounts
-from vapor.commands.console import show, show_images, show_notices, show_skipped
+from vapor.commands.console import images_said, show, show_notices, skipped_lines
 from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.inspect import Inspection
@@ -21,23 +22,39 @@ from vapor.inspection.walk import Walk
 _NAMED = 8  # of a kind, at most
 
 
+@dataclass(frozen=True)
+class Part:
+    """Part of what was found: a heading, perhaps a table, and lines."""
+
+    title: str
+    lines: Sequence[str]
+    table: Table | None = None
+
+
 def show_inspection(found: Inspection) -> None:
     """Print all that was found, the verdict last."""
-    _show_walks(found.walks)
+    for part in parts(found):
+        if part.table is None:
+            show(f"\n{part.title}")
+        else:
+            show(part.table)
+        show_notices(part.lines)
+
+
+def parts(found: Inspection) -> Iterator[Part]:
+    """All that was found, the verdict last."""
+    yield _walks(found.walks)
     if found.coverage is not None:
-        show("\nWhat they show")
-        show_notices([*_coverage_lines(found, found.coverage)])
-    show("\nOdometry")
-    show_notices([*_odometry_lines(found), *_clock_lines(found.clocks)])
+        yield Part("What they show", [*_coverage_lines(found, found.coverage)])
+    yield Part("Odometry", [*_odometry_lines(found), *_clock_lines(found.clocks)])
     if found.predictions is not None:
-        show("\nThe model")
-        show_notices([*_model_lines(found.predictions, found.coverage)])
-    show("\nVerdict")
-    show_notices([f"{number}. {sentence}" for number, sentence in enumerate(found.verdict, 1)])
+        yield Part("The model", [*_model_lines(found.predictions, found.coverage)])
+    yield Part("Verdict", [f"{number}. {sentence}" for number, sentence in enumerate(found.verdict, 1)])
 
 
-def _show_walks(walks: Sequence[Walk]) -> None:
-    table = Table(title=f"{len(walks)} recordings" if len(walks) > 1 else "1 recording", title_justify="left")
+def _walks(walks: Sequence[Walk]) -> Part:
+    title = f"{len(walks)} recordings" if len(walks) > 1 else "1 recording"
+    table = Table(title=title, title_justify="left")
     table.add_column("", overflow="fold")
     for name in ("images", "posed", "seconds", "Hz", "pixels", "path", "sharp", "blurred", "dark", "blown"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -57,16 +74,14 @@ def _show_walks(walks: Sequence[Walk]) -> None:
         )
     table.caption = "sharp: variance of the Laplacian at 240 pixels; blurred: below 0.3 of the recording's median"
     table.caption_justify = "left"
-    show(table)
-    for walk in walks:
-        show_notices([f"{walk.name}: {line}" for line in _walk_lines(walk)])
-    for notice in dict.fromkeys(notice for walk in walks for notice in walk.notices):
-        show_notices([notice])
+    lines = [f"{walk.name}: {line}" for walk in walks for line in _walk_lines(walk)]
+    lines += dict.fromkeys(notice for walk in walks for notice in walk.notices)
     counts = [walk.counts for walk in walks if walk.counts is not None]
     if counts:
-        show_images(sum(counts, ImageCounts(0)).as_json())
+        lines.append(f"images     {images_said(sum(counts, ImageCounts(0)).as_json())}")
     sources = {id(walk.skipped): walk.skipped for walk in walks}
-    show_skipped(sum((Counter(skipped) for skipped in sources.values()), Counter()))
+    lines += skipped_lines(sum((Counter(skipped) for skipped in sources.values()), Counter()))
+    return Part(title, lines, table)
 
 
 def _walk_lines(walk: Walk) -> Iterator[str]:

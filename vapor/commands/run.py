@@ -16,6 +16,7 @@ from vapor.commands.console import (
     OutputPath,
     Overwrite,
     bar,
+    command_line,
     parse,
     progress_of,
     show,
@@ -62,18 +63,18 @@ class Options:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    options = parse("run", Options, arguments)
+    options, command = parse("run", Options, arguments), command_line("run", arguments)
     if not options.sequences:
         usage_error("run", "no sequence, expected at least one MCAP file or rosbag2 folder")
     if is_fleet(options.sequences):
-        _run_fleet(options)
+        _run_fleet(options, command)
     elif options.scheduler is not None:
         usage_error("run", "--scheduler for one sequence, expected several")
     else:
-        _run_one(options)
+        _run_one(options, command)
 
 
-def _run_one(options: Options) -> None:
+def _run_one(options: Options, command: str) -> None:
     (sequence,) = options.sequences
     with bar("localizing") as advance:
         result = run(
@@ -84,6 +85,7 @@ def _run_one(options: Options) -> None:
             reading=options.reading,
             overwrite=options.overwrite,
             progress=advance,
+            command=command,
         )
     show_run(result, options.output, title=sequence.name, recording=options.config.recording)
 
@@ -111,7 +113,7 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, ta
         show(result.few_images)
 
 
-def _run_fleet(options: Options) -> None:
+def _run_fleet(options: Options, command: str) -> None:
     sequences = find_sequences(options.sequences, options.output)
     numbers = {name: f"{name}, {number} of {len(sequences)}" for number, name in enumerate(sequences, start=1)}
     outcomes: list[Outcome] = []
@@ -129,6 +131,7 @@ def _run_fleet(options: Options) -> None:
                 overwrite=options.overwrite,
                 progress=lambda name, done, count: advance(numbers[name], done, max(done, count)),
                 workers=workers,
+                command=command,
             ):
                 outcomes.append(outcome)
                 if not workers.are_this_process:

@@ -78,6 +78,7 @@ def run_fleet(
     overwrite: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
     workers: Workers | None = None,
+    command: str = "",
 ) -> Iterator[Outcome]:
     """Localize many sequences; each has the results that it would have alone.
 
@@ -91,6 +92,7 @@ def run_fleet(
         progress: Called after every image with the name of the sequence, the number done and an upper bound of all; not
             of those that other processes localize.
         workers: Where they are localized; None for one after the other here.
+        command: See `run`.
 
     Yields:
         What came of each, when it is done: in the order of the sequences where it is one after the other. A sequence
@@ -111,13 +113,14 @@ def run_fleet(
     except OSError as error:
         raise VaporTrackError(f"{output}: cannot write: {error.strerror or error}") from error
     workers.require_to_see(output)
-    here = partial(_localized, model=loaded, progress=progress)
+    here = partial(_localized, model=loaded, progress=progress, command=command)
     there = partial(
         _localized_elsewhere,
         file=loaded.file,
         model=loaded.name,
         sha256=loaded.sha256,
         told=workers.cluster is not None,
+        command=command,
     )
     jobs = [(name, sequence, output / name, config, reading, overwrite) for name, sequence in sequences.items()]
     done: dict[str, Outcome] = {}
@@ -138,11 +141,13 @@ def _localized(
     overwrite: bool,
     *,
     model: LoadedModel,
+    command: str,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Outcome:
     advance = None if progress is None else partial(progress, name)
+    options = {"reading": reading, "overwrite": overwrite, "progress": advance, "command": command}
     try:
-        result = run(fetched(sequence), model, output, config, reading=reading, overwrite=overwrite, progress=advance)
+        result = run(fetched(sequence), model, output, config, **options)
         return _outcome(name, sequence, result)
     except (VaporTrackError, OSError) as error:
         return Outcome(name, str(sequence), error=" ".join(str(error).splitlines()))
@@ -160,10 +165,11 @@ def _localized_elsewhere(
     model: str,
     sha256: str,
     told: bool,
+    command: str,
 ) -> Outcome:
     """As `_localized` in another process; on `told`, an error names the machine."""
     loaded = _loaded_once(file, model, sha256, config)
-    outcome = _localized(name, sequence, output, config, reading, overwrite, model=loaded)
+    outcome = _localized(name, sequence, output, config, reading, overwrite, model=loaded, command=command)
     return replace(outcome, error=f"{outcome.error} (on {node()})") if told and outcome.error else outcome
 
 

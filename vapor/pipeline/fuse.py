@@ -28,6 +28,7 @@ def fuse(
     reading: EstimateOptions | None = None,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    command: str = "",
 ) -> RunResult:
     """Localize frames of which others gave pose estimates, and write everything about it into a directory.
 
@@ -42,6 +43,7 @@ def fuse(
         reading: How to read the files.
         overwrite: See `vapor.pipeline.run.run`.
         progress: Called after every frame with the number done and an upper bound of all.
+        command: See `vapor.pipeline.run.run`.
 
     Raises:
         VaporTrackError: unusable files or output, or fewer than one in ten of the estimated frames left to localize.
@@ -80,7 +82,8 @@ def fuse(
             "reading": asdict(reading),
             "errors": asdict(errors),
         }
-        return write_results(record, directory, settings, title=", ".join(file.path.stem for file in sequence.files))
+        title = ", ".join(file.path.stem for file in sequence.files)
+        return write_results(record, directory, settings, title=title, command=command)
 
 
 def over_sequences(config: LocalizerConfig) -> LocalizerConfig:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import platform
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sequences.atomic import atomic_output
 from sequences.trajectories.tum import write_tum
-from vapor.reporting.beside import write_pictures
+from vapor.reporting.beside import write_pictures, write_run_page
 from vapor.reporting.pictures import PICTURES
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import build_report, doubtful_notice, write_report, write_status
@@ -23,7 +24,8 @@ RESULTS = frozenset(
     {
         *FILES.values(),
         *PICTURES,
-        *("ground_truth.tum", "status.csv", "config.json", "report.json", "estimate.mcap", "recording.rrd"),
+        *("ground_truth.tum", "status.csv", "config.json", "estimate.mcap", "recording.rrd"),
+        *("report.html", "report.json"),
     }
 )
 """Names of all files that a run may write."""
@@ -51,8 +53,25 @@ class RunResult:
         return None if self.record.images is None else self.record.images.warning
 
 
-def write_results(record: RunRecord, directory: Path, settings: dict[str, Any], *, title: str) -> RunResult:
-    """Write trajectories, pictures, `config.json` (settings, and the versions they were used with), `report.json`."""
+def write_results(
+    record: RunRecord,
+    directory: Path,
+    settings: dict[str, Any],
+    *,
+    title: str,
+    notices: Sequence[str] = (),
+    command: str = "",
+) -> RunResult:
+    """Write trajectories, pictures, `config.json` (settings, and the versions they were used with), and the report.
+
+    Args:
+        record: The run.
+        directory: Where to.
+        settings: What it was made with, as JSON.
+        title: Name of the sequence.
+        notices: What a person should know of the sequence and the model.
+        command: The command that was given; empty where there was none.
+    """
     for name, trajectory in record.methods.items():
         write_tum(directory / FILES[name], trajectory)
     if record.truth is not None:
@@ -60,11 +79,13 @@ def write_results(record: RunRecord, directory: Path, settings: dict[str, Any], 
     write_status(directory / "status.csv", record)
     pictures = write_pictures(record, directory, title=title)
     versions = {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in _PACKAGES}
+    settings = with_stored_names(settings) | {"versions": versions}
     with atomic_output(directory / "config.json") as partial:
-        partial.write_text(
-            json.dumps(with_stored_names(settings) | {"versions": versions}, indent=2) + "\n", encoding="utf-8"
-        )
+        partial.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
     report = build_report(record)
     write_report(directory / "report.json", report)
-    notice = doubtful_notice(record)
-    return RunResult(record, report, tuple(picture.name for picture in pictures), (notice,) if notice else ())
+    doubtful = doubtful_notice(record)
+    told = (*notices, doubtful) if doubtful else tuple(notices)
+    page = directory / "report.html"
+    write_run_page(page, record, report, title=title, settings=settings, notices=told, command=command)
+    return RunResult(record, report, tuple(picture.name for picture in pictures), told)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 from sequences.options import SequenceOptions
@@ -26,6 +26,7 @@ def run(
     reading: SequenceOptions | None = None,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    command: str = "",
 ) -> RunResult:
     """Localize a recorded sequence and write everything about it into a directory.
 
@@ -39,6 +40,7 @@ def run(
         reading: What to read of the sequence; None for all of it, as found.
         overwrite: Take any directory as output, and replace in it what has the names of results.
         progress: Called after every image with the number done and an upper bound of all.
+        command: The command that was given, for the page; empty where there was none.
 
     Raises:
         VaporTrackError: unusable sequence, model or output, or fewer than one in ten of the images left to localize.
@@ -48,7 +50,7 @@ def run(
     loaded = load_model(model, config) if isinstance(model, str) else model
     reads = files_read(sequence, loaded, reading)
     with results_folder(output, "run", writes=RESULTS, reads=reads, overwrite=overwrite) as directory:
-        return run_into(directory, sequence, loaded, config, reading=reading, progress=progress)
+        return run_into(directory, sequence, loaded, config, reading=reading, progress=progress, command=command)
 
 
 def files_read(sequence: Path, model: LoadedModel, reading: SequenceOptions | None) -> list[Path]:
@@ -64,6 +66,7 @@ def run_into(
     *,
     reading: SequenceOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
+    command: str = "",
 ) -> RunResult:
     """As `run`, but file by file into a directory that exists."""
     reading = reading or SequenceOptions()
@@ -90,8 +93,7 @@ def run_into(
             "model": {"name": model.name, "sha256": model.sha256},
             **settings,
         }
-        result = write_results(record, directory, settings, title=sequence.name)
-        notices = [*reader.notices, *observation.notices, *result.notices]
+        notices = [*reader.notices, *observation.notices]
         if (trained := observation.description.memory_poses) is not None:
             notices += [told] if (told := told_unshown(record.methods["smoothed"].poses, trained)) else []
-        return replace(result, notices=tuple(notices))
+        return write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from filtering.config import LocalizerConfig
 from sequences.frame import Frame
@@ -58,3 +59,18 @@ def write_pictures(record: RunRecord, directory: Path, *, title: str) -> list[Pa
     """See `vapor.reporting.pictures.write_pictures`."""
     with output_process() as process:
         return process.ask("pictures", record, directory, title)
+
+
+def write_run_page(
+    path: Path,
+    record: RunRecord,
+    report: Mapping[str, Any],
+    *,
+    title: str,
+    settings: Mapping[str, Any],
+    notices: Sequence[str],
+    command: str,
+) -> None:
+    """Write the page of a run, see `vapor.reporting.html.run_page.run_page`."""
+    with output_process() as process:
+        process.ask("page", path, record, report, title, settings, notices, command)

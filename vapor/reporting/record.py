@@ -13,6 +13,7 @@ from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.reading.counts import ImageCounts
 from vapor.reporting.keyframes import Keyframe
+from vapor.reporting.moments import Moment
 from vapor.tracking.methods import in_order
 
 
@@ -38,6 +39,7 @@ class RunRecord:
         truth: True poses of the images that have one; None if none has.
         smoothed_agreement: How well the images about each smoothed pose fit it, in [0, 1], (n,); None without any.
         keyframes: A few in order of time, the first and last image among them.
+        moments: What was believed at up to 300 images, in order of time.
         skipped: Number of images and other messages skipped, by reason.
         images: What became of the images that the sequence states; None if not counted.
         peak_rss_mb: Peak resident memory of the process, MiB; None if not measured.
@@ -57,6 +59,7 @@ class RunRecord:
     truth: Trajectory | None
     smoothed_agreement: Float64[np.ndarray, " n"] | None
     keyframes: tuple[Keyframe, ...]
+    moments: tuple[Moment, ...]
     skipped: Mapping[str, int]
     images: ImageCounts | None
     peak_rss_mb: float | None

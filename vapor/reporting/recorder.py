@@ -13,6 +13,7 @@ from filtering.se3 import Poses
 from sequences.frame import Frame, Trajectory
 from sequences.reading.counts import ImageCounts
 from vapor.reporting.keyframes import Keyframe, choose_keyframes, make_keyframe
+from vapor.reporting.moments import MomentCollector
 from vapor.reporting.record import RunRecord
 from vapor.tracking.loop import Step
 from vapor.tracking.methods import in_order
@@ -21,7 +22,7 @@ _MOST_KEYFRAMES = 24
 
 
 class RunRecorder:
-    """Collects a run image by image: under 2 kB per image, beside at most 24 keyframes."""
+    """Collects a run image by image: under 2 kB per image, beside at most 24 keyframes and 300 moments."""
 
     def __init__(self) -> None:
         self._times_ns: list[int] = []
@@ -34,6 +35,7 @@ class RunRecorder:
         self._status: list[Status] = []
         self._numbers: list[tuple[int, float, int, float, float, float, float]] = []
         self._keyframes: list[Keyframe] = []
+        self._moments = MomentCollector()
 
     def __len__(self) -> int:
         return len(self._times_ns)
@@ -73,6 +75,7 @@ class RunRecorder:
             )
         )
         self._keyframes.append(make_keyframe(frame, estimate))
+        self._moments.add(estimate, self._keyframes[-1].cloud)
         if len(self._keyframes) > _MOST_KEYFRAMES:
             self._keyframes = choose_keyframes(self._keyframes, _MOST_KEYFRAMES)
 
@@ -118,6 +121,7 @@ class RunRecorder:
             truth=truth,
             smoothed_agreement=None,
             keyframes=tuple(self._keyframes),
+            moments=self._moments.moments,
             skipped=dict(sorted(Counter(skipped or {}).items())),
             images=images,
             peak_rss_mb=peak_rss_mb,

@@ -109,31 +109,49 @@ def is_report(path: Path, *keys: str) -> bool:
     return isinstance(content, dict) and content.keys() >= set(keys)
 
 
-def format_table(report: Mapping[str, Any], *, title: str | None = None, tail: bool = False) -> Table:
-    """The methods of a report side by side: medians, recalls or the tail of the errors, and when each converged.
+def method_table(report: Mapping[str, Any], *, tail: bool = False) -> tuple[list[str], list[list[str]]]:
+    """The methods of a report side by side, as the headings of columns and the cells of rows.
 
-    Without true poses the table has no rows.
+    Args:
+        report: Of a run; without true poses there are no rows.
+        tail: Whether to give the tail of the errors rather than recalls.
+
+    Returns:
+        Headings: of the method, its median errors, recalls or tail, and when it converged. A row a method.
     """
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", caption_justify="left")
-    table.add_column("")
-    table.add_column("median error", justify="right")
-    for threshold in TAIL_M if tail else THRESHOLDS:
-        name = threshold.replace("m/", " m\n").replace("deg", "°")
-        table.add_column(f"worse than\n{TAIL_M[threshold]:g} m" if tail else name, justify="right")
-    table.add_column("converged", justify="right")
+    thresholds = [f"worse than\n{TAIL_M[name]:g} m" for name in TAIL_M] if tail else [*THRESHOLDS]
+    columns = [
+        "",
+        "median error",
+        *(name.replace("m/", " m\n").replace("deg", "°") for name in thresholds),
+        "converged",
+    ]
     digits = 3 if tail else 2
+    rows: list[list[str]] = []
     for name, metrics in in_order(report).items():
         converged_at_s = metrics.get("converged_at_s")
         converged = "" if "success" not in metrics else "no" if converged_at_s is None else f"{converged_at_s:.1f} s"
-        table.add_row(
-            METHODS[name].label,
-            f"{metrics['median_translation_m']:.{digits}f} m  {metrics['median_rotation_deg']:5.1f}°",
-            *(f"{100 * part:.{digits - 2}f} %" for part in metrics["worse_than" if tail else "recall"].values()),
-            converged,
-            style="bold" if name == "filter" else None,
+        rows.append(
+            [
+                METHODS[name].label,
+                f"{metrics['median_translation_m']:.{digits}f} m  {metrics['median_rotation_deg']:5.1f}°",
+                *(f"{100 * part:.{digits - 2}f} %" for part in metrics["worse_than" if tail else "recall"].values()),
+                converged,
+            ]
         )
+    return columns, rows
+
+
+def format_table(report: Mapping[str, Any], *, title: str | None = None, tail: bool = False) -> Table:
+    """`method_table`, to print."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", caption_justify="left")
+    columns, rows = method_table(report, tail=tail)
+    for number, name in enumerate(columns):
+        table.add_column(name, justify="right" if number else "left")
+    for row in rows:
+        table.add_row(*row, style="bold" if row[0] == METHODS["filter"].label else None)
     return table
 
 

@@ -1,0 +1,46 @@
+"""The page of a command that prints tables and draws pictures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vapor.reporting.html.page import Block, Code, Folded, Page, Picture, Section, Text
+from vapor.reporting.html.printed_table import printed_table
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+
+def findings_page(
+    title: str,
+    asked: str,
+    verdict: str,
+    parts: Iterable[tuple[str, Sequence[RichTable | str | Path]]],
+    *,
+    settings: Mapping[str, Any] | None = None,
+    command: str = "",
+) -> Page:
+    """A page with a section for each part.
+
+    Args:
+        title: What was looked at.
+        asked: What was asked, in a line.
+        verdict: What came of it.
+        parts: Headings, and what stands below each: tables as printed, lines, and files of pictures.
+        settings: What it was made with, as JSON.
+        command: The command that was given; empty where there was none.
+    """
+    sections = [Section(heading, [_block(item, heading) for item in items]) for heading, items in parts if items]
+    made: list[Block] = [] if not command else [Code(command)]
+    if settings is not None:
+        made.append(Folded("Settings", [Code(json.dumps(settings, indent=2, default=str))]))
+    return Page(title, asked, verdict, [*sections, *([Section("How it was made", made)] if made else [])])
+
+
+def _block(item: RichTable | str | Path, heading: str) -> Block:
+    if isinstance(item, Path):
+        return Picture(item.read_bytes(), f"{heading}: {item.stem}")
+    return Text(item, "notice") if isinstance(item, str) else printed_table(item, heading)

@@ -1,0 +1,234 @@
+"""A page that says what a command found: one HTML file that needs no network, with all that it shows packed into it."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from sequences.atomic import atomic_output
+
+_PACKING = 6  # of gzip: 9 takes twice as long for two per cent
+
+
+@runtime_checkable
+class Block(Protocol):
+    """Something on a page, one below the other."""
+
+    def html(self, packed: dict[str, Any]) -> str:
+        """Its HTML; what its script needs is put into `packed` under a name of its own."""
+        ...
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph.
+
+    Attributes:
+        words: What it says, plain text.
+        kind: "note" for what explains, "notice" for what a person should know.
+    """
+
+    words: str
+    kind: str = "note"
+
+    def html(self, packed: dict[str, Any]) -> str:
+        """See `Block`."""
+        return f'<p class="{self.kind}">{escape(self.words)}</p>'
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; its first column names the rows.
+
+    Attributes:
+        columns: Headings, the first of the names.
+        rows: Cells, as text.
+        caption: What it is of; also its name for a screen reader.
+        ours: Numbers of the rows that are set in bold.
+        words: Whether cells are words, to be wrapped, rather than figures.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str
+    ours: Sequence[int] = ()
+    words: bool = False
+
+    def html(self, packed: dict[str, Any]) -> str:
+        """See `Block`."""
+        head = "".join(f'<th scope="col">{escape(name)}</th>' for name in self.columns)
+        body = "".join(
+            f'<tr{" class=ours" if number in self.ours else ""}><th scope="row">{escape(row[0])}</th>'
+            + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+            + "</tr>"
+            for number, row in enumerate(self.rows)
+        )
+        kind = ' class="words"' if self.words else ""
+        return (
+            f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(self.caption)}"><table{kind}>'
+            f"<caption>{escape(self.caption)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+        )
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture.
+
+    Attributes:
+        data: The bytes of a PNG or JPEG file.
+        alt: What it shows, for who does not see it.
+        caption: Below it; empty for none.
+    """
+
+    data: bytes
+    alt: str
+    caption: str = ""
+
+    def html(self, packed: dict[str, Any]) -> str:
+        """See `Block`."""
+        below = f"<figcaption>{escape(self.caption)}</figcaption>" if self.caption else ""
+        return f'<figure><img src="{data_url(self.data)}" alt="{escape(self.alt)}" loading="lazy">{below}</figure>'
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A figure that Plotly draws.
+
+    Attributes:
+        name: Its name on the page, of letters.
+        traces: Plotly's traces; the colour "ink" is that of text.
+        layout: Plotly's layout, but for what follows from light or dark.
+        label: What it shows, for who does not see it.
+        caption: Below it; empty for none.
+    """
+
+    name: str
+    traces: Sequence[Mapping[str, Any]]
+    layout: Mapping[str, Any]
+    label: str
+    caption: str = ""
+
+    def html(self, packed: dict[str, Any]) -> str:
+        """See `Block`."""
+        packed[self.name] = {"traces": self.traces, "layout": self.layout}
+        below = f"<figcaption>{escape(self.caption)}</figcaption>" if self.caption else ""
+        return (
+            f'<figure data-figure="{self.name}" aria-label="{escape(self.label)}"><div class="plot"></div>'
+            f"{below}</figure>"
+        )
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Blocks that are shown when asked for.
+
+    Attributes:
+        title: What to click on.
+        blocks: What is shown then; no figures of Plotly, which need to know how wide they are.
+    """
+
+    title: str
+    blocks: Sequence[Block]
+
+    def html(self, packed: dict[str, Any]) -> str:
+        """See `Block`."""
+        inner = "".join(block.html(packed) for block in self.blocks)
+        return f"<details><summary>{escape(self.title)}</summary>{inner}</details>"
+
+
+@dataclass(frozen=True)
+class Code:
+    """Text as it is, such as a command."""
+
+    words: str
+
+    def html(self, packed: dict[str, Any]) -> str:
+        """See `Block`."""
+        return f"<pre>{escape(self.words)}</pre>"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading, and what stands below it."""
+
+    title: str
+    blocks: Sequence[Block]
+
+    def html(self, packed: dict[str, Any]) -> str:
+        """See `Block`."""
+        inner = "".join(block.html(packed) for block in self.blocks)
+        return f"<section><h2>{escape(self.title)}</h2>{inner}</section>"
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a command found.
+
+    Attributes:
+        title: Of the sequence, or of whatever was looked at.
+        asked: What was asked, in a line.
+        verdict: What came of it, in a sentence.
+        sections: The rest.
+        notices: What a person should know.
+    """
+
+    title: str
+    asked: str
+    verdict: str
+    sections: Sequence[Section] = field(default_factory=tuple)
+    notices: Sequence[str] = ()
+
+    def html(self) -> str:
+        """The file's text."""
+        packed: dict[str, Any] = {}
+        notices = "".join(Text(notice, "notice").html(packed) for notice in self.notices)
+        sections = "".join(section.html(packed) for section in self.sections)
+        scripts = ""
+        if packed:
+            data = json.dumps(packed, separators=(",", ":"), allow_nan=False).encode()
+            scripts = (
+                f'<script type="text/plain" id="data">{_packed(data)}</script>'
+                f'<script type="text/plain" id="plotly">{_packed_plotly()}</script><script>{_asset("page.js")}</script>'
+            )
+        return (
+            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">'
+            f"<title>{escape(self.title)} - vapor-track</title><style>{_asset('page.css')}</style></head><body>"
+            f'<header><h1>{escape(self.title)}</h1><p class="asked">{escape(self.asked)}</p>'
+            f'<p class="verdict">{escape(self.verdict)}</p>{notices}</header>'
+            f"<main>{sections}</main><footer>Made by vapor-track. The file needs no network.</footer>{scripts}"
+            "</body></html>\n"
+        )
+
+
+def write_page(path: Path, page: Page) -> None:
+    """Write a page; the file appears under its name only when complete."""
+    with atomic_output(path) as partial:
+        partial.write_text(page.html(), encoding="utf-8")
+
+
+def data_url(data: bytes) -> str:
+    """A PNG or JPEG as an address that holds it."""
+    kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def _packed(data: bytes) -> str:
+    return base64.b64encode(gzip.compress(data, _PACKING, mtime=0)).decode("ascii")
+
+
+@cache
+def _packed_plotly() -> str:
+    return _packed(resources.files("plotly").joinpath("package_data/plotly.min.js").read_bytes())
+
+
+def _asset(name: str) -> str:
+    return resources.files("vapor.reporting.html").joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,142 @@
+"""The page of one run: `report.html`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from vapor.evaluation.consistency import REGIONS
+from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
+from vapor.reporting.html.page import Block, Code, Folded, Page, Section, Table, Text
+from vapor.reporting.html.run_charts import StatusStrip, belief_plot, error_plot
+from vapor.reporting.html.run_scene import RunScene
+from vapor.reporting.record import RunRecord
+from vapor.reporting.report import method_table
+
+_LIMIT_M, _LIMIT_DEG = THRESHOLDS[RIGHT]
+_WITHIN = f"within {_LIMIT_M:g} m and {_LIMIT_DEG:g}° of the truth"
+
+
+def run_page(
+    record: RunRecord,
+    report: Mapping[str, Any],
+    *,
+    title: str,
+    settings: Mapping[str, Any],
+    notices: Sequence[str] = (),
+    command: str = "",
+) -> Page:
+    """The page of a run.
+
+    Args:
+        record: The run.
+        report: What `build_report` says of it, whose numbers the page shows.
+        title: Name of the sequence.
+        settings: Content of `config.json`.
+        notices: What a person should know.
+        command: The command that was given; empty where there was none.
+    """
+    images = f"{report['frames']} images in {report['duration_s']:.0f} s"
+    model = settings.get("model", {}).get("name")
+    asked = f"{images}, localized by {model}" if model else f"{images}, localized"
+    return Page(title, asked, verdict(report, record), _sections(record, report, settings, command), notices)
+
+
+def verdict(report: Mapping[str, Any], record: RunRecord) -> str:
+    """What came of a run, in a sentence or two."""
+    if "filter" not in report:
+        return f"{_sure(record)}. There are no true poses to compare with."
+    metrics, consistency = report["filter"], report["consistency"]
+    off = f"{100 * metrics['median_translation_m']:.1f} cm and {metrics['median_rotation_deg']:.1f}° off in the median"
+    if metrics["converged_at_s"] is None:
+        part = 100 * metrics["recall"][RIGHT]
+        found = f"It did not find itself for good: {part:.0f} % of the images are right, {_WITHIN}"
+    elif metrics["converged_at_s"] == 0.0:
+        found = f"Right from the first image on, {off}"
+    else:
+        found = f"Right from {metrics['converged_at_s']:.1f} s on, {off}"
+    if consistency["images"] == 0:
+        return f"{found}; never sure."
+    if consistency["wrong"] == 0.0:
+        return f"{found}; never sure and wrong."
+    wrong = round(consistency["wrong"] * consistency["images"])
+    return f"{found}; sure and wrong in {wrong} of the {consistency['images']} images that it called converged."
+
+
+def _sure(record: RunRecord) -> str:
+    sure = [index for index, status in enumerate(record.status) if status == "converged"]
+    if not sure:
+        return "Never sure where it is"
+    first_s = int(record.times_ns[sure[0]] - record.times_ns[0]) / 1e9
+    return f"Sure in {100 * len(sure) / len(record.status):.0f} % of the images, first after {first_s:.1f} s"
+
+
+def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[str, Any], command: str) -> list[Section]:
+    sections = [Section("Where it was", [RunScene(record)])]
+    over_time: list[Block] = [StatusStrip(record)]
+    if (errors := error_plot(record)) is not None:
+        columns, rows = method_table(report)
+        ours = [number for number, row in enumerate(rows) if row[0] == "particle filter"]
+        told = f"Errors, and the fraction of images {', '.join(c.replace(chr(10), ' ') for c in columns[2:-1])}"
+        sections.append(Section("How good", [Table(columns, rows, told, ours)]))
+        over_time.append(errors)
+    sections.append(Section("Over time", [*over_time, belief_plot(record)]))
+    if (trust := _trust(report)) is not None:
+        sections.append(Section("Is its confidence true", trust))
+    sections.append(Section("What was used", [_counts(report)]))
+    blocks: list[Block] = [] if not command else [Code(command)]
+    versions = settings.get("versions", {})
+    blocks.append(
+        Folded(
+            "Versions",
+            [Table(("", "version"), [(name, str(versions[name])) for name in versions], "Versions", words=True)],
+        )
+    )
+    rest = {name: value for name, value in settings.items() if name != "versions"}
+    blocks.append(Folded("Settings", [Code(json.dumps(rest, indent=2))]))
+    sections.append(Section("How it was made", blocks))
+    return sections
+
+
+def _trust(report: Mapping[str, Any]) -> list[Block] | None:
+    consistency = report.get("consistency")
+    if consistency is None:
+        return None
+    images = consistency["images"]
+    if images == 0:
+        return [Text("It called no image converged, so there is nothing to check.")]
+    rows = [
+        (
+            f"true pose in the {name} region".replace("%", " %"),
+            f"{100 * consistency['coverage'][name]:.1f} %",
+            f"{100 * part:g} %",
+        )
+        for name, part in REGIONS.items()
+    ]
+    rows += [
+        ("median NEES", f"{consistency['median_nees']:.2f}", "5.35"),
+        (f"wrong: not {_WITHIN}", f"{100 * consistency['wrong']:.1f} %", "0 %"),
+    ]
+    return [
+        Table(("", "is", "true"), rows, f"Of the {images} images that it called converged"),
+        Text(
+            "A region is the smallest part of the stated Gaussian with that probability. NEES, the normalised "
+            "estimation error squared, is larger than 5.35 where errors are larger than stated."
+        ),
+    ]
+
+
+def _counts(report: Mapping[str, Any]) -> Table:
+    step = report["step_ms"]
+    rows = [("images localized", str(report["frames"])), ("with a true pose", str(report["frames_with_true_pose"]))]
+    rows += [(f"skipped, {reason}", str(number)) for reason, number in report["skipped"].items()]
+    rows += [
+        ("hypotheses, median", str(report["particles"])),
+        ("a step, median and 95 %", f"{step['p50']:.1f} and {step['p95']:.1f} ms"),
+    ]
+    if report["smoothed_doubtful"] is not None:
+        rows.append(("smoothed poses that images do not fit", str(report["smoothed_doubtful"])))
+    if report["peak_rss_mb"] is not None:
+        rows.append(("peak memory", f"{report['peak_rss_mb']:.0f} MB"))
+    return Table(("", ""), rows, "Images, time and memory")

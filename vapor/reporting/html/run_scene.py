@@ -1,0 +1,158 @@
+"""A run in space: paths, and at each moment particles, modes and cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from sequences.frame import Trajectory
+from vapor.evaluation.trajectory import associate
+from vapor.reporting.colors import COLORS
+from vapor.reporting.html.page import data_url
+from vapor.reporting.keyframes import Keyframe, choose_keyframes
+from vapor.reporting.record import RunRecord
+from vapor.reporting.rerun_shapes import frusta
+from vapor.tracking.methods import METHODS
+
+_MOST_POINTS = 1500  # of a path
+_MOST_IMAGES = 12
+_CAMERA_OF_EXTENT = 0.03  # the size of a drawn camera
+
+
+@dataclass(frozen=True)
+class RunScene:
+    """The run, to be turned and played."""
+
+    record: RunRecord
+
+    def html(self, packed: dict[str, Any]) -> str:
+        """See `vapor.reporting.html.page.Block`."""
+        record = self.record
+        packed["run"] = _data(record)
+        last = len(record.moments) - 1
+        shown = min(int(0.15 * last), last)
+        keyframes = [each for each in choose_keyframes(list(record.keyframes), _MOST_IMAGES) if each.thumbnail.size]
+        buttons = "".join(_moment_button(each, record) for each in keyframes)
+        seen = '<figure class="seen"><img alt="What the camera saw" src=""><figcaption></figcaption></figure>'
+        strip = f'<div class="moments" aria-label="Images" role="group">{buttons}</div>' if keyframes else ""
+        return (
+            '<figure data-figure="run" aria-label="Paths, particles and modes in space">'
+            f'<div class="beside"><div class="plot space"></div>{seen if keyframes else ""}</div>'
+            '<div class="player"><button type="button" class="play">▶ Play</button>'
+            f'<input type="range" min="0" max="{last}" value="{shown}" aria-label="Moment of the run"><output></output>'
+            f"</div>{strip}<figcaption>Drag to turn, scroll or pinch to zoom; a click in the legend shows or hides. "
+            "Particles have the colour of the mode that they are nearest to: blue where it holds the whole belief, "
+            "orange where it holds little of it.</figcaption></figure>"
+        )
+
+
+def _moment_button(keyframe: Keyframe, record: RunRecord) -> str:
+    import cv2
+
+    seconds = (keyframe.time_ns - int(record.times_ns[0])) / 1e9
+    moments_ns = np.array([record.times_ns[moment.index] for moment in record.moments])
+    moment = int(np.abs(moments_ns - keyframe.time_ns).argmin())
+    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(keyframe.thumbnail, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 80])
+    words = f"{seconds:.1f} s · {keyframe.status}"
+    return (
+        f'<button type="button" data-moment="{moment}" data-time="{seconds:.1f}" aria-pressed="false">'
+        f'<img alt="" src="{data_url(jpeg.tobytes())}">{escape(words)}</button>'
+    )
+
+
+def _data(record: RunRecord) -> dict[str, Any]:
+    start_ns = int(record.times_ns[0])
+    filtered = record.methods["filter"].poses
+    extent_m = float(np.ptp(filtered.translation, axis=0).max())
+    size_m = float(np.clip(_CAMERA_OF_EXTENT * extent_m, 0.1, 2.0))
+    lines = frusta(filtered, size_m)
+    truth_lines = np.zeros((len(record.times_ns), 0, 3), np.float32)
+    found = np.zeros(len(record.times_ns), bool)
+    if record.truth is not None:
+        found, poses = associate(record.times_ns, record.truth)
+        truth_lines = frusta(poses, size_m)
+    position_of_truth = np.cumsum(found) - 1
+    moments = []
+    for moment in record.moments:
+        nearest = np.linalg.norm(moment.particles[:, None] - moment.modes, axis=-1).argmin(axis=1)
+        told = {
+            "time_s": round((int(record.times_ns[moment.index]) - start_ns) / 1e9, 3),
+            "status": record.status[moment.index],
+            "particles": _millimetres(moment.particles),
+            "of": nearest.tolist(),
+            "modes": _millimetres(moment.modes),
+            "weights": moment.weights.round(4).tolist(),
+            "camera": _millimetres(lines[moment.index]),
+        }
+        if found[moment.index]:
+            told["truth"] = _millimetres(truth_lines[position_of_truth[moment.index]])
+        moments.append(told)
+    paths = [
+        _path(METHODS[name].label, METHODS[name].color, trajectory, visible=name in ("filter", "smoothed"))
+        for name, trajectory in record.methods.items()
+        if METHODS[name].kind != "image"
+    ]
+    paths += [
+        _points(METHODS[name], trajectory) for name, trajectory in record.methods.items() if name == "single_image"
+    ]
+    if record.truth is not None:
+        paths.append(_path("truth", "ink", record.truth, visible=True))
+    none, all_ = (_rgb(COLORS[name]) for name in ("other", "filter"))
+    return {"moments": moments, "paths": paths, "none": none, "all": all_, "eye": {"x": 1.2, "y": -1.2, "z": 0.7}}
+
+
+def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> dict[str, Any]:
+    """A line that is broken where a hypothesis jumped instead of moving."""
+    points = trajectory.poses.translation
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    jumps = np.flatnonzero(step > 0.4 + 6.0 * np.median(step)) + 1 if len(step) else np.zeros(0, int)
+    kept = np.unique(np.concatenate([_evenly(len(points)), jumps, np.maximum(jumps - 1, 0)]).astype(int))
+    broken = np.isin(kept, jumps)
+    x, y, z = (_with_gaps(points[kept, axis], broken) for axis in range(3))
+    return {
+        "type": "scatter3d",
+        "mode": "lines",
+        "name": name,
+        "x": x,
+        "y": y,
+        "z": z,
+        "line": {"width": 3, "color": color},
+        "hoverinfo": "name",
+        "visible": True if visible else "legendonly",
+    }
+
+
+def _with_gaps(values: np.ndarray, broken: np.ndarray) -> list[float | None]:
+    told: list[float | None] = []
+    for value, after_gap in zip(values.round(3).tolist(), broken, strict=True):
+        told += [None, value] if after_gap else [value]
+    return told
+
+
+def _points(name: str, trajectory: Trajectory) -> dict[str, Any]:
+    method = METHODS[name]
+    points = trajectory.poses.translation[_evenly(len(trajectory))].round(3)
+    return {
+        "type": "scatter3d",
+        "mode": "markers",
+        "name": method.label,
+        **{axis: points[:, number].tolist() for number, axis in enumerate("xyz")},
+        "marker": {"size": 2, "color": method.color},
+        "hoverinfo": "name",
+        "visible": "legendonly",
+    }
+
+
+def _evenly(count: int) -> np.ndarray:
+    return np.linspace(0, count - 1, min(count, _MOST_POINTS)).round().astype(int)
+
+
+def _millimetres(points: np.ndarray) -> list[list[int]]:
+    return np.round(1000.0 * points).astype(int).T.tolist()
+
+
+def _rgb(code: str) -> list[int]:
+    return [int(code[i : i + 2], 16) for i in (1, 3, 5)]
