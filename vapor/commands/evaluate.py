@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from sequences.outputs.claims import refuse_other
 from sequences.outputs.manifest import MANIFEST, UNCHECKED
-from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
+from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_notices
 from vapor.evaluation.run_directory import evaluate_directory, files_read
+from vapor.reporting.html.findings_page import findings_page
+from vapor.reporting.html.page import Page, is_page, write_page
+from vapor.reporting.html.run_page import said_of_filter
 from vapor.reporting.report import format_table, is_report, write_report
 
 
@@ -25,7 +28,8 @@ class Options:
     ground_truth: Path | None = None
     """True poses as a TUM file. Default: ground_truth.tum in the directory."""
     output: OutputPath | None = None
-    """JSON file to write the figures to, new or of an earlier evaluation."""
+    """JSON file to write the figures to, new or of an earlier evaluation; a page of the same name, .html, goes beside
+    it."""
     overwrite: Overwrite = False
 
 
@@ -35,11 +39,21 @@ def main(arguments: Sequence[str]) -> None:
     if options.output is not None:
         kind, reads = "report of vapor-track", files_read(options.directory, options.ground_truth)
         refuse_other(options.output, kind, _is_evaluation, reads=reads, overwrite=options.overwrite)
+        page = options.output.with_suffix(".html")
+        refuse_other(page, "page of vapor-track", is_page, reads=reads, overwrite=options.overwrite)
     report = evaluate_directory(options.directory, options.ground_truth)
     if options.output is not None:
         write_report(options.output, report)
+        write_page(options.output.with_suffix(".html"), _page(options, report, command_line("evaluate", arguments)))
     show(format_table(report, title=str(options.directory)))
     show_notices([UNCHECKED] if not (options.directory / MANIFEST).exists() else [])
+
+
+def _page(o: Options, report: Mapping[str, Any], command: str) -> Page:
+    truth = "the true poses beside them" if o.ground_truth is None else o.ground_truth.name
+    asked = f"{report['frames']} images, {report['frames_with_true_pose']} with a true pose, against {truth}"
+    table = format_table(report, title="Errors, without any alignment")
+    return findings_page(o.directory.name, asked, said_of_filter(report), [("How good", [table])], command=command)
 
 
 def _is_evaluation(path: Path) -> bool:

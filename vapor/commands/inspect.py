@@ -12,28 +12,31 @@ from typing import Annotated
 
 import tyro
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, shortened
 from sequences.options import SequenceOptions
 from sequences.outputs.results import results_folder
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import (
     OutputPath,
     Overwrite,
+    command_line,
     parse,
     progress_of,
     show,
     usage_error,
 )
-from vapor.commands.inspect_tables import show_inspection
+from vapor.commands.inspect_tables import parts, show_inspection
 from vapor.engines.device import Device
 from vapor.engines.engine import EngineConfig
-from vapor.inspection.inspect import inspect
+from vapor.inspection.inspect import Inspection, inspect
 from vapor.inspection.picture import draw_map
 from vapor.observation import VaporObservationModel
+from vapor.reporting.html.findings_page import findings_page
+from vapor.reporting.html.page import Page, write_page
 from vapor.reporting.report import write_report
 from vapor.training_data.entries import files_read
 
-_MAP, _REPORT = "map.png", "report.json"
+_MAP, _REPORT, _PAGE = "map.png", "report.json", "report.html"
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Options:
     model: str | None = None
     """Model file, or name of a model that ships with the package: say, too, where it is unsure or wrong."""
     output: OutputPath | None = None
-    """Folder for report.json and, where there are true poses, map.png; new or with earlier ones."""
+    """Folder for report.html, report.json and, where there are true poses, map.png; new or with earlier ones."""
     overwrite: Overwrite = False
     json: bool = False
     """Print the report as JSON instead."""
@@ -85,17 +88,33 @@ def main(arguments: Sequence[str]) -> None:
             if found.coverage is not None:
                 draw_map(directory / _MAP, found.coverage, found.predictions)
             write_report(directory / _REPORT, found.as_json())
+            write_page(directory / _PAGE, _page(found, o, directory / _MAP, command_line("inspect", arguments)))
     if o.json:
         show(json.dumps(found.as_json(), indent=2, sort_keys=True, allow_nan=False))
         return
     show_inspection(found)
     if o.output is not None:
-        for name in (_MAP,) * (found.coverage is not None) + (_REPORT,):
+        for name in (_MAP,) * (found.coverage is not None) + (_REPORT, _PAGE):
             show(f"{o.output / name}")
+
+
+def _page(found: Inspection, o: Options, picture: Path, command: str) -> Page:
+    *found_parts, _ = parts(found)  # the last is the verdict
+    seen = [("From above", [picture])] if found.coverage is not None else []
+    tables = [(part.title, [*([] if part.table is None else [part.table]), *part.lines]) for part in found_parts]
+    asked = "Was it recorded well enough to train on, and what to record again?"
+    first, *others = found.verdict
+    rest = [("What else to do", [f"{number}. {sentence}" for number, sentence in enumerate(others, 2)])]
+    title = ", ".join(Path(entry).name for entry in o.data)
+    return findings_page(shortened(title, 100), asked, _sentence(first), [*rest, *seen, *tables], command=command)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def _outputs(o: Options) -> AbstractContextManager[Path | None]:
     if o.output is None:
         return nullcontext()
     reads = chain([] if o.model is None else [find_model(o.model)], files_read(o.data, o.reading))
-    return results_folder(o.output, "inspect", writes=(_MAP, _REPORT), reads=reads, overwrite=o.overwrite)
+    return results_folder(o.output, "inspect", writes=(_MAP, _REPORT, _PAGE), reads=reads, overwrite=o.overwrite)

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated
 
 import tyro
+from rich.table import Table
 
 from vapor.benchmark.localization.benchmark import LocalizationBenchmark, LocalizationConfig
 from vapor.benchmark.localization.summary import summarise
 from vapor.benchmark.trials.kinds import KINDS
-from vapor.commands.benchmark.localization_tables import failures, tables
+from vapor.commands.benchmark.localization_tables import Summary, failures, said, tables
 from vapor.commands.benchmark.scenes import SceneOptions, listed, with_help, write_summary
-from vapor.commands.console import bar, parse, show
+from vapor.commands.console import bar, command_line, parse, show
 from vapor.commands.workers import claim_shared, publish_results, workers_for
 from vapor.parallel.jobs import Workers
+from vapor.reporting.html.findings_page import findings_page
+from vapor.reporting.html.page import Page, write_page
 from vapor.tracking.ablations import ABLATIONS
 
 _CONFIG = with_help(
@@ -36,10 +40,10 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("benchmark localization", Options, arguments)
     with workers_for("benchmark localization", o.config.workers, o.scheduler) as workers:
-        _measure(o, workers)
+        _measure(o, workers, command_line("benchmark", ["localization", *arguments]))
 
 
-def _measure(o: Options, workers: Workers) -> None:
+def _measure(o: Options, workers: Workers, command: str) -> None:
     benchmark = LocalizationBenchmark(o.model_of, o.output, o.config, o.replaced, workers)
     claim_shared(o.output, "benchmark localization", workers, reads=o.files_read, overwrite=o.overwrite)
     with bar("choosing runs") as advance:
@@ -55,8 +59,20 @@ def _measure(o: Options, workers: Workers) -> None:
     results.sort(key=lambda result: (result["variant"], result["name"]))
     summary = summarise(results)
     write_summary(o, o.config.settings(), summary, results)
+    printed, failed = [*tables(summary)], [*failures(summary)]
+    write_page(o.output / "report.html", _page(o, summary, printed, failed, command))
     publish_results(o.output)
-    for table in tables(summary):
-        show(table)
-    for line in failures(summary):
-        show(line)
+    for shown in [*printed, *failed]:
+        show(shown)
+
+
+def _page(o: Options, summary: Summary, printed: Sequence[Table], failed: Sequence[str], command: str) -> Page:
+    parts: list[tuple[str, list[Table | str | Path]]] = []
+    for table in printed:  # those without a title belong to the one before
+        if table.title is not None:
+            parts.append((str(table.title), []))
+        parts[-1][1].append(table)
+    parts.append(("Runs to look at", [*failed]))
+    asked = f"{o.config.runs} runs of each kind ({', '.join(o.config.kinds)}), synthetic images, simulated odometry"
+    settings = o.config.settings() | {"models": o.model_of}
+    return findings_page(", ".join(o.scenes), asked, said(summary), parts, settings=settings, command=command)

@@ -49,6 +49,22 @@ def tables(summary: Summary) -> Iterator[Table]:
                 yield _comparison_table(f"{scene}, the filter by kind of run", "kind", like, totals)
 
 
+def said(summary: Summary) -> str:
+    """What came of it, a sentence for each scene and kind of run."""
+    sentences = []
+    for scene, kinds in summary.items():
+        for kind, ablations in kinds.items():
+            total = ablations.get("full") or next(iter(ablations.values()))
+            own, sure = total["methods"][OURS], total["belief"][OURS]["said_converged"]
+            found = f"the filter finds its place in {own['successes']} of {total['runs']} runs"
+            wrong = round((sure["wrong"] or 0.0) * sure["images"])
+            doubt = f"sure and wrong in {wrong or 'none'} of the {sure['images']} images that it called converged"
+            sentences.append(
+                f"{scene}, {KINDS[kind].meaning}: {found}, and is {doubt if sure['images'] else 'never sure'}."
+            )
+    return " ".join(f"{text[0].upper()}{text[1:]}" for text in sentences)
+
+
 def failures(summary: Summary) -> Iterator[str]:
     """A line for every scene, kind and ablation with runs that failed, with their names."""
     for kinds in summary.values():

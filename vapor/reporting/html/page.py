@@ -15,6 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from sequences.atomic import atomic_output
 
+_BEGIN = '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="generator" content="vapor-track">'
 _PACKING = 6  # of gzip: 9 takes twice as long for two per cent
 
 
@@ -199,7 +200,7 @@ class Page:
                 f'<script type="text/plain" id="plotly">{_packed_plotly()}</script><script>{_asset("page.js")}</script>'
             )
         return (
-            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+            f"{_BEGIN}"
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
             f"<title>{escape(self.title)} - vapor-track</title><style>{_asset('page.css')}</style></head><body>"
             f'<header><h1>{escape(self.title)}</h1><p class="asked">{escape(self.asked)}</p>'
@@ -213,6 +214,12 @@ def write_page(path: Path, page: Page) -> None:
     """Write a page; the file appears under its name only when complete."""
     with atomic_output(path) as partial:
         partial.write_text(page.html(), encoding="utf-8")
+
+
+def is_page(path: Path) -> bool:
+    """Whether a file is a page that was written here."""
+    with path.open("rb") as file:
+        return file.read(len(_BEGIN)) == _BEGIN.encode()
 
 
 def data_url(data: bytes) -> str:

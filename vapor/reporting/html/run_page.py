@@ -47,21 +47,24 @@ def verdict(report: Mapping[str, Any], record: RunRecord) -> str:
     """What came of a run, in a sentence or two."""
     if "filter" not in report:
         return f"{_sure(record)}. There are no true poses to compare with."
-    metrics, consistency = report["filter"], report["consistency"]
-    off = f"{100 * metrics['median_translation_m']:.1f} cm and {metrics['median_rotation_deg']:.1f}° off in the median"
-    if metrics["converged_at_s"] is None:
-        part = 100 * metrics["recall"][RIGHT]
-        found = f"It did not find itself for good: {part:.0f} % of the images are right, {_WITHIN}"
-    elif metrics["converged_at_s"] == 0.0:
-        found = f"Right from the first image on, {off}"
-    else:
-        found = f"Right from {metrics['converged_at_s']:.1f} s on, {off}"
+    found, consistency = said_of_filter(report).removesuffix("."), report["consistency"]
     if consistency["images"] == 0:
         return f"{found}; never sure."
     if consistency["wrong"] == 0.0:
         return f"{found}; never sure and wrong."
     wrong = round(consistency["wrong"] * consistency["images"])
     return f"{found}; sure and wrong in {wrong} of the {consistency['images']} images that it called converged."
+
+
+def said_of_filter(report: Mapping[str, Any]) -> str:
+    """How good the filter was, in a sentence, where there are true poses."""
+    metrics = report["filter"]
+    off = f"{100 * metrics['median_translation_m']:.1f} cm and {metrics['median_rotation_deg']:.1f}° off in the median"
+    if metrics["converged_at_s"] is None:
+        part = 100 * metrics["recall"][RIGHT]
+        return f"It did not find itself for good: {part:.0f} % of the images are right, {_WITHIN}."
+    since = "the first image" if metrics["converged_at_s"] == 0.0 else f"{metrics['converged_at_s']:.1f} s"
+    return f"Right from {since} on, {off}."
 
 
 def _sure(record: RunRecord) -> str:

@@ -95,9 +95,7 @@ def _data(record: RunRecord) -> dict[str, Any]:
         for name, trajectory in record.methods.items()
         if METHODS[name].kind != "image"
     ]
-    paths += [
-        _points(METHODS[name], trajectory) for name, trajectory in record.methods.items() if name == "single_image"
-    ]
+    paths.append(_points("single_image", record.methods["single_image"]))
     if record.truth is not None:
         paths.append(_path("truth", "ink", record.truth, visible=True))
     none, all_ = (_rgb(COLORS[name]) for name in ("other", "filter"))
