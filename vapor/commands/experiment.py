@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,15 +15,18 @@ from tyro.extras import literal_type_from_choices
 from sequences.atomic import atomic_output
 from sequences.outputs.claims import claim_folder
 from sequences.scenes import SCENES
-from vapor.commands.console import OutputPath, Overwrite, SharedOutputPath, bar, show, usage_error
+from vapor.commands.console import OutputPath, Overwrite, SharedOutputPath, bar, command_line, show, usage_error
 from vapor.commands.experiment_progress import render, settings_of, trained
 from vapor.commands.experiment_sweeps import AlphaOptions, DecayOptions, run_alpha, run_decay
 from vapor.commands.named_settings import Preset, parse_named
 from vapor.commands.workers import Scheduler, claim_shared, publish_results, workers_for
 from vapor.evaluation.trajectory import RIGHT
 from vapor.experiments.schedule import PAPER, SCHEDULES, Point, ScheduleConfig, ScheduleExperiment, summary
-from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
+from vapor.experiments.table import TableConfig, TableExperiment, failures, markdown, parse_scene, scene_tables
 from vapor.parallel.jobs import Workers
+from vapor.reporting.html import page as html
+from vapor.reporting.html.findings_page import findings_page
+from vapor.reporting.html.page import Page, write_page
 from vapor.reporting.report import write_report
 from vapor.training.presets import PRESETS
 from vapor.training_data.entries import files_read
@@ -41,7 +44,7 @@ class TableOptions:
     scenes: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="SCENE ...")]
     """Synthetic scenes by name, or your own data: NAME=TRAIN,...=TEST,... with whatever `train` reads."""
     output: SharedOutputPath
-    """Directory for images, results, table.json and table.md, or its URL; an interrupted experiment goes on."""
+    """Directory for images, results, report.html, table.json and table.md, or its URL; an interrupted experiment goes on."""
     overwrite: Overwrite = False
     scheduler: Scheduler = None
     preset: Preset = "demo"
@@ -60,7 +63,7 @@ class ScheduleOptions:
     """
 
     output: OutputPath
-    """Directory for images, results, schedule.json and the picture; what is trained already is not trained again."""
+    """Directory for images, results, report.html, schedule.json and the picture; what is trained already is not trained again."""
     overwrite: Overwrite = False
     scene: _Scene = "staircase"
     """What the camera moves through."""
@@ -88,10 +91,10 @@ def main(arguments: Sequence[str]) -> None:
 def _table(arguments: Sequence[str]) -> None:
     o = parse_named("experiment table", TableOptions, arguments, ("preset",), _table_config)
     with workers_for("experiment table", o.config.workers, o.scheduler) as workers:
-        _fill_table(o, workers)
+        _fill_table(o, workers, arguments)
 
 
-def _fill_table(o: TableOptions, workers: Workers) -> None:
+def _fill_table(o: TableOptions, workers: Workers, arguments: Sequence[str]) -> None:
     scenes = [parse_scene(text) for text in o.scenes]
     reads = chain(o.config.train.files_read, files_read([entry for s in scenes for entry in (*s.train, *s.test)]))
     claim_shared(o.output, "experiment table", workers, reads=reads, overwrite=o.overwrite)
@@ -105,8 +108,20 @@ def _fill_table(o: TableOptions, workers: Workers) -> None:
         write_report(o.output / "table.json", {"settings": settings, "runs": results})
         with atomic_output(o.output / "table.md") as partial:
             partial.write_text(markdown(results, o.config.gamma), encoding="utf-8")
+    command = command_line("experiment", ["table", *arguments])
+    write_page(o.output / "report.html", _table_page(results, o.config.gamma, settings, command))
     publish_results(o.output)
     show(markdown(results, o.config.gamma))
+
+
+def _table_page(results: Sequence[Mapping[str, Any]], gamma: float, settings: Mapping[str, Any], command: str) -> Page:
+    tables = scene_tables(results, gamma)
+    parts = [(each.scene, [html.Table(each.columns, each.rows, each.measured)]) for each in tables]
+    best = [f"{each.scene}: {each.best} has the highest recall within {RIGHT}, {each.best_recall}." for each in tables]
+    said = " ".join(best) or "No network could be trained."
+    asked = f"{len(results)} networks: every method on every scene, the same budget"
+    failed = ("What could not be trained", failures(results))
+    return findings_page("Regressors side by side", asked, said, [*parts, failed], settings=settings, command=command)
 
 
 def _schedule(arguments: Sequence[str]) -> None:
@@ -130,10 +145,17 @@ def _schedule(arguments: Sequence[str]) -> None:
         own = figures[schedule]
         missed = "" if own["reached"] else f", {figures['recall']:.1%} not reached"
         table.add_row(schedule, f"{own['images']}", f"{own['seconds'] / 60:.1f} min", f"{own['recall']:.1%}{missed}")
-    show(table)
     least = "" if figures[PAPER]["reached"] else "at least "
     ratios = f"{figures['times_images']:.1f} times the images and {figures['times_seconds']:.1f} times the time"
-    show(f"the paper's schedule takes {least}{ratios}")
+    said = f"the paper's schedule takes {least}{ratios}"
+    parts = [("Time to the same recall", [table, o.output / "schedule.png"])]
+    settings, command = settings_of(o.config, [o.scene]), command_line("experiment", ["schedule", *arguments])
+    asked = f"{o.scene}: the same network, trained by our schedule and by the paper's"
+    sentence = f"{said[0].upper()}{said[1:]}."
+    page = findings_page("Two schedules", asked, sentence, parts, settings=settings, command=command)
+    write_page(o.output / "report.html", page)
+    show(table)
+    show(said)
 
 
 def _table_config(preset: str) -> TableConfig:

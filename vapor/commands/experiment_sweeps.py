@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -14,13 +15,15 @@ from tyro.extras import literal_type_from_choices
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from vapor.commands.console import Overwrite, SharedOutputPath, parse, show
+from vapor.commands.console import Overwrite, SharedOutputPath, command_line, parse, show
 from vapor.commands.experiment_progress import settings_of, trained
 from vapor.commands.workers import Scheduler, claim_shared, publish_results, workers_for
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.experiments.alpha import AlphaConfig
 from vapor.experiments.decay import DecayConfig
 from vapor.experiments.sweep import MODES, Sweep, by_value, in_order
+from vapor.reporting.html.findings_page import findings_page
+from vapor.reporting.html.page import write_page
 from vapor.reporting.report import write_report
 
 if TYPE_CHECKING:
@@ -45,7 +48,7 @@ class AlphaOptions:
     scenes: _Tables
     """What the camera moves about."""
     output: SharedOutputPath
-    """Directory for images, results, alpha.json and pictures, or its URL; an interrupted experiment goes on."""
+    """Directory for images, results, report.html, alpha.json and pictures, or its URL; an interrupted experiment goes on."""
     overwrite: Overwrite = False
     scheduler: Scheduler = None
     threshold: _Threshold = "0.1m/10deg"
@@ -61,7 +64,7 @@ class DecayOptions:
     """Train with many weight decays of the encoder, and measure modes, recall and densities."""
 
     output: SharedOutputPath
-    """Directory for images, results, decay.json and pictures, or its URL; an interrupted experiment goes on."""
+    """Directory for images, results, report.html, decay.json and pictures, or its URL; an interrupted experiment goes on."""
     overwrite: Overwrite = False
     scheduler: Scheduler = None
     scenes: _Tables = ("round-table",)
@@ -96,16 +99,22 @@ def run_alpha(arguments: Sequence[str]) -> None:
     shown = recalls[o.threshold]
     title = f"Fraction of images with at least {o.config.gamma:.0%} of the samples within {o.threshold}"
     papers = (o.threshold, o.config.gamma) == _PAPERS_RECALL
+    pictures: list[Path] = []
     if shown:
-        draw_recall(o.output / "recall.png", shown, title=f"{title}, {o.config.runs} runs", paper=papers)
+        pictures.append(o.output / "recall.png")
+        draw_recall(pictures[-1], shown, title=f"{title}, {o.config.runs} runs", paper=papers)
     some = [alpha for alpha in _HEAT_MAPS if alpha in o.config.alphas] or [o.config.alphas[0]]
     for scene in o.scenes:
         if posteriors := _posteriors(experiment, results, scene, some, "α"):
-            draw_positions(o.output / f"positions-{scene}.png", posteriors, scene)
-    publish_results(o.output)
-    for scene, by_alpha in shown.items():
-        show(_alpha_table(f"{scene}, {MODES[scene]} modes: {title[0].lower()}{title[1:]}", by_alpha))
-    _show_failed(results, "alpha", "α")
+            pictures.append(o.output / f"positions-{scene}.png")
+            draw_positions(pictures[-1], posteriors, scene)
+    tables = [
+        _alpha_table(f"{scene}, {MODES[scene]} modes: {title[0].lower()}{title[1:]}", by_alpha)
+        for scene, by_alpha in shown.items()
+    ]
+    found = _Found("α", tables, _failed(results, "alpha", "α"), pictures)
+    best = [f"{scene}: the recall is highest at α = {_best(by_alpha):g}." for scene, by_alpha in shown.items()]
+    _tell(o.output, found, best, report["settings"], command_line("experiment", ["alpha", *arguments]))
 
 
 def run_decay(arguments: Sequence[str]) -> None:
@@ -124,16 +133,49 @@ def run_decay(arguments: Sequence[str]) -> None:
     }
     report = {"settings": settings_of(o.config, o.scenes), "medians": medians, "runs": results}
     write_report(o.output / "decay.json", report)
+    pictures: list[Path] = []
     if medians["test"]["modes"]:
-        draw_decay(o.output / "decay.png", results, o.threshold)
+        pictures.append(o.output / "decay.png")
+        draw_decay(pictures[-1], results, o.threshold)
     for scene in o.scenes:
         if posteriors := _posteriors(experiment, results, scene, o.config.decays, "weight decay"):
             images = [image for image in _IMAGES if image < o.config.test_frames]
-            draw_positions(o.output / f"positions-{scene}.png", posteriors, scene, images=images)
-    publish_results(o.output)
-    for scene in medians["test"]["modes"]:
-        show(_decay_table(scene, medians))
-    _show_failed(results, "decay", "weight decay")
+            pictures.append(o.output / f"positions-{scene}.png")
+            draw_positions(pictures[-1], posteriors, scene, images=images)
+    tables = [_decay_table(scene, medians) for scene in medians["test"]["modes"]]
+    found = _Found("weight decay", tables, _failed(results, "decay", "weight decay"), pictures)
+    recall = medians["test"][f"recall {o.threshold}"]
+    best = [
+        f"{scene}: the recall of test images is highest at weight decay {max(by, key=lambda v: by[v])}."
+        for scene, by in recall.items()
+    ]
+    _tell(o.output, found, best, report["settings"], command_line("experiment", ["decay", *arguments]))
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a sweep shows: tables, what could not be trained, files of pictures."""
+
+    symbol: str
+    tables: list[Table]
+    failed: list[str]
+    pictures: list[Path]
+
+
+def _tell(output: Path, found: _Found, best: Sequence[str], settings: Mapping[str, Any], command: str) -> None:
+    """Write the page, publish all, and print what the page has."""
+    parts: list[tuple[str, list[Table | str | Path]]] = [
+        ("Figures", [*found.tables]),
+        ("What could not be trained", [*found.failed]),
+        ("Pictures", [*found.pictures]),
+    ]
+    asked = f"Many networks that differ in {found.symbol}, synthetic images"
+    said = " ".join(best) or "No network could be trained."
+    page = findings_page(f"A sweep of {found.symbol}", asked, said, parts, settings=settings, command=command)
+    write_page(output / "report.html", page)
+    publish_results(output)
+    for shown in [*found.tables, *found.failed]:
+        show(shown)
 
 
 def _swept(experiment: Sweep, scenes: Sequence[str]) -> list[Mapping[str, Any]]:
@@ -174,15 +216,19 @@ def _medians(table: Mapping[str, Mapping[float, Sequence[float]]]) -> dict[str, 
     return {scene: {f"{v:g}": float(np.median(runs)) for v, runs in by.items()} for scene, by in table.items()}
 
 
-def _show_failed(results: Sequence[Mapping[str, Any]], parameter: str, symbol: str) -> None:
-    for r in results:
-        if "error" in r:
-            show(f"{r['scene']}, {symbol} = {r[parameter]:g}, seed {r['seed']}: {r['error']}")
+def _failed(results: Sequence[Mapping[str, Any]], parameter: str, symbol: str) -> list[str]:
+    return [
+        f"{r['scene']}, {symbol} = {r[parameter]:g}, seed {r['seed']}: {r['error']}" for r in results if "error" in r
+    ]
+
+
+def _best(by_value: Mapping[float, Sequence[float]]) -> float:
+    return max(by_value, key=lambda value: float(np.median(by_value[value])))
 
 
 def _alpha_table(title: str, by_alpha: dict[float, list[float]]) -> Table:
     table = Table("α", "median recall", "least", "most", title=title, title_justify="left", box=SIMPLE_HEAD)
-    best = max(by_alpha, key=lambda alpha: np.median(by_alpha[alpha]))
+    best = _best(by_alpha)
     for alpha, recalls in by_alpha.items():
         figures = [f"{value:.2f}" for value in (np.median(recalls), min(recalls), max(recalls))]
         table.add_row(f"{alpha:g}", *figures, style="bold" if alpha == best else None)

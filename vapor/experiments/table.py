@@ -147,38 +147,77 @@ class TableExperiment:
         return replace(METHODS[method](self.config.train), seed=seed)
 
 
-def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
-    """The table as Markdown: medians over the seeds, and for recall of several its least and most."""
-    lines: list[str] = []
-    done = [result for result in results if "error" not in result]
-    for scene in dict.fromkeys(result["scene"] for result in done):
-        rows = [result for result in done if result["scene"] == scene]
-        seeds = len({row["seed"] for row in rows})
-        counted = "1 seed" if seeds == 1 else f"{seeds} seeds"
-        lines += [f"**{scene}**, {rows[0]['images']} test images, {counted}, γ = {gamma:g}", ""]
-        filtered = any("filter" in row for row in rows)
-        names = ["method", *(f"recall {t}" for t in THRESHOLDS), f"best mode {RIGHT}", f"any sample {RIGHT}"]
-        names += ["median error of the mean", "of the best mode", "−log p̂", "modes"]
+@dataclass(frozen=True)
+class SceneTable:
+    """What the methods did on one scene: medians over the seeds, and for recall of several its least and most.
+
+    Attributes:
+        scene: Its name.
+        measured: On what, in words.
+        columns: Headings.
+        rows: Cells, the first the method's name.
+        best: The method with the highest median recall at the widest threshold.
+        best_recall: That recall, in words.
+    """
+
+    scene: str
+    measured: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    best: str
+    best_recall: str
+
+
+def scene_tables(results: Sequence[Mapping[str, Any]], gamma: float) -> list[SceneTable]:
+    """The table of every scene."""
+    return [
+        _scene_table(scene, [result for result in results if "error" not in result and result["scene"] == scene], gamma)
+        for scene in dict.fromkeys(result["scene"] for result in results if "error" not in result)
+    ]
+
+
+def _scene_table(scene: str, rows: Sequence[Mapping[str, Any]], gamma: float) -> SceneTable:
+    seeds = len({row["seed"] for row in rows})
+    counted = "1 seed" if seeds == 1 else f"{seeds} seeds"
+    filtered = any("filter" in row for row in rows)
+    columns = ["method", *(f"recall {t}" for t in THRESHOLDS), f"best mode {RIGHT}", f"any sample {RIGHT}"]
+    columns += ["median error of the mean", "of the best mode", "−log p̂", "modes"]
+    if filtered:
+        columns += ["filter: success", "median error", "said converged, of these wrong", "smoothed: success"]
+    lines: list[tuple[str, ...]] = []
+    methods = dict.fromkeys(row["label"] for row in rows)
+    by_method = {method: [row for row in rows if row["label"] == method] for method in methods}
+    for method, own in by_method.items():
+        cells = [method, *(_spread([row["recall"][t] for row in own]) for t in THRESHOLDS)]
+        cells += [_percent([row[kind][RIGHT] for row in own]) for kind in ("mode_recall", "oracle_recall")]
+        cells += [_error([row[kind] for row in own]) for kind in ("mean", "mode")]
+        exact = [row["exact_negative_log_density"] for row in own if row["exact_negative_log_density"] is not None]
+        of_samples = f"{np.median([row['negative_log_density'] for row in own]):.2f}"
+        cells.append(f"{of_samples} (exact {np.median(exact):.2f})" if exact else of_samples)
+        cells.append(f"{np.median([row['modes'] for row in own]):.1f}")
         if filtered:
-            names += ["filter: success", "median error", "said converged, of these wrong", "smoothed: success"]
-        lines += ["| " + " | ".join([*names, "training"]) + " |", "|---" * (len(names) + 1) + "|"]
-        for method in dict.fromkeys(row["label"] for row in rows):
-            own = [row for row in rows if row["label"] == method]
-            cells = [method, *(_spread([row["recall"][t] for row in own]) for t in THRESHOLDS)]
-            cells += [_percent([row[kind][RIGHT] for row in own]) for kind in ("mode_recall", "oracle_recall")]
-            cells += [_error([row[kind] for row in own]) for kind in ("mean", "mode")]
-            exact = [row["exact_negative_log_density"] for row in own if row["exact_negative_log_density"] is not None]
-            of_samples = f"{np.median([row['negative_log_density'] for row in own]):.2f}"
-            cells.append(f"{of_samples} (exact {np.median(exact):.2f})" if exact else of_samples)
-            cells.append(f"{np.median([row['modes'] for row in own]):.1f}")
-            if filtered:
-                cells += _filtered([report for row in own for report in row["filter"]])
-            cells.append(f"{np.median([row['seconds'] for row in own]) / 60:.1f} min")
-            lines.append("| " + " | ".join(cells) + " |")
+            cells += _filtered([report for row in own for report in row["filter"]])
+        lines.append((*cells, f"{np.median([row['seconds'] for row in own]) / 60:.1f} min"))
+    recalls = {method: [row["recall"][RIGHT] for row in own] for method, own in by_method.items()}
+    best = max(recalls, key=lambda method: float(np.median(recalls[method])))
+    measured = f"{rows[0]['images']} test images, {counted}, γ = {gamma:g}"
+    return SceneTable(scene, measured, (*columns, "training"), tuple(lines), best, _percent(recalls[best]))
+
+
+def failures(results: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A line for each network that could not be trained."""
+    return [f"{r['scene']}, {r['label']}, seed {r['seed']}: {r['error']}" for r in results if "error" in r]
+
+
+def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
+    """The tables as Markdown."""
+    lines: list[str] = []
+    for table in scene_tables(results, gamma):
+        lines += [f"**{table.scene}**, {table.measured}", ""]
+        lines += ["| " + " | ".join(table.columns) + " |", "|---" * len(table.columns) + "|"]
+        lines += ["| " + " | ".join(cells) + " |" for cells in table.rows]
         lines.append("")
-    failed = [result for result in results if "error" in result]
-    lines += [f"{r['scene']}, {r['label']}, seed {r['seed']}: {r['error']}" for r in failed]
-    return "\n".join(lines)
+    return "\n".join([*lines, *failures(results)])
 
 
 def _filtered(reports: Sequence[Mapping[str, Any]]) -> list[str]:

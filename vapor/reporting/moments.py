@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from filtering.estimate import Estimate
+from filtering.estimate import Mode
 from filtering.se3 import Poses
 
 _MOST = 300
@@ -38,19 +39,19 @@ class MomentCollector:
         self._moments: list[Moment] = []
         self._seen, self._every = 0, 1
 
-    def add(self, estimate: Estimate, cloud: Poses) -> None:
+    def add(self, modes: Sequence[Mode], cloud: Poses) -> None:
         """Take the next image.
 
         Args:
-            estimate: The belief after it.
+            modes: Hypotheses after it, best first.
             cloud: Poses that stand for the belief, at least 60.
         """
         if self._seen % self._every == 0:
             which = np.linspace(0, len(cloud) - 1, _PARTICLES).astype(int)
-            modes = np.stack([mode.world_from_camera.translation for mode in estimate.modes]).astype(np.float32)
-            weights = np.array([mode.weight for mode in estimate.modes])
+            places = np.stack([mode.world_from_camera.translation for mode in modes]).astype(np.float32)
+            weights = np.array([mode.weight for mode in modes])
             particles = cloud.translation[which].astype(np.float32)
-            self._moments.append(Moment(self._seen, particles, modes, weights))
+            self._moments.append(Moment(self._seen, particles, places, weights))
             if len(self._moments) > _MOST:
                 self._every *= 2
                 self._moments = self._moments[::2]

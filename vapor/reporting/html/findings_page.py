@@ -18,7 +18,7 @@ def findings_page(
     title: str,
     asked: str,
     verdict: str,
-    parts: Iterable[tuple[str, Sequence[RichTable | str | Path]]],
+    parts: Iterable[tuple[str, Sequence[RichTable | str | Path | Block]]],
     *,
     settings: Mapping[str, Any] | None = None,
     command: str = "",
@@ -29,7 +29,8 @@ def findings_page(
         title: What was looked at.
         asked: What was asked, in a line.
         verdict: What came of it.
-        parts: Headings, and what stands below each: tables as printed, lines, and files of pictures.
+        parts: Headings, and what stands below each: blocks, tables as printed, lines,
+            and files of pictures.
         settings: What it was made with, as JSON.
         command: The command that was given; empty where there was none.
     """
@@ -40,7 +41,9 @@ def findings_page(
     return Page(title, asked, verdict, [*sections, *([Section("How it was made", made)] if made else [])])
 
 
-def _block(item: RichTable | str | Path, heading: str) -> Block:
+def _block(item: RichTable | str | Path | Block, heading: str) -> Block:
     if isinstance(item, Path):
         return Picture(item.read_bytes(), f"{heading}: {item.stem}")
-    return Text(item, "notice") if isinstance(item, str) else printed_table(item, heading)
+    if isinstance(item, str):
+        return Text(item, "notice")
+    return item if isinstance(item, Block) else printed_table(item, heading)

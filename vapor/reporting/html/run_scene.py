@@ -36,7 +36,7 @@ class RunScene:
         shown = min(int(0.15 * last), last)
         keyframes = [each for each in choose_keyframes(list(record.keyframes), _MOST_IMAGES) if each.thumbnail.size]
         buttons = "".join(_moment_button(each, record) for each in keyframes)
-        seen = '<figure class="seen"><img alt="What the camera saw" src=""><figcaption></figcaption></figure>'
+        seen = '<figure class="seen"><img alt="What the camera saw"><figcaption></figcaption></figure>'
         strip = f'<div class="moments" aria-label="Images" role="group">{buttons}</div>' if keyframes else ""
         return (
             '<figure data-figure="run" aria-label="Paths, particles and modes in space">'

@@ -1,0 +1,89 @@
+"""Pages: blocks, escaping, and that nothing is asked of a network."""
+
+import base64
+import gzip
+import re
+
+import pytest
+from rich.table import Table as RichTable
+
+from tests.helpers.pages import ReadPage
+from vapor.reporting.html.findings_page import findings_page
+from vapor.reporting.html.page import Code, Folded, Page, Picture, Plot, Section, Table, Text, is_page, write_page
+
+PNG = b"\x89PNG not really"
+NASTY = "<script>alert('&\"')</script>"
+
+
+def a_page(*blocks) -> ReadPage:
+    return ReadPage.of(Page("a title", "asked", "came of it.", [Section("part", blocks)]).html())
+
+
+def test_names_from_files_cannot_become_markup():
+    blocks = [
+        Text(NASTY),
+        Table((NASTY, NASTY), [(NASTY, NASTY)], NASTY),
+        Picture(PNG, NASTY, NASTY),
+        Plot("plot", [{"name": "</script>" + NASTY}], {}, NASTY, NASTY),
+        Folded(NASTY, [Code(NASTY)]),
+    ]
+    page = ReadPage.of(Page(NASTY, NASTY, NASTY, [Section(NASTY, blocks)], [NASTY]).html())
+    assert [tag for tag, _ in page.tags].count("script") == 3  # the page's own
+    assert page.words.count(NASTY) >= 10
+    assert page.data["plot"]["traces"][0]["name"] == "</script>" + NASTY
+
+
+def test_a_page_without_figures_has_no_script():
+    assert a_page(Text("words")).scripts == {}
+
+
+def test_a_page_asks_nothing_of_a_network():
+    text = Page("t", "a", "v", [Section("s", [Plot("p", [], {}, "l"), Picture(PNG, "seen")])]).html()
+    page = ReadPage.of(text)
+    addresses = [value for _, attrs in page.tags for name, value in attrs.items() if name in ("src", "href")]
+    assert addresses
+    assert all(address.startswith("data:") for address in addresses)
+    assert not re.search(
+        r"url\(|@import|fetch\(|XMLHttpRequest|import\(", text.split('id="data"')[0] + page.scripts[""]
+    )
+
+
+def test_plotly_is_packed_whole():
+    plotly = gzip.decompress(base64.b64decode(a_page(Plot("p", [], {}, "l")).scripts["plotly"])).decode()
+    assert "plotly.js v" in plotly[:200]
+    assert len(plotly) > 1e6
+
+
+def test_every_picture_and_scrolling_table_has_a_name_for_a_screen_reader():
+    page = a_page(Picture(PNG, "a map"), Table(("", "figure"), [("x", "1")], "figures"))
+    assert [attrs["alt"] for tag, attrs in page.tags if tag == "img"] == ["a map"]
+    (region,) = [attrs for _, attrs in page.tags if attrs.get("role") == "region"]
+    assert (region["aria-label"], region["tabindex"]) == ("figures", "0")
+
+
+def test_a_printed_table_is_the_same_on_a_page():
+    table = RichTable("", "a\nb", title="of a kind")
+    table.add_row("x", "1 %", style="bold")
+    table.add_row("[red]y[/red]", "2 %")
+    page = ReadPage.of(findings_page("t", "a", "v", [("s", [table, "a line"]), ("empty", [])]).html())
+    assert page.cells == ["", "a\nb", "x", "1 %", "y", "2 %"]
+    assert [attrs.get("class") for tag, attrs in page.tags if tag == "tr"] == [None, "ours", None]
+    assert "of a kind" in page.words
+    assert "a line" in page.words
+    assert "empty" not in page.words
+
+
+def test_only_a_page_of_ours_is_taken_for_one(tmp_path):
+    write_page(tmp_path / "ours.html", Page("t", "a", "v"))
+    (tmp_path / "other.html").write_text("<!doctype html><html><p>mine</p></html>")
+    (tmp_path / "empty.html").touch()
+    assert [is_page(tmp_path / f"{name}.html") for name in ("ours", "other", "empty")] == [True, False, False]
+
+
+def test_a_page_that_cannot_be_made_leaves_the_old_one(tmp_path):
+    path = tmp_path / "report.html"
+    write_page(path, Page("old", "a", "v"))
+    with pytest.raises(ValueError, match="JSON"):
+        write_page(path, Page("new", "a", "v", [Section("s", [Plot("p", [{"y": [float("nan")]}], {}, "l")])]))
+    assert "<h1>old</h1>" in path.read_text()
+    assert [each.name for each in tmp_path.iterdir()] == ["report.html"]

@@ -1,0 +1,107 @@
+"""The page of a run: its numbers are those of the report, its verdict is what happened."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.helpers.pages import ReadPage
+from tests.helpers.simulated_run import simulated_record
+from vapor.reporting.html.run_page import run_page, verdict
+from vapor.reporting.moments import MomentCollector
+from vapor.reporting.report import build_report
+
+SETTINGS = {"model": {"name": "stairs"}, "versions": {"numpy": "2.4"}, "run": {"seed": 3}}
+
+
+@pytest.fixture(scope="module")
+def record():
+    return simulated_record(150)
+
+
+def read(record, **options) -> ReadPage:
+    page = run_page(record, build_report(record), title="walk.mcap", settings=SETTINGS, **options)
+    return ReadPage.of(page.html())
+
+
+def test_the_table_has_the_numbers_of_the_report(record):
+    report, page = build_report(record), read(record)
+    row = page.cells.index("particle filter")
+    metrics = report["filter"]
+    assert page.cells[row + 1].split() == [
+        f"{metrics['median_translation_m']:.2f}",
+        "m",
+        f"{metrics['median_rotation_deg']:.1f}°",
+    ]
+    assert page.cells[row + 2 : row + 5] == [f"{100 * part:.0f} %" for part in metrics["recall"].values()]
+    coverage = report["consistency"]["coverage"]
+    for name, part in coverage.items():
+        row = page.cells.index(f"true pose in the {name.replace('%', ' %')} region")
+        assert page.cells[row + 1] == f"{100 * part:.1f} %"
+
+
+def test_what_was_asked_and_how_it_was_made_are_said(record):
+    page = read(record, notices=["mind the step"], command="vapor-track run walk.mcap --model stairs")
+    for said in ("walk.mcap", "150 images in 15 s, localized by stairs", "mind the step", '"seed": 3'):
+        assert said in page.words
+    assert "vapor-track run walk.mcap --model stairs" in page.words
+    assert page.cells[page.cells.index("numpy") + 1] == "2.4"
+
+
+def test_every_image_of_a_short_run_is_a_moment_that_can_be_looked_at(record):
+    data = read(record).data["run"]
+    assert len(data["moments"]) == 150
+    moment = data["moments"][70]
+    assert moment["time_s"] == pytest.approx((record.times_ns[70] - record.times_ns[0]) / 1e9)
+    assert moment["status"] == record.status[70]
+    assert len(moment["weights"]) == len(moment["modes"][0]) == record.num_modes[70]
+    best = record.methods["filter"].poses.translation[70]
+    assert np.allclose(np.array(moment["modes"])[:, 0], 1000 * best, atol=1.0)
+    centre = np.array(moment["camera"])[:, 3]  # the line along the pyramid passes through it
+    assert np.allclose(centre, 1000 * best, atol=1.0)
+    particles = np.array(moment["particles"])
+    assert particles.shape == (3, 60)
+    assert max(moment["of"]) < len(moment["weights"])
+
+
+def test_a_path_is_broken_where_a_hypothesis_jumped(record):
+    (path,) = [each for each in read(record).data["run"]["paths"] if each["name"] == "particle filter"]
+    points = [each for each in path["x"] if each is not None]
+    assert len(points) == 150
+    steps = np.linalg.norm(np.diff(record.methods["filter"].poses.translation, axis=0), axis=1)
+    assert path["x"].count(None) == (steps > 0.4 + 6.0 * np.median(steps)).sum() > 0
+
+
+def test_of_a_long_run_at_most_300_moments_are_kept_evenly(record):
+    collector, keyframe = MomentCollector(), record.keyframes[0]
+    for _ in range(1000):
+        collector.add(keyframe.modes, keyframe.cloud)
+    assert 150 < len(collector.moments) <= 300
+    assert {b.index - a.index for a, b in zip(collector.moments, collector.moments[1:], strict=False)} == {4}
+
+
+def test_the_verdict_says_what_happened(record):
+    report = build_report(record)
+    right = report["filter"]["converged_at_s"]
+    assert verdict(report, record).startswith(f"Right from {right:.1f} s on, ")
+    assert verdict(report, record).endswith("never sure and wrong.")
+    lost = {**report["filter"], "converged_at_s": None}
+    assert verdict({**report, "filter": lost}, record).startswith("It did not find itself for good: ")
+    consistency = {**report["consistency"], "wrong": 0.1, "images": 50}
+    assert "sure and wrong in 5 of the 50 images" in verdict({**report, "consistency": consistency}, record)
+    consistency = {"images": 0, "wrong": None, "coverage": None, "median_nees": None}
+    assert verdict({**report, "consistency": consistency}, record).endswith("; never sure.")
+
+
+def test_without_true_poses_it_says_so_and_how_sure_it_was():
+    record = simulated_record(30, with_truth=False)
+    page = read(replace(record, status=("ambiguous",) * 10 + ("converged",) * 20))
+    assert "Sure in 67 % of the images, first after 1.0 s. There are no true poses to compare with." in page.words
+    assert "errors" not in page.data
+    assert "Never sure where it is" in read(replace(record, status=("lost",) * 30)).words
+
+
+def test_without_images_there_is_no_strip_of_them(record):
+    blind = tuple(replace(each, thumbnail=np.zeros((0, 0, 3), np.uint8)) for each in record.keyframes)
+    assert [tag for tag, _ in read(replace(record, keyframes=blind)).tags].count("img") == 0
+    assert [tag for tag, _ in read(record).tags].count("img") > 3
