@@ -44,7 +44,8 @@ class TableOptions:
     scenes: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="SCENE ...")]
     """Synthetic scenes by name, or your own data: NAME=TRAIN,...=TEST,... with whatever `train` reads."""
     output: SharedOutputPath
-    """Directory for images, results, report.html, table.json and table.md, or its URL; an interrupted experiment goes on."""
+    """Directory for images, results, report.html, table.json and table.md, or its URL; an interrupted experiment goes
+    on."""
     overwrite: Overwrite = False
     scheduler: Scheduler = None
     preset: Preset = "demo"
@@ -63,7 +64,8 @@ class ScheduleOptions:
     """
 
     output: OutputPath
-    """Directory for images, results, report.html, schedule.json and the picture; what is trained already is not trained again."""
+    """Directory for images, results, report.html, schedule.json and the picture; what is trained already is not trained
+    again."""
     overwrite: Overwrite = False
     scene: _Scene = "staircase"
     """What the camera moves through."""

@@ -48,7 +48,8 @@ class AlphaOptions:
     scenes: _Tables
     """What the camera moves about."""
     output: SharedOutputPath
-    """Directory for images, results, report.html, alpha.json and pictures, or its URL; an interrupted experiment goes on."""
+    """Directory for images, results, report.html, alpha.json and pictures, or its URL; an interrupted experiment goes
+    on."""
     overwrite: Overwrite = False
     scheduler: Scheduler = None
     threshold: _Threshold = "0.1m/10deg"
@@ -64,7 +65,8 @@ class DecayOptions:
     """Train with many weight decays of the encoder, and measure modes, recall and densities."""
 
     output: SharedOutputPath
-    """Directory for images, results, report.html, decay.json and pictures, or its URL; an interrupted experiment goes on."""
+    """Directory for images, results, report.html, decay.json and pictures, or its URL; an interrupted experiment goes
+    on."""
     overwrite: Overwrite = False
     scheduler: Scheduler = None
     scenes: _Tables = ("round-table",)

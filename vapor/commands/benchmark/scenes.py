@@ -44,7 +44,7 @@ class SceneOptions:
     ]
     """What the camera moves through; the number N of a building is the seed that it is drawn from."""
     output: SharedOutputPath
-    """Directory for recordings, results, report.html and summary.json, or its URL; an interrupted benchmark with the same output
+    """Directory for recordings, results and summary.json, or its URL; an interrupted benchmark with the same output
     continues."""
     overwrite: Overwrite = False
     models: tuple[str, ...] = ()
