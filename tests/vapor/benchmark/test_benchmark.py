@@ -8,6 +8,7 @@ import pytest
 
 from filtering.localizer import ParticleLocalizer
 from tests.helpers.checks import no_checks
+from tests.helpers.pages import ReadPage
 from vapor.benchmark.localization.summary import failed
 from vapor.benchmark.recordings import record
 from vapor.benchmark.trials import kinds, setup
@@ -99,6 +100,12 @@ def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model,
             assert each["name"] in out
     for said in ("something unique in the first half: 1 runs", "nothing unique: 1 runs", "carried off: 1 runs"):
         assert f"ceiling, {said}" in out
+    page = ReadPage.of((folder / "report.html").read_text())
+    for kind, ablations in summary["summary"]["ceiling"].items():
+        sure = ablations["full"]["belief"]["filter"]["said_converged"]["images"]
+        said = f"of the {sure} images that it called converged" if sure else "never sure"
+        assert f"Ceiling, {kinds.KINDS[kind].meaning}: the filter " in page.words
+        assert said in page.words
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import cv2
 import pytest
 
 from filtering.errors import VaporTrackError
+from tests.helpers.pages import ReadPage
 from vapor.evaluation.validation import Validation
 from vapor.experiments import schedule as schedule_module
 from vapor.experiments.schedule import DEFAULT, PAPER, Clock, Point, ScheduleConfig, summary
@@ -111,6 +112,9 @@ def test_both_are_trained_once_and_told_side_by_side(tmp_path, capsys, monkeypat
     assert [point["images"] for point in report["courses"]["paper"]] == [128]  # given up after its first epoch
     assert cv2.imread(str(tmp_path / "schedule.png")).shape[1] > 800
     assert "times the time" in capsys.readouterr().out
+    page = ReadPage.of((tmp_path / "report.html").read_text())
+    assert "times the time" in page.words
+    assert page.cells[page.cells.index("paper") + 1] == str(report["paper"]["images"])
     monkeypatch.setattr(schedule_module, "train", lambda *_, **__: pytest.fail("trained again"))
     assert main(words) == 0
     assert json.loads((tmp_path / "schedule.json").read_text()) == report

@@ -8,6 +8,7 @@ import cv2
 import pytest
 
 from filtering.errors import VaporTrackError
+from tests.helpers.pages import ReadPage
 from tests.helpers.tiny_experiments import TINY_TRAIN
 from vapor.checkpoints.calibration import Calibration
 from vapor.evaluation.posterior import posterior_metrics
@@ -147,6 +148,10 @@ def test_the_command_writes_results_and_pictures_and_prints_medians(tmp_path, ca
     report = json.loads((tmp_path / "out" / "alpha.json").read_text())
     assert set(report["median_recall"]["0.1m/10deg"]["dinner-table"]) == {"0.2", "1"}
     assert len(report["runs"]) == 2
+    page = ReadPage.of((tmp_path / "out" / "report.html").read_text())
+    medians = report["median_recall"]["0.1m/10deg"]["dinner-table"]
+    assert [page.cells[page.cells.index(alpha) + 1] for alpha in medians] == [f"{v:.2f}" for v in medians.values()]
+    assert [tag for tag, _ in page.tags].count("img") == 2
     for name in ("recall.png", "positions-dinner-table.png"):
         picture = cv2.imread(str(tmp_path / "out" / name))
         assert picture is not None
@@ -178,6 +183,9 @@ def test_the_decay_experiment_judges_test_and_training_images_and_goes_on(tmp_pa
     assert free["mean"] != constrained["mean"]
     assert (free["images"], free["training"]["images"]) == (6, 8)
     assert report["medians"]["training"]["modes"]["dinner-table"]["0"] == free["training"]["modes"]
+    page = ReadPage.of((tmp_path / "report.html").read_text())
+    both = (report["medians"][images]["modes"]["dinner-table"]["1000"] for images in ("test", "training"))
+    assert page.cells[page.cells.index("1000") + 1] == ", ".join(f"{value:.2f}" for value in both)
     pictures = [tmp_path / name for name in ("decay.png", "positions-dinner-table.png")]
     for path in pictures:
         picture = cv2.imread(str(path))

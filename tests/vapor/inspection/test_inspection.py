@@ -13,6 +13,7 @@ from sequences.reading.counts import OUTSIDE
 from tests.helpers.corridors import corridor
 from tests.helpers.data_sets import make_tum
 from tests.helpers.inspected import LEVEL, detailed, only, scenery, walked, write
+from tests.helpers.pages import ReadPage
 from tests.helpers.sequence_files import BEGIN_NS, rewrite
 from vapor.inspection.inspect import inspect
 from vapor.inspection.reading import posed_images, read_walks
@@ -189,6 +190,9 @@ def test_the_command_writes_report_and_map_and_says_its_verdict(tmp_path, tiny_m
     report = json.loads((tmp_path / "out" / "deeper" / "report.json").read_text())
     assert report["walks"][0]["images"] == 25
     assert report["model"]["images"] == 25
+    page = ReadPage.of((tmp_path / "out" / "deeper" / "report.html").read_text())
+    assert all(sentence in page.words or sentence[1:] in page.words for sentence in report["verdict"])
+    assert page.cells[page.cells.index("images") + 10 :][:3] == [walk_of_25.name, "25", "25"]
     picture = cv2.imread(str(tmp_path / "out" / "deeper" / "map.png"))
     assert picture is not None
     assert picture.std() > 10

@@ -33,7 +33,7 @@ TRAJECTORIES = {
 
 WITH_TRUTH = {"ground_truth.tum", "errors.png"}
 
-FILES = TRAJECTORIES | {"estimate.mcap", "config.json", "report.json", "trajectory.png", "particles.png"}
+FILES = TRAJECTORIES | {"estimate.mcap", "config.json", "report.html", "report.json", "trajectory.png", "particles.png"}
 FILES |= {"manifest.json", "status.csv"}
 
 METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "worse_than"}
@@ -82,7 +82,7 @@ def test_a_run_writes_everything_and_leaves_nothing_else(finished):
 def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
     for words in ("single image", "dead reckoning", "Kalman filter", "Gaussian sum", "particle filter", "smoothed"):
         assert words in finished.printed
-    for name in ("report.json", "recording.rrd", "particles.png"):
+    for name in ("report.html", "recording.rrd", "particles.png"):
         assert str(finished.directory / name) in finished.printed
     assert finished.errors == ""
 

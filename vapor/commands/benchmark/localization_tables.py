@@ -56,12 +56,11 @@ def said(summary: Summary) -> str:
         for kind, ablations in kinds.items():
             total = ablations.get("full") or next(iter(ablations.values()))
             own, sure = total["methods"][OURS], total["belief"][OURS]["said_converged"]
-            found = f"the filter finds its place in {own['successes']} of {total['runs']} runs"
             wrong = round((sure["wrong"] or 0.0) * sure["images"])
             doubt = f"sure and wrong in {wrong or 'none'} of the {sure['images']} images that it called converged"
-            sentences.append(
-                f"{scene}, {KINDS[kind].meaning}: {found}, and is {doubt if sure['images'] else 'never sure'}."
-            )
+            found = f"finds its place in {own['successes']} of {total['runs']} runs, and " if "successes" in own else ""
+            trusted = doubt if sure["images"] else "never sure"
+            sentences.append(f"{scene}, {KINDS[kind].meaning}: the filter {found}is {trusted}.")
     return " ".join(f"{text[0].upper()}{text[1:]}" for text in sentences)
 
 

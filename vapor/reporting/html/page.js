@@ -16,6 +16,8 @@ function themed(layout) {
   const out = { ...layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
     font: { family: "system-ui, sans-serif", size: 13, color: style("--ink") },
     hoverlabel: { bgcolor: style("--panel"), font: { color: style("--ink") }, bordercolor: style("--line") } };
+  if (narrow() && layout.legend && !layout.scene)
+    out.legend = { ...layout.legend, y: -0.2, yanchor: "top", font: { size: 11 } };
   for (const name of Object.keys(layout)) if (/^[xy]axis\d*$/.test(name)) out[name] = { ...axis, ...layout[name] };
   if (layout.scene) {
     out.scene = { ...layout.scene };
@@ -54,7 +56,7 @@ function scene(element, data) {
     const [fx, fy, fz] = moment.camera.map(metres);
     const belief = [
       { type: "scatter3d", mode: "markers", name: "particles", x, y, z, hoverinfo: "skip",
-        marker: { size: 3, opacity: 0.75, color: moment.of.map(i => shade(weights[i])) } },
+        marker: { size: 4, opacity: 0.75, line: { width: 0 }, color: moment.of.map(i => shade(weights[i])) } },
       { type: "scatter3d", mode: "markers+text", name: "modes", x: mx, y: my, z: mz,
         text: weights.map(w => `${Math.round(100 * w)} %`), textposition: "top center",
         hovertemplate: "mode of %{text}<br>%{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>",
@@ -72,8 +74,9 @@ function scene(element, data) {
   };
   const layout = () => ({ uirevision: "kept", margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: true,
     legend: narrow() ? { orientation: "h", y: 0, yanchor: "top", font: { size: 11 } } : { x: 0, y: 1, bgcolor: "rgba(0,0,0,0)" },
-    scene: { aspectmode: "data", uirevision: "kept", camera: { eye: data.eye },
-      xaxis: { title: { text: "x [m]" } }, yaxis: { title: { text: "y [m]" } }, zaxis: { title: { text: "z [m]" } } } });
+    scene: { aspectmode: "manual", aspectratio: data.ratio, uirevision: "kept",
+      camera: { eye: { x: 1, y: -1, z: 0.55 } }, ...Object.fromEntries(["x", "y", "z"].map((name, i) =>
+        [`${name}axis`, { title: { text: `${name} [m]` }, range: data.ranges[i] }])) } });
 
   function show(index) {
     at = Math.max(0, Math.min(data.moments.length - 1, index));

@@ -65,7 +65,8 @@ class Table:
 
     def html(self, packed: dict[str, Any]) -> str:
         """See `Block`."""
-        head = "".join(f'<th scope="col">{escape(name)}</th>' for name in self.columns)
+        cells = (f'<th scope="col">{escape(name)}</th>' if name else "<td></td>" for name in self.columns)
+        head = f"<thead><tr>{''.join(cells)}</tr></thead>" if any(self.columns) else ""
         body = "".join(
             f'<tr{" class=ours" if number in self.ours else ""}><th scope="row">{escape(row[0])}</th>'
             + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
@@ -75,7 +76,7 @@ class Table:
         kind = ' class="words"' if self.words else ""
         return (
             f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(self.caption)}"><table{kind}>'
-            f"<caption>{escape(self.caption)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+            f"<caption>{escape(self.caption)}</caption>{head}<tbody>{body}</tbody></table></div>"
         )
 
 

@@ -94,11 +94,11 @@ def error_plot(record: RunRecord) -> Plot | None:
         for axis, limit in zip(("y", "y2"), limits, strict=True)
     ]
     layout = {
-        "margin": {"l": 55, "r": 10, "t": 10, "b": 40},
+        "margin": {"l": 65, "r": 10, "t": 10, "b": 40},
         "hovermode": "closest",
         "shapes": lines,
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
-        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2", "rangemode": "tozero"},
+        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2", "range": [0, _duration_s(record)]},
         "yaxis": {"title": {"text": "position [m]"}, "type": "log", "domain": [0.54, 1.0], "minor": {"nticks": 0}},
         "yaxis2": {"title": {"text": "rotation [°]"}, "type": "log", "domain": [0.0, 0.46]},
     }
@@ -134,10 +134,14 @@ def belief_plot(record: RunRecord) -> Plot:
         for name, values, color, axis in curves
     ]
     layout = {
-        "margin": {"l": 55, "r": 10, "t": 10, "b": 40},
+        "margin": {"l": 65, "r": 10, "t": 10, "b": 40},
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
-        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2", "rangemode": "tozero"},
+        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2", "range": [0, _duration_s(record)]},
         "yaxis": {"title": {"text": "fraction"}, "range": [0, 1.05], "domain": [0.54, 1.0]},
         "yaxis2": {"title": {"text": "deviation [m]"}, "type": "log", "domain": [0.0, 0.46]},
     }
     return Plot("belief", traces, layout, "How sure the filter was, over time")
+
+
+def _duration_s(record: RunRecord) -> float:
+    return max(float(record.times_ns[-1] - record.times_ns[0]) / 1e9, 1e-3)

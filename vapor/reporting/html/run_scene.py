@@ -19,6 +19,7 @@ from vapor.tracking.methods import METHODS
 
 _MOST_POINTS = 1500  # of a path
 _MOST_IMAGES = 12
+_THINNEST = 0.2  # of the longest axis of the box
 _CAMERA_OF_EXTENT = 0.03  # the size of a drawn camera
 
 
@@ -99,7 +100,28 @@ def _data(record: RunRecord) -> dict[str, Any]:
     if record.truth is not None:
         paths.append(_path("truth", "ink", record.truth, visible=True))
     none, all_ = (_rgb(COLORS[name]) for name in ("other", "filter"))
-    return {"moments": moments, "paths": paths, "none": none, "all": all_, "eye": {"x": 1.2, "y": -1.2, "z": 0.7}}
+    low, high = _extent(record)
+    ratio = (high - low) / (high - low).max()
+    return {
+        "moments": moments,
+        "paths": paths,
+        "none": none,
+        "all": all_,
+        "ranges": np.stack([low, high]).T.round(3).tolist(),
+        "ratio": dict(zip("xyz", ratio.round(3).tolist(), strict=True)),
+    }
+
+
+def _extent(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the box that holds the paths of filter and truth and nearly all particles; never flat."""
+    points = [record.methods["filter"].poses.translation]
+    points += [np.percentile(np.concatenate([each.particles for each in record.moments]), [0.5, 99.5], axis=0)]
+    if record.truth is not None:
+        points.append(record.truth.poses.translation)
+    low, high = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)
+    size = max(float((high - low).max()), 0.1)
+    widen = np.maximum(_THINNEST * size - (high - low), 0.05 * size) / 2
+    return low - widen, high + widen
 
 
 def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> dict[str, Any]:
