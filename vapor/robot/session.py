@@ -591,7 +591,12 @@ class LiveSession:
         if self._recorder is not None:
             values |= {"messages recorded": self._recorder.number, "messages not recorded": self._recorder.lost}
         message = diagnostics_message(
-            self._now_ns(), hardware=self._model.name, estimate=self._now, silent=silent, values=values
+            self._now_ns(),
+            hardware=self._model.name,
+            estimate=self._now,
+            silent=silent,
+            values=values,
+            floors=self._model.observation.floors,
         )
         self._outbox.send([message], self._now_ns())
 

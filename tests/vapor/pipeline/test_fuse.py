@@ -14,7 +14,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.estimates.options import EstimateOptions
-from sequences.estimates.sequence import EstimateSequence
+from sequences.estimates.sequence import HYPOTHESIS, EstimateSequence
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
 from sequences.trajectories.tum import read_tum, write_tum
@@ -38,6 +38,11 @@ def file_of(path: Path, poses: dict[str, Poses]) -> Path:
     return write_named(path, poses, world_to_camera=True, extra="")
 
 
+def hypotheses(*each: tuple[int, float, Poses]) -> np.ndarray:
+    """Of one frame: the file of each, its weight, its pose."""
+    return np.array([(file, weight, pose.as_matrix()) for file, weight, pose in each], HYPOTHESIS)
+
+
 # --- sequences -----------------------------------------------------------------------------------------
 
 
@@ -51,7 +56,7 @@ def test_each_sequence_starts_without_odometry_and_exact_odometry_leads_to_the_n
     assert frames[FRAMES].time_ns - frames[FRAMES - 1].time_ns == 1_000_000_000
     assert frames[0].image.size == 0
     for before, after in itertools.pairwise(frames):
-        np.testing.assert_allclose(after.estimates[0], after.world_from_camera.as_matrix(), atol=1e-8)
+        np.testing.assert_allclose(after.estimates["world_from_camera"][0], after.world_from_camera.as_matrix(), atol=1e-8)
         if after.odometry is not None:
             led = before.world_from_camera @ after.odometry.previous_from_current
             np.testing.assert_allclose(led.as_matrix(), after.world_from_camera.as_matrix(), atol=1e-7)
@@ -68,7 +73,7 @@ def test_a_file_may_lack_frames_and_odometry_reaches_across_those_that_all_lack(
         options=EstimateOptions(direction="world-to-camera", noise=EXACT),
     )  # fmt: skip
     frames = list(sequence)
-    present = np.isfinite([frame.estimates[:, 0, 0] for frame in frames])
+    present = np.array([np.isin([0, 1], frame.estimates["file"]) for frame in frames])
     assert len(frames) == len(names) - 2
     assert present[:10].tolist() == [[True, False]] * 10
     assert present[10:13].tolist() == [[False, True]] * 3
@@ -96,7 +101,8 @@ def test_files_in_millimetres_are_read_as_metres(tmp_path, truth):
     metres = EstimateSequence([truth], simulate_odometry_from=truth, options=options)
     converted = EstimateSequence([path], simulate_odometry_from=path, options=replace(options, unit_m=0.001))
     for one, other in zip(metres, converted, strict=True):
-        np.testing.assert_allclose(one.estimates, other.estimates, atol=1e-5)  # as many digits as the text has
+        poses = (each.estimates["world_from_camera"] for each in (one, other))
+        np.testing.assert_allclose(*poses, atol=1e-5)  # as many digits as the text has
         np.testing.assert_allclose(one.world_from_camera.as_matrix(), other.world_from_camera.as_matrix(), atol=1e-5)
 
 
@@ -141,9 +147,9 @@ def test_how_estimates_err_follows_from_what_is_stated_and_where_they_are(tmp_pa
 
 
 def test_the_model_leaves_out_methods_without_an_estimate_and_drives_the_filter_itself():
-    matrices = np.stack([np.full((4, 4), np.nan), np.eye(4), moved(Poses.identity(), 0.02).as_matrix()])
+    seen = hypotheses((1, 1.0, Poses.identity()), (2, 1.0, moved(Poses.identity(), 0.02)))
     model = EstimateModel(3, EstimateConfig(std_m=(0.9, 0.05, 0.1)), ERRORS)
-    posterior = model.observe(matrices, rng=np.random.default_rng(0))
+    posterior = model.observe(seen, rng=np.random.default_rng(0))
     assert posterior.errors == ERRORS
     assert posterior.weights.tolist() == [0.5, 0.5]
     assert posterior.means.translation[:, 0].tolist() == [0.0, 0.02]
@@ -152,13 +158,13 @@ def test_the_model_leaves_out_methods_without_an_estimate_and_drives_the_filter_
     localizer = ParticleLocalizer(model, rng=np.random.default_rng(0))
     still = Odometry(Poses.identity(), np.diag([1e-6] * 6), 0.1)
     for odometry in (None, *[still] * 5):
-        estimate = localizer.step(matrices, odometry)
+        estimate = localizer.step(seen, odometry)
     assert np.linalg.norm(estimate.modes[0].world_from_camera.translation - [0.01, 0, 0]) < 0.03
     with pytest.raises(VaporTrackError, match="no estimate, expected at least one"):
-        model.observe(np.full((3, 4, 4), np.nan), rng=np.random.default_rng(0))
+        model.observe(hypotheses(), rng=np.random.default_rng(0))
     with pytest.raises(VaporTrackError, match="std_m has 2 values, expected one, or one for each of 3"):
         EstimateModel(3, EstimateConfig(std_m=(0.1, 0.2)), ERRORS)
-    for wrong in ({"std_deg": (0.0,)}, {"tail": 0.5}, {"outlier_probability": 1.0}, {"independent_after_s": 0.0}):
+    for wrong in ({"std_deg": (0.0,)}, {"tail": 0.5}, {"outlier_weight": -1.0}, {"outlier_probability": 1.0}, {"independent_after_s": 0.0}):
         with pytest.raises(VaporTrackError, match=f"{next(iter(wrong))} is "):
             EstimateConfig(**wrong)
 
@@ -168,7 +174,7 @@ def test_estimates_that_come_twice_are_no_camera_that_froze():
     model = EstimateModel(1, EstimateConfig(), ERRORS)
     localizer = ParticleLocalizer(model, rng=np.random.default_rng(0))
     for _ in range(2):
-        assert not localizer.observe(np.eye(4)[None]).says_nothing
+        assert not localizer.observe(hypotheses((0, 1.0, Poses.identity()))).says_nothing
 
 
 # --- the command ---------------------------------------------------------------------------------------
@@ -199,7 +205,10 @@ def test_the_command_bridges_a_run_of_wrong_estimates(tmp_path, truth, capsys, r
     assert config["odometry"].startswith("simulated from truth.txt: scale 0.02, ")
     assert config["odometry"].endswith(", seed 0")
     assert config["trust"]["std_m"] == [0.03, 0.04]
-    assert config["estimates"] == [{"name": "one.txt", "frames": 120}, {"name": "two.txt", "frames": 110}]
+    assert config["estimates"] == [
+        {"name": "one.txt", "frames": 120, "hypotheses": 120},
+        {"name": "two.txt", "frames": 110, "hypotheses": 110},
+    ]
     assert config["trust"]["tail"] == 4.0
     assert config["errors"]["radius_m"] == pytest.approx(0.035)
     assert config["errors"]["outlier_share"] == 0.1

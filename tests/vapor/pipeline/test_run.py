@@ -36,7 +36,7 @@ WITH_TRUTH = {"ground_truth.tum", "errors.png"}
 FILES = TRAJECTORIES | {"estimate.mcap", "config.json", "report.json", "trajectory.png", "particles.png"}
 FILES |= {"manifest.json", "status.csv"}
 
-METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "worse_than"}
+METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "position_recall", "worse_than"}
 
 METHODS = {"single_image", "dead_reckoning", "kalman", "gaussian_sum", "filter", "smoothed"}
 
@@ -90,7 +90,7 @@ def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
 def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     report = report_of(finished.directory)
     about = {"frames", "frames_with_true_pose", "skipped", "images", "duration_s", "status", "particles"}
-    assert set(report) == METHODS | about | {"smoothed_doubtful", "step_ms", "peak_rss_mb", "consistency"}
+    assert set(report) == METHODS | about | {"smoothed_doubtful", "step_ms", "peak_rss_mb", "consistency", "floors"}
     assert set(report["consistency"]) == {"images", "wrong", "coverage", "median_nees"}
     assert report["frames"] == 25
     assert report["skipped"] == {}
@@ -188,7 +188,7 @@ def test_evaluate_finds_the_figures_of_the_report_again(finished, tmp_path, caps
     figures, report = json.loads(again.read_text()), report_of(finished.directory)
     assert set(figures) == METHODS | {"frames", "frames_with_true_pose"}
     for method in METHODS:
-        for shares in ("recall", "worse_than"):
+        for shares in ("recall", "position_recall", "worse_than"):
             assert figures[method].pop(shares) == report[method].pop(shares)
         assert figures[method] == pytest.approx(report[method], abs=2e-6)
 
