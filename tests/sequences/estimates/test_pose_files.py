@@ -70,8 +70,8 @@ def test_a_tum_trajectory_is_camera_to_world(tmp_path: Path):
     ("lines", "said"),
     [
         ("# nothing\n\n", r"p\.txt: no poses"),
-        (f"{GOOD}\nframe-2.png 1 0 0 0 0 0\n", r"p\.txt:2: 7 columns, expected the eight"),
-        (f"{GOOD} 525.0\nframe-2.png 1 0 0 0 0 525.0\n", r"p\.txt:2: 7 columns, expected the eight"),
+        (f"{GOOD}\nframe-2.png 1 0 0 0 0 0\n", r"p\.txt:2: 7 columns, expected the 8"),
+        (f"{GOOD} 525.0\nframe-2.png 1 0 0 0 0 525.0\n", r"p\.txt:2: 7 columns, expected the 8"),
         (f"{GOOD} 525.0\nframe-2.png 1 0 0 0 0 0 525.0\n", r"p\.txt:2: 8 columns, expected as many as on line 1"),
         (f"{GOOD}\nframe-2.png 1 0 0 0 0 0 nan\n", r"p\.txt:2: pose is not finite"),
         (f"{GOOD}\nframe-2.png 1 0 0 0 0 inf 0\n", r"p\.txt:2: pose is not finite"),
