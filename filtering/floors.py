@@ -44,7 +44,7 @@ class Floors:
         """The floors that poses lie on, such as those of training images; None where there is one only.
 
         Floors are where poses lie above each other by 1.8 m and more, see `find_floors`; up is an axis of the world.
-        Where most poses are between floors, as on stairs, storeys are taken to be equally high, from the lowest pose up.
+        Where most poses are between floors, as on stairs, all storeys are as high as most, from the lowest pose up.
 
         Args:
             poses: world_from_camera, batch (n,), lengths in metres.

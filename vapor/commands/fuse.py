@@ -21,8 +21,8 @@ from vapor.pipeline.fuse import fuse
 class Options:
     """Localize a camera from pose estimates of others, given as text, and odometry; no images needed.
 
-    Files hold lines of `name qw qx qy qz tx ty tz`, in any order, or a TUM trajectory, `time tx ty tz qx qy qz qw`. With
-    --columns they hold others: several lines a frame, each with a weight such as its number of inliers, are hypotheses.
+    Files hold lines of `name qw qx qy qz tx ty tz`, in any order, or a TUM trajectory, `time tx ty tz qx qy qz qw`, or
+    other --columns, with which a frame may have several lines: hypotheses, weighed such as by their numbers of inliers.
     """
 
     estimates: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="ESTIMATES")]

@@ -87,7 +87,7 @@ class EstimateModel:
 def mixture_weights(
     file: Int64[np.ndarray, " h"], weight: Float64[np.ndarray, " h"], outlier_weight: float
 ) -> Float64[np.ndarray, " h"]:
-    """Probabilities (h,) of a frame's hypotheses: w / (Σ w + w₀), the sum over those of the same file, 1/m of that each.
+    """Probabilities (h,) of a frame's hypotheses: w / (Σ w + w₀) / m, the sum over those of the same file.
 
     With counts of inliers each is a vote for its hypothesis, and w₀ votes are for none of them: the mean of a Dirichlet
     distribution with these counts. In all they are 1 where w₀ is 0.

@@ -36,9 +36,9 @@ def build_report(record: RunRecord) -> dict[str, Any]:
     Returns:
         `frames`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of the images by status),
         `smoothed_doubtful` (number of poses, see `doubtful`; null without a smoothed trajectory), `particles` (median),
-        `step_ms`, `peak_rss_mb`, `floors` (see `evaluate_floors`; null where there is one only), `frames_with_true_pose`,
-        and where true poses are known each method's metrics (see `evaluate_trajectory`), and `consistency` (see
-        `evaluate_consistency`).
+        `step_ms`, `peak_rss_mb`, `floors` (see `evaluate_floors`; null where there is one only, or none is known),
+        `frames_with_true_pose`, and where true poses are known each method's metrics (see `evaluate_trajectory`), and
+        `consistency` (see `evaluate_consistency`).
     """
     counts = Counter(record.status)
     frames = len(record.times_ns)

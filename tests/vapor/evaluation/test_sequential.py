@@ -69,9 +69,11 @@ def test_sequences_are_the_earliest_without_gaps_that_begin_with_a_place(length,
         np.arange(len(images)) * 10**8,
         tuple(STILL if each else None for each in moved),
         Poses.identity(len(images)),
-        lambda image: PosePosterior.from_estimates(Poses.identity(1), 0.1, 0.1, ERRORS)
-        if seen[image]
-        else PosePosterior.nothing(ERRORS),
+        lambda image: (
+            PosePosterior.from_estimates(Poses.identity(1), 0.1, 0.1, ERRORS)
+            if seen[image]
+            else PosePosterior.nothing(ERRORS)
+        ),
     )
     found = list(starts_of_sequences(passage, length, np.array(usable)))
     assert found == naive_starts(length, usable, [not each for each in moved], [not each for each in seen])
