@@ -23,19 +23,28 @@ _UPWARD = 0.2  # how much rather z is taken for up than another axis
 
 @dataclass(frozen=True)
 class Floors:
-    """The floors of a building by their heights; poses are on the nearest one, on stairs too.
+    """The floors of a building by their heights; stairs belong to the floor on their side of a cut.
 
     Attributes:
         heights_m: Of cameras on each floor, along `up`, metres, from the lowest floor up, (f,).
         up: Unit vector in the world.
+        cuts_m: Heights between one floor and the next, (f - 1,); empty for halfway.
     """
 
     heights_m: tuple[float, ...]
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    cuts_m: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.heights_m or not np.isfinite(self.heights_m).all() or (np.diff(self.heights_m) <= 0.0).any():
             raise VaporTrackError(f"heights_m are {self.heights_m}, expected at least one, finite, from the lowest up")
+        if not self.cuts_m:
+            halfway = np.array(self.heights_m[1:]) / 2.0 + np.array(self.heights_m[:-1]) / 2.0
+            object.__setattr__(self, "cuts_m", tuple(halfway.tolist()))
+        if len(self.cuts_m) != len(self.heights_m) - 1 or not all(
+            low <= cut <= high for (low, high), cut in zip(pairwise(self.heights_m), self.cuts_m, strict=True)
+        ):
+            raise VaporTrackError(f"cuts_m are {self.cuts_m}, expected one between every two of {self.heights_m}")
         if not abs(float(np.linalg.norm(self.up)) - 1.0) <= 1e-6:  # NaN compares as false
             raise VaporTrackError(f"up is {self.up}, expected a unit vector")
 
@@ -44,7 +53,8 @@ class Floors:
         """The floors that poses lie on, such as those of training images; None where there is one only.
 
         Floors are where poses lie above each other by 1.8 m and more, see `find_floors`; up is an axis of the world.
-        Where most poses are between floors, as on stairs, all storeys are as high as most, from the lowest pose up.
+        Where most poses are between floors, as on stairs, all storeys are as high as most, from the lowest pose up,
+        and cut where the fewest poses are: not at a half landing.
 
         Args:
             poses: world_from_camera, batch (n,), lengths in metres.
@@ -59,18 +69,21 @@ class Floors:
         label, count = find_floors(heights_m, cells)
         if count == 1:
             return None
-        found_m = np.array([np.median(heights_m[label == number]) for number in range(count)])
+        on_it = [heights_m[label == number] for number in range(count)]
+        found_m = np.array([np.median(each) for each in on_it])
+        cuts_m = np.array([(below.max() + above.min()) / 2.0 for below, above in pairwise(on_it)])
         apart_m = float(np.median(_apart(heights_m, cells)))
         if np.median(np.abs(heights_m - found_m[label])) > _ON_FLOOR * apart_m:
             low_m, high_m = np.quantile(heights_m, _TAILS)
             found_m = low_m + apart_m * np.arange(round((high_m - low_m) / apart_m) + 1)
+            cuts_m = found_m[:-1] + apart_m * _emptiest((heights_m - low_m) / apart_m, cells)
         x, y, z = up.tolist()
-        return None if len(found_m) < 2 else Floors(tuple(np.round(found_m, 3).tolist()), (x, y, z))
+        heights, cuts = (tuple(np.round(each, 3).tolist()) for each in (found_m, cuts_m))
+        return None if len(found_m) < 2 else Floors(heights, (x, y, z), cuts)
 
     def of(self, poses: Poses) -> Int64[np.ndarray, "*n"]:
         """The floor of each pose (any batch), from 0 for the lowest."""
-        between = np.array(self.heights_m[1:]) + np.array(self.heights_m[:-1])
-        return np.searchsorted(between / 2.0, poses.translation @ np.array(self.up)).astype(np.int64)
+        return np.searchsorted(self.cuts_m, poses.translation @ np.array(self.up)).astype(np.int64)
 
     def belief(self, estimate: Estimate) -> Float64[np.ndarray, " f"]:
         """How much of a belief is on each floor: the weights of its particles, 1 in all."""
@@ -94,6 +107,15 @@ def _apart(heights_m: Float64[np.ndarray, " n"], cells: Int64[np.ndarray, " n"])
     group = np.concatenate([[0], np.cumsum(other)])
     middle_m = np.bincount(group, heights_m) / np.bincount(group)
     return np.diff(middle_m)[np.diff(cells)[other] == 0]
+
+
+def _emptiest(storeys: Float64[np.ndarray, " n"], cells: Int64[np.ndarray, " n"]) -> float:
+    """The fraction of a storey at which the fewest cells have a position, all storeys taken together."""
+    bins = np.floor(storeys % 1.0 * 2 * _BINS).astype(np.int64) % (2 * _BINS)
+    counts = np.bincount(np.unique(np.column_stack([bins, cells]), axis=0)[:, 0], minlength=2 * _BINS)
+    smooth = counts + (np.roll(counts, 1) + np.roll(counts, -1)) / 2.0
+    between = slice(_BINS // 3, -(_BINS // 3))  # not at the floors themselves
+    return (_BINS // 3 + int(np.argmin(smooth[between])) + 0.5) / (2 * _BINS)
 
 
 def find_floors(

@@ -34,6 +34,11 @@ def test_a_pose_is_on_the_nearest_floor_also_below_the_lowest_and_above_the_high
     assert Floors((2.0,)).of(at_heights([-5.0, 5.0])).tolist() == [0, 0]
 
 
+def test_stairs_belong_to_the_floor_on_their_side_of_the_cut():
+    floors = Floors((0.0, 3.0, 6.0), cuts_m=(2.5, 3.5))
+    assert floors.of(at_heights([1.6, 2.4, 2.6, 3.4, 3.6])).tolist() == [0, 0, 1, 1, 2]
+
+
 @given(st.lists(st.tuples(st.floats(-20, 20), st.floats(1e-6, 1.0)), min_size=1, max_size=30))
 def test_the_belief_is_on_floors_by_the_weights_of_its_particles(hypotheses):
     heights, weights = np.array(hypotheses).T
@@ -60,10 +65,21 @@ def test_floors_are_found_where_corridors_lie_above_each_other_whichever_axis_is
     np.testing.assert_array_equal(turned.of(turn @ walk), found.of(walk))
 
 
-def test_the_landings_of_a_staircase_are_its_floors():
-    found = Floors.found_in(true_walk(2000, floors=5))
+def test_the_landings_of_a_staircase_are_its_floors_and_no_half_landing_is_a_cut():
+    """The camera circles up five storeys, and stays at the same height for a while halfway up each."""
+    walk = true_walk(4000, floors=6)
+    storey, turn = np.divmod((walk.translation[:, 2] - walk.translation[:, 2].min()) / 3.0, 1.0)
+    flights = np.interp(turn, [0.0, 0.1, 0.4, 0.6, 0.9, 1.0], [0.0, 0.0, 0.5, 0.5, 1.0, 1.0])
+    walk = Poses(walk.rotation, np.column_stack([walk.translation[:, :2], 1.6 + 3.0 * (storey + flights)]))
+    found = Floors.found_in(walk)
     assert found is not None
-    np.testing.assert_allclose(np.diff(found.heights_m), 3.0, atol=0.6)
+    np.testing.assert_allclose(found.heights_m, 1.6 + 3.0 * np.arange(6), atol=0.1)
+    after = (np.array(found.cuts_m) - found.heights_m[:-1]) / 3.0
+    assert (np.abs(after - 0.5) > 0.1).all()
+    assert ((after > 0.1) & (after < 0.9)).all()
+    halfway = walk[flights == 0.5]
+    shaken = (Poses(halfway.rotation, halfway.translation + [0.0, 0.0, up]) for up in (-0.2, 0.2))
+    np.testing.assert_array_equal(*(found.of(each) for each in shaken))
 
 
 def test_one_floor_is_none_and_neither_is_nothing():
@@ -85,3 +101,9 @@ def test_one_floor_is_none_and_neither_is_nothing():
 def test_what_are_no_floors_is_refused(heights, up, said):
     with pytest.raises(VaporTrackError, match=said):
         Floors(heights, up)
+
+
+@pytest.mark.parametrize("cuts", [(1.0,), (1.0, 4.0, 5.0), (1.0, 2.0), (1.0, np.nan)])
+def test_cuts_that_are_not_between_floors_are_refused(cuts):
+    with pytest.raises(VaporTrackError, match=r"expected one between every two of \(0\.0, 3\.0, 6\.0\)"):
+        Floors((0.0, 3.0, 6.0), cuts_m=cuts)
