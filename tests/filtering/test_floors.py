@@ -78,7 +78,7 @@ def test_the_landings_of_a_staircase_are_its_floors_and_no_half_landing_is_a_cut
     assert (np.abs(after - 0.5) > 0.1).all()
     assert ((after > 0.1) & (after < 0.9)).all()
     halfway = walk[flights == 0.5]
-    shaken = (Poses(halfway.rotation, halfway.translation + [0.0, 0.0, up]) for up in (-0.2, 0.2))
+    shaken = (Poses(halfway.rotation, halfway.translation + up * np.eye(3)[2]) for up in (-0.2, 0.2))
     np.testing.assert_array_equal(*(found.of(each) for each in shaken))
 
 
