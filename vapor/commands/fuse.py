@@ -22,7 +22,7 @@ class Options:
     """Localize a camera from pose estimates of others, given as text, and odometry; no images needed.
 
     Files hold lines of `name qw qx qy qz tx ty tz`, in any order, or a TUM trajectory, `time tx ty tz qx qy qz qw`, or
-    other --columns, with which a frame may have several lines: hypotheses, weighed such as by their numbers of inliers.
+    other --columns. Where these have a weight, such as the number of inliers, a frame may have several hypotheses.
     """
 
     estimates: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="ESTIMATES")]
