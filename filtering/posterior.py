@@ -89,14 +89,17 @@ class PosePosterior:
         std_m: float | Float64[np.ndarray, " m"],
         std_rad: float | Float64[np.ndarray, " m"],
         errors: ErrorModel,
+        *,
+        weights: Float64[np.ndarray, " m"] | None = None,
     ) -> PosePosterior:
-        """The posterior of an image of which some methods give one pose each: one of them is right, any as likely.
+        """The posterior of an image of which there are some estimates of the pose: one of them is right, or none.
 
         Args:
             estimates: world_from_camera, batch (m,), m ≥ 1.
             std_m: Stated standard deviation along each axis, metres; of all estimates or of each.
             std_rad: Stated standard deviation about each axis, radians; of all estimates or of each.
             errors: How they err over time.
+            weights: Probability that each is the right one, at least 0, in all 1 at most; None for any as likely.
 
         Raises:
             VaporTrackError: no estimate, or a number out of its range.
@@ -109,9 +112,8 @@ class PosePosterior:
                 raise VaporTrackError(f"{name} has shape {np.shape(std)}, expected one number or ({count},)")
         stds = [np.broadcast_to(std, count)[:, None].repeat(3, axis=1) for std in (std_m, std_rad)]
         variances = np.square(np.concatenate(stds, axis=1))
-        return PosePosterior(
-            estimates, variances[:, :, None] * np.eye(6), np.full(count, 1.0 / count), errors, estimates
-        )
+        weights = np.full(count, 1.0 / count) if weights is None else np.asarray(weights, np.float64)
+        return PosePosterior(estimates, variances[:, :, None] * np.eye(6), weights, errors, estimates)
 
     @staticmethod
     def nothing(errors: ErrorModel | None = None, samples: Poses | None = None) -> PosePosterior:

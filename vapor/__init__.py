@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from filtering.errors import VaporTrackError as VaporTrackError
     from filtering.estimate import Estimate as Estimate
     from filtering.estimate import Mode as Mode
+    from filtering.floors import Floors as Floors
     from filtering.localizer import ParticleLocalizer as ParticleLocalizer
     from filtering.motion import Odometry as Odometry
     from filtering.posterior import ObservationModel as ObservationModel
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "ErrorModel": "filtering.error_model",
     "Estimate": "filtering.estimate",
+    "Floors": "filtering.floors",
     "LiveConfig": "vapor.robot.config",
     "LiveEstimate": "vapor.robot.estimate",
     "LocalizerConfig": "filtering.config",

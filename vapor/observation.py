@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from copy import copy
+from functools import cached_property
 
 import numpy as np
 
 from filtering.error_model import FOREIGN
 from filtering.errors import VaporTrackError
+from filtering.floors import Floors
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
@@ -96,6 +98,11 @@ class VaporObservationModel:
         other, model = copy(self), self.description
         other.camera, other._as_learned = camera, AsTakenBy(model.camera, model.network.frame_size)
         return other
+
+    @cached_property
+    def floors(self) -> Floors | None:
+        """The floors on which the model's training images were taken; None where there is one only."""
+        return Floors.found_in(self.description.prior_poses)
 
     @property
     def notices(self) -> list[str]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from filtering.motion import MotionNoise
 from sequences.errors import SequenceError
-from sequences.estimates.pose_files import Direction
+from sequences.estimates.pose_files import Direction, require_columns
 from sequences.frame import ASSUMED_HZ
 from sequences.odometry import OdometryNoise
 
@@ -17,6 +17,10 @@ class EstimateOptions:
 
     direction: Direction | None = None
     """Which way the poses of named frames map, in all files. TUM trajectories are camera-to-world."""
+    columns: str | None = None
+    """Names of the columns of the files of estimates, as one word in quotation marks, such as "name qw qx qy qz tx ty
+    tz _ _ weight": time in place of name for stamps in seconds, _ for what is ignored. With a weight, such as the
+    number of inliers, a frame may have several lines, which are its hypotheses. Default: as above."""
     unit_m: float = 1.0
     """The unit of length of all files, in metres: 0.001 where they are in millimetres."""
     rate_hz: float = float(ASSUMED_HZ)
@@ -29,6 +33,8 @@ class EstimateOptions:
     """Localize also where odometry covers fewer than one in ten of the estimated frames."""
 
     def __post_init__(self) -> None:
+        if self.columns is not None:
+            require_columns(self.columns)
         if not 1e-3 <= self.rate_hz <= 1e6:
             raise SequenceError(f"rate_hz is {self.rate_hz}, expected between 0.001 and 1e6")
         if not 1e-6 <= self.unit_m <= 1e6:

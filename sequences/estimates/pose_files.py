@@ -8,18 +8,23 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.files.text import read_rows
 from sequences.trajectories.tum import poses_of_rows, read_tum
-from sequences.values import is_number, natural, parse_frame_number, parse_numbers
+from sequences.values import is_number, natural, parse_frame_number, parse_number, parse_numbers, parse_time_ns
 
 Direction = Literal["world-to-camera", "camera-to-world"]
 """Which way the poses of a file map points."""
 
-_COLUMNS = "name qw qx qy qz tx ty tz"
+COLUMNS = "name qw qx qy qz tx ty tz"
+"""Columns of named frames where no others are stated."""
+
+_POSE = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
+_IGNORED = "_"
 
 
 class FrameName(NamedTuple):
@@ -41,17 +46,33 @@ class PoseFile:
     Attributes:
         path: The file.
         timed: Whether the frames are named by their stamps.
-        frames: n frames, no two of them the same.
+        frames: Of each of n poses; no two the same, but where poses have weights: those of a frame are then several
+            hypotheses, in the order of the file.
         poses: world_from_camera, batch (n,).
+        weights: Of the poses, above 0; None where the file states none, (n,).
     """
 
     path: Path
     timed: bool
     frames: tuple[FrameName, ...]
     poses: Poses
+    weights: Float64[np.ndarray, " n"] | None = None
 
 
-def read_poses(path: Path, direction: Direction | None = None) -> PoseFile:
+def require_columns(columns: str) -> None:
+    """Raise SequenceError if columns are not such as `read_poses` takes."""
+    names = columns.split()
+    expected = f"name or time, {' '.join(_POSE)}, and perhaps weight, each once; {_IGNORED} for what is ignored"
+    stated = [name for name in names if name != _IGNORED]
+    for name in stated:
+        if name not in ("name", "time", *_POSE, "weight"):
+            raise SequenceError(f"columns: {quoted(name)} in {quoted(columns)}, expected {expected}")
+    missing = [name for name in _POSE if name not in stated]
+    if missing or len(set(stated)) < len(stated) or ("name" in stated) == ("time" in stated):
+        raise SequenceError(f"columns are {quoted(columns)}, expected {expected}")
+
+
+def read_poses(path: Path, direction: Direction | None = None, columns: str | None = None) -> PoseFile:
     """Read poses of named frames, or a TUM trajectory.
 
     Lines are `name qw qx qy qz tx ty tz`, in any order, with further columns ignored: the format of published 7-Scenes
@@ -59,46 +80,78 @@ def read_poses(path: Path, direction: Direction | None = None) -> PoseFile:
     the sequence. Where the first line begins with a number the file is a TUM trajectory, `time tx ty tz qx qy qz qw`,
     camera-to-world. Lines that start with # are comments.
 
+    Other columns are stated by their names, such as `name qw qx qy qz tx ty tz _ _ weight`: `time`, in seconds, in
+    place of `name` for frames that are camera-to-world and named by their stamps; `_` for a column that is ignored.
+    With a `weight`, such as the number of inliers, a frame may have several lines: they are its hypotheses. Lines with
+    a weight of 0 are left out.
+
     Args:
         path: The file.
-        direction: Which way the poses of named frames map; without it only a TUM trajectory can be read.
+        direction: Which way the poses of named frames map; without it only frames with stamps can be read.
+        columns: Names of the columns; None for those of named frames or of a TUM trajectory, as the first line has it.
 
     Raises:
-        SequenceError: the file is missing or empty, a line has too few columns or others than the first, no number
-            where one belongs, a value that is not finite or a quaternion without length, or names the same frame as an
-            earlier one; or the direction is missing, or contradicts a TUM trajectory.
+        SequenceError: the columns are none; the file is missing or empty, a line has too few columns or others than the
+            first, no number where one belongs, a value that is not finite, a quaternion without length or a negative
+            weight, or names the same frame as an earlier one without having a weight; or the direction is missing, or
+            contradicts stamps.
     """
     path = Path(path)
+    if columns is not None:
+        require_columns(columns)
     first = next(read_rows(path), None)
     if first is None:
-        raise SequenceError(f"{path}: no poses, expected lines of `{_COLUMNS}` or of a TUM trajectory")
-    if is_number(first[1].split()[0]):
-        return _timed(path, direction)
-    if direction is None:
+        expected = f"`{COLUMNS}` or of a TUM trajectory" if columns is None else f"`{columns}`"
+        raise SequenceError(f"{path}: no poses, expected lines of {expected}")
+    if columns is None and is_number(first[1].split()[0]):
+        _require_camera_to_world(path, direction, "a TUM trajectory")
+        trajectory = read_tum(path)
+        return PoseFile(path, True, tuple(FrameName("", int(time)) for time in trajectory.times_ns), trajectory.poses)
+    columns = columns or COLUMNS
+    at = {name: i for i, name in enumerate(columns.split()) if name != _IGNORED}
+    timed, weighted = "time" in at, "weight" in at
+    if timed:
+        _require_camera_to_world(path, direction, "frames by stamps")
+    elif direction is None:
         raise SequenceError(
             f"{path}: poses of named frames, expected their direction with them: world-to-camera or camera-to-world"
         )
     seen: dict[FrameName, int] = {}
+    frames: list[FrameName] = []
+    lines: list[int] = []
     rows: list[list[float]] = []
+    weights: list[float] = []
     for number, line in read_rows(path):
         where, fields = f"{path}:{number}", line.split()
-        if len(fields) < 8:
-            raise SequenceError(f"{where}: {len(fields)} columns, expected the eight of `{_COLUMNS}`")
+        if len(fields) < len(columns.split()):
+            raise SequenceError(f"{where}: {len(fields)} columns, expected the {len(columns.split())} of `{columns}`")
         if len(fields) != len(first[1].split()):
             raise SequenceError(f"{where}: {len(fields)} columns, expected as many as on line {first[0]}")
-        frame = _frame_name(fields[0], where)
-        if frame in seen:
+        name = fields[at["time" if timed else "name"]]
+        frame = FrameName("", parse_time_ns(name, where)) if timed else _frame_name(name, where)
+        if seen.setdefault(frame, number) != number and not weighted:
             raise SequenceError(
-                f"{where}: {quoted(fields[0])} names the same frame as line {seen[frame]}, expected it once"
+                f"{where}: {quoted(name)} names the same frame as line {seen[frame]}, expected it once; of several"
+                " hypotheses each has a weight (--columns)"
             )
-        seen[frame] = number
-        rows.append(parse_numbers(fields[1:8], where, f"those of `{_COLUMNS}`"))
-    frames = list(seen)
-    order = sorted(range(len(frames)), key=lambda i: natural_order(frames[i]))
-    table, lines = np.array(rows), list(seen.values())
-    poses = poses_of_rows(path, lines, table[:, 4:], table[:, [1, 2, 3, 0]], _COLUMNS)[order]
+        row = parse_numbers([fields[at[each]] for each in _POSE], where, f"those of `{columns}`")
+        weight = parse_number(fields[at["weight"]], f"{where}: weight", 0.0) if weighted else 1.0
+        if weight > 0.0:
+            frames.append(frame)
+            lines.append(number)
+            rows.append(row)
+            weights.append(weight)
+    if not rows:
+        raise SequenceError(f"{path}: all weights are 0, expected a pose with another")
+    order = sorted(range(len(frames)), key=lambda i: natural_order(frames[i]))  # of a frame as they come
+    table = np.array(rows)
+    poses = poses_of_rows(path, lines, table[:, :3], table[:, 3:], columns)[order]
     return PoseFile(
-        path, False, tuple(frames[i] for i in order), poses.inverse() if direction == "world-to-camera" else poses
+        path,
+        timed,
+        tuple(frames[i] for i in order),
+        poses.inverse() if direction == "world-to-camera" else poses,
+        np.array(weights)[order] if weighted else None,
     )
 
 
@@ -107,11 +160,9 @@ def natural_order(frame: FrameName) -> tuple[list[tuple[int, str]], int]:
     return natural(frame.sequence), frame.number
 
 
-def _timed(path: Path, direction: Direction | None) -> PoseFile:
+def _require_camera_to_world(path: Path, direction: Direction | None, what: str) -> None:
     if direction == "world-to-camera":
-        raise SequenceError(f"{path}: a TUM trajectory, which is camera-to-world, expected no world-to-camera with it")
-    trajectory = read_tum(path)
-    return PoseFile(path, True, tuple(FrameName("", int(time)) for time in trajectory.times_ns), trajectory.poses)
+        raise SequenceError(f"{path}: {what}, which is camera-to-world, expected no world-to-camera with it")
 
 
 def _frame_name(name: str, where: str) -> FrameName:

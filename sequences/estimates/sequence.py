@@ -8,17 +8,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Shaped
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.estimates.options import EstimateOptions
-from sequences.estimates.pose_files import PoseFile, natural_order, read_poses
+from sequences.estimates.pose_files import FrameName, PoseFile, natural_order, read_poses
 from sequences.estimates.tracks import OdometryTrack, frame_stamps
 from sequences.frame import BASE_FROM_CAMERA, Frame
 from sequences.odometry import simulate_odometry
 from sequences.reading.counts import NO_ESTIMATE, ImageCounts
 from sequences.trajectories.interpolation import MAX_TRUE_POSE_GAP_S, interpolate
+
+HYPOTHESIS = np.dtype([("file", np.int64), ("weight", np.float64), ("world_from_camera", np.float64, (4, 4))])
+"""What a file says of a frame: number of the file from 0, weight above 0 in any unit, homogeneous matrix."""
 
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
@@ -28,10 +31,10 @@ class EstimatedFrame(Frame):
     """A frame of which estimates are known instead of the image, which is empty.
 
     Attributes:
-        estimates: world_from_camera by each of the files, homogeneous matrices; NaN where a file has none.
+        estimates: Hypotheses by all of the files, at least one, file by file, of dtype `HYPOTHESIS`, (h,).
     """
 
-    estimates: Float64[np.ndarray, "files 4 4"] = field(kw_only=True)
+    estimates: Shaped[np.ndarray, " h"] = field(kw_only=True)
 
 
 class EstimateSequence:
@@ -42,7 +45,7 @@ class EstimateSequence:
     the odometry of the next one reaches across it, so a filter predicts over it.
 
     Args:
-        estimates: Files of estimates, one for each method.
+        estimates: Files of estimates, one for each method; one pose a frame, or several with weights.
         odometry: Poses of the camera in any frame: only their relative motion counts.
         simulate_odometry_from: True poses to simulate odometry from, where there is none.
         ground_truth: True poses; None for those that the odometry is simulated from.
@@ -71,7 +74,7 @@ class EstimateSequence:
                 "a filter needs odometry: expected either a file of it, or true poses to simulate it from"
             )
         self._options = options or EstimateOptions()
-        self.files = [self._read(path) for path in estimates]
+        self.files = [self._read(path, self._options.columns) for path in estimates]
         source = self._read(simulate_odometry_from or odometry or Path())
         truth_path = ground_truth or simulate_odometry_from
         truth = None if truth_path is None else self._read(truth_path)
@@ -86,7 +89,7 @@ class EstimateSequence:
         self.counts = ImageCounts(0)
         self._times_ns = frame_stamps(given, self._options.rate_hz)
         self._frames = sorted({frame for file in self.files for frame in file.frames}, key=natural_order)
-        self._rows = [{frame: i for i, frame in enumerate(file.frames)} for file in self.files]
+        self._hypotheses = _by_frame(self.files)
         self._truth = truth
         self._all = source if truth is None else truth  # the frames that there could be estimates of
         self._tracks = self._odometry(source, None if simulate_odometry_from is None else seed)
@@ -117,12 +120,8 @@ class EstimateSequence:
                 motion = track.between(previous[1], time_ns, self._options.motion_noise)
             previous = frame.sequence, time_ns
             self.counts.used += 1
-            matrices = np.full((len(self.files), 4, 4), np.nan)
-            for file, rows, matrix in zip(self.files, self._rows, matrices, strict=True):
-                if frame in rows:
-                    matrix[:] = file.poses[rows[frame]].as_matrix()
             truth = true_poses[i] if true_poses is not None and known[i] else None
-            yield EstimatedFrame(time_ns, _NO_IMAGE, motion, truth, estimates=matrices)
+            yield EstimatedFrame(time_ns, _NO_IMAGE, motion, truth, estimates=self._hypotheses[frame])
         if previous is None:
             raise SequenceError(f"{self.path}: no frame is left: {dict(self.skipped)}, expected odometry for some")
 
@@ -144,8 +143,8 @@ class EstimateSequence:
         ]
         return float(np.median(np.concatenate(speeds))) if speeds else 0.0
 
-    def _read(self, path: Path) -> PoseFile:
-        file = read_poses(path, self._options.direction)
+    def _read(self, path: Path, columns: str | None = None) -> PoseFile:
+        file = read_poses(path, self._options.direction, columns)
         return replace(file, poses=Poses(file.poses.rotation, file.poses.translation * self._options.unit_m))
 
     def _odometry(self, source: PoseFile, seed: int | None) -> dict[str, OdometryTrack]:
@@ -171,3 +170,13 @@ class EstimateSequence:
         # Stamps of true poses may lie between those of frames; names are the same or they are not.
         max_gap_s = MAX_TRUE_POSE_GAP_S if self._truth.timed else 0.0
         return interpolate(known_ns, self._truth.poses, times_ns, max_gap_s=max_gap_s)
+
+
+def _by_frame(files: Sequence[PoseFile]) -> dict[FrameName, Shaped[np.ndarray, " h"]]:
+    """What all files say of each frame, file by file."""
+    found: dict[FrameName, list[tuple[int, float, np.ndarray]]] = {}
+    for number, file in enumerate(files):
+        weights = np.ones(len(file.frames)) if file.weights is None else file.weights
+        for frame, weight, matrix in zip(file.frames, weights.tolist(), file.poses.as_matrix(), strict=True):
+            found.setdefault(frame, []).append((number, weight, matrix))
+    return {frame: np.array(hypotheses, HYPOTHESIS) for frame, hypotheses in found.items()}

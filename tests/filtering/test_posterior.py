@@ -141,9 +141,14 @@ def test_estimates_of_several_methods_are_equally_likely_places_with_the_stated_
     np.testing.assert_array_equal(posterior.means.translation, estimates.translation)
 
 
-def test_estimates_without_any_or_with_stds_of_another_number_are_refused():
+def test_estimates_without_any_or_with_other_numbers_are_refused():
     with pytest.raises(VaporTrackError, match="no estimate, expected at least one"):
         PosePosterior.from_estimates(Poses.identity(0), 0.1, 0.1, ERRORS)
+    weighed = PosePosterior.from_estimates(Poses.identity(2), 0.1, 0.05, ERRORS, weights=np.array([0.7, 0.1]))
+    assert weighed.weights.tolist() == [0.7, 0.1]
+    for wrong in ([0.7, 0.4], [-0.1, 0.5], [0.5, np.nan]):
+        with pytest.raises(VaporTrackError, match="posterior: weights"):
+            PosePosterior.from_estimates(Poses.identity(2), 0.1, 0.05, ERRORS, weights=np.array(wrong))
     with pytest.raises(VaporTrackError, match=r"std_rad has shape \(3,\), expected one number or \(2,\)"):
         PosePosterior.from_estimates(Poses.identity(2), 0.1, np.ones(3), ERRORS)
     for std in (0.0, float("nan")):

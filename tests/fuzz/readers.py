@@ -173,7 +173,10 @@ def _kitti_table(folder: Path) -> Path:
     return pose_table_files.as_kitti(folder)
 
 
-def _estimates(folder: Path, *, named: bool) -> Path:
+_WEIGHTED = "name qw qx qy qz tx ty tz weight"
+
+
+def _estimates(folder: Path, *, named: bool, weighted: bool = False) -> Path:
     if not named:
         write_tum(folder / "odometry.txt", _track())
         write_tum(folder / "estimates.txt", _track())
@@ -181,11 +184,16 @@ def _estimates(folder: Path, *, named: bool) -> Path:
     poses = {name: pose for name, pose in pose_text.walk().items() if int(name[-16:-10]) < 10}
     for name in ("estimates.txt", "odometry.txt"):
         pose_text.write_named(folder / name, poses, world_to_camera=False)
+    if weighted:  # two hypotheses a frame
+        path = folder / "estimates.txt"
+        lines = [line.rsplit(maxsplit=1)[0] for line in path.read_text().splitlines()]
+        path.write_text("".join(f"{line} {weight}\n" for line in lines for weight in (120, 31.5)))
     return folder
 
 
-def _read_estimates(folder: Path, *, named: bool) -> Reading:
-    options = EstimateOptions(direction="camera-to-world" if named else None)
+def _read_estimates(folder: Path, *, named: bool, weighted: bool = False) -> Reading:
+    direction = "camera-to-world" if named else None
+    options = EstimateOptions(direction=direction, columns=_WEIGHTED if weighted else None)
     sequence = EstimateSequence([folder / "estimates.txt"], odometry=folder / "odometry.txt", options=options)
     content, number = Content(), 0
     for frame in sequence:
@@ -248,6 +256,9 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "kitti-table": Reader(_kitti_table, lambda path: _of_trajectory(read_pose_table(path))),
         "estimates": Reader(partial(_estimates, named=True), partial(_read_estimates, named=True)),
         "estimates-timed": Reader(partial(_estimates, named=False), partial(_read_estimates, named=False)),
+        "estimates-weighted": Reader(
+            partial(_estimates, named=True, weighted=True), partial(_read_estimates, named=True, weighted=True)
+        ),
         "model": Reader(partial(make_model, retrieval=False), load_model),
         "model-retrieval": Reader(partial(make_model, retrieval=True), load_model),
         "model-exported": Reader(make_exported, read_exported),

@@ -21,11 +21,13 @@ from vapor.pipeline.fuse import fuse
 class Options:
     """Localize a camera from pose estimates of others, given as text, and odometry; no images needed.
 
-    Files hold lines of `name qw qx qy qz tx ty tz`, in any order, or a TUM trajectory, `time tx ty tz qx qy qz qw`.
+    Files hold lines of `name qw qx qy qz tx ty tz`, in any order, or a TUM trajectory, `time tx ty tz qx qy qz qw`, or
+    other --columns. Where these have a weight, such as the number of inliers, a frame may have several hypotheses.
     """
 
     estimates: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="ESTIMATES")]
-    """Files of pose estimates, one for each method; each is one hypothesis of where the camera is."""
+    """Files of pose estimates, one for each method; each has one hypothesis of where the camera is, or
+    several with weights."""
     output: OutputPath
     """Directory for the results, new or with earlier ones."""
     overwrite: Overwrite = False

@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from filtering.estimate import Mode
+from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from vapor.evaluation.consistency import evaluate_belief, truth_among_modes
-from vapor.evaluation.floors import evaluate_floor
+from vapor.evaluation.floors import evaluate_floor, floor_accuracy
 from vapor.evaluation.lengths import scaled_belief, scaled_mode, scaled_poses
 from vapor.evaluation.trajectory import evaluate_trajectory
 from vapor.tracking.belief import Belief
@@ -45,18 +46,24 @@ class Comparison:
     kidnap_index: int | None = None
 
     def figures(
-        self, images: Bool[np.ndarray, " n"] | None = None, *, floor_height_m: float | None = None
+        self,
+        images: Bool[np.ndarray, " n"] | None = None,
+        *,
+        floor_height_m: float | None = None,
+        floors: Floors | None = None,
     ) -> dict[str, Any]:
         """What every method was worth, as JSON.
 
         Args:
             images: Which images count, at least one; None for all.
             floor_height_m: From floor to floor, in the unit of the poses, where floors look alike.
+            floors: Of the building, where there are several, in the unit of the poses.
 
         Returns:
             `images`, `methods` (see `evaluate_trajectory`), `belief` of the baselines and of the filter (see
             `evaluate_belief`), `image_truth_among_modes` (of the single images' posteriors), `particles` and `step_ms`.
-            Where floors look alike, `methods` have `floor` (see `evaluate_floor`), and `belief` has `on_floor`.
+            Where floors look alike, `methods` have `floor` (see `evaluate_floor`), and `belief` has `on_floor`. Where
+            there are several, `methods` have `floor_accuracy`.
         """
         every = np.ones(len(self.times_ns), bool)
         at = np.flatnonzero(every if images is None else images)
@@ -73,6 +80,9 @@ class Comparison:
         if floor_height_m is not None:
             for name, each in methods.items():
                 each["floor"] = evaluate_floor(self.poses[name][at], truth, floor_height_m)
+        if floors is not None:
+            for name, each in methods.items():
+                each["floor_accuracy"] = floor_accuracy(self.poses[name][at], truth, floors)
         belief = {
             name: evaluate_belief(
                 Belief([each.modes[i] for i in at.tolist()], [each.status[i] for i in at.tolist()]),

@@ -2,57 +2,68 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from filtering.floors import Floors
 from filtering.se3 import Poses
-from vapor.evaluation.trajectory import is_right
+from sequences.frame import Trajectory
+from vapor.evaluation.trajectory import associate, is_right
 
-_LEAST_APART_M, _MOST_APART_M = 1.8, 8.0  # less is no storey; a higher one is cut no lower than this
-_LEAST_ABOVE = 0.02  # of the cells of a plan must have something above them
-_BINS = 12  # of the histogram of heights, a storey
+SURE_OF_FLOOR = 0.95
+"""Fraction of the belief on one floor from which on the filter is sure of it."""
 
 
-def find_floors(
-    heights_m: Float64[np.ndarray, " n"], cells: Int64[np.ndarray, " n"]
-) -> tuple[Int64[np.ndarray, " n"], int]:
-    """Which floor each of n positions is on, from 0 at the bottom, and how many floors there are.
+def floor_accuracy(poses: Poses, truth: Poses, floors: Floors) -> float:
+    """Fraction of the poses (n,), n ≥ 1, that are on the floor of the true one."""
+    return float(np.mean(floors.of(poses) == floors.of(truth)))
 
-    Floors are where positions lie above each other by 1.8 m and more; they are cut where the fewest positions are.
-    Stairs go to the floor that is nearer.
+
+def evaluate_floors(
+    floors: Floors,
+    belief: Float64[np.ndarray, "n f"],
+    methods: Mapping[str, Trajectory],
+    truth: Trajectory | None,
+) -> dict[str, Any]:
+    """Which floor the filter believes in, and how often each method is on the right one.
 
     Args:
-        heights_m: Heights of the positions, metres.
-        cells: Number of the cell of the plan that each is in.
-    """
-    from scipy.signal import find_peaks  # loads all of SciPy's signals and statistics, which takes a while
+        floors: The f floors.
+        belief: What the filter believed after each of n images, see `Floors.belief`.
+        methods: Trajectories by name; the filter's has a pose for each of the n images.
+        truth: True poses; None where they are unknown, or belong to none of the images.
 
-    one = np.zeros(len(heights_m), np.int64), 1
-    order = np.lexsort((heights_m, cells))
-    gaps = np.diff(heights_m[order])
-    within = np.diff(cells[order]) == 0
-    above = within & (gaps >= _LEAST_APART_M)
-    if not above.any() or len(np.unique(cells[order][1:][above])) < _LEAST_ABOVE * len(np.unique(cells)):
-        return one
-    apart_m = min(float(np.quantile(gaps[above], 0.25)), _MOST_APART_M)
-    step_m = apart_m / _BINS
-    low = float(heights_m.min()) - step_m
-    bins = np.floor((heights_m - low) / step_m).astype(np.int64)
-    # How many cells have something at a height: a camera that stands counts once.
-    counts = np.bincount(np.unique(np.column_stack([bins, cells]), axis=0)[:, 0], minlength=int(bins.max()) + 2)
-    smooth = np.convolve(counts, np.hanning(_BINS // 2 + 3)[1:-1], mode="same")
-    peaks = find_peaks(np.concatenate([[0.0], smooth, [0.0]]), distance=round(0.7 * _BINS))[0] - 1
-    if len(peaks) < 2:
-        return one
-    cuts = []
-    for low_bin, high_bin in pairwise(peaks.tolist()):
-        between = smooth[low_bin:high_bin]
-        cuts.append(low_bin + int(np.median(np.flatnonzero(between <= between.min() + 0.05 * between.max()))))
-    floor = np.searchsorted(cuts, bins, side="left")
-    return np.unique(floor, return_inverse=True)[1].astype(np.int64), len(np.unique(floor))
+    Returns:
+        `heights_m` of the floors; `belief`: fraction of the belief on each after the last image; `sure`: fraction of
+        the images after which 95 % and more of it is on one floor. With true poses, over the images that have one:
+        `sure_and_wrong`: fraction of the sure ones whose floor is another, None if there are none; `true_floor`: mean
+        fraction of the belief that is on the true floor; `accuracy`: see `floor_accuracy`, by method.
+    """
+    sure = belief.max(axis=1) >= SURE_OF_FLOOR
+    figures: dict[str, Any] = {
+        "heights_m": list(floors.heights_m),
+        "belief": np.round(belief[-1], 6).tolist(),
+        "sure": float(np.mean(sure)),
+    }
+    if truth is None:
+        return figures
+    found, true_poses = associate(methods["filter"].times_ns, truth)
+    if not found.any():
+        return figures
+    of_truth, sure, belief = floors.of(true_poses), sure[found], belief[found]
+    wrong = belief.argmax(axis=1) != of_truth
+    return figures | {
+        "sure_and_wrong": float(np.mean(wrong[sure])) if sure.any() else None,
+        "true_floor": float(np.mean(belief[np.arange(len(belief)), of_truth])),
+        "accuracy": {
+            name: floor_accuracy(each.poses[found], true_poses, floors)
+            for name, each in methods.items()
+            if len(each) == len(found)
+        },
+    }
 
 
 def floors_off(poses: Poses, truth: Poses, floor_height_m: float) -> Int64[np.ndarray, " n"]:

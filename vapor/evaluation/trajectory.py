@@ -19,6 +19,10 @@ THRESHOLDS: Mapping[str, tuple[float, float]] = MappingProxyType(
 )
 """Recall thresholds: metres and degrees, both to be met."""
 
+POSITION_M: Mapping[str, float] = MappingProxyType({"1m": 1.0, "3m": 3.0, "5m": 5.0})
+"""Thresholds of position recall, metres, whichever way the camera looks: what localization in maps of cities reports
+(Sarlin et al., "OrienterNet", CVPR 2023); there errors are of two dimensions, here of three."""
+
 RIGHT = "0.3m/20deg"
 """The threshold within which a pose counts as right."""
 
@@ -98,8 +102,9 @@ def evaluate_trajectory(estimate: Trajectory, truth: Trajectory, *, tracking: bo
 
     Returns:
         `median_translation_m`, `median_rotation_deg`, `ape_rmse_m` (root mean square of the translation error) and
-        `recall`: for each of `THRESHOLDS` the fraction of images within both limits; `worse_than`: for each of `TAIL_M`
-        the fraction of images with a larger translation error. With `tracking` also `converged_at_s` (see
+        `recall`: for each of `THRESHOLDS` the fraction of images within both limits; `position_recall`: for each of
+        `POSITION_M` the fraction of images whose translation error is within it; `worse_than`: for each of `TAIL_M` the
+        fraction of images with a larger one. With `tracking` also `converged_at_s` (see
         `convergence_s`, null if never), `success`: whether that moment lies before four fifths of the sequence, and
         `after_convergence`: number of `images` from that moment on, and their `recall` (null if never).
 
@@ -116,6 +121,7 @@ def evaluate_trajectory(estimate: Trajectory, truth: Trajectory, *, tracking: bo
         "median_rotation_deg": float(np.median(rotation_deg)),
         "ape_rmse_m": float(np.sqrt(np.mean(translation_m**2))),
         "recall": {name: float(np.mean(inside)) for name, inside in right.items()},
+        "position_recall": {name: float(np.mean(translation_m <= limit_m)) for name, limit_m in POSITION_M.items()},
         "worse_than": {name: float(np.mean(translation_m > limit_m)) for name, limit_m in TAIL_M.items()},
     }
     if tracking:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from vapor.evaluation.floors import find_floors
+from filtering.floors import find_floors
 from vapor.inspection.plan import Plan
 from vapor.inspection.regions import Cell, Floor, Segment
 from vapor.training.config import TrainConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64, Shaped
 
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
@@ -24,6 +24,10 @@ class EstimateConfig:
     """Stated standard deviation of rotation about each axis, degrees; one for all files or one for each."""
     tail: float = 4.0
     """Degrees of freedom of the Student t distribution of their errors: the fewer, the heavier the tails."""
+    outlier_weight: float = 0.0
+    """Of estimates with weights: how much weight stands for "none of them". A hypothesis is as probable as its weight
+    over the sum of those of its file and frame and this. With counts of inliers it is the number that a wrong pose has
+    by chance, such as 10; at 0 weights are of any unit, and only their ratios count."""
     outlier_probability: float = 0.1
     """Fraction of the frames in which no estimate says where the camera is."""
     independent_after_s: float = 1.0
@@ -32,6 +36,7 @@ class EstimateConfig:
 
     def __post_init__(self) -> None:
         require_within(self, tail=(1.0, 1e6), outlier_probability=(1e-6, 0.999999), independent_after_s=(1e-6, 1e6))
+        require_within(self, outlier_weight=(0.0, 1e12))
         for name, high in (("std_m", 1e3), ("std_deg", 180.0)):
             for value in getattr(self, name):
                 if not 1e-4 <= value <= high:
@@ -59,20 +64,42 @@ class EstimateModel:
         self._std_m = np.broadcast_to(config.std_m, num_files).astype(float)
         self._std_rad = np.radians(np.broadcast_to(config.std_deg, num_files))
 
-    def observe(self, image: Float64[np.ndarray, "files 4 4"], *, rng: np.random.Generator) -> PosePosterior:
-        """The posterior of one image.
+    def observe(self, image: Shaped[np.ndarray, " h"], *, rng: np.random.Generator) -> PosePosterior:
+        """The posterior of one image: of m methods with an estimate of it each has 1/m, shared by its hypotheses.
 
         Args:
-            image: world_from_camera by each method, homogeneous matrices; NaN where a method has none.
+            image: Hypotheses of dtype `HYPOTHESIS`, (h,).
             rng: Not used.
 
         Raises:
-            VaporTrackError: no method has an estimate.
+            VaporTrackError: there is no hypothesis.
         """
-        present = np.isfinite(image).all(axis=(1, 2))
+        file = image["file"]
         return PosePosterior.from_estimates(
-            Poses.from_matrix(image[present]), self._std_m[present], self._std_rad[present], self.errors
+            Poses.from_matrix(image["world_from_camera"]),
+            self._std_m[file],
+            self._std_rad[file],
+            self.errors,
+            weights=mixture_weights(file, image["weight"], self.config.outlier_weight),
         )
+
+
+def mixture_weights(
+    file: Int64[np.ndarray, " h"], weight: Float64[np.ndarray, " h"], outlier_weight: float
+) -> Float64[np.ndarray, " h"]:
+    """Probabilities (h,) of a frame's hypotheses: w / (Σ w + w₀) / m, the sum over those of the same file.
+
+    With counts of inliers each is a vote for its hypothesis, and w₀ votes are for none of them: the mean of a Dirichlet
+    distribution with these counts. In all they are 1 where w₀ is 0.
+
+    Args:
+        file: Number of the file of each; of m files.
+        weight: Above 0, in the unit of w₀.
+        outlier_weight: w₀, 0 or more.
+    """
+    files, own = np.unique(file, return_inverse=True)
+    total = np.bincount(own, weight, minlength=len(files)) + outlier_weight
+    return weight / total[own] / len(files)
 
 
 def errors_of(sequence: EstimateSequence, trust: EstimateConfig) -> ErrorModel:

@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from filtering.config import LocalizerConfig
+from filtering.errors import VaporTrackError
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.sequence import EstimateSequence
 from sequences.outputs.results import results_folder
@@ -33,7 +34,7 @@ def fuse(
     """Localize frames of which others gave pose estimates, and write everything about it into a directory.
 
     Args:
-        estimates: Files of poses, one for each method.
+        estimates: Files of poses, one for each method; one pose a frame, or several with weights.
         output: Directory for the results, see `vapor.pipeline.run.run`.
         config: Settings of the run.
         odometry: Recorded odometry.
@@ -61,6 +62,12 @@ def fuse(
             options=reading,
             seed=config.seed,
         )
+        stated = [file.path.name for file in sequence.files if file.weights is None]
+        if trust.outlier_weight > 0.0 and stated:
+            raise VaporTrackError(
+                f"{stated[0]}: no weights, expected a column of them (--columns) beside an outlier_weight of"
+                f" {trust.outlier_weight:g}"
+            )
         errors = errors_of(sequence, trust)
         model = EstimateModel(len(sequence.files), trust, errors)
         config = replace(config, localizer=over_sequences(config.localizer))
@@ -75,7 +82,10 @@ def fuse(
             progress=progress,
         )
         settings = {
-            "estimates": [{"name": file.path.name, "frames": len(file.frames)} for file in sequence.files],
+            "estimates": [
+                {"name": file.path.name, "frames": len(set(file.frames)), "hypotheses": len(file.frames)}
+                for file in sequence.files
+            ],
             "odometry": sequence.odometry_description,
             "run": asdict(config),
             "trust": asdict(trust),

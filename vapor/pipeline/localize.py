@@ -14,6 +14,7 @@ import numpy as np
 
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
+from filtering.floors import Floors
 from filtering.localizer import ParticleLocalizer
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.smoothing import agreement
@@ -39,6 +40,7 @@ def localize(
     *,
     observed: Callable[[Any], np.ndarray] = attrgetter("image"),
     odometry_fit: OdometryFit | None = None,
+    floors: Floors | None = None,
     allow_few_images: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunRecord:
@@ -52,6 +54,7 @@ def localize(
         errors: How the model's posteriors err.
         observed: Takes from a frame what the model is to see.
         odometry_fit: How wrong the odometry is; None for what the frames state and the settings assume.
+        floors: Of the building, where there are several.
         allow_few_images: Go on also where fewer than one in ten of the images asked for were used.
         progress: Called after every frame with the number done and an upper bound of all.
 
@@ -64,6 +67,7 @@ def localize(
     localizer = ParticleLocalizer(model, settings, rng=np.random.default_rng(config.seed))
     loop = StepLoop(localizer)
     history = History()
+    on_floors: list[np.ndarray] = []
 
     def posteriors(frames: Iterable[Any]) -> Iterator[tuple[Any, PosePosterior, float]]:
         for frame in frames:
@@ -89,6 +93,8 @@ def localize(
                 with _about(frame, source):
                     step = loop.step(frame.time_ns, posterior, frame.odometry, observe_ms=observe_ms)
                 history.add(step, frame.odometry)
+                if floors is not None:
+                    on_floors.append(floors.belief(step.estimate))
                 outputs.add(frame, step)
                 if progress is not None:
                     progress(number, source.num_images)
@@ -98,6 +104,8 @@ def localize(
                 " fewer)"
             )
         record = outputs.finish(skipped=source.skipped, images=source.counts)
+    if floors is not None:
+        record = replace(record, floors=floors, floor_belief=np.stack(on_floors))
     at_end = poses_at_end(history, errors, settings)
     fits = agreement(at_end["smoothed"], record.times_ns, history.evidence, errors)
     return record.with_methods(at_end, smoothed_agreement=fits)

@@ -83,6 +83,7 @@ def run_into(
             config,
             calibration.errors,
             odometry_fit=fit,
+            floors=observation.floors,
             allow_few_images=reading.allow_few_images,
             progress=progress,
         )

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from filtering.estimate import Status
+from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.reading.counts import ImageCounts
@@ -43,6 +44,8 @@ class RunRecord:
         skipped: Number of images and other messages skipped, by reason.
         images: What became of the images that the sequence states; None if not counted.
         peak_rss_mb: Peak resident memory of the process, MiB; None if not measured.
+        floors: Of the building; None where there is one only, or it is not known.
+        floor_belief: Fraction of the filter's belief on each of the f floors, (n, f); None without floors.
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -63,6 +66,8 @@ class RunRecord:
     skipped: Mapping[str, int]
     images: ImageCounts | None
     peak_rss_mb: float | None
+    floors: Floors | None = None
+    floor_belief: Float64[np.ndarray, "n f"] | None = None
 
     def with_methods(
         self, poses: Mapping[str, Poses], *, smoothed_agreement: Float64[np.ndarray, " n"] | None = None

@@ -16,6 +16,7 @@ from sequences.errors import SequenceError
 from sequences.files.structured import read_json
 from sequences.trajectories.tum import format_time
 from vapor.evaluation.consistency import evaluate_consistency
+from vapor.evaluation.floors import evaluate_floors
 from vapor.evaluation.trajectory import TAIL_M, THRESHOLDS, associate, evaluate_methods
 from vapor.reporting.record import RunRecord
 from vapor.tracking.methods import METHODS, in_order
@@ -35,7 +36,8 @@ def build_report(record: RunRecord) -> dict[str, Any]:
     Returns:
         `frames`, `skipped`, `images` (see `ImageCounts`), `duration_s`, `status` (fraction of the images by status),
         `smoothed_doubtful` (number of poses, see `doubtful`; null without a smoothed trajectory), `particles` (median),
-        `step_ms`, `peak_rss_mb`, `frames_with_true_pose`, and where true poses are known each method's metrics, and
+        `step_ms`, `peak_rss_mb`, `floors` (see `evaluate_floors`; null where there is one only, or none is known),
+        `frames_with_true_pose`, and where true poses are known each method's metrics (see `evaluate_trajectory`), and
         `consistency` (see `evaluate_consistency`).
     """
     counts = Counter(record.status)
@@ -54,7 +56,10 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "particles": int(np.median(record.num_particles)),
         "step_ms": {"p50": float(p50), "p95": float(p95)},
         "peak_rss_mb": record.peak_rss_mb,
+        "floors": None,
     }
+    if record.floors is not None and record.floor_belief is not None:
+        report["floors"] = evaluate_floors(record.floors, record.floor_belief, record.methods, record.truth)
     if record.truth is not None:
         report |= evaluate_methods(record.methods, record.truth)
         converged = np.array([status == "converged" for status in record.status])

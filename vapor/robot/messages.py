@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.estimate import Estimate, Status
+from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.recordings.estimate_messages import Message
 from sequences.recordings.mcap_writer import ros_header, ros_poses, ros_transform
@@ -38,6 +39,7 @@ def diagnostics_message(
     estimate: Estimate | None,
     silent: str | None,
     values: Mapping[str, object],
+    floors: Floors | None = None,
 ) -> Message:
     """diagnostic_msgs/DiagnosticArray: level OK for converged, WARN for ambiguous, ERROR for lost, STALE for silence.
 
@@ -47,6 +49,7 @@ def diagnostics_message(
         estimate: The belief of now; None before the first.
         silent: What does not come, in words; None where everything does.
         values: What else to say, by name.
+        floors: Of the building, where there are several: which one the belief is on, and how much of it on each.
     """
     if estimate is None:
         level, said, about = _STALE, silent or "no image was localized yet", {}
@@ -62,6 +65,10 @@ def diagnostics_message(
             "agreement of the images": f"{estimate.agreement:.4f}",
             "unfamiliarity of the image": f"{estimate.unfamiliarity:.4f}",
         }
+        if floors is not None:
+            on_floors = floors.belief(estimate)
+            about["floor"] = int(on_floors.argmax())
+            about |= {f"weight of floor {number}": f"{weight:.4f}" for number, weight in enumerate(on_floors)}
     told = {
         "level": level,
         "name": "vapor-track: localization",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from filtering.estimate import Estimate
+from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES, Message, estimate_messages
 from sequences.recordings.source import RawMessage
@@ -22,14 +23,18 @@ class Publisher:
         outbox: Where messages go.
         config: Settings.
         hardware: What diagnostics are about.
+        floors: Of the building, for diagnostics; None where there is one only.
         now_ns: The clock that messages are logged by.
 
     Attributes:
         last_sent: What was published of the last image.
     """
 
-    def __init__(self, outbox: Outbox, config: LiveConfig, hardware: str, now_ns: Callable[[], int]) -> None:
-        self._outbox, self._config, self._hardware, self._now_ns = outbox, config, hardware, now_ns
+    def __init__(
+        self, outbox: Outbox, config: LiveConfig, hardware: str, floors: Floors | None, now_ns: Callable[[], int]
+    ) -> None:
+        self._outbox, self._config, self._now_ns = outbox, config, now_ns
+        self._hardware, self._floors = hardware, floors
         self.last_sent: list[RawMessage] = []
         self._kept_map_from_odom: Poses | None = None
         self._told_anchor: Anchor | None = None  # what the motion that was told last led on from
@@ -88,10 +93,15 @@ class Publisher:
 
     def send_diagnostics(self, estimate: Estimate | None, silent: str | None, values: Mapping[str, object]) -> None:
         """Publish how things are, see `diagnostics_message`."""
-        now_ns = self._now_ns()
-        self._send(
-            [diagnostics_message(now_ns, hardware=self._hardware, estimate=estimate, silent=silent, values=values)]
+        told = diagnostics_message(
+            self._now_ns(),
+            hardware=self._hardware,
+            estimate=estimate,
+            silent=silent,
+            values=values,
+            floors=self._floors,
         )
+        self._send([told])
 
     def _send(self, messages: list[Message]) -> list[RawMessage]:
         return self._outbox.send(messages, self._now_ns())

@@ -140,7 +140,7 @@ class LiveSession:
             if config.view or config.view_at is not None:
                 self._viewer = block.enter_context(WatchingViewer(self._open_viewer, self._tell))
             outbox = Outbox(self._transport, self._sinks, self._tell)
-            self._publisher = Publisher(outbox, config, self._model.name, self._now_ns)
+            self._publisher = Publisher(outbox, config, self._model.name, self._model.observation.floors, self._now_ns)
             self._publisher.advertise()
             for topic, (message_type, _) in self._controls.items():
                 offer = Offer(topic, message_type, reliable=False, latched=False)  # hears both kinds of publishers

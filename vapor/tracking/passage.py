@@ -39,6 +39,15 @@ class Passage:
             return self
         return replace(self, odometry=tuple(None if each is None else fit.restated(each) for each in self.odometry))
 
+    def part(self, start: int, stop: int) -> Passage:
+        """The images from one to before another, by their numbers, as a passage of its own."""
+        return Passage(
+            self.times_ns[start:stop],
+            self.odometry[start:stop],
+            self.truth[start:stop],
+            lambda image: self.posterior(start + image),
+        )
+
     @cached_property
     def dead_reckoning(self) -> Poses:
         """Poses from odometry alone, batch (n,); wherever odometry is missing they start anew at the true pose."""

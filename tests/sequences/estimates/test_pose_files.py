@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+from sequences.estimates.options import EstimateOptions
 from sequences.estimates.pose_files import FrameName, natural_order, read_poses
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
@@ -70,8 +71,8 @@ def test_a_tum_trajectory_is_camera_to_world(tmp_path: Path):
     ("lines", "said"),
     [
         ("# nothing\n\n", r"p\.txt: no poses"),
-        (f"{GOOD}\nframe-2.png 1 0 0 0 0 0\n", r"p\.txt:2: 7 columns, expected the eight"),
-        (f"{GOOD} 525.0\nframe-2.png 1 0 0 0 0 525.0\n", r"p\.txt:2: 7 columns, expected the eight"),
+        (f"{GOOD}\nframe-2.png 1 0 0 0 0 0\n", r"p\.txt:2: 7 columns, expected the 8"),
+        (f"{GOOD} 525.0\nframe-2.png 1 0 0 0 0 525.0\n", r"p\.txt:2: 7 columns, expected the 8"),
         (f"{GOOD} 525.0\nframe-2.png 1 0 0 0 0 0 525.0\n", r"p\.txt:2: 8 columns, expected as many as on line 1"),
         (f"{GOOD}\nframe-2.png 1 0 0 0 0 0 nan\n", r"p\.txt:2: pose is not finite"),
         (f"{GOOD}\nframe-2.png 1 0 0 0 0 inf 0\n", r"p\.txt:2: pose is not finite"),
@@ -96,6 +97,111 @@ def test_named_frames_need_their_direction(tmp_path: Path):
         read_poses(tmp_path / "p.txt")
     with pytest.raises(SequenceError, match="cannot read"):
         read_poses(tmp_path / "absent.txt", "world-to-camera")
+
+
+# --- columns and weights -----------------------------------------------------------------------------------
+
+ACE = "name qw qx qy qz tx ty tz _ _ weight"  # rotation error, translation error, number of inliers
+
+
+@given(st.data())
+def test_any_order_of_columns_says_the_same(tmp_path_factory, data):
+    names = data.draw(st.permutations(["name", "qw", "qx", "qy", "qz", "tx", "ty", "tz", "weight", "_", "_"]))
+    poses = dict(list(walk().items())[:8])
+    path, lines = tmp_path_factory.mktemp("poses") / "p.txt", []
+    for i, (name, pose) in enumerate(poses.items()):
+        said = dict(zip(("tx", "ty", "tz"), pose.translation, strict=True))
+        said |= dict(zip(("qx", "qy", "qz", "qw"), pose.as_quat_xyzw(), strict=True))
+        fields = said | {"name": name, "weight": 0.5 + i, "_": "nonsense"}
+        lines.append(" ".join(str(fields[each]) for each in names))
+    path.write_text("\n".join(lines[::-1]))
+    read = read_poses(path, "camera-to-world", " ".join(names))
+    assert [frame.number for frame in read.frames] == list(range(8))
+    np.testing.assert_allclose(read.poses.as_matrix(), Poses.stack(list(poses.values())).as_matrix(), atol=1e-9)
+    assert read.weights.tolist() == [0.5 + i for i in range(8)]
+
+
+def test_a_frame_has_several_lines_where_they_have_weights_and_those_without_any_are_left_out(tmp_path: Path):
+    path = tmp_path / "p.txt"
+    path.write_text(
+        "frame-2.png 1 0 0 0 5 0 0 0.1 2.0 12\n"
+        "frame-1.png 1 0 0 0 1 0 0 0.1 2.0 300\n"
+        "frame-3.png 1 0 0 0 0 0 0 0.1 2.0 0\n"
+        "frame-2.png 1 0 0 0 6 0 0 0.1 2.0 31\n"
+        "frame-2.png 1 0 0 0 7 0 0 0.1 2.0 0\n"
+        "frame-2.png 1 0 0 0 8 0 0 0.1 2.0 1e-3\n"
+    )
+    read = read_poses(path, "camera-to-world", ACE)
+    assert [frame.number for frame in read.frames] == [1, 2, 2, 2]
+    assert read.poses.translation[:, 0].tolist() == [1.0, 5.0, 6.0, 8.0]
+    assert read.weights.tolist() == [300.0, 12.0, 31.0, 0.001]
+    assert read_poses(path_without_weights(tmp_path), "camera-to-world").weights is None
+
+
+def path_without_weights(folder: Path) -> Path:
+    return write_named(folder / "plain.txt", walk(), world_to_camera=False)
+
+
+def test_stamps_may_name_frames_in_any_order_and_are_exact(tmp_path: Path):
+    path = tmp_path / "p.txt"
+    path.write_text(
+        "7 1700000000.000000003 1 2 3 0 0 0 1\n"
+        "9 1700000000.000000001 4 5 6 0 0 0 1\n"
+        "8 1700000000.000000003 7 8 9 0 0 0 1\n"
+    )
+    read = read_poses(path, columns="weight time tx ty tz qx qy qz qw")
+    assert read.timed
+    assert [frame.number - 1_700_000_000_000_000_000 for frame in read.frames] == [1, 3, 3]
+    assert read.poses.translation[:, 0].tolist() == [4.0, 1.0, 7.0]
+    assert read.weights.tolist() == [9.0, 7.0, 8.0]
+    with pytest.raises(SequenceError, match=r"p\.txt: frames by stamps, which is camera-to-world"):
+        read_poses(path, "world-to-camera", "weight time tx ty tz qx qy qz qw")
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ("", "columns are '', expected name or time, tx"),
+        ("name qw qx qy qz tx ty", "columns are 'name qw qx qy qz tx ty', expected name or time"),
+        ("qw qx qy qz tx ty tz weight", "expected name or time"),
+        ("name time qw qx qy qz tx ty tz", "expected name or time"),
+        ("name qw qx qy qz tx ty tz tz", "each once"),
+        ("name qw qx qy qz tx ty tz weight weight", "each once"),
+        ("name qw qx qy qz tx ty tz inliers", "'inliers' in 'name qw qx qy qz tx ty tz inliers', expected .* weight"),
+    ],
+)
+def test_columns_that_are_none_are_refused_before_any_file_is_read(columns: str, said: str):
+    with pytest.raises(SequenceError, match=said):
+        read_poses(Path("nowhere.txt"), "camera-to-world", columns)
+    with pytest.raises(SequenceError, match=said):
+        EstimateOptions(columns=columns)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ("", rf"p\.txt: no poses, expected lines of `{ACE}`"),
+        (f"{GOOD} 0.1 0.2 -3\n", r"p\.txt:1: weight is '-3', expected a number between 0 and 1e\+12"),
+        (f"{GOOD} 0.1 0.2 3\n{GOOD} 0.1 0.2 nan\n", r"p\.txt:2: weight is 'nan', expected a number"),
+        (f"{GOOD} 0.1 0.2 inf\n", r"p\.txt:1: weight is 'inf', expected a number"),
+        (f"{GOOD} 0.1 0.2 many\n", r"p\.txt:1: weight is 'many', expected a number"),
+        (f"{GOOD} 0.1 0.2\n", rf"p\.txt:1: 10 columns, expected the 11 of `{ACE}`"),
+        (f"{GOOD} 0.1 0.2 3\n{GOOD} 0.1 0.2 3 4\n", r"p\.txt:2: 12 columns, expected as many as on line 1"),
+        (f"# of two\n{GOOD} 0 0 0\n{GOOD} 0 0 0.0\n", r"p\.txt: all weights are 0, expected a pose with another"),
+        (f"{GOOD} 0 0 5\n\n{GOOD.replace(' 1 0', ' 0 0')} 0 0 7\n", r"p\.txt:3: quaternion .* has zero length"),
+    ],
+)
+def test_weighted_lines_that_cannot_be_used_are_refused_with_their_number(tmp_path: Path, lines: str, said: str):
+    (tmp_path / "p.txt").write_text(lines)
+    with pytest.raises(SequenceError, match=said):
+        read_poses(tmp_path / "p.txt", "world-to-camera", ACE)
+
+
+def test_several_lines_without_weights_are_refused_with_what_to_do(tmp_path: Path):
+    (tmp_path / "p.txt").write_text(f"{GOOD}\n{GOOD}\n")
+    for columns in (None, "name qw qx qy qz tx ty tz"):
+        with pytest.raises(SequenceError, match=r"p\.txt:2: .* same frame as line 1, .* a weight \(--columns\)"):
+            read_poses(tmp_path / "p.txt", "world-to-camera", columns)
 
 
 def test_real_estimates_have_the_published_errors(shared_data: Path):

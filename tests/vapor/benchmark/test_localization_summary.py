@@ -27,6 +27,7 @@ def result(
     """Of a run of 100 images."""
     recall = {"0.1m/10deg": 0.2, "0.2m/15deg": 0.4, "0.3m/20deg": 0.6}
     metrics = {"median_translation_m": 0.1, "median_rotation_deg": 2.0, "ape_rmse_m": 0.3, "recall": recall}
+    metrics["position_recall"] = {"1m": 0.7, "3m": 0.8 + 0.01 * walk, "5m": 0.9}
     tracked = metrics | {
         "success": success,
         "converged_at_s": 3.0 if success else None,
@@ -142,6 +143,35 @@ def test_floors_are_summed_up_over_the_images_on_them_with_intervals():
     assert "on_floor" not in elsewhere["belief"]["filter"]
 
 
+def in_sequences(each: dict, found: list[float], number: int = 20) -> dict:
+    """A result with so many short sequences and few long ones, of which the filter succeeds in as many as are said."""
+    success = {"1m": found[0], "0.5m": found[1]}
+    single = {"1m": 0.1, "0.5m": 0.0}
+    names = ("kalman", "gaussian_sum", "filter")
+    short = {"sequences": number, "success": {"single_image": single} | dict.fromkeys(names, success)}
+    methods = {name: method | {"floor_accuracy": found[0]} for name, method in each["methods"].items()}
+    return each | {"methods": methods, "sequences": {"15": short, "100": {"sequences": 0, "success": None}}}
+
+
+def test_sequences_are_summed_up_over_all_of_them_with_intervals_over_walks():
+    runs = [
+        in_sequences(result("walk", converged=0.5, wrong=0.0, walk=0), [1.0, 0.5], 30),
+        in_sequences(result("walk", converged=0.5, wrong=0.0, walk=1), [0.5, 0.1], 10),
+    ]
+    total = summarise(runs)["ceiling"]["walk"]["full"]
+    short = total["sequences"]["15"]
+    assert short["sequences"] == 40
+    assert short["success"]["filter"] == pytest.approx({"1m": 35 / 40, "0.5m": 16 / 40})
+    assert short["success"]["single_image"] == pytest.approx({"1m": 0.1, "0.5m": 0.0})
+    low, high = short["intervals"]["filter"]["1m"]
+    assert low <= 0.5 + 1e-9
+    assert high == 1.0
+    assert total["sequences"]["100"] == {"sequences": 0, "success": {}, "intervals": {}}
+    assert total["methods"]["filter"]["floor_accuracy"] == pytest.approx(0.75)
+    assert total["methods"]["filter"]["position_recall"] == pytest.approx({"1m": 0.7, "3m": 0.805, "5m": 0.9})
+    assert "sequences" not in summarise([result("cue", converged=0.5, wrong=0.0)])["ceiling"]["cue"]["full"]
+
+
 @pytest.mark.parametrize("width", [90, 100])
 def test_the_tables_fit_a_terminal(width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
@@ -154,6 +184,9 @@ def test_the_tables_fit_a_terminal(width, monkeypatch, capsys):
         for walk in range(10)
     ]
     rates = [on_floor(each, 0.9 + 0.01 * each["walk"]) for each in rates]
+    rates = [in_sequences(each, [0.9 + 0.01 * each["walk"], 0.8]) for each in rates]
+    for each in rates:
+        each["sequences"]["100"] = each["sequences"]["15"]
     for table in tables(summarise(rates)):
         show(table)
     lines = capsys.readouterr().out.splitlines()

@@ -36,6 +36,7 @@ def test_the_truth_itself_has_no_error_and_converges_at_once():
         "median_rotation_deg": pytest.approx(0.0, abs=1e-5),
         "ape_rmse_m": 0.0,
         "recall": {"0.1m/10deg": 1.0, "0.2m/15deg": 1.0, "0.3m/20deg": 1.0},
+        "position_recall": {"1m": 1.0, "3m": 1.0, "5m": 1.0},
         "worse_than": {"0.1m": 0.0, "0.25m": 0.0, "0.5m": 0.0},
         "converged_at_s": 0.0,
         "success": True,
@@ -67,7 +68,19 @@ def test_known_errors_give_known_medians_rmse_and_recalls():
     assert metrics["ape_rmse_m"] == pytest.approx(np.sqrt((2 * 0.05**2 + 0.15**2 + 0.24**2 + 9.0) / 5))
     assert metrics["recall"] == pytest.approx({"0.1m/10deg": 0.2, "0.2m/15deg": 0.4, "0.3m/20deg": 0.6})
     assert metrics["worse_than"] == pytest.approx({"0.1m": 0.6, "0.25m": 0.2, "0.5m": 0.2})
-    assert set(metrics) == {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "worse_than"}
+    assert metrics["position_recall"] == pytest.approx({"1m": 0.8, "3m": 1.0, "5m": 1.0})
+    assert set(metrics) == {
+        *("median_translation_m", "median_rotation_deg", "ape_rmse_m"),
+        *("recall", "position_recall", "worse_than"),
+    }
+
+
+def test_position_recall_asks_where_the_camera_is_and_not_which_way_it_looks():
+    truth = walk(4)
+    estimate = shifted(truth, np.array([0.999, 1.001, 4.999, 5.001]), np.array([179.0, 0.0, 90.0, 0.0]))
+    metrics = evaluate_trajectory(estimate, truth, tracking=False)
+    assert metrics["position_recall"] == {"1m": 0.25, "3m": 0.5, "5m": 0.75}
+    assert metrics["recall"]["0.3m/20deg"] == 0.0
 
 
 def test_a_trajectory_displaced_as_a_whole_is_not_aligned_away():

@@ -4,10 +4,19 @@ import numpy as np
 import pytest
 
 from filtering.estimate import Mode
+from filtering.floors import Floors
 from filtering.se3 import Poses
+from sequences.frame import Trajectory
 from tests.helpers.simulated_run import true_walk
 from vapor.evaluation.consistency import evaluate_belief
-from vapor.evaluation.floors import evaluate_floor, floors_off, on_true_floor, once_on_floor
+from vapor.evaluation.floors import (
+    evaluate_floor,
+    evaluate_floors,
+    floor_accuracy,
+    floors_off,
+    on_true_floor,
+    once_on_floor,
+)
 from vapor.tracking.belief import Belief
 
 HEIGHT = 3.0
@@ -40,6 +49,42 @@ def test_poses_are_right_but_for_their_floor_and_once_on_it():
     }  # fmt: skip
     never = evaluate_floor(raised(truth, [3] * 5, along=1.0), truth, HEIGHT)
     assert never == {"but_for_it": 0.0, "settled_images": 0, "settled_right": None}
+
+
+FLOORS = Floors((1.6, 4.6, 7.6))
+
+
+def test_floors_are_right_as_often_as_the_nearest_heights_agree():
+    truth = Poses(true_walk(4).rotation, np.array([[0.0, 0.0, z] for z in (1.6, 1.7, 4.5, 7.6)]))
+    assert floor_accuracy(truth, truth, FLOORS) == 1.0
+    assert floor_accuracy(raised(truth, [1.35, 1.45, -1.5, 9.0]), truth, FLOORS) == 0.5
+    assert floor_accuracy(raised(truth, [0.0] * 4, along=50.0), truth, FLOORS) == 1.0
+
+
+def test_the_belief_over_floors_is_judged_where_the_truth_is_known():
+    """Five images, the third without a true pose; sure in the last three, wrongly so in the last."""
+    heights = [1.6, 1.6, 1.6, 4.6, 4.6]
+    poses = Poses(true_walk(5).rotation, np.array([[0.0, 0.0, z] for z in heights]))
+    times_ns = 10**9 * np.arange(5)
+    known = np.array([0, 1, 3, 4])
+    belief = np.array([[0.5, 0.5, 0], [0.9, 0.1, 0], [0.96, 0.04, 0], [0, 1, 0], [0.01, 0.02, 0.97]])
+    methods = {
+        "filter": Trajectory(times_ns, raised(poses, [3.0, 0, 9, 0, 3.0])),
+        "single_image": Trajectory(times_ns, raised(poses, [3.0, 3.0, 0, -3.0, 0])),
+    }
+    truth = Trajectory(times_ns[known], poses[known])
+    assert evaluate_floors(FLOORS, belief, methods, truth) == {
+        "heights_m": [1.6, 4.6, 7.6],
+        "belief": [0.01, 0.02, 0.97],
+        "sure": 0.6,
+        "sure_and_wrong": 0.5,
+        "true_floor": pytest.approx((0.5 + 0.9 + 1.0 + 0.02) / 4),
+        "accuracy": {"filter": 0.5, "single_image": 0.25},
+    }
+    unknown = evaluate_floors(FLOORS, belief, methods, None)
+    assert unknown == {"heights_m": [1.6, 4.6, 7.6], "belief": [0.01, 0.02, 0.97], "sure": 0.6}
+    never = evaluate_floors(FLOORS, np.full((5, 3), 1 / 3), methods, truth)
+    assert (never["sure"], never["sure_and_wrong"]) == (0.0, None)
 
 
 def test_a_belief_is_evaluated_once_on_its_floor():

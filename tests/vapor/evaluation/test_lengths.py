@@ -11,6 +11,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 from sequences.scenes import find_scene
+from tests.helpers.corridors import corridor
 from vapor.benchmark.trials import run as trial_run
 from vapor.benchmark.trials.trial import Segment, Trial
 from vapor.checkpoints.calibration import Calibration
@@ -59,9 +60,10 @@ def test_settings_of_the_filter_that_are_lengths_are_scaled():
     assert scaled.gap.speed_m_per_s == pytest.approx(30.0 * LocalizerConfig().gap.speed_m_per_s)
 
 
+@pytest.mark.parametrize("priors", [None, 50])
 @pytest.mark.parametrize("scale", [1.0, 30.0])
-def test_floors_are_evaluated_in_the_lengths_of_the_scene(scale, monkeypatch):
-    """At another scale the poses are scaled back before whole floors are counted."""
+def test_floors_are_evaluated_in_the_lengths_of_the_scene(scale, priors, monkeypatch):
+    """At another scale the poses are scaled back before whole floors are counted; of one floor none is right or not."""
     height = find_scene("corridor").floor_height_m
     assert height == 3.2
     truth = Poses(np.tile(np.eye(3), (4, 1, 1)), np.array([[x, 0.0, 0.0] for x in range(4)]))
@@ -71,11 +73,16 @@ def test_floors_are_evaluated_in_the_lengths_of_the_scene(scale, monkeypatch):
     compared = Comparison(10**8 * np.arange(4), truth, dict.fromkeys(METHODS, off), beliefs, modes, 1, 1.0)
     monkeypatch.setattr(trial_run, "follow_trial", lambda trial, setup, replay: None)
     monkeypatch.setattr(trial_run, "compare", lambda followed: compared.scaled(scale))
-    given = SimpleNamespace(ablation="full", cue_images=0)
+    storeys = Poses.concatenate([corridor(0, 5, z_m=z) for z in (0.0, height)])
+    given = SimpleNamespace(
+        ablation="full", cue_images=0, checkpoint=lambda: SimpleNamespace(prior_poses=storeys[:priors])
+    )
     for scene in ("corridor", "ceiling"):
-        trial = Trial(scene, "walk", (Segment(0, 0, 4),), scale=scale)
+        trial = Trial(scene, "cue", (Segment(0, 0, 4),), scale=scale)
         found = trial_run.localize(trial, given, given)  # pyright: ignore[reportArgumentType]
         told, belief = found["methods"]["smoothed"], found["belief"]["filter"]
+        assert told.get("floor_accuracy") == (0.5 if priors is None else None)
+        assert "sequences" not in found
         if scene == "corridor":
             assert told["floor"] == {"but_for_it": 1.0, "settled_images": 2, "settled_right": 1.0}
             assert belief["on_floor"]["images"] == 2

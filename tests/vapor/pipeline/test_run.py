@@ -15,6 +15,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.odometry_fit.result import OdometryFit
@@ -25,6 +26,7 @@ from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrit
 from tests.helpers.tf_files import robot, stamps
 from tests.helpers.tiny_model import SMALL
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.observation import VaporObservationModel
 from vapor.track import main
 
 TRAJECTORIES = {
@@ -36,7 +38,7 @@ WITH_TRUTH = {"ground_truth.tum", "errors.png"}
 FILES = TRAJECTORIES | {"estimate.mcap", "config.json", "report.html", "report.json", "trajectory.png", "particles.png"}
 FILES |= {"manifest.json", "status.csv"}
 
-METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "worse_than"}
+METRICS = {"median_translation_m", "median_rotation_deg", "ape_rmse_m", "recall", "position_recall", "worse_than"}
 
 METHODS = {"single_image", "dead_reckoning", "kalman", "gaussian_sum", "filter", "smoothed"}
 
@@ -90,7 +92,7 @@ def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
 def test_the_report_has_exactly_the_keys_of_its_contract(finished):
     report = report_of(finished.directory)
     about = {"frames", "frames_with_true_pose", "skipped", "images", "duration_s", "status", "particles"}
-    assert set(report) == METHODS | about | {"smoothed_doubtful", "step_ms", "peak_rss_mb", "consistency"}
+    assert set(report) == METHODS | about | {"smoothed_doubtful", "step_ms", "peak_rss_mb", "consistency", "floors"}
     assert set(report["consistency"]) == {"images", "wrong", "coverage", "median_nees"}
     assert report["frames"] == 25
     assert report["skipped"] == {}
@@ -105,6 +107,26 @@ def test_the_report_has_exactly_the_keys_of_its_contract(finished):
         assert set(report[method]) == METRICS | tracking
         assert set(report[method]["recall"]) == {"0.1m/10deg", "0.2m/15deg", "0.3m/20deg"}
     assert report["dead_reckoning"]["recall"]["0.1m/10deg"] == 1.0  # the odometry of the walk is exact
+
+
+def test_a_run_says_how_the_belief_is_spread_over_the_floors_of_its_model(
+    finished, tiny_model, walk_of_25, tmp_path, monkeypatch
+):
+    assert report_of(finished.directory)["floors"] is None  # a network with random weights knows of none
+    heights = read_tum(finished.directory / "trajectory.tum").poses.translation[:, 2]
+    low, high = (float(round(height, 3)) for height in (heights.min() - 2.0, heights.max() + 0.5))
+    monkeypatch.setattr(VaporObservationModel, "floors", Floors((low, high, high + 9.0)))
+    assert run(walk_of_25, tiny_model, tmp_path / "out", "--no-recording") == 0
+    report = report_of(tmp_path / "out")
+    floors = report["floors"]
+    assert floors["heights_m"] == [low, high, high + 9.0]
+    assert sum(floors["belief"]) == pytest.approx(1.0, abs=1e-5)
+    assert 0.0 <= floors["true_floor"] <= 1.0
+    trajectory, truth = (read_tum(tmp_path / "out" / name).poses for name in ("trajectory.tum", "ground_truth.tum"))
+    on = [np.abs(poses.translation[:, 2:] - [low, high, high + 9.0]).argmin(axis=1) for poses in (trajectory, truth)]
+    assert floors["accuracy"].keys() == METHODS
+    assert floors["accuracy"]["filter"] == pytest.approx(np.mean(on[0] == on[1]), abs=1e-6)
+    assert report["filter"] == report_of(finished.directory)["filter"]
 
 
 def test_every_trajectory_has_a_pose_for_every_image(finished, walk_of_25):
@@ -188,7 +210,7 @@ def test_evaluate_finds_the_figures_of_the_report_again(finished, tmp_path, caps
     figures, report = json.loads(again.read_text()), report_of(finished.directory)
     assert set(figures) == METHODS | {"frames", "frames_with_true_pose"}
     for method in METHODS:
-        for shares in ("recall", "worse_than"):
+        for shares in ("recall", "position_recall", "worse_than"):
             assert figures[method].pop(shares) == report[method].pop(shares)
         assert figures[method] == pytest.approx(report[method], abs=2e-6)
 

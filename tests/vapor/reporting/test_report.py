@@ -106,6 +106,7 @@ def test_the_report_has_the_keys_of_its_specification(record):
             "median_rotation_deg",
             "ape_rmse_m",
             "recall",
+            "position_recall",
             "worse_than",
         }
     assert report["filter"]["success"] is True

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
+from filtering.estimate import Estimate, Mode
+from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.recordings.message_definitions import decoder, encoder
 from sequences.recordings.messages import covariance_to_ros
@@ -87,6 +89,27 @@ def test_a_transform_names_both_frames():
     (transform,) = fields(tf_message(7, "map", "odom", BASE)).transforms
     assert (transform.header.frame_id, transform.child_frame_id, transform.header.stamp.nanosec) == ("map", "odom", 7)
     assert transform.transform.translation.x == pytest.approx(float(BASE.translation[0]))
+
+
+@pytest.mark.parametrize("weights", [[0.1, 0.2, 0.7], [0.5, 0.4, 0.1]])
+def test_diagnostics_say_the_floor_and_how_much_of_the_belief_is_on_each(weights):
+    heights = np.array([7.1, 3.9, 0.2])
+    particles = Poses(np.tile(np.eye(3), (3, 1, 1)), heights[:, None] * np.eye(3)[2])
+    modes = (Mode(particles[2], np.eye(6), 0.7),)
+    covariances = np.tile(np.eye(6), (3, 1, 1))
+    estimate = Estimate(modes, "ambiguous", particles, covariances, np.log(weights), 1.0, 0.0, 0.0, 0.0)
+
+    def told(floors: Floors | None) -> dict[str, str]:
+        message = diagnostics_message(0, hardware="m", estimate=estimate, silent=None, values={}, floors=floors)
+        (status,) = fields(message).status
+        return {each.key: each.value for each in status.values if "floor" in each.key}
+
+    belief = weights[::-1]
+    assert told(Floors((0.0, 4.0, 7.0))) == {
+        "floor": str(int(np.argmax(belief))),
+        **{f"weight of floor {number}": f"{weight:.4f}" for number, weight in enumerate(belief)},
+    }
+    assert told(None) == {}
 
 
 def test_before_anything_was_localized_diagnostics_are_stale():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
+from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.options import ReadingOptions
 from sequences.reader import SequenceReader
@@ -17,7 +18,7 @@ from sequences.recordings.bag import Bag
 from sequences.recordings.messages import pose_from_message, pose_from_transform
 from sequences.recordings.source import RawMessage
 from tests.helpers.fake_transport import messages_of, offering
-from tests.helpers.live_session import KnowingModel, Running, hurry, knowing, running
+from tests.helpers.live_session import ELSEWHERE, KnowingModel, Running, hurry, knowing, running
 from tests.helpers.live_system import stamp
 from tests.helpers.sequence_files import BEGIN_NS, IMAGES, ODOMETRY, Walk, world_from_base, world_from_camera
 from vapor.robot.config import LiveConfig
@@ -99,6 +100,21 @@ def test_neither_transform_nor_base_is_published_while_two_places_are_possible(w
         assert run.messages("tf") == run.messages("base_pose") == []
         assert {m.status[0].level for m in run.messages("diagnostics") if m.status[0].values} <= {1, 3}
         assert len(run.messages("pose")) >= 12
+
+
+def test_diagnostics_say_how_much_of_the_belief_is_on_each_floor(walk: Path) -> None:
+    model = KnowingModel(places=2)
+    low = world_from_camera(BEGIN_NS)
+    heights = [float(pose.translation[2]) for pose in (low, ELSEWHERE @ low)]
+    model.floors = Floors((heights[0], heights[1]))
+    with running(walk, model=model) as run:
+        replayed(run, walk)
+        run.wait(lambda: bool(run.messages("diagnostics")[-1].status[0].values))
+        values = {each.key: each.value for each in run.messages("diagnostics")[-1].status[0].values}
+        weights = [float(values[f"weight of floor {number}"]) for number in range(2)]
+        assert sum(weights) == pytest.approx(1.0, abs=2e-4)
+        assert min(weights) > 0.2  # one says as little as the other
+        assert int(values["floor"]) == int(np.argmax(weights))
 
 
 def test_the_last_transform_is_kept_where_that_is_asked_for(walk: Path) -> None:

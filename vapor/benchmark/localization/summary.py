@@ -11,7 +11,8 @@ from vapor.benchmark.methods import BELIEVING, METHODS
 from vapor.benchmark.trials.kinds import KINDS
 from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.intervals import Walks
-from vapor.evaluation.trajectory import THRESHOLDS
+from vapor.evaluation.sequential import SUCCESS_M
+from vapor.evaluation.trajectory import POSITION_M, THRESHOLDS
 
 WITHIN_IMAGES = 50
 """A kidnapped filter should be right again after at most this many images."""
@@ -48,7 +49,7 @@ def failed(result: Mapping[str, Any]) -> bool:
 def _aggregate(results: Results) -> dict[str, Any]:
     walks = Walks([result["walk"] for result in results])
     images = [result["images"] for result in results]
-    return {
+    total = {
         "runs": len(results),
         "walks": walks.count,
         "images": sum(images),
@@ -59,20 +60,29 @@ def _aggregate(results: Results) -> dict[str, Any]:
         "step_ms": float(np.median([result["step_ms"] for result in results])),
         "failed": [result["name"] for result in results if failed(result)],
     }
+    if "sequences" in results[0]:
+        total["sequences"] = {
+            length: _sequences([result["sequences"][length] for result in results], walks)
+            for length in results[0]["sequences"]
+        }
+    return total
 
 
 def _method(metrics: Results, walks: Walks) -> dict[str, Any]:
     """Recalls are over all images of all runs, which have the same length; errors and times are medians over runs."""
     errors_m = [each["median_translation_m"] for each in metrics]
     recall = {name: [each["recall"][name] for each in metrics] for name in THRESHOLDS}
+    position = {name: [each["position_recall"][name] for each in metrics] for name in POSITION_M}
     intervals: dict[str, Any] = {
         "median_translation_m": walks.median(errors_m),
         "recall": {name: walks.mean(fractions) for name, fractions in recall.items()},
+        "position_recall": {name: walks.mean(fractions) for name, fractions in position.items()},
     }
     total: dict[str, Any] = {
         "median_translation_m": float(np.median(errors_m)),
         "median_rotation_deg": float(np.median([each["median_rotation_deg"] for each in metrics])),
         "recall": {name: _mean(fractions) for name, fractions in recall.items()},
+        "position_recall": {name: _mean(fractions) for name, fractions in position.items()},
         "intervals": intervals,
     }
     if "success" in metrics[0]:
@@ -84,9 +94,33 @@ def _method(metrics: Results, walks: Walks) -> dict[str, Any]:
         total["recall_after_convergence"] = {
             name: _mean([each["recall"][name] for each in after], images) for name in THRESHOLDS
         }
+    if "floor_accuracy" in metrics[0]:
+        accuracies = [each["floor_accuracy"] for each in metrics]
+        total["floor_accuracy"], intervals["floor_accuracy"] = _mean(accuracies), walks.mean(accuracies)
     if "floor" in metrics[0]:
         total["floor"] = _floor([each["floor"] for each in metrics], walks)
     return total
+
+
+def _sequences(parts: Results, walks: Walks) -> dict[str, Any]:
+    """How many of all sequences of a length succeed, by method."""
+    numbers = [part["sequences"] for part in parts]
+    names = dict.fromkeys(name for part in parts for name in part["success"] or ())
+    success = {
+        name: {limit: [part["success"] and part["success"][name][limit] for part in parts] for limit in SUCCESS_M}
+        for name in names
+    }
+    return {
+        "sequences": sum(numbers),
+        "success": {
+            name: {limit: _mean(fractions, numbers) for limit, fractions in each.items()}
+            for name, each in success.items()
+        },
+        "intervals": {
+            name: {limit: walks.mean(fractions, numbers) for limit, fractions in each.items()}
+            for name, each in success.items()
+        },
+    }
 
 
 def _floor(floors: Results, walks: Walks) -> dict[str, Any]:

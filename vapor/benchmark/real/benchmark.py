@@ -17,6 +17,7 @@ from vapor.benchmark.real.rows import ROWS
 from vapor.cache import cached, code_digest
 from vapor.engines.engine import EngineConfig
 from vapor.evaluation.comparison import compare
+from vapor.evaluation.sequential import evaluate_sequences
 from vapor.parallel.jobs import Workers, in_parallel
 from vapor.threads import limited_threads
 from vapor.tracking.follow import follow
@@ -81,8 +82,8 @@ def measure(rows: Sequence[Row], context: RowContext, config: RealConfig) -> Ite
     """The results of every row and draw, in order; cached ones of the same settings and code are not computed again.
 
     Yields:
-        For each set of images of a draw that is evaluated: `row`, `group`, `of` (which images), `seed`, `unit_m`, and
-        what `Comparison.figures` gives, lengths in units of `unit_m` metres.
+        For each set of images of a draw that is evaluated: `row`, `group`, `of` (which images), `seed`, `unit_m`, what
+        `Comparison.figures` gives, lengths in units of `unit_m` metres, and `sequences`, see `evaluate_sequences`.
 
     Raises:
         VaporTrackError: unusable data, or an output that cannot be written to.
@@ -123,6 +124,7 @@ def _evaluated(row: Row, seed: int, context: RowContext, config: RealConfig) -> 
         return [
             {"row": row.name, "group": row.group, "of": what, "seed": seed, "unit_m": draw.unit_m}
             | compared.figures(images)
+            | {"sequences": evaluate_sequences(followed, seed=(seed,), images=images, unit_m=draw.unit_m)}
             for what, images in draw.evaluated.items()
         ]
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from vapor.benchmark.methods import LOCALIZING
 from vapor.evaluation.consistency import REGIONS
-from vapor.evaluation.trajectory import RIGHT
+from vapor.evaluation.sequential import SUCCESS_M
+from vapor.evaluation.trajectory import POSITION_M, RIGHT
 
 
 def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -18,8 +19,9 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]
     Returns:
         For each, `group`, `draws`, `images`, `unit_m`; `methods`: for each of `LOCALIZING` the `median_translation_m`,
         `median_rotation_deg`, `right` (fraction within 0.3 m, times the unit, and 20°) and `worse_than_0.25m`
-        (fraction, the limit times the unit); `filter`: `converged` (fraction of the images that are said to be) and
-        `wrong` of these, `coverage` of all images and `coverage_converged` (each by region), `median_nees` of all.
+        (fraction, the limit times the unit), `position_recall` (likewise); `sequences`: by their length their number
+        and, by method, their `success` (likewise); `filter`: `converged` (fraction of the images that are said to be)
+        and `wrong` of these, `coverage` of all images and `coverage_converged` (each by region), `median_nees` of all.
         Every figure is the median of the draws, the lowest and the highest; None if no draw has one.
     """
     rows: dict[str, list[Mapping[str, Any]]] = {}
@@ -38,13 +40,25 @@ def _summary(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     beliefs = [draw["belief"]["filter"] for draw in draws]
     everywhere, converged = ([belief[key] for belief in beliefs] for key in ("all_images", "said_converged"))
 
-    def of(method: str) -> dict[str, Figure]:
+    def of(method: str) -> dict[str, Any]:
         each = [draw["methods"][method] for draw in draws]
         return {
             "median_translation_m": _figure([one["median_translation_m"] * unit_m for one in each]),
             "median_rotation_deg": _figure([one["median_rotation_deg"] for one in each]),
             "right": _figure([one["recall"][RIGHT] for one in each]),
             "worse_than_0.25m": _figure([one["worse_than"]["0.25m"] for one in each]),
+            "position_recall": {name: _figure([one["position_recall"][name] for one in each]) for name in POSITION_M},
+        }
+
+    def in_sequences(length: str) -> dict[str, Any]:
+        each = [draw["sequences"][length] for draw in draws]
+        known = [one["success"] for one in each if one["success"] is not None]
+        return {
+            "sequences": each[0]["sequences"],
+            "success": {
+                method: {limit: _figure([one[method][limit] for one in known]) for limit in SUCCESS_M}
+                for method in (known[0] if known else ())
+            },
         }
 
     def coverage(parts: Sequence[Mapping[str, Any]]) -> dict[str, Figure]:
@@ -57,6 +71,7 @@ def _summary(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "images": first["images"],
         "unit_m": unit_m,
         "methods": {method: of(method) for method in LOCALIZING},
+        "sequences": {length: in_sequences(length) for length in first["sequences"]},
         "filter": {
             "converged": _figure([belief["status"]["converged"] for belief in beliefs]),
             "wrong": _figure([part["wrong"] for part in converged if part["wrong"] is not None]),

@@ -25,6 +25,7 @@ class TrialKind:
         recorded_hz: Images a second of the recordings.
         stride: Only every so many of these images are seen.
         scale: Factor on all lengths: of samples, truth and odometry, and of their errors.
+        in_sequences: Whether they are also cut into short sequences, in each of which methods begin anew.
     """
 
     meaning: str
@@ -34,6 +35,7 @@ class TrialKind:
     recorded_hz: float = IMAGE_RATE_HZ
     stride: int = 1
     scale: float = 1.0
+    in_sequences: bool = False
 
 
 # To add a kind: a name, and what happens.
@@ -42,7 +44,7 @@ KINDS: Mapping[str, TrialKind] = MappingProxyType(
         "cue": TrialKind("something unique in the first half", "early", "window", "cue"),
         "no-cue": TrialKind("nothing unique", "none", "whole", "no-cue"),
         "kidnap": TrialKind("carried off", "early", "kidnap", "kidnap"),
-        "walk": TrialKind("whole walks, something unique early", "early", "whole", "cue"),
+        "walk": TrialKind("whole walks, something unique early", "early", "whole", "cue", in_sequences=True),
         "rate-3": TrialKind("3 images a second", "early", "whole", "cue", 30.0, 10),
         "rate-10": TrialKind("10 images a second", "early", "whole", "cue", 30.0, 3),
         "rate-30": TrialKind("30 images a second", "early", "whole", "cue", 30.0),

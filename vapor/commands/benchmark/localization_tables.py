@@ -12,7 +12,8 @@ from vapor.benchmark.trials.kinds import KINDS
 from vapor.commands.benchmark.cells import Aggregate, figure, fraction, interval, new_table, over
 from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.intervals import dissent
-from vapor.evaluation.trajectory import THRESHOLDS
+from vapor.evaluation.sequential import LAST, SUCCESS_M
+from vapor.evaluation.trajectory import POSITION_M, THRESHOLDS
 
 Summary = Mapping[str, Mapping[str, Mapping[str, Aggregate]]]
 
@@ -37,6 +38,7 @@ def tables(summary: Summary) -> Iterator[Table]:
             yield _methods_table(f"{scene}, {KINDS[kind].meaning}: {runs}{of_ablation}", total)
             yield _consistency_table(total)
             yield _status_table(total)
+            yield _position_table(total)
             if kind == "kidnap":
                 yield _recovery_table(total)
             if "floor" in total["methods"][OURS]:
@@ -145,6 +147,29 @@ def _status_table(total: Aggregate) -> Table:
         f"below figures: 95 % intervals over {total['walks']} walks;"
         f" where all agree, up to {fraction(dissent(total['walks']))} of others may not"
     )
+    return table
+
+
+def _position_table(total: Aggregate) -> Table:
+    """As others report: positions alone, floors where there are several, and short sequences from a flat prior."""
+    lengths = total.get("sequences", {})
+    has_floors = "floor_accuracy" in total["methods"][OURS]
+    columns = [f"within\n{name.replace('m', ' m')}" for name in POSITION_M]
+    columns += ["right\nfloor"] if has_floors else []
+    columns += [f"{length} images\n{limit.replace('m', ' m')}" for length in lengths for limit in SUCCESS_M]
+    table = new_table(None, "method", *columns)
+    for name in METHODS:
+        method = total["methods"][name]
+        intervals = method["intervals"]
+        cells = [(method["position_recall"][limit], intervals["position_recall"][limit]) for limit in POSITION_M]
+        cells += [(method["floor_accuracy"], intervals["floor_accuracy"])] if has_floors else []
+        for part in lengths.values():
+            if name in part["success"]:
+                cells += [(part["success"][name][limit], part["intervals"][name][limit]) for limit in SUCCESS_M]
+        table.add_row(label(name), *(over(fraction(value), interval(bounds, ".0f", 100)) for value, bounds in cells))
+    if lengths:
+        said = " and ".join(f"{part['sequences']} of {length} images" for length, part in lengths.items())
+        table.caption = f"sequences, each from a flat prior: {said}; right at all of the last {LAST} images"
     return table
 
 

@@ -8,9 +8,10 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from vapor.benchmark.methods import LOCALIZING, label
+from vapor.benchmark.methods import LOCALIZING, OURS, label
 from vapor.benchmark.real.summary import Figure
 from vapor.evaluation.consistency import REGIONS
+from vapor.evaluation.sequential import LAST, SUCCESS_M
 
 Summary = Mapping[str, Mapping[str, Any]]
 
@@ -18,9 +19,11 @@ _RANGE = "where odometry is simulated: median of the draws, and below it the low
 
 
 def tables(summary: Summary) -> Iterator[Table]:
-    """Errors of every method, how many images are right, and how consistent the filter is."""
+    """Errors of every method, how many images are right, alone and in sequences; how consistent the filter is."""
     yield _errors(summary)
     yield _right(summary)
+    if any(part["sequences"] for row in summary.values() for part in row["sequences"].values()):
+        yield _sequences(summary)
     yield _consistency(summary)
 
 
@@ -45,6 +48,27 @@ def _right(summary: Summary) -> Table:
         for method in LOCALIZING:
             each = row["methods"][method]
             cells.append(_cell(each["right"], _percent, f" ({_percent(each['worse_than_0.25m'][0])})"))
+        table.add_row(_named(name, row), *cells)
+    return table
+
+
+def _sequences(summary: Summary) -> Table:
+    """A column for each length and limit, with the single image's figure before the filter's."""
+    lengths = list(next(iter(summary.values()))["sequences"])
+    columns = [f"{length} images\n{limit.replace('m', ' m')}" for length in lengths for limit in SUCCESS_M]
+    table = _table("sequences from a flat prior that succeed: single image → filter, %", *columns)
+    table.caption = (
+        f"right at all of the last {LAST} images; in brackets the number of sequences."
+        " Lengths times 30 in rows that are 30 times as large"
+    )
+    for name, row in summary.items():
+        cells = []
+        for part in row["sequences"].values():
+            number = f" ({part['sequences']})"
+            for limit in SUCCESS_M:
+                alone, ours = (part["success"].get(method, {}).get(limit) for method in ("single_image", OURS))
+                before = "" if alone is None else f"{_percent(alone[0])} → "
+                cells.append(f"{before}{_cell(ours, _percent, number)}")
         table.add_row(_named(name, row), *cells)
     return table
 
