@@ -13,6 +13,7 @@ from vapor.reporting.html.run_charts import StatusStrip, belief_plot, error_plot
 from vapor.reporting.html.run_scene import RunScene
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import method_table
+from vapor.tracking.methods import METHODS, in_order
 
 _LIMIT_M, _LIMIT_DEG = THRESHOLDS[RIGHT]
 _WITHIN = f"within {_LIMIT_M:g} m and {_LIMIT_DEG:g}° of the truth"
@@ -80,13 +81,15 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
     over_time: list[Block] = [StatusStrip(record)]
     if (errors := error_plot(record)) is not None:
         columns, rows = method_table(report)
-        ours = [number for number, row in enumerate(rows) if row[0] == "particle filter"]
+        ours = [number for number, row in enumerate(rows) if row[0] == METHODS["filter"].label]
         told = "Errors, and the fraction of images within both limits; no trajectory was aligned"
         sections.append(Section("How good", [Table(columns, rows, told, ours)]))
         over_time.append(errors)
     sections.append(Section("Over time", [*over_time, belief_plot(record)]))
     if (trust := _trust(report)) is not None:
         sections.append(Section("Is its confidence true", trust))
+    if report.get("floors") is not None:
+        sections.append(Section("Which floor", _floors(report["floors"])))
     sections.append(Section("What was used", [_counts(report)]))
     blocks: list[Block] = [] if not command else [Code(command)]
     versions = settings.get("versions", {})
@@ -128,6 +131,22 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
             "estimation error squared, is larger than 5.35 where errors are larger than stated."
         ),
     ]
+
+
+def _floors(floors: Mapping[str, Any]) -> list[Block]:
+    rows = [
+        (f"floor {number}, {height:.1f} m", f"{100 * part:.1f} %")
+        for number, (height, part) in enumerate(zip(floors["heights_m"], floors["belief"], strict=True))
+    ]
+    sure = f"Sure of its floor, by 95 % and more, after {100 * floors['sure']:.0f} % of the images"
+    if (wrong := floors.get("sure_and_wrong")) is not None:
+        sure += f", of these wrong: {100 * wrong:.1f} %"
+    blocks: list[Block] = [Text(f"{sure}.")]
+    if "accuracy" in floors:
+        right = [(METHODS[name].label, f"{100 * part:.0f} %") for name, part in in_order(floors["accuracy"]).items()]
+        ours = [number for number, row in enumerate(right) if row[0] == METHODS["filter"].label]
+        blocks.append(Table(("", "right floor"), right, "Images on the right floor", ours))
+    return [*blocks, Table(("", "belief"), rows, "Belief after the last image, by floor and height of the camera")]
 
 
 def _counts(report: Mapping[str, Any]) -> Table:

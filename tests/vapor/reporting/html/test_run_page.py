@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from filtering.floors import Floors
 from tests.helpers.pages import ReadPage
 from tests.helpers.simulated_run import simulated_record
 from vapor.reporting.html.run_page import run_page, verdict
@@ -99,6 +100,23 @@ def test_without_true_poses_it_says_so_and_how_sure_it_was():
     assert "Sure in 67 % of the images, first after 1.0 s. There are no true poses to compare with." in page.words
     assert "errors" not in page.data
     assert "Never sure where it is" in read(replace(record, status=("lost",) * 30)).words
+
+
+def test_where_there_are_floors_the_page_says_which(record):
+    floors = Floors((2.0, 5.0, 8.0))
+    belief = np.full((150, 3), [0.01, 0.01, 0.98])
+    floored = replace(record, floors=floors, floor_belief=belief)
+    report, page = build_report(floored), read(floored)
+    assert [page.cells[page.cells.index(f"floor {n}, {h:.1f} m") + 1] for n, h in enumerate(floors.heights_m)] == [
+        "1.0 %",
+        "1.0 %",
+        "98.0 %",
+    ]
+    wrong = report["floors"]["sure_and_wrong"]
+    assert f"Sure of its floor, by 95 % and more, after 100 % of the images, of these wrong: {100 * wrong:.1f} %" in (
+        page.words
+    )
+    assert "Which floor" not in read(record).words
 
 
 def test_without_images_there_is_no_strip_of_them(record):
