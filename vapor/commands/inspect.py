@@ -29,11 +29,13 @@ from vapor.engines.device import Device
 from vapor.engines.engine import EngineConfig
 from vapor.inspection.inspect import inspect
 from vapor.inspection.picture import draw_map
+from vapor.inspection.recording import record_coverage
 from vapor.observation import VaporObservationModel
 from vapor.reporting.report import write_report
+from vapor.reporting.rerun_photographs import Photographs
 from vapor.training_data.entries import files_read
 
-_MAP, _REPORT = "map.png", "report.json"
+_MAP, _RECORDING, _REPORT = "map.png", "recording.rrd", "report.json"
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,9 @@ class Options:
     model: str | None = None
     """Model file, or name of a model that ships with the package: say, too, where it is unsure or wrong."""
     output: OutputPath | None = None
-    """Folder for report.json and, where there are true poses, map.png; new or with earlier ones."""
+    """Folder for report.json and, where there are true poses, map.png and recording.rrd; new or with earlier ones."""
+    recording: bool = True
+    """Write recording.rrd for the Rerun viewer: where the cameras were, and what the model says of them."""
     overwrite: Overwrite = False
     json: bool = False
     """Print the report as JSON instead."""
@@ -79,11 +83,15 @@ def main(arguments: Sequence[str]) -> None:
                 engine=o.network.engine,
                 precision=o.network.precision,
             )
+        photographs = Photographs()
+        see = photographs.take if o.recording and directory is not None else lambda frame: None
         with progress_of("inspect") as advance:
-            found = inspect(o.data, o.reading, model=model, seed=o.seed, progress=advance)
+            found = inspect(o.data, o.reading, model=model, seed=o.seed, see=see, progress=advance)
         if directory is not None:
             if found.coverage is not None:
                 draw_map(directory / _MAP, found.coverage, found.predictions)
+                if o.recording:
+                    record_coverage(directory / _RECORDING, found.coverage, photographs, found.predictions)
             write_report(directory / _REPORT, found.as_json())
     if o.json:
         show(json.dumps(found.as_json(), indent=2, sort_keys=True, allow_nan=False))
@@ -92,10 +100,12 @@ def main(arguments: Sequence[str]) -> None:
     if o.output is not None:
         for name in (_MAP,) * (found.coverage is not None) + (_REPORT,):
             show(f"{o.output / name}")
+        if found.coverage is not None and o.recording:
+            show(f"rerun {o.output / _RECORDING}")
 
 
 def _outputs(o: Options) -> AbstractContextManager[Path | None]:
     if o.output is None:
         return nullcontext()
     reads = chain([] if o.model is None else [find_model(o.model)], files_read(o.data, o.reading))
-    return results_folder(o.output, "inspect", writes=(_MAP, _REPORT), reads=reads, overwrite=o.overwrite)
+    return results_folder(o.output, "inspect", writes=(_MAP, _RECORDING, _REPORT), reads=reads, overwrite=o.overwrite)

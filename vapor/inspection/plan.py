@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from filtering.se3 import Poses
+from vapor.evaluation.upright import upward
 
 SECTORS = 8
 STEEP = np.sin(np.deg2rad(60.0))
 _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 _MOST_CELLS = 50  # along the longer side of the plan
-_UPWARD = 0.2  # how much rather z is taken for up than another axis
 
 
 @dataclass(frozen=True)
@@ -33,16 +33,13 @@ class Plan:
     @staticmethod
     def of(poses: Poses, near_m: float) -> Plan:
         """The plan of where cameras (n,) were: up is the axis of the world that is up in most images."""
-        right, up = poses.rotation[:, :, 0], -poses.rotation[:, :, 1]
-        signed = np.concatenate([np.eye(3), -np.eye(3)])
-        upright = (up @ signed.T).mean(axis=0) - np.abs(right @ signed.T).mean(axis=0)
-        number = int(np.argmax(upright + _UPWARD * (np.arange(6) == 2)))
-        first = np.eye(3)[0 if number % 3 else 1]
-        second = np.cross(signed[number], first)
+        up = upward(poses)
+        first = np.eye(3)[0 if up[0] == 0.0 else 1]
+        second = np.cross(up, first)
         names = [f"{'-' if axis.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]}" for axis in (first, second)]
         extent = np.ptp(poses.translation @ np.stack([first, second]).T, axis=0).max()
         cell_m = _round(max(near_m / 2, extent / _MOST_CELLS))
-        return Plan(np.stack([first, second, signed[number]]), (names[0], names[1]), cell_m)
+        return Plan(np.stack([first, second, up]), (names[0], names[1]), cell_m)
 
     def places(self, poses: Poses) -> Float64[np.ndarray, "n 3"]:
         """Positions on the map and heights, metres."""

@@ -56,7 +56,7 @@ def test_the_axis_that_is_shown_is_a_level_one():
 
 def test_a_frustum_has_every_edge_of_a_camera_that_looks_ahead():
     pose = Poses(LEVEL, np.array([1.0, 2.0, 3.0]))
-    (line,) = frusta(Poses.stack([pose]), size_m=0.4)
+    (line,) = frusta(Poses.stack([pose]), 0.4)
     corners = {tuple(np.round(p, 4)) for p in line}
     assert (1.0, 2.0, 3.0) in corners
     assert len(corners) == 5

@@ -60,12 +60,14 @@ def test_a_recording_holds_image_belief_paths_and_plots(tmp_path, steps):
         "/world/posterior/cameras",
         "/world/modes",
         "/world/truth",
+        "/world/modes/weights",
+        "/world/modes/cameras",
         "/world/path/filter",
         "/world/path/truth",
         "/belief/best_weight",
-        "/belief/status",
-        "/error/translation_m",
-        "/error/rotation_deg",
+        "/status",
+        "/error/position/filter",
+        "/error/rotation/filter",
     ):
         assert entity in entities
 
