@@ -13,6 +13,7 @@ from typing import Annotated
 import tyro
 
 from filtering.errors import VaporTrackError
+from sequences.datasets.scene_points import scene_points
 from sequences.options import SequenceOptions
 from sequences.outputs.results import results_folder
 from vapor.checkpoints.shipped_models import find_model
@@ -33,7 +34,7 @@ from vapor.inspection.recording import record_coverage
 from vapor.observation import VaporObservationModel
 from vapor.reporting.report import write_report
 from vapor.reporting.rerun_photographs import Photographs
-from vapor.training_data.entries import files_read
+from vapor.training_data.entries import files_read, name_entries
 
 _MAP, _RECORDING, _REPORT = "map.png", "recording.rrd", "report.json"
 
@@ -91,7 +92,14 @@ def main(arguments: Sequence[str]) -> None:
             if found.coverage is not None:
                 draw_map(directory / _MAP, found.coverage, found.predictions)
                 if o.recording:
-                    record_coverage(directory / _RECORDING, found.coverage, photographs, found.predictions)
+                    points = [scene_points(path) for path, _ in name_entries(o.data).values()]
+                    record_coverage(
+                        directory / _RECORDING,
+                        found.coverage,
+                        photographs,
+                        found.predictions,
+                        points=[each for each in points if each is not None],
+                    )
             write_report(directory / _REPORT, found.as_json())
     if o.json:
         show(json.dumps(found.as_json(), indent=2, sort_keys=True, allow_nan=False))

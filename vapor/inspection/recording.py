@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from filtering.se3 import Poses
+from sequences.datasets.scene_points import ScenePoints
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.predictions import Predictions
 from vapor.reporting.rerun_layout import log_legend, space_view, with_legend
@@ -28,11 +30,17 @@ _SHOWN = {  # by how many passes: the colours of the map, brighter against a dar
 }
 _RIGHT, _WRONG = (0, 190, 140), (225, 120, 200)
 _LINES = 150  # from where the model puts a camera to where it was, at most: more hide what they lead to
+_POINTS = 100_000  # of a place, at most
 _PATH = (105, 105, 112)
 
 
 def record_coverage(
-    path: Path, coverage: Coverage, photographs: Photographs, predictions: Predictions | None = None
+    path: Path,
+    coverage: Coverage,
+    photographs: Photographs,
+    predictions: Predictions | None = None,
+    *,
+    points: Sequence[ScenePoints] = (),
 ) -> Path:
     """Record where the cameras were, with some of their images, and with a model's predictions where it puts them.
 
@@ -41,6 +49,7 @@ def record_coverage(
         coverage: What images show.
         photographs: Some of these images.
         predictions: What a model says of them.
+        points: Of the place, as each of the data sets has them.
 
     Raises:
         SequenceError, VaporTrackError: it cannot be written.
@@ -66,6 +75,10 @@ def record_coverage(
             lines = steps(poses.translation[coverage.images.sequence == number])
             strips = rr.LineStrips3D(lines, colors=_PATH, radii=rr.Radius.ui_points(0.7))
             stream.log(["world", "paths", name], strips, static=True)
+        for number, each in enumerate(points):
+            some = np.linspace(0, len(each) - 1, min(len(each), _POINTS)).round().astype(np.int64)
+            cloud = rr.Points3D(each.positions[some], colors=each.colors[some], radii=rr.Radius.ui_points(1.0))
+            stream.log(f"world/place/points/{number}", cloud, static=True)
         for number, photograph in photographs.of_frame.items():
             where = f"world/images/{number}"
             photograph.log(stream, where, poses[number], color=colors[shown[number]], size_m=2 * place.small_camera_m)

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 
 from filtering.estimate import Mode
 from filtering.se3 import Poses
-from vapor.reporting.rerun_shapes import ellipsoid, frusta
+from vapor.reporting.rerun_shapes import ellipsoids, frusta
 
 
 def shown_modes(
@@ -26,14 +26,15 @@ def shown_modes(
     import rerun as rr
 
     poses = Poses.stack([mode.world_from_camera for mode in modes])
-    sigma, axes = zip(*(ellipsoid(mode.covariance[:3, :3]) for mode in modes), strict=True)
+    sigma, axes = ellipsoids(np.stack([mode.covariance[:3, :3] for mode in modes]))
+    turned = Poses(poses.rotation @ axes, poses.translation)
     yield (
         "world/modes",
         rr.Ellipsoids3D,
         {
             "centers": poses.translation,
-            "half_sizes": 2.0 * np.stack(sigma),
-            "quaternions": Poses(poses.rotation @ np.stack(axes), poses.translation).as_quat_xyzw(),
+            "half_sizes": 2.0 * sigma,
+            "quaternions": turned.as_quat_xyzw(known_valid=True),
             "colors": colors,
         },
     )

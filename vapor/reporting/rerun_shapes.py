@@ -60,8 +60,10 @@ def stand_in_camera(image: UInt8[np.ndarray, "height width 3"]) -> Camera:
     return Camera(width, height, float(focal), float(focal), (width - 1) / 2, (height - 1) / 2)
 
 
-def ellipsoid(covariance: Float64[np.ndarray, "3 3"]) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3 3"]]:
-    """Standard deviations along the principal axes, and the axes as a right-handed rotation."""
-    variance, axes = np.linalg.eigh((covariance + covariance.T) / 2)
-    axes[:, 2] *= np.linalg.det(axes)
-    return np.sqrt(np.maximum(variance, 1e-8)), axes
+def ellipsoids(
+    covariances: Float64[np.ndarray, "n 3 3"],
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3 3"]]:
+    """Standard deviations along the principal axes, and the axes as right-handed rotations."""
+    variances, axes = np.linalg.eigh((covariances + np.swapaxes(covariances, 1, 2)) / 2)
+    axes[:, :, 2] *= np.linalg.det(axes)[:, None]
+    return np.sqrt(np.maximum(variances, 1e-8)), axes
