@@ -13,6 +13,7 @@ from typing import Annotated
 import tyro
 
 from filtering.errors import VaporTrackError, shortened
+from sequences.datasets.scene_points import scene_points
 from sequences.options import SequenceOptions
 from sequences.outputs.results import results_folder
 from vapor.checkpoints.shipped_models import find_model
@@ -30,13 +31,16 @@ from vapor.engines.device import Device
 from vapor.engines.engine import EngineConfig
 from vapor.inspection.inspect import Inspection, inspect
 from vapor.inspection.picture import draw_map
+from vapor.inspection.recording import record_coverage
 from vapor.observation import VaporObservationModel
 from vapor.reporting.html.findings_page import findings_page
 from vapor.reporting.html.page import Page, write_page
 from vapor.reporting.report import write_report
-from vapor.training_data.entries import files_read
+from vapor.reporting.rerun_photographs import Photographs
+from vapor.training_data.entries import files_read, name_entries
 
-_MAP, _REPORT, _PAGE = "map.png", "report.json", "report.html"
+_MAP, _RECORDING, _REPORT, _PAGE = "map.png", "recording.rrd", "report.json", "report.html"
+_FILES = (_MAP, _RECORDING, _REPORT, _PAGE)
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,10 @@ class Options:
     model: str | None = None
     """Model file, or name of a model that ships with the package: say, too, where it is unsure or wrong."""
     output: OutputPath | None = None
-    """Folder for report.html, report.json and, where there are true poses, map.png; new or with earlier ones."""
+    """Folder for report.html, report.json and, where there are true poses, map.png and recording.rrd; new or with
+    earlier ones."""
+    recording: bool = True
+    """Write recording.rrd for the Rerun viewer: where the cameras were, and what the model says of them."""
     overwrite: Overwrite = False
     json: bool = False
     """Print the report as JSON instead."""
@@ -82,11 +89,22 @@ def main(arguments: Sequence[str]) -> None:
                 engine=o.network.engine,
                 precision=o.network.precision,
             )
+        photographs = Photographs()
+        see = photographs.take if o.recording and directory is not None else lambda frame: None
         with progress_of("inspect") as advance:
-            found = inspect(o.data, o.reading, model=model, seed=o.seed, progress=advance)
+            found = inspect(o.data, o.reading, model=model, seed=o.seed, see=see, progress=advance)
         if directory is not None:
             if found.coverage is not None:
                 draw_map(directory / _MAP, found.coverage, found.predictions)
+                if o.recording:
+                    points = [scene_points(path) for path, _ in name_entries(o.data).values()]
+                    record_coverage(
+                        directory / _RECORDING,
+                        found.coverage,
+                        photographs,
+                        found.predictions,
+                        points=[each for each in points if each is not None],
+                    )
             write_report(directory / _REPORT, found.as_json())
             write_page(directory / _PAGE, _page(found, o, directory / _MAP, command_line("inspect", arguments)))
     if o.json:
@@ -96,6 +114,8 @@ def main(arguments: Sequence[str]) -> None:
     if o.output is not None:
         for name in (_MAP,) * (found.coverage is not None) + (_REPORT, _PAGE):
             show(f"{o.output / name}")
+        if found.coverage is not None and o.recording:
+            show(f"rerun {o.output / _RECORDING}")
 
 
 def _page(found: Inspection, o: Options, picture: Path, command: str) -> Page:
@@ -117,4 +137,4 @@ def _outputs(o: Options) -> AbstractContextManager[Path | None]:
     if o.output is None:
         return nullcontext()
     reads = chain([] if o.model is None else [find_model(o.model)], files_read(o.data, o.reading))
-    return results_folder(o.output, "inspect", writes=(_MAP, _REPORT, _PAGE), reads=reads, overwrite=o.overwrite)
+    return results_folder(o.output, "inspect", writes=_FILES, reads=reads, overwrite=o.overwrite)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +25,9 @@ from vapor.evaluation.trajectory import THRESHOLDS
 from vapor.observation import VaporObservationModel
 from vapor.reporting.drawing import is_picture
 from vapor.reporting.posterior_pictures import draw_posterior
+from vapor.reporting.posterior_recording import record_posterior
+from vapor.reporting.rerun_place import Place
+from vapor.reporting.rerun_recording import is_recording
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class Options:
     output: OutputPath
     """Picture to write (.png), new or one of vapor-track's."""
     overwrite: Overwrite = False
+    recording: bool = False
+    """Write the posterior in space for the Rerun viewer as well, beside the picture, as .rrd."""
     model: str = "staircase"
     """Model file, or name of a model that ships with the package."""
     image: int = 0
@@ -62,8 +66,11 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("posterior", Options, arguments)
     file = find_model(o.model)
-    reads = chain([file], files_read(o.data))
+    reads = [file, *files_read(o.data)]
     refuse_other(o.output, "picture of vapor-track", is_picture, reads=reads, overwrite=o.overwrite)
+    recording = o.output.with_suffix(".rrd")
+    if o.recording:
+        refuse_other(recording, "recording of Rerun", is_recording, reads=reads, overwrite=o.overwrite)
     described = describe(file)
     frame = next(posed_frames(o.data, frames=slice(o.image, o.image + 1)))
     model = VaporObservationModel(
@@ -76,10 +83,14 @@ def main(arguments: Sequence[str]) -> None:
     )
     truth = frame.world_from_camera
     assert truth is not None  # `posed_frames` yields no other
-    samples = model.observe(frame.image, rng=np.random.default_rng(o.seed)).samples
+    posterior = model.observe(frame.image, rng=np.random.default_rng(o.seed))
+    samples = posterior.samples
     title = f"{o.data.name}, image {o.image} at {frame.time_ns / 1e9:.3f} s"
     surroundings = model.description.prior_poses.translation
     draw_posterior(o.output, samples, image=frame.image, surroundings=surroundings, truth=truth, title=title)
+    if o.recording:
+        place = Place.of_model(model.description)
+        record_posterior(recording, posterior, frame=frame, truth=truth, place=place, title=title)
     figures = posterior_metrics([samples], Poses.stack([truth]), model.description.calibration, gamma=o.gamma)
     near = [t for t in THRESHOLDS if figures["recall"][t]]
     best = figures["mode"]
@@ -89,4 +100,6 @@ def main(arguments: Sequence[str]) -> None:
         f"{o.output}: {figures['modes']:.0f} modes, the best one {best['translation_m']:.2f} m and"
         f" {best['rotation_deg']:.1f}° off; {within}"
     )
+    if o.recording:
+        show(f"recording  rerun {recording}")
     show_notices(model.notices)

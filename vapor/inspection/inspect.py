@@ -63,6 +63,7 @@ def inspect(
     *,
     model: ObservationModel | None = None,
     seed: int = 0,
+    see: Callable[[Frame], None] = lambda frame: None,
     progress: Callable[[str, int, int | None], None] = lambda stage, done, total: None,
 ) -> Inspection:
     """Inspect recordings.
@@ -72,6 +73,7 @@ def inspect(
         reading: What to read of recordings; None for all of it, as found.
         model: Asked about every image, where given.
         seed: Of its latent noise.
+        see: Called with every frame, in order.
         progress: Called with the stage, how much of it is done, and of how much.
 
     Raises:
@@ -81,11 +83,12 @@ def inspect(
     said: list[Said] = []
     rng = np.random.default_rng(seed)
 
-    def see(frame: Frame) -> None:
+    def take(frame: Frame) -> None:
+        see(frame)
         if model is not None:
             said.append(Said.of(model.observe(frame.image, rng=rng)))
 
-    walks = read_walks(data, reading, see=see, progress=lambda done: progress("reading images", done, None))
+    walks = read_walks(data, reading, see=take, progress=lambda done: progress("reading images", done, None))
     images = posed_images(walks)
     coverage = odometry = predictions = None
     notices: tuple[str, ...] = ()

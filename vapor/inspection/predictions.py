@@ -85,6 +85,7 @@ class Predictions:
         error_m: Of the best place, against the true poses of those k that have one, metres, (k,); NaN without a place.
         right: Within 0.3 m and 20°, (k,).
         posed: Which images have a true pose, (n,).
+        best: world_from_camera of the best place of those k; NaN without a place.
     """
 
     places: Int64[np.ndarray, " n"]
@@ -93,17 +94,19 @@ class Predictions:
     error_m: Float64[np.ndarray, " k"]
     right: Bool[np.ndarray, " k"]
     posed: Bool[np.ndarray, " n"]
+    best: Poses
 
     @staticmethod
     def of(said: Sequence[Said], truth: Poses, posed: Bool[np.ndarray, " n"]) -> Predictions:
         """What was said of images (n,), of which k have true poses."""
         own = [each.best for each, known in zip(said, posed, strict=True) if known]
         error_m, right = np.full(len(truth), np.nan), np.zeros(len(truth), bool)
-        known = np.array([best is not None for best in own], bool)
+        nowhere = Poses(np.full((3, 3), np.nan), np.full(3, np.nan))
+        best = Poses.stack([nowhere if pose is None else pose for pose in own]) if own else truth
+        known = best.is_finite()
         if known.any():
-            best = Poses.stack([pose for pose in own if pose is not None])
-            error_m[known] = best.distance(truth[known])[0]
-            right[known] = is_right(best, truth[known])
+            error_m[known] = best[known].distance(truth[known])[0]
+            right[known] = is_right(best[known], truth[known])
         return Predictions(
             np.array([each.places for each in said], np.int64),
             np.array([each.spread_m for each in said]),
@@ -111,6 +114,7 @@ class Predictions:
             error_m,
             right,
             posed,
+            best,
         )
 
     def weak_places(self, coverage: Coverage) -> list[WeakPlace]:

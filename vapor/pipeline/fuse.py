@@ -8,6 +8,7 @@ from pathlib import Path
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.sequence import EstimateSequence
 from sequences.outputs.results import results_folder
@@ -15,6 +16,7 @@ from vapor.pipeline.config import FilteringConfig
 from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of
 from vapor.pipeline.localize import localize
 from vapor.pipeline.results import RESULTS, RunResult, write_results
+from vapor.reporting.rerun_place import Place
 
 
 def fuse(
@@ -78,6 +80,7 @@ def fuse(
             config,
             errors,
             observed=lambda frame: frame.estimates,
+            place=Place(Poses.concatenate([file.poses for file in sequence.files]), "given estimates"),
             allow_few_images=reading.allow_few_images,
             progress=progress,
         )

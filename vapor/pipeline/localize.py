@@ -26,6 +26,7 @@ from vapor.pipeline.ahead import ahead
 from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.beside import outputs_beside
 from vapor.reporting.record import RunRecord
+from vapor.reporting.rerun_place import Place
 from vapor.tracking.history import History
 from vapor.tracking.loop import StepLoop
 from vapor.tracking.methods import poses_at_end
@@ -41,10 +42,11 @@ def localize(
     observed: Callable[[Any], np.ndarray] = attrgetter("image"),
     odometry_fit: OdometryFit | None = None,
     floors: Floors | None = None,
+    place: Place | None = None,
     allow_few_images: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunRecord:
-    """Localize frame after frame, show and write each; then smooth.
+    """Localize frame after frame, show and write each; then smooth, and show that.
 
     Args:
         source: The frames.
@@ -55,6 +57,7 @@ def localize(
         observed: Takes from a frame what the model is to see.
         odometry_fit: How wrong the odometry is; None for what the frames state and the settings assume.
         floors: Of the building, where there are several.
+        place: Where it happens, for the viewer.
         allow_few_images: Go on also where fewer than one in ten of the images asked for were used.
         progress: Called after every frame with the number done and an upper bound of all.
 
@@ -84,6 +87,7 @@ def localize(
         recording=config.recording,
         view=config.view,
         particles=PUBLISHED_PARTICLES,
+        place=place,
     )
     with outputs_of_run as outputs:
         with ahead(source) as frames, ahead(posteriors(frames)) as observations:
@@ -103,12 +107,12 @@ def localize(
                 f"{source.path}: {source.counts.warning} Expected at least one in ten (--allow-few-images localizes"
                 " fewer)"
             )
-        record = outputs.finish(skipped=source.skipped, images=source.counts)
+        at_end = poses_at_end(history, errors, settings) if history.evidence else {}
+        record = outputs.finish(skipped=source.skipped, images=source.counts, at_end=at_end)
     if floors is not None:
         record = replace(record, floors=floors, floor_belief=np.stack(on_floors))
-    at_end = poses_at_end(history, errors, settings)
     fits = agreement(at_end["smoothed"], record.times_ns, history.evidence, errors)
-    return record.with_methods(at_end, smoothed_agreement=fits)
+    return replace(record, smoothed_agreement=fits)
 
 
 @contextmanager

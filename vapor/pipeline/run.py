@@ -13,6 +13,7 @@ from vapor.pipeline.config import RunConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.results import RESULTS, RunResult, write_results
+from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
 from vapor.training_data.ground import told_unshown
 
@@ -84,6 +85,7 @@ def run_into(
             calibration.errors,
             odometry_fit=fit,
             floors=observation.floors,
+            place=Place.of_model(observation.description),
             allow_few_images=reading.allow_few_images,
             progress=progress,
         )

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from filtering.config import LocalizerConfig
+from filtering.se3 import Poses
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
 from vapor.reporting.output_process import OutputProcess, output_process
 from vapor.reporting.peak_memory import peak_rss_mb
 from vapor.reporting.record import RunRecord
+from vapor.reporting.rerun_place import Place
 from vapor.tracking.loop import Step
 
 
@@ -30,15 +32,30 @@ class OutputsBeside:
         """See `RunOutputs.add`."""
         self._process.send("add", frame, step)
 
-    def finish(self, *, skipped: Mapping[str, int], images: ImageCounts) -> RunRecord:
-        """Complete the files; gives the record, with the peak memory of this process and the other one in all."""
-        record: RunRecord = self._process.ask("finish", skipped, images)
+    def finish(
+        self, *, skipped: Mapping[str, int], images: ImageCounts, at_end: Mapping[str, Poses] | None = None
+    ) -> RunRecord:
+        """Complete the files; gives the record, with the peak memory of this process and the other one in all.
+
+        Args:
+            skipped: See `RunOutputs.record`, like the others.
+            images: What became of the images that the sequence states.
+            at_end: Poses of the methods that see the whole run at once.
+        """
+        record: RunRecord = self._process.ask("finish", skipped, images, at_end or {})
         return replace(record, peak_rss_mb=(record.peak_rss_mb or 0.0) + peak_rss_mb())
 
 
 @contextmanager
 def outputs_beside(
-    directory: Path, settings: LocalizerConfig, *, seed: int, recording: bool, view: bool, particles: int
+    directory: Path,
+    settings: LocalizerConfig,
+    *,
+    seed: int,
+    recording: bool,
+    view: bool,
+    particles: int,
+    place: Place | None = None,
 ) -> Iterator[OutputsBeside]:
     """The outputs of a run for a `with` block; what is not finished by its end is removed.
 
@@ -49,9 +66,10 @@ def outputs_beside(
         recording: Whether to write `recording.rrd`.
         view: Whether to open the Rerun viewer.
         particles: How many particles of each image go into `estimate.mcap`.
+        place: Where the run happens, for the viewer.
     """
     with output_process() as process:
-        process.send("begin", settings, seed, directory, recording, view, particles)
+        process.send("begin", settings, seed, directory, recording, view, particles, place)
         yield OutputsBeside(process)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
 from vapor.reporting.html.page import write_page
@@ -23,7 +24,8 @@ from vapor.reporting.html.run_page import run_page
 from vapor.reporting.output_process import DISCARDED
 from vapor.reporting.pictures import write_pictures
 from vapor.reporting.record import RunRecord
-from vapor.reporting.rerun_viewer import load_rerun
+from vapor.reporting.rerun_place import Place
+from vapor.reporting.rerun_recording import load_rerun
 from vapor.reporting.run_outputs import RunOutputs
 from vapor.tracking.loop import Baselines, Step
 from vapor.tracking.methods import start_baselines
@@ -36,23 +38,32 @@ class Calls:
         self._outputs: RunOutputs | None = None
 
     def begin(
-        self, settings: LocalizerConfig, seed: int, directory: Path, recording: bool, view: bool, particles: int
+        self,
+        settings: LocalizerConfig,
+        seed: int,
+        directory: Path,
+        recording: bool,
+        view: bool,
+        particles: int,
+        place: Place | None,
     ) -> None:
         """Begin a run, see `RunOutputs`; the baselines begin with these settings of the filter, and this seed."""
         baselines = Baselines(start_baselines(settings, lambda: np.random.default_rng(seed)))
-        self._outputs = RunOutputs(baselines, directory, recording=recording, view=view, particles=particles)
+        self._outputs = RunOutputs(
+            baselines, directory, recording=recording, view=view, particles=particles, place=place
+        )
 
     def add(self, frame: Frame, step: Step) -> None:
         """Write and show one image; nothing after an error."""
         if self._outputs is not None:
             self._outputs.add(frame, step)
 
-    def finish(self, skipped: Mapping[str, int], images: ImageCounts) -> RunRecord:
+    def finish(self, skipped: Mapping[str, int], images: ImageCounts, at_end: Mapping[str, Poses]) -> RunRecord:
         """Complete the files of a run, and give its record."""
         assert self._outputs is not None
         outputs, self._outputs = self._outputs, None
         with outputs:
-            return outputs.record(skipped=skipped, images=images)
+            return outputs.record(skipped=skipped, images=images, at_end=at_end)
 
     def discard(self) -> str:
         """Remove the files of a run that will not be finished."""

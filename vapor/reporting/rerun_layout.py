@@ -1,49 +1,106 @@
-"""How a run is laid out in Rerun: panels, axes, colours, sizes, names of plotted lines."""
+"""How a run is laid out in Rerun: panels, axes, colours, sizes, names of plotted lines.
+
+Points and lines are as large on the screen whatever the size of the place; cameras are in proportion to the place.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-from jaxtyping import Float64, UInt8
-
 from vapor.reporting.colors import COLORS
+from vapor.reporting.rerun_hypotheses import BEST
+from vapor.reporting.rerun_place import Place
+from vapor.tracking.methods import METHODS
 
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-_GREEN, _PURPLE = (0, 158, 115), (204, 121, 167)  # of plotted lines
+_BACKGROUND = (20, 22, 26)  # of views in space, whatever the viewer's theme: against it colours were chosen
+TRUTH = (245, 245, 245)
+"""Of the true pose and path."""
+_GREEN, _VIOLET = (0, 158, 115), (165, 105, 225)
+_PATHS = ("filter", "truth", "smoothed", "dead_reckoning")
+ERROR_CURVES = ("filter", "smoothed", "dead_reckoning")
+"""The methods whose errors are plotted."""
+_STATUS = {"converged": (60, 150, 110), "ambiguous": (225, 150, 60), "lost": (181, 66, 59)}
+_LEGEND = (
+    "**blue** best hypothesis, its particles, the filter's path  ·  **other colours** other hypotheses, each with its"
+    " weight and an ellipsoid of two standard deviations  ·  **orange** samples of the image's own posterior"
+)
+_LEGEND_AT_END = "  ·  **white** true pose and path  ·  **green** smoothed  ·  **violet** dead reckoning"
+
+
+def path_color(name: str) -> tuple[int, int, int]:
+    """The colour of a path: of a tracking method, or of the truth."""
+    return {"truth": TRUTH, "filter": BEST, "dead_reckoning": _VIOLET}.get(name) or rgb(name)
+
+
+def log_run_styles(stream: rr.RecordingStream, place: Place | None, *, live: bool = False) -> None:
+    """What never changes in a run: the place, colours, sizes, names of the plotted lines, and the legend.
+
+    Args:
+        stream: Where to.
+        place: Where it happens, if that is known.
+        live: See `run_blueprint`.
+    """
+    import rerun as rr
+
+    log_styles(stream)
+    ui = rr.Radius.ui_points
+    stream.log("world/particles", rr.Points3D.from_fields(radii=ui([2.0])), static=True)
+    for name in _PATHS:
+        width = 2.5 if name == "truth" else 1.2  # so that it is seen on both sides of the others
+        style = rr.LineStrips3D.from_fields(radii=ui([width]), colors=[path_color(name)])
+        stream.log(f"world/path/{name}", style, static=True)
+    lines = {
+        "belief/best_weight": ("weight of the best hypothesis", BEST),
+        "belief/agreement": ("agreement of the images", _GREEN),
+    }
+    for name in ERROR_CURVES:
+        lines |= {f"error/{kind}/{name}": (METHODS[name].label, path_color(name)) for kind in ("position", "rotation")}
+    for entity, (name, color) in lines.items():
+        stream.log(entity, rr.SeriesLines(names=name, colors=color, widths=1.5), static=True)
+    states = rr.StateConfiguration(values=[*_STATUS], colors=[*_STATUS.values()])
+    stream.log("status", states, static=True)
+    legend = _LEGEND if live else _LEGEND + _LEGEND_AT_END
+    if place is None:
+        stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    else:
+        place.log(stream)
+        legend += f"  ·  **grey** {place.what}"
+    log_legend(stream, legend)
 
 
 def log_styles(stream: rr.RecordingStream) -> None:
-    """What never changes: axes, colours, sizes, names of the plotted lines."""
+    """Colours and sizes of what is shown of single posteriors, too: samples, hypotheses, the true pose."""
     import rerun as rr
 
-    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    stream.log("world/particles", rr.Points3D.from_fields(radii=[0.03]), static=True)
-    stream.log(
-        "world/posterior", rr.Points3D.from_fields(radii=[0.015], colors=[(*rgb("single_image"), 90)]), static=True
-    )
-    thin_lines = rr.LineStrips3D.from_fields(radii=[0.004], colors=[(*rgb("single_image"), 90)])
-    stream.log("world/posterior/cameras", thin_lines, static=True)
-    stream.log("world/truth", rr.Arrows3D.from_fields(radii=[0.03], colors=[(255, 255, 255)]), static=True)
-    for name, color, radius in (("filter", rgb("filter"), 0.02), ("truth", (220, 220, 220), 0.008)):
-        stream.log(f"world/path/{name}", rr.LineStrips3D.from_fields(radii=[radius], colors=[color]), static=True)
-    for entity, name, color in (
-        ("belief/best_weight", "weight of the best hypothesis", rgb("filter")),
-        ("belief/agreement", "agreement of the images", _GREEN),
-        ("belief/status", "0 lost · ½ ambiguous · 1 converged", _PURPLE),
-        ("error/translation_m", "translation error [m]", rgb("filter")),
-        ("error/rotation_deg", "rotation error [°]", rgb("filter")),
-    ):
-        stream.log(entity, rr.SeriesLines(names=name, colors=color, widths=1.5), static=True)
+    ui, orange = rr.Radius.ui_points, rgb("single_image")
+    for entity, style in {
+        "world/posterior": rr.Points3D.from_fields(radii=ui([1.2]), colors=[orange]),
+        "world/posterior/cameras": rr.LineStrips3D.from_fields(radii=ui([0.4]), colors=[orange]),
+        "world/modes": rr.Ellipsoids3D.from_fields(line_radii=ui([1.0])),
+        "world/modes/weights": rr.Points3D.from_fields(radii=ui([3.0]), show_labels=True),
+        "world/modes/cameras": rr.LineStrips3D.from_fields(radii=ui([1.2])),
+        "world/truth": rr.LineStrips3D.from_fields(radii=ui([1.5]), colors=[TRUTH]),
+    }.items():
+        stream.log(entity, style, static=True)
 
 
-def blueprint(*, live: bool = False) -> rrb.Blueprint:
+def log_legend(stream: rr.RecordingStream, legend: str) -> None:
+    """Say what the colours mean, in Markdown; `with_legend` has a view for it."""
+    import rerun as rr
+
+    stream.log("legend", rr.TextDocument(legend, media_type="text/markdown"), static=True)
+
+
+def run_blueprint(place: Place | None = None, *, live: bool = False) -> rrb.Blueprint:
     """The belief in space, large; beside it the image and the plots.
 
     Args:
+        place: Where it happens, all of which the first view shows; None where that is unknown.
         live: For what goes on without an end, and without true poses: the view follows the camera, shows five minutes
             of its path and one of the belief, and plots no errors.
     """
@@ -53,49 +110,88 @@ def blueprint(*, live: bool = False) -> rrb.Blueprint:
         begin = rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds) if live else rrb.TimeRangeBoundary.infinite()
         return rrb.VisibleTimeRange("time", start=begin, end=rrb.TimeRangeBoundary.cursor_relative())
 
-    paths = {f"world/path/{name}": rrb.VisibleTimeRanges([last(300)]) for name in ("filter", "truth")}
-    corner = rrb.Corner2D.LeftBottom if live else rrb.Corner2D.RightBottom
-    legend, none = rrb.PlotLegend(corner), rrb.PlotLegend(visible=False)
-    following = rrb.EyeControls3D(tracking_entity="world/camera") if live else None
-    plots = [("error/translation_m", "translation error [m]"), ("error/rotation_deg", "rotation error [°]")]
-    error_views = [rrb.TimeSeriesView(origin=entity, name=name, plot_legend=none) for entity, name in plots if not live]
+    paths = {f"world/path/{name}": rrb.VisibleTimeRanges([last(300)]) for name in _PATHS}
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftBottom if live else rrb.Corner2D.RightBottom)
+    eye = rrb.EyeControls3D(tracking_entity="world/camera") if live else place and place.first_view()
+    errors = [
+        ("error/position", "error of position, log10 of metres (-1: 10 cm, 0: 1 m)"),
+        ("error/rotation", "error of rotation, log10 of degrees (0: 1°, 1: 10°)"),
+    ]
+    error_views = [
+        rrb.TimeSeriesView(origin=entity, name=name, plot_legend=rrb.PlotLegend(visible=False))
+        for entity, name in errors
+        if not live
+    ]
+    return with_legend(
+        space_view("belief", eye, paths),
+        [
+            rrb.Spatial2DView(origin="world/camera", contents="world/camera", name="image"),
+            rrb.TimeSeriesView(
+                origin="belief",
+                name="belief, from 0 to 1",
+                axis_y=rrb.ScalarAxis(range=(0.0, 1.05)),
+                plot_legend=legend,
+                time_ranges=[last(60)] if live else None,
+            ),
+            rrb.StateTimelineView(origin="status", name="status", time_ranges=[last(60)] if live else None),
+            *error_views,
+        ],
+        [3.0, 2.0, 1.0, *(2.0 for _ in error_views)],
+    )
+
+
+def space_view(
+    name: str, eye: rrb.EyeControls3D | None, overrides: Mapping[str, rrb.VisibleTimeRanges] | None = None
+) -> rrb.Spatial3DView:
+    """The view in space.
+
+    Args:
+        name: Its title.
+        eye: From where it is seen; None for where Rerun stands by itself.
+        overrides: Of which time entities are shown, by their paths; others as they are at the time that is looked at.
+    """
+    import rerun.blueprint as rrb
+
+    return rrb.Spatial3DView(
+        origin="world",
+        name=name,
+        overrides=overrides,  # pyright: ignore[reportArgumentType]
+        eye_controls=eye,
+        background=_BACKGROUND,
+    )
+
+
+def with_legend(
+    space: rrb.View, beside: Sequence[rrb.View], shares: Sequence[float], *, selection: bool = False
+) -> rrb.Blueprint:
+    """A view in space, large, with the legend below it, and other views beside it.
+
+    Args:
+        space: The view.
+        beside: The others, from above, if any.
+        shares: Their heights, in proportion.
+        selection: Whether to have a panel that shows what is selected.
+    """
+    import rerun.blueprint as rrb
+
+    legend = rrb.TextDocumentView(origin="legend", name="colours")
+    views = rrb.Vertical(space, legend, row_shares=[8, 1])
+    if beside:
+        views = rrb.Horizontal(views, rrb.Vertical(*beside, row_shares=[*shares]), column_shares=[3, 2])
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial3DView(
-                origin="world",
-                name="belief",
-                overrides=paths,  # pyright: ignore[reportArgumentType]
-                eye_controls=following,
-            ),
-            rrb.Vertical(
-                rrb.Spatial2DView(origin="world/camera", contents="world/camera", name="image"),
-                rrb.TimeSeriesView(
-                    origin="belief",
-                    name="belief",
-                    axis_y=rrb.ScalarAxis(range=(0.0, 1.05)),
-                    plot_legend=legend,
-                    time_ranges=[last(60)] if live else None,
-                ),
-                *error_views,
-                row_shares=[3, 2, *(2 for _ in error_views)],
-            ),
-            column_shares=[3, 2],
-        ),
+        views,
         rrb.TimePanel(state="collapsed", timeline="time"),
-        rrb.SelectionPanel(state="collapsed"),
+        rrb.SelectionPanel(state="expanded" if selection else "collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         auto_views=False,
     )
 
 
-def weight_colors(weights: Float64[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
-    """Blue for a hypothesis that holds the whole belief, vermilion for one that holds none."""
-    none, all_ = np.array(rgb("other")), np.array(rgb("filter"))
-    part = np.clip(weights, 0.0, 1.0)[:, None]
-    return np.round(none + part * (all_ - none)).astype(np.uint8)
-
-
 def rgb(name: str) -> tuple[int, int, int]:
     """A colour of `COLORS`, each part from 0 to 255."""
-    code = COLORS[name]
+    return rgb_of(COLORS[name])
+
+
+def rgb_of(code: str) -> tuple[int, int, int]:
+    """A colour of a code such as #0072b2, each part from 0 to 255."""
     return int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)

@@ -5,10 +5,19 @@ from __future__ import annotations
 import os
 import shutil
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from filtering.errors import VaporTrackError
 from sequences.atomic import atomic_output
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+_MAGIC = b"RRF2"
 
 
 class Recording:
@@ -57,3 +66,49 @@ class Recording:
         self._output.__exit__(failed and type(failed), failed, None)
         if keep and failed:
             raise failed
+
+
+@contextmanager
+def recorded(path: Path, application: str, title: str) -> Iterator[rr.RecordingStream]:
+    """A stream of Rerun into a file, which appears under its name at the end of the block, and after no error.
+
+    Args:
+        path: The file, `.rrd`.
+        application: What of its kind has layout and panels in common in the viewer.
+        title: Its name there.
+
+    Raises:
+        SequenceError: the folder is missing or cannot be written to.
+        VaporTrackError: it could not be written.
+    """
+    rr = load_rerun()
+    recording, keep = Recording(path), False
+    stream = rr.RecordingStream(application, recording_id=title)
+    try:
+        stream.set_sinks(rr.FileSink(recording.pipe))
+        yield stream
+        stream.flush()
+        keep = True
+    finally:
+        stream.disconnect()
+        recording.close(keep=keep)
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file is a recording of Rerun."""
+    with path.open("rb") as file:
+        return file.read(len(_MAGIC)) == _MAGIC
+
+
+def load_rerun() -> ModuleType:
+    """Rerun, which takes a while, and does not print of errors what is told of them here."""
+    level = os.environ.get("RUST_LOG")
+    os.environ["RUST_LOG"] = level or "off"  # read when it is imported
+    try:
+        import rerun
+        import rerun.blueprint
+
+        return rerun
+    finally:
+        if level is None:
+            del os.environ["RUST_LOG"]

@@ -5,22 +5,26 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType, TracebackType
+from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Status
 from filtering.se3 import Poses
-from sequences.frame import Camera, Frame
-from vapor.reporting.rerun_layout import blueprint, log_styles, rgb, weight_colors
-from vapor.reporting.rerun_recording import Recording
-from vapor.reporting.rerun_rows import Rows
-from vapor.reporting.rerun_shapes import as_jpeg, ellipsoid, frusta, stand_in_camera, thinned
+from sequences.frame import Camera, Frame, Trajectory
+from vapor.reporting.rerun_hypotheses import BEST, HypothesisColors
+from vapor.reporting.rerun_layout import ERROR_CURVES, log_run_styles, run_blueprint
+from vapor.reporting.rerun_modes import shown_modes
+from vapor.reporting.rerun_place import Place
+from vapor.reporting.rerun_recording import Recording, load_rerun
+from vapor.reporting.rerun_rows import Rows, time_column
+from vapor.reporting.rerun_shapes import as_jpeg, frusta, pinhole, stand_in_camera, steps, thinned
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -30,7 +34,7 @@ _FRUSTA = 40  # samples of an image's posterior that are shown as cameras
 _IMAGES_AT_ONCE = 32  # are sent, where nobody watches
 _FLUSH_S = 2.0  # that a viewer elsewhere gets to take what is under way
 _JUMP_M = 0.5  # an estimate that moves so much farther than the odometry changed its mind
-_STATUS_LEVEL: dict[Status, float] = {"lost": 0.0, "ambiguous": 0.5, "converged": 1.0}
+_UNKNOWN_M, _UNKNOWN_SMALL_M = 0.5, 0.12  # sizes of cameras, where nothing is known of the place
 
 
 class RerunViewer:
@@ -41,6 +45,7 @@ class RerunViewer:
         spawn: Whether to open the viewer's window now and stream into it.
         connect: Address of a viewer that is open, to stream into, such as rerun+http://127.0.0.1:9876/proxy.
         title: Name of the run in the viewer.
+        place: Where it happens: it is shown, the first view shows all of it, and cameras are in proportion to it.
         live: Whether what is shown goes on without an end, and without true poses.
 
     Raises:
@@ -55,6 +60,7 @@ class RerunViewer:
         spawn: bool = False,
         connect: str | None = None,
         title: str = "vapor-track",
+        place: Place | None = None,
         live: bool = False,
     ) -> None:
         rr = load_rerun()
@@ -79,12 +85,17 @@ class RerunViewer:
         if path is not None:
             self._recording = Recording(path)
             sinks.append(rr.FileSink(self._recording.pipe))
-        self._stream.set_sinks(*sinks, default_blueprint=blueprint(live=live))
+        self._stream.set_sinks(*sinks)
+        self._stream.send_blueprint(run_blueprint(place, live=live))  # not that of another place, which was open before
         self._rows = Rows(self._stream, 1 if (sinks and path is None) or spawn else _IMAGES_AT_ONCE)
         self._camera: Camera | None = None
         self._last_best: Poses | None = None
         self._last_truth: Poses | None = None
-        log_styles(self._stream)
+        self._last_status: Status | None = None
+        self._camera_m = _UNKNOWN_M if place is None else place.camera_m
+        self._small_camera_m = _UNKNOWN_SMALL_M if place is None else place.small_camera_m
+        self._colors = HypothesisColors(self._camera_m)
+        log_run_styles(self._stream, place, live=live)
 
     def __enter__(self) -> RerunViewer:
         return self
@@ -108,7 +119,8 @@ class RerunViewer:
             raise self._recording.error
         self._rows.begin(frame.time_ns)
         self._log_camera(frame, estimate)
-        self._log_belief(estimate, posterior_poses)
+        self._log_belief(frame, estimate)
+        self._log_posterior(posterior_poses)
         self._log_plots(frame, estimate)
         self._last_best = estimate.modes[0].world_from_camera
         self._last_truth = frame.world_from_camera
@@ -125,8 +137,8 @@ class RerunViewer:
         limit_m = _JUMP_M + 1.5 * float(np.linalg.norm(moved))
         self._log_step("world/path/filter", self._last_best, best, limit_m=limit_m)
         if truth is not None:
-            ahead = 0.5 * truth.rotation[:, 2]
-            self._rows.add("world/truth", rr.Arrows3D, origins=truth.translation[None], vectors=ahead[None])
+            camera = frusta(Poses.stack([truth]), 0.8 * self._camera_m)
+            self._rows.add("world/truth", rr.LineStrips3D, strips=camera)
             self._log_step("world/path/truth", self._last_truth, truth, limit_m=np.inf)
 
     def _log_image(self, frame: Frame) -> None:
@@ -138,16 +150,13 @@ class RerunViewer:
         camera = frame.camera or stand_in_camera(frame.image)
         if camera != self._camera:
             self._camera = camera
-            scale = np.array([width / camera.width, height / camera.height])
-            fx, fy = scale * (camera.fx, camera.fy)
-            cx, cy = scale * (camera.cx + 0.5, camera.cy + 0.5)  # Rerun's pixels begin at integers, ours lie on them
             self._rows.add(
                 "world/camera",
                 rr.Pinhole,
-                image_from_camera=[[[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]],
+                image_from_camera=[pinhole(camera, width, height)],
                 resolution=[[width, height]],
-                image_plane_distance=[0.5],
-                color=[rgb("filter")],
+                image_plane_distance=[self._camera_m],
+                color=[BEST],
             )
         self._rows.add("world/camera", rr.EncodedImage, blob=[jpeg], media_type=["image/jpeg"])
 
@@ -159,45 +168,66 @@ class RerunViewer:
         segment = np.stack([now.translation if last is None or not moved else last.translation, now.translation])
         self._rows.add(entity, rr.LineStrips3D, strips=segment[None].astype(np.float32))
 
-    def _log_belief(self, estimate: Estimate, posterior_poses: Poses | None) -> None:
+    def _log_belief(self, frame: Frame, estimate: Estimate) -> None:
         import rerun as rr
 
         points = estimate.cloud(_CLOUD_SIZE).translation
         modes = Poses.stack([mode.world_from_camera for mode in estimate.modes])
-        weights = np.array([mode.weight for mode in estimate.modes])
         nearest = np.linalg.norm(points[:, None] - modes.translation, axis=-1).argmin(axis=1)
-        colors = weight_colors(weights)
+        colors = self._colors.of(modes, frame.odometry)
         self._rows.add("world/particles", rr.Points3D, positions=points.astype(np.float32), colors=colors[nearest])
-        sigma, axes = zip(*(ellipsoid(mode.covariance[:3, :3]) for mode in estimate.modes), strict=True)
-        self._rows.add(
-            "world/modes",
-            rr.Ellipsoids3D,
-            centers=modes.translation,
-            half_sizes=2.0 * np.stack(sigma),
-            quaternions=Poses(modes.rotation @ np.stack(axes), modes.translation).as_quat_xyzw(),
-            colors=colors,
-            labels=[f"{100 * weight:.0f} %" for weight in weights],
-        )
-        if posterior_poses is not None and len(posterior_poses):
-            samples = thinned(posterior_poses, _CLOUD_SIZE).translation.astype(np.float32)
-            self._rows.add("world/posterior", rr.Points3D, positions=samples)
-            some = thinned(posterior_poses, _FRUSTA)
-            self._rows.add("world/posterior/cameras", rr.LineStrips3D, strips=frusta(some))
+        for entity, archetype, components in shown_modes(estimate.modes, colors, camera_m=0.8 * self._camera_m):
+            self._rows.add(entity, archetype, **components)
+
+    def _log_posterior(self, poses: Poses | None) -> None:
+        import rerun as rr
+
+        if poses is not None and len(poses):
+            points = thinned(poses, _CLOUD_SIZE).translation.astype(np.float32)
+            self._rows.add("world/posterior", rr.Points3D, positions=points)
+            cameras = frusta(thinned(poses, _FRUSTA), self._small_camera_m)
+            self._rows.add("world/posterior/cameras", rr.LineStrips3D, strips=cameras)
 
     def _log_plots(self, frame: Frame, estimate: Estimate) -> None:
+        import rerun as rr
+
         best = estimate.modes[0]
         self._plot("belief/best_weight", best.weight)
         self._plot("belief/agreement", estimate.agreement)
-        self._plot("belief/status", _STATUS_LEVEL[estimate.status])
+        if estimate.status != self._last_status:
+            self._last_status = estimate.status
+            self._rows.add("status", rr.StateChange, state=[estimate.status])
         if frame.world_from_camera is not None:
-            translation_m, rotation_rad = best.world_from_camera.distance(frame.world_from_camera)
-            self._plot("error/translation_m", float(translation_m))
-            self._plot("error/rotation_deg", float(np.degrees(rotation_rad)))
+            position, rotation = _log_errors(best.world_from_camera, frame.world_from_camera)
+            self._plot("error/position/filter", float(position))
+            self._plot("error/rotation/filter", float(rotation))
 
     def _plot(self, entity: str, value: float) -> None:
         import rerun as rr
 
         self._rows.add(entity, rr.Scalars, scalars=[value])
+
+    def log_at_end(self, methods: Mapping[str, Trajectory], truth: Trajectory | None) -> None:
+        """Show what is known only at the end of a run: paths and errors of methods beside the filter.
+
+        Args:
+            methods: Trajectories of tracking methods by name, at the stamps of the images.
+            truth: True poses of the images that have one.
+        """
+        import rerun as rr
+
+        for name in ERROR_CURVES:
+            if name == "filter" or name not in methods:
+                continue
+            times_ns, poses = methods[name].times_ns, methods[name].poses
+            strips = steps(poses.translation, _limit_m(poses))
+            columns = rr.LineStrips3D.columns(strips=strips).partition(np.ones(len(strips), np.int64))
+            self._stream.send_columns(f"world/path/{name}", [time_column(times_ns)], columns)
+            if truth is not None:
+                known = np.searchsorted(times_ns, truth.times_ns)
+                for kind, errors in zip(("position", "rotation"), _log_errors(poses[known], truth.poses), strict=True):
+                    columns = rr.Scalars.columns(scalars=errors)
+                    self._stream.send_columns(f"error/{kind}/{name}", [time_column(truth.times_ns)], columns)
 
     def _finish(self, *, keep: bool) -> None:
         """Close the streams; the recording gets its name, or goes."""
@@ -216,6 +246,21 @@ class RerunViewer:
                 recording.close(keep=keep)
 
 
+def _log_errors(poses: Poses, truth: Poses) -> tuple[Float64[np.ndarray, "*n"], Float64[np.ndarray, "*n"]]:
+    """Decimal logarithms of errors in position, metres, and in rotation, degrees; NaN, a gap, where there is none."""
+    metres, radians = poses.distance(truth)
+    with np.errstate(divide="ignore"):
+        logs = np.log10(metres), np.log10(np.degrees(radians))
+    position, rotation = (np.where(np.isfinite(log), log, np.nan) for log in logs)
+    return position, rotation
+
+
+def _limit_m(poses: Poses) -> float:
+    """A step of a path (n,) that is longer than this is a jump."""
+    moved = np.linalg.norm(np.diff(poses.translation, axis=0), axis=1)
+    return _JUMP_M + 6.0 * float(np.median(moved)) if len(moved) else np.inf
+
+
 def _require_display() -> None:
     """Raise VaporTrackError where no window can open: the viewer would end, and be waited for."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -231,17 +276,3 @@ def _scripts_on_path() -> Iterator[None]:
         yield
     finally:
         os.environ["PATH"] = path
-
-
-def load_rerun() -> ModuleType:
-    """Rerun, which takes a while, and does not print of errors what is told of them here."""
-    level = os.environ.get("RUST_LOG")
-    os.environ["RUST_LOG"] = level or "off"  # read when it is imported
-    try:
-        import rerun
-        import rerun.blueprint
-
-        return rerun
-    finally:
-        if level is None:
-            del os.environ["RUST_LOG"]

@@ -8,12 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
+from filtering.se3 import Poses
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
 from sequences.recordings.estimate_writer import EstimateWriter
 from vapor.reporting.peak_memory import peak_rss_mb
 from vapor.reporting.record import RunRecord
 from vapor.reporting.recorder import RunRecorder
+from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
 from vapor.reporting.viewer import NullViewer
 from vapor.tracking.loop import Baselines, Step
@@ -30,18 +32,28 @@ class RunOutputs:
         recording: Whether to write `recording.rrd`.
         view: Whether to open the Rerun viewer and stream into it.
         particles: How many particles of each image go into `estimate.mcap`.
+        place: Where the run happens, for the viewer.
 
     Raises:
         SequenceError: the folder is missing or cannot be written to.
         VaporTrackError: the viewer cannot be started.
     """
 
-    def __init__(self, baselines: Baselines, directory: Path, *, recording: bool, view: bool, particles: int) -> None:
+    def __init__(
+        self,
+        baselines: Baselines,
+        directory: Path,
+        *,
+        recording: bool,
+        view: bool,
+        particles: int,
+        place: Place | None = None,
+    ) -> None:
         self._baselines, self._particles = baselines, particles
         self._recorder = RunRecorder()
         with ExitStack() as block:
             path = directory / "recording.rrd" if recording else None
-            viewer = RerunViewer(path, spawn=view) if recording or view else NullViewer()
+            viewer = RerunViewer(path, spawn=view, place=place) if recording or view else NullViewer()
             self._viewer = block.enter_context(viewer)
             self._writer = block.enter_context(EstimateWriter(directory / "estimate.mcap"))
             self._block = block.pop_all()
@@ -67,6 +79,17 @@ class RunOutputs:
         self._writer.write(frame.time_ns, modes, estimate.cloud(self._particles))
         self._viewer.log(frame, estimate, step.posterior.samples)
 
-    def record(self, *, skipped: Mapping[str, int], images: ImageCounts) -> RunRecord:
-        """The record of all images, see `RunRecorder.finish`; its peak memory is that of this process."""
-        return self._recorder.finish(skipped=skipped, images=images, peak_rss_mb=peak_rss_mb())
+    def record(
+        self, *, skipped: Mapping[str, int], images: ImageCounts, at_end: Mapping[str, Poses] | None = None
+    ) -> RunRecord:
+        """The record of all images, see `RunRecorder.finish`; its peak memory is that of this process.
+
+        Args:
+            skipped: See `RunRecord`, like the next.
+            images: What became of the images that the sequence states.
+            at_end: Poses (n,) of the methods that see the whole run at once, by name: they are shown, too.
+        """
+        record = self._recorder.finish(skipped=skipped, images=images, peak_rss_mb=peak_rss_mb())
+        record = record.with_methods(at_end or {})
+        self._viewer.log_at_end(record.methods, record.truth)
+        return record

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Protocol
 
 from filtering.estimate import Estimate
 from filtering.se3 import Poses
-from sequences.frame import Frame
+from sequences.frame import Frame, Trajectory
 
 
 class Viewer(Protocol):
@@ -32,6 +33,9 @@ class NullViewer:
     """Shows nothing, so that the loop never asks."""
 
     def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
+        """Do nothing."""
+
+    def log_at_end(self, methods: Mapping[str, Trajectory], truth: Trajectory | None) -> None:
         """Do nothing."""
 
     def close(self) -> None:

@@ -29,6 +29,7 @@ from sequences.recordings.message_definitions import decoder
 from sequences.recordings.messages import frame_name, stamp_ns
 from sequences.recordings.source import RawMessage
 from vapor.pipeline.model import LoadedModel
+from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
 from vapor.reporting.viewer import NullViewer, Viewer
 from vapor.robot.belief import Anchor, LiveBelief
@@ -152,7 +153,8 @@ class LiveSession:
 
     def _open_viewer(self) -> RerunViewer:
         title = f"{self._model.name} {time.strftime('%Y-%m-%d %H:%M:%S')}"  # of two at once, each is shown for itself
-        return RerunViewer(spawn=self._config.view, connect=self._config.view_at, title=title, live=True)
+        place = Place.of_model(self._model.observation.description)
+        return RerunViewer(spawn=self._config.view, connect=self._config.view_at, title=title, place=place, live=True)
 
     def _open(self) -> LiveBelief:
         """Wait for topics, and begin to believe."""

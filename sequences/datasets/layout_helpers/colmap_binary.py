@@ -1,4 +1,4 @@
-"""COLMAP's binary model: `cameras.bin` and `images.bin`, little endian, as the rows that the text model has."""
+"""COLMAP's binary model, little endian: `cameras.bin`, `images.bin`, `points3D.bin` as rows of the text model."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MODELS = (
     ("RADIAL_FISHEYE", 5),
     ("THIN_PRISM_FISHEYE", 12),
 )
-_KEYPOINT_BYTES = 24
+_KEYPOINT_BYTES, _TRACK_BYTES = 24, 8
 _LONGEST_NAME = 4096
 
 
@@ -57,6 +57,19 @@ def image_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
             name = records.text()
             records.skip(_KEYPOINT_BYTES * records.take("Q")[0])
             yield number, [str(image_id), *map(repr, pose), str(camera_id), name]
+
+
+def point_rows(file: Path) -> Iterator[tuple[int, tuple[float, ...]]]:
+    """Number and `X Y Z R G B` of each point; the images that show it are passed over.
+
+    Raises:
+        SequenceError: the file cannot be read or is cut off.
+    """
+    with _Records(file) as records:
+        for number in range(1, records.take("Q")[0] + 1):
+            _, *point, _, num_images = records.take("Q3d3BdQ")
+            records.skip(_TRACK_BYTES * num_images)
+            yield number, tuple(point)
 
 
 class _Records:

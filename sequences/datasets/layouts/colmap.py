@@ -1,4 +1,4 @@
-"""COLMAP's model, binary or text: `images`, `cameras` and usually `points3D`, which is not read.
+"""COLMAP's model, binary or text: `images`, `cameras` and usually `points3D`, which only `scene_points` reads.
 
 Where both are, the binary one is read, as by COLMAP itself. In `images.txt` two lines are an image: `IMAGE_ID QW QX QY
 QZ TX TY TZ CAMERA_ID NAME`, the pose world-to-camera, and its keypoints, which may be none. Names are relative to a

@@ -11,9 +11,10 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.reading.counts import OUTSIDE
 from tests.helpers.corridors import corridor
-from tests.helpers.data_sets import make_tum
+from tests.helpers.data_sets import make_colmap, make_tum
 from tests.helpers.inspected import LEVEL, detailed, only, scenery, walked, write
 from tests.helpers.pages import ReadPage
+from tests.helpers.rerun_files import entities_of
 from tests.helpers.sequence_files import BEGIN_NS, rewrite
 from vapor.inspection.inspect import inspect
 from vapor.inspection.reading import posed_images, read_walks
@@ -198,6 +199,29 @@ def test_the_command_writes_report_and_map_and_says_its_verdict(tmp_path, tiny_m
     assert picture.std() > 10
     assert main(["inspect", str(walk_of_25), "--json"]) == 0
     assert json.loads(capfd.readouterr().out)["verdict"] == report["verdict"][: len(report["verdict"])]
+
+
+def test_the_command_records_cameras_images_and_predictions_in_space_unless_told_not_to(
+    tmp_path, tiny_model, walk_of_25, capfd
+):
+    words = ["inspect", str(walk_of_25), "--output", str(tmp_path / "out")]
+    assert main([*words, "--model", str(tiny_model), "--num-samples", "20"]) == 0
+    assert f"rerun {tmp_path / 'out' / 'recording.rrd'}" in capfd.readouterr().out
+    entities = entities_of(tmp_path / "out" / "recording.rrd")
+    assert {f"/world/images/{number}" for number in range(25)} <= entities
+    assert "/world/cameras/1_pass" in entities
+    assert {"/world/model/right", "/world/model/wrong"} & entities
+    assert "/legend" in entities
+    assert main([*words, "--no-recording"]) == 0
+    assert "rerun" not in capfd.readouterr().out
+    assert not (tmp_path / "out" / "recording.rrd").exists()
+
+
+def test_the_recording_holds_the_sparse_points_of_a_colmap_model(tmp_path):
+    root = make_colmap(tmp_path / "scene", "sparse", "images")
+    (root / "sparse" / "points3D.txt").write_text("1 0.5 1 1.5 10 20 30 0.5 1 0\n")
+    assert main(["inspect", str(root), "--output", str(tmp_path / "out")]) == 0
+    assert "/world/place/points/0" in entities_of(tmp_path / "out" / "recording.rrd")
 
 
 def test_the_command_refuses_what_it_cannot_read_with_one_line(tmp_path, capfd):

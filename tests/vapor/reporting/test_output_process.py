@@ -14,7 +14,9 @@ import pytest
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
 from sequences.reading.counts import ImageCounts
+from tests.helpers.rerun_files import entities_of
 from tests.helpers.simulated_run import simulated_steps
 from tests.helpers.simulation import seen_at
 from vapor.reporting.beside import outputs_beside
@@ -58,19 +60,21 @@ def test_the_same_is_written_and_recorded_as_in_this_process(tmp_path, steps):
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()
     there.mkdir()
+    at_end = {"smoothed": Poses.stack([frame.world_from_camera for frame, _ in steps])}
     with RunOutputs(baselines(), here, **SETTINGS) as outputs:
         for frame, step in steps:
             outputs.add(frame, step)
-        same = outputs.record(skipped={"odd": 2}, images=ImageCounts(12))
+        same = outputs.record(skipped={"odd": 2}, images=ImageCounts(12), at_end=at_end)
     with outputs_beside(there, FILTER, seed=0, **SETTINGS) as outputs:
         for frame, step in steps:
             outputs.add(frame, step)
-        record = outputs.finish(skipped={"odd": 2}, images=ImageCounts(12))
+        record = outputs.finish(skipped={"odd": 2}, images=ImageCounts(12), at_end=at_end)
     assert sorted(path.name for path in there.iterdir()) == ["estimate.mcap", "recording.rrd"]
     assert (here / "estimate.mcap").read_bytes() == (there / "estimate.mcap").read_bytes()
     for name in ("times_ns", "covariance", "num_modes", "best_weight", "step_ms"):
         np.testing.assert_array_equal(getattr(record, name), getattr(same, name))
-    assert record.methods.keys() == same.methods.keys() >= {"kalman", "gaussian_sum", "filter"}
+    assert record.methods.keys() == same.methods.keys() >= {"kalman", "gaussian_sum", "filter", "smoothed"}
+    assert {"/world/path/smoothed", "/world/path/dead_reckoning"} <= entities_of(there / "recording.rrd")
     for name, trajectory in same.methods.items():
         np.testing.assert_array_equal(record.methods[name].poses.as_matrix(), trajectory.poses.as_matrix())
     assert record.skipped == {"odd": 2}

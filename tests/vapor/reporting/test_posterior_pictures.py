@@ -6,6 +6,7 @@ import pytest
 
 from filtering.se3 import Poses, rotation_from_rotvec
 from sequences.synthesize import synthesize, write_synthetic
+from tests.helpers.rerun_files import entities_of
 from tests.helpers.tiny_model import write_tiny_model
 from vapor.reporting.posterior_pictures import draw_posterior, hopf_coordinates, level_axis
 from vapor.reporting.rerun_shapes import frusta
@@ -56,7 +57,7 @@ def test_the_axis_that_is_shown_is_a_level_one():
 
 def test_a_frustum_has_every_edge_of_a_camera_that_looks_ahead():
     pose = Poses(LEVEL, np.array([1.0, 2.0, 3.0]))
-    (line,) = frusta(Poses.stack([pose]), size_m=0.4)
+    (line,) = frusta(Poses.stack([pose]), 0.4)
     corners = {tuple(np.round(p, 4)) for p in line}
     assert (1.0, 2.0, 3.0) in corners
     assert len(corners) == 5
@@ -86,3 +87,22 @@ def test_the_command_draws_one_image_and_says_how_good_its_posterior_is(tmp_path
     assert (tmp_path / "p.png").stat().st_size > 5000
     assert main([*words, "--image", "4"]) == 1
     assert "no image with a true pose in frames 4:5" in capfd.readouterr().err
+
+
+def test_the_command_records_the_posterior_in_space_when_asked_and_replaces_only_recordings(tmp_path, capfd):
+    write_synthetic(synthesize("dinner-table", seed=0, num_frames=2, width=64, height=48), tmp_path / "s.mcap")
+    model = write_tiny_model(tmp_path / "m.safetensors")
+    words = ["posterior", str(tmp_path / "s.mcap"), "--model", str(model), "--output", str(tmp_path / "p.png")]
+    words += ["--num-samples", "40"]
+    assert main(words) == 0
+    assert not (tmp_path / "p.rrd").exists()
+    for _ in range(2):  # the second time over its own
+        assert main([*words, "--recording"]) == 0
+        assert f"rerun {tmp_path / 'p.rrd'}" in capfd.readouterr().out
+    entities = entities_of(tmp_path / "p.rrd")
+    shown = {"/world/posterior", "/world/posterior/cameras", "/world/modes", "/world/camera", "/legend"}
+    assert shown | {"/world/place/posterior_samples_of_training_images"} <= entities
+    (tmp_path / "p.rrd").write_bytes(b"mine")
+    assert main([*words, "--recording"]) == 1
+    assert "p.rrd: exists and is no recording of Rerun" in capfd.readouterr().err
+    assert (tmp_path / "p.rrd").read_bytes() == b"mine"

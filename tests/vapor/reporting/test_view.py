@@ -1,16 +1,17 @@
 """The viewers: one that shows nothing, one that writes a Rerun recording."""
 
 import resource
-import subprocess
-import sys
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from filtering.errors import VaporTrackError
-from sequences.frame import Frame
+from filtering.se3 import Poses
+from sequences.frame import Frame, Trajectory
+from tests.helpers.rerun_files import entities_of
 from tests.helpers.simulated_run import simulated_steps
+from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_viewer import RerunViewer
 from vapor.reporting.viewer import NullViewer
 
@@ -18,13 +19,6 @@ from vapor.reporting.viewer import NullViewer
 @pytest.fixture(scope="module")
 def steps():
     return list(simulated_steps(25))
-
-
-def columns_of(path) -> set[str]:
-    """Entity paths in a recording, as the viewer's own tool reads them."""
-    command = [sys.executable, "-m", "rerun_cli", "rrd", "print", str(path)]
-    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    return {line.split(" - ")[1].strip() for line in text.splitlines() if line.startswith("Chunk(")}
 
 
 def test_the_null_viewer_takes_every_image_and_leaves_nothing(tmp_path, monkeypatch, steps):
@@ -52,7 +46,7 @@ def test_a_recording_holds_image_belief_paths_and_plots(tmp_path, steps):
     with RerunViewer(path) as viewer:
         for frame, step in steps:
             viewer.log(frame, step.estimate, step.estimate.particles)
-    entities = columns_of(path)
+    entities = entities_of(path)
     for entity in (
         "/world/camera",
         "/world/particles",
@@ -60,14 +54,31 @@ def test_a_recording_holds_image_belief_paths_and_plots(tmp_path, steps):
         "/world/posterior/cameras",
         "/world/modes",
         "/world/truth",
+        "/world/modes/weights",
+        "/world/modes/cameras",
         "/world/path/filter",
         "/world/path/truth",
         "/belief/best_weight",
-        "/belief/status",
-        "/error/translation_m",
-        "/error/rotation_deg",
+        "/status",
+        "/error/position/filter",
+        "/error/rotation/filter",
     ):
         assert entity in entities
+
+
+def test_the_place_and_what_is_known_at_the_end_are_recorded(tmp_path, steps):
+    path = tmp_path / "recording.rrd"
+    times_ns = np.array([frame.time_ns for frame, _ in steps])
+    truth = Trajectory(times_ns, Poses.stack([frame.world_from_camera for frame, _ in steps]))
+    with RerunViewer(path, place=Place(truth.poses, "training cameras")) as viewer:
+        for frame, step in steps:
+            viewer.log(frame, step.estimate, None)
+        viewer.log_at_end({"filter": truth, "smoothed": truth, "dead_reckoning": truth, "kalman": truth}, truth)
+    entities = entities_of(path)
+    assert {"/world/place/training_cameras", "/world/place/training_cameras/looking"} <= entities
+    for name in ("smoothed", "dead_reckoning"):
+        assert {f"/world/path/{name}", f"/error/position/{name}", f"/error/rotation/{name}"} <= entities
+    assert "/error/position/kalman" not in entities
 
 
 def test_without_truth_camera_posterior_and_with_large_images_the_rest_is_recorded(tmp_path, steps):
@@ -75,7 +86,7 @@ def test_without_truth_camera_posterior_and_with_large_images_the_rest_is_record
     with RerunViewer(path) as viewer:
         for i, (_, step) in enumerate(steps[:3]):
             viewer.log(Frame(i * 10**8, np.full((960, 1280, 3), 90, np.uint8)), step.estimate, None)
-    entities = columns_of(path)
+    entities = entities_of(path)
     assert {"/world/camera", "/world/particles", "/world/path/filter"} <= entities
 
 

@@ -1,0 +1,141 @@
+"""The place in which something is shown: what outlines it, how large it is, and from where all of it is seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float64
+
+from filtering.floors import up_axis
+from filtering.se3 import Poses
+from vapor.checkpoints.description import ModelDescription
+from vapor.reporting.rerun_shapes import frusta, thinned
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+_POINTS, _FRUSTA = 2000, 200
+_TAIL = 0.005  # of the positions, at either end of each axis: what networks say may lie anywhere
+_MARGIN = 0.05  # of the box that is looked at, in its diagonals
+_CAMERA, _SMALL_CAMERA = 0.05, 0.012  # sizes of cameras, in diagonals
+_AROUND_RAD, _DOWN_RAD = np.radians([30.0, 33.0])  # from where one looks at the long side of the place
+_HALF_VIEW = np.tan(np.radians(55.0 / 2))  # of Rerun's eye, up and down
+_FAINT = (105, 105, 112)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where something happens.
+
+    Attributes:
+        poses: Of cameras that outline it, world_from_camera, (n,), n ≥ 1.
+        what: What they are, in a few words.
+    """
+
+    poses: Poses
+    what: str
+
+    @staticmethod
+    def of_model(model: ModelDescription) -> Place:
+        """Where the training images of a model were taken, or what it says of that where it does not remember them."""
+        if model.memory_poses is not None:
+            return Place(thinned(model.memory_poses, _POINTS), "training cameras")
+        return Place(thinned(model.prior_poses, _POINTS), "posterior samples of training images")
+
+    @cached_property
+    def box(self) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+        """The lowest and the highest corner of the box around it, metres; a metre wide where all is one point."""
+        low, high = np.quantile(self.poses.translation, [_TAIL, 1.0 - _TAIL], axis=0)
+        if np.linalg.norm(high - low) < 1e-9:
+            return low - 0.5, high + 0.5
+        return low, high
+
+    @property
+    def diagonal_m(self) -> float:
+        """Of the box."""
+        low, high = self.box
+        return float(np.linalg.norm(high - low))
+
+    @property
+    def camera_m(self) -> float:
+        """How large a camera is drawn that is to be seen among all the rest, metres."""
+        return _CAMERA * self.diagonal_m
+
+    @property
+    def small_camera_m(self) -> float:
+        """How large one of many cameras is drawn, metres."""
+        return _SMALL_CAMERA * self.diagonal_m
+
+    @cached_property
+    def up(self) -> Float64[np.ndarray, "3"]:
+        """The axis that is up."""
+        return up_axis(self.poses)
+
+    def first_view(self) -> rrb.EyeControls3D:
+        """From obliquely above its long side, from as near as all of it is in view."""
+        import rerun.blueprint as rrb
+
+        eye, target = whole_view(*self.box, self.up)
+        return rrb.EyeControls3D(position=eye, look_target=target, eye_up=self.up)
+
+    def log(self, stream: rr.RecordingStream) -> None:
+        """Show it: which way is up, and its cameras, faint and small."""
+        self.log_up(stream)
+        entity = f"world/place/{self.what.replace(' ', '_')}"
+        log_cameras(stream, entity, self.poses, _FAINT, size_m=self.small_camera_m)
+
+    def log_up(self, stream: rr.RecordingStream) -> None:
+        """Say which way is up."""
+        import rerun as rr
+
+        axis = int(np.argmax(np.abs(self.up)))
+        name = f"RIGHT_HAND_{'XYZ'[axis]}_{'UP' if self.up[axis] > 0 else 'DOWN'}"
+        stream.log("world", getattr(rr.ViewCoordinates, name), static=True)
+
+
+def whole_view(
+    low: Float64[np.ndarray, "3"], high: Float64[np.ndarray, "3"], up: Float64[np.ndarray, "3"]
+) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """Where to stand and what to look at so that a box is seen as a whole, in a view that is no higher than wide.
+
+    Args:
+        low: Its lowest corner, metres.
+        high: Its highest corner.
+        up: The axis of the world, or its opposite, that is up.
+    """
+    sides = high - low
+    level = [axis for axis in range(3) if up[axis] == 0.0]
+    long, short = (np.eye(3)[axis] for axis in sorted(level, key=lambda axis: -sides[axis]))
+    ahead = np.cos(_DOWN_RAD) * (np.cos(_AROUND_RAD) * short - np.sin(_AROUND_RAD) * long) - np.sin(_DOWN_RAD) * up
+    across = np.cross(ahead, up)
+    across /= np.linalg.norm(across)
+    target = (low + high) / 2
+    half = sides / 2 + _MARGIN * float(np.linalg.norm(sides))
+    corners = half * np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3)
+    aside = np.abs(corners @ np.stack([across, np.cross(across, ahead)], axis=1)).max(axis=1)
+    return target - float((aside / _HALF_VIEW - corners @ ahead).max()) * ahead, target
+
+
+def log_cameras(
+    stream: rr.RecordingStream, entity: str, poses: Poses, color: tuple[int, int, int], *, size_m: float
+) -> None:
+    """Show many cameras (n,), which never change, as points, and which way some of them look.
+
+    Args:
+        stream: Where to.
+        entity: Path of the points.
+        poses: world_from_camera, (n,).
+        color: Of all.
+        size_m: Of those that are drawn as cameras, metres.
+    """
+    import rerun as rr
+
+    points = thinned(poses, _POINTS).translation.astype(np.float32)
+    lines = frusta(thinned(poses, _FRUSTA), size_m)
+    stream.log(entity, rr.Points3D(points, colors=color, radii=rr.Radius.ui_points(1.5)), static=True)
+    strips = rr.LineStrips3D(lines, colors=color, radii=rr.Radius.ui_points(0.5))
+    stream.log(f"{entity}/looking", strips, static=True)
