@@ -67,7 +67,7 @@ def test_every_image_is_localized_and_what_a_robot_needs_is_published(walk: Path
         assert len(run.messages("pose")) >= 12
         time.sleep(0.1)  # odometry behind the last image
         bases = run.messages("base_pose")
-        assert len(bases) > 40, "one for each message of odometry"
+        assert len(bases) > 24, "between images, too: one for each message of odometry where nothing waits"
         for base in bases:
             metres, _ = pose_from_message(base.pose.pose).distance(world_from_base(np.array(stamp(base.header))))
             assert metres < 0.1
