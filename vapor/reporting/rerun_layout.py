@@ -22,6 +22,8 @@ TRUTH = (245, 245, 245)
 """Of the true pose and path."""
 _GREEN, _VIOLET = (0, 158, 115), (165, 105, 225)
 _PATHS = ("filter", "truth", "smoothed", "dead_reckoning")
+FOLLOWED = "world/followed"
+"""The point that a live view follows from outside; where a camera itself is followed, Rerun looks out of it."""
 ERROR_CURVES = ("filter", "smoothed", "dead_reckoning")
 """The methods whose errors are plotted."""
 _STATUS = {"converged": (60, 150, 110), "ambiguous": (225, 150, 60), "lost": (181, 66, 59)}
@@ -81,7 +83,9 @@ def log_styles(stream: rr.RecordingStream) -> None:
     for entity, style in {
         "world/posterior": rr.Points3D.from_fields(radii=ui([1.2]), colors=[orange]),
         "world/posterior/cameras": rr.LineStrips3D.from_fields(radii=ui([0.4]), colors=[orange]),
-        "world/modes": rr.Ellipsoids3D.from_fields(line_radii=ui([1.0])),
+        "world/modes": rr.Ellipsoids3D.from_fields(
+            line_radii=ui([1.0]), fill_mode=rr.components.FillMode.MajorWireframe
+        ),
         "world/modes/weights": rr.Points3D.from_fields(radii=ui([3.0]), show_labels=True),
         "world/modes/cameras": rr.LineStrips3D.from_fields(radii=ui([1.2])),
         "world/truth": rr.LineStrips3D.from_fields(radii=ui([1.5]), colors=[TRUTH]),
@@ -112,7 +116,8 @@ def run_blueprint(place: Place | None = None, *, live: bool = False) -> rrb.Blue
 
     paths = {f"world/path/{name}": rrb.VisibleTimeRanges([last(300)]) for name in _PATHS}
     legend = rrb.PlotLegend(rrb.Corner2D.LeftBottom if live else rrb.Corner2D.RightBottom)
-    eye = rrb.EyeControls3D(tracking_entity="world/camera") if live else place and place.first_view()
+    followed = FOLLOWED if live else None
+    eye = rrb.EyeControls3D(tracking_entity=followed) if place is None else place.first_view(followed)
     errors = [
         ("error/position", "error of position, log10 of metres (-1: 10 cm, 0: 1 m)"),
         ("error/rotation", "error of rotation, log10 of degrees (0: 1°, 1: 10°)"),

@@ -12,7 +12,7 @@ from vapor.reporting.rerun_shapes import as_jpeg, pinhole, stand_in_camera
 if TYPE_CHECKING:
     import rerun as rr
 
-_MOST = 300  # of one recording: Rerun keeps each apart
+_MOST = 150  # of one recording: Rerun keeps each apart, and of more in one place all are selected
 _SMALL_SIDE = 240  # pixels
 
 
@@ -65,7 +65,7 @@ class Photograph:
 
 
 class Photographs:
-    """Images of frames with a true pose, small, and evenly spaced where there are more than 300."""
+    """Images of frames with a true pose, small, and evenly spaced where there are more than 150."""
 
     def __init__(self) -> None:
         self._every, self._seen = 1, 0

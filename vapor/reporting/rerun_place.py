@@ -75,12 +75,16 @@ class Place:
         """The axis that is up."""
         return up_axis(self.poses)
 
-    def first_view(self) -> rrb.EyeControls3D:
-        """From obliquely above its long side, from as near as all of it is in view."""
+    def first_view(self, followed: str | None = None) -> rrb.EyeControls3D:
+        """From obliquely above its long side, from as near as all of it is in view.
+
+        Args:
+            followed: Entity that is followed from there; None for none.
+        """
         import rerun.blueprint as rrb
 
         eye, target = whole_view(*self.box, self.up)
-        return rrb.EyeControls3D(position=eye, look_target=target, eye_up=self.up)
+        return rrb.EyeControls3D(position=eye, look_target=target, eye_up=self.up, tracking_entity=followed)
 
     def log(self, stream: rr.RecordingStream) -> None:
         """Show it: which way is up, and its cameras, faint and small."""

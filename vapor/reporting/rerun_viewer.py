@@ -19,7 +19,7 @@ from filtering.estimate import Estimate, Status
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame, Trajectory
 from vapor.reporting.rerun_hypotheses import BEST, HypothesisColors
-from vapor.reporting.rerun_layout import ERROR_CURVES, log_run_styles, run_blueprint
+from vapor.reporting.rerun_layout import ERROR_CURVES, FOLLOWED, log_run_styles, run_blueprint
 from vapor.reporting.rerun_modes import shown_modes
 from vapor.reporting.rerun_place import Place
 from vapor.reporting.rerun_recording import Recording, load_rerun
@@ -92,6 +92,7 @@ class RerunViewer:
         self._last_best: Poses | None = None
         self._last_truth: Poses | None = None
         self._last_status: Status | None = None
+        self._live = live
         self._camera_m = _UNKNOWN_M if place is None else place.camera_m
         self._small_camera_m = _UNKNOWN_SMALL_M if place is None else place.small_camera_m
         self._colors = HypothesisColors(self._camera_m)
@@ -133,6 +134,8 @@ class RerunViewer:
         self._rows.add(
             "world/camera", rr.Transform3D, translation=best.translation[None], mat3x3=best.rotation.reshape(1, 9)
         )
+        if self._live:
+            self._rows.add(FOLLOWED, rr.Points3D, positions=best.translation[None].astype(np.float32))
         moved = np.zeros(3) if frame.odometry is None else frame.odometry.previous_from_current.translation
         limit_m = _JUMP_M + 1.5 * float(np.linalg.norm(moved))
         self._log_step("world/path/filter", self._last_best, best, limit_m=limit_m)

@@ -81,6 +81,14 @@ def test_the_place_and_what_is_known_at_the_end_are_recorded(tmp_path, steps):
     assert "/error/position/kalman" not in entities
 
 
+def test_a_live_view_has_a_point_to_follow_and_a_recorded_one_has_none(tmp_path, steps):
+    for live in (True, False):
+        path = tmp_path / f"{live}.rrd"
+        with RerunViewer(path, live=live) as viewer:
+            viewer.log(steps[0][0], steps[0][1].estimate, None)
+        assert ("/world/followed" in entities_of(path)) == live
+
+
 def test_without_truth_camera_posterior_and_with_large_images_the_rest_is_recorded(tmp_path, steps):
     path = tmp_path / "recording.rrd"
     with RerunViewer(path) as viewer:
