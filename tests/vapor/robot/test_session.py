@@ -73,7 +73,8 @@ def test_every_image_is_localized_and_what_a_robot_needs_is_published(walk: Path
             assert metres < 0.1
         stamps = [stamp(message.transforms[0].header) for message in run.messages("tf")]
         assert stamps == sorted(set(stamps)), "no transform comes twice with one stamp"
-        assert stamps[-1] - stamp(bases[-1].header) == NS // 10
+        ahead_ns = stamps[-1] - stamp(bases[-1].header)
+        assert 0 <= ahead_ns - NS // 10 <= 12, "a nanosecond more each time that the same odometry is told again"
         assert run.session.skipped == {}
 
 
