@@ -14,6 +14,7 @@ from typing import Any
 from sequences.atomic import is_workspace
 from sequences.outputs.manifest import MANIFEST, read_manifest
 from tests.helpers.exported import take_apart
+from tests.helpers.pages import ReadPage
 from tests.helpers.tiny_model import SMALL
 from vapor.engines.onnx_file import describe_onnx
 from vapor.tensor_files import CHECKSUM, read_safetensors
@@ -111,6 +112,9 @@ def told(path: Path) -> Any:
         return describe_onnx(path).training, take_apart(path.read_bytes())[0]
     if path.suffix == ".json":
         return json.loads(path.read_text(), object_hook=lambda o: {k: v for k, v in o.items() if k not in TIMES})
+    if path.suffix == ".html":
+        page = ReadPage.of(path.read_text())
+        return re.sub(r"[\d.]+ and [\d.]+ ms|[\d.]+ MB", "", page.words), page.data if page.scripts else None
     return None if path.suffix in NEVER_ALIKE else path.read_bytes()
 
 
