@@ -12,7 +12,8 @@ from typing import Any
 
 from sequences.atomic import atomic_output
 from sequences.trajectories.tum import write_tum
-from vapor.reporting.beside import write_pictures, write_run_page
+from vapor.reporting.beside import write_page, write_pictures
+from vapor.reporting.html.run_page import run_page
 from vapor.reporting.pictures import PICTURES
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import build_report, doubtful_notice, write_report, write_status
@@ -86,6 +87,6 @@ def write_results(
     write_report(directory / "report.json", report)
     doubtful = doubtful_notice(record)
     told = (*notices, doubtful) if doubtful else tuple(notices)
-    page = directory / "report.html"
-    write_run_page(page, record, report, title=title, settings=settings, notices=told, command=command)
+    page = run_page(record, report, title=title, settings=settings, notices=told, command=command)
+    write_page(directory / "report.html", page)
     return RunResult(record, report, tuple(picture.name for picture in pictures), told)

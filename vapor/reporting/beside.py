@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from filtering.config import LocalizerConfig
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
+from vapor.reporting.html.page import Page
 from vapor.reporting.output_process import OutputProcess, output_process
 from vapor.reporting.peak_memory import peak_rss_mb
 from vapor.reporting.record import RunRecord
@@ -79,16 +79,7 @@ def write_pictures(record: RunRecord, directory: Path, *, title: str) -> list[Pa
         return process.ask("pictures", record, directory, title)
 
 
-def write_run_page(
-    path: Path,
-    record: RunRecord,
-    report: Mapping[str, Any],
-    *,
-    title: str,
-    settings: Mapping[str, Any],
-    notices: Sequence[str],
-    command: str,
-) -> None:
-    """Write the page of a run, see `vapor.reporting.html.run_page.run_page`."""
+def write_page(path: Path, page: Page) -> None:
+    """See `vapor.reporting.html.page.write_page`."""
     with output_process() as process:
-        process.ask("page", path, record, report, title, settings, notices, command)
+        process.ask("page", path, page)

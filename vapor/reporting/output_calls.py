@@ -6,11 +6,11 @@ import os
 import pickle
 import sys
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from importlib.abc import MetaPathFinder
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
-from vapor.reporting.html.page import write_page
-from vapor.reporting.html.run_page import run_page
+from vapor.reporting.html.page import Page, write_page
 from vapor.reporting.output_process import DISCARDED
 from vapor.reporting.pictures import write_pictures
 from vapor.reporting.record import RunRecord
@@ -78,18 +77,8 @@ class Calls:
         """Draw the pictures of a run, see `write_pictures`."""
         return write_pictures(record, directory, title=title)
 
-    def page(
-        self,
-        path: Path,
-        record: RunRecord,
-        report: Mapping[str, Any],
-        title: str,
-        settings: Mapping[str, Any],
-        notices: Sequence[str],
-        command: str,
-    ) -> None:
-        """Write the page of a run, see `run_page`."""
-        page = run_page(record, report, title=title, settings=settings, notices=notices, command=command)
+    def page(self, path: Path, page: Page) -> None:
+        """Write a page, see `write_page`."""
         write_page(path, page)
 
 

@@ -96,8 +96,8 @@ class Picture:
 
     def html(self, packed: dict[str, Any]) -> str:
         """See `Block`."""
-        below = f"<figcaption>{escape(self.caption)}</figcaption>" if self.caption else ""
-        return f'<figure><img src="{data_url(self.data)}" alt="{escape(self.alt)}" loading="lazy">{below}</figure>'
+        seen = f'<img src="{data_url(self.data)}" alt="{escape(self.alt)}" loading="lazy">'
+        return f"<figure>{seen}{_below(self.caption)}</figure>"
 
 
 @dataclass(frozen=True)
@@ -121,10 +121,9 @@ class Plot:
     def html(self, packed: dict[str, Any]) -> str:
         """See `Block`."""
         packed[self.name] = {"traces": self.traces, "layout": self.layout}
-        below = f"<figcaption>{escape(self.caption)}</figcaption>" if self.caption else ""
         return (
             f'<figure data-figure="{self.name}" aria-label="{escape(self.label)}"><div class="plot"></div>'
-            f"{below}</figure>"
+            f"{_below(self.caption)}</figure>"
         )
 
 
@@ -209,6 +208,10 @@ class Page:
             f"<main>{sections}</main><footer>Made by vapor-track. The file needs no network.</footer>{scripts}"
             "</body></html>\n"
         )
+
+
+def _below(caption: str) -> str:
+    return f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
 
 
 def write_page(path: Path, page: Page) -> None:
