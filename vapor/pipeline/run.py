@@ -92,7 +92,12 @@ def run_into(
         engine = {"device": observation.engine.device, "engine": observation.engine.name}
         settings = {"run": asdict(config) | engine, "reading": asdict(reading) | reader.resolved}
         settings = {
-            "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
+            "sequence": {
+                "name": sequence.name,
+                "images": reader.num_images,
+                "image_source": reader.image_description,
+                "odometry": reader.odometry_description,
+            },
             "model": {"name": model.name, "sha256": model.sha256},
             **settings,
         }

@@ -90,10 +90,10 @@ function scene(element, data) {
       if (Number(button.dataset.moment) <= at) chosen = button;
       button.setAttribute("aria-pressed", "false");
     }
-    if (chosen && seen) {
-      chosen.setAttribute("aria-pressed", "true");
-      seen.querySelector("img").src = chosen.querySelector("img").src;
-      seen.querySelector("figcaption").textContent = `Image at ${chosen.dataset.time} s`;
+    if (chosen) chosen.setAttribute("aria-pressed", "true");
+    if (seen) {
+      seen.querySelector("img").src = moment.image;
+      seen.querySelector("figcaption").textContent = `Image at ${moment.time_s.toFixed(1)} s`;
     }
     return paint();
   }
