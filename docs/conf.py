@@ -17,11 +17,22 @@ os.environ["OMP_NUM_THREADS"] = "1"
 project = "vapor-track"
 author = "the authors of vapor-track"
 html_title = project
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.extensions.mathml"]
+smartquotes = False  # they make a dash of the two hyphens of an option
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "docs.extensions.command_help",
+    "docs.extensions.docstrings",
+    "docs.extensions.mathml",
+    "docs.extensions.repository_files",
+]
 exclude_patterns = ["**.ipynb_checkpoints"]
 
 myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
+
+repository_pages = {"CHANGELOG.md": "changelog", "CONTRIBUTING.md": "contributing", "README.md": "index"}
 
 nb_execution_mode = "force"  # not from a cache, which would not notice that the library has changed
 nb_execution_in_temp = True
