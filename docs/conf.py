@@ -15,6 +15,7 @@ import vapor
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["BASH_ENV"] = str(ROOT / "docs" / "extensions" / "shell.sh")
 
 project = "vapor-track"
 author = "the authors of vapor-track"
