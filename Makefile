@@ -5,13 +5,14 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 ROS := .venv/ros-jazzy/.installed .venv/ros-kilted/.installed
 DATA := build/model-data
+DOCS := .venv/.docs-installed
 
 # What the models that ship learn from: 16 walks of each scene, and four that are held out.
 SCENES := staircase ceiling
 WALKS := $(foreach seed,$(shell seq 0 15),$(DATA)/%-$(seed).mcap)
 HELD_OUT := $(foreach seed,100 101 102 103,$(DATA)/%-held-out-$(seed).mcap)
 
-.PHONY: demo live-demo test ros check fuzz models clean
+.PHONY: demo live-demo test ros check docs docs-links fuzz models clean
 
 demo: $(INSTALLED)
 	$(BIN)/vapor-track demo
@@ -25,6 +26,22 @@ check: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright --project pyproject.toml --level error
 	$(BIN)/lint-imports
+
+# The documentation site, in build/site: anew, with every code cell run, and with no warning. `make docs FRESH=` builds
+# only the pages that have changed.
+FRESH := --fresh-env
+docs: $(DOCS)
+	$(BIN)/python -m sphinx --builder html $(FRESH) --nitpicky --fail-on-warning --keep-going --jobs 2 --quiet \
+	    --doctree-dir build/doctrees docs build/site
+
+# Whether addresses outside of the site answer; where there is no network, none does. `make docs` checks the others.
+docs-links: $(DOCS)
+	$(BIN)/python -m sphinx --builder linkcheck --define nb_execution_mode=off --quiet \
+	    --doctree-dir build/doctrees-links docs build/links
+
+$(DOCS): pyproject.toml | $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --group docs
+	touch $@
 
 # Damaged files for every reader; `make fuzz SECONDS=60 FUZZ="--reader mcap-zstd --seed 1"`, see tests/fuzz.
 SECONDS ?= 600
