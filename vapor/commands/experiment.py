@@ -15,10 +15,11 @@ from tyro.extras import literal_type_from_choices
 from sequences.atomic import atomic_output
 from sequences.outputs.claims import claim_folder
 from sequences.scenes import SCENES
-from vapor.commands.console import OutputPath, Overwrite, SharedOutputPath, bar, command_line, show, usage_error
+from vapor.commands.console import OutputPath, Overwrite, SharedOutputPath, command_line, show, usage_error
 from vapor.commands.experiment_progress import render, settings_of, trained
 from vapor.commands.experiment_sweeps import AlphaOptions, DecayOptions, run_alpha, run_decay
 from vapor.commands.named_settings import Preset, parse_named
+from vapor.commands.progress import progress
 from vapor.commands.workers import Scheduler, claim_shared, publish_results, workers_for
 from vapor.evaluation.trajectory import RIGHT
 from vapor.experiments.schedule import PAPER, SCHEDULES, Point, ScheduleConfig, ScheduleExperiment, summary
@@ -134,8 +135,8 @@ def _schedule(arguments: Sequence[str]) -> None:
     experiment = ScheduleExperiment(o.scene, o.output, o.config)
     render(experiment)
     courses: dict[str, list[Point]] = {}
-    with bar("training") as advance:
-        for schedule in SCHEDULES:
+    for schedule in SCHEDULES:
+        with progress(f"training, {schedule}", "steps") as advance:
             courses[schedule] = experiment.train(schedule, advance)
     figures = summary(courses)
     runs = {schedule: [asdict(point) for point in course] for schedule, course in courses.items()}

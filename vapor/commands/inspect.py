@@ -22,11 +22,11 @@ from vapor.commands.console import (
     Overwrite,
     command_line,
     parse,
-    progress_of,
     show,
     usage_error,
 )
 from vapor.commands.inspect_tables import parts, show_inspection
+from vapor.commands.progress import progress
 from vapor.engines.device import Device
 from vapor.engines.engine import EngineConfig
 from vapor.inspection.inspect import Inspection, inspect
@@ -91,8 +91,8 @@ def main(arguments: Sequence[str]) -> None:
             )
         photographs = Photographs()
         see = photographs.take if o.recording and directory is not None else lambda frame: None
-        with progress_of("inspect") as advance:
-            found = inspect(o.data, o.reading, model=model, seed=o.seed, see=see, progress=advance)
+        with progress() as told:
+            found = inspect(o.data, o.reading, model=model, seed=o.seed, see=see, progress=told.at)
         if directory is not None:
             if found.coverage is not None:
                 draw_map(directory / _MAP, found.coverage, found.predictions)
