@@ -120,17 +120,17 @@ def _shortage(error: Exception) -> str | None:
 
 
 def _overview() -> str:
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {summary}" for name, summary in COMMANDS.items()]
+    from vapor.commands.terminal import definitions, wrapped
+
     return "\n".join(
         [
             "usage: vapor-track COMMAND ...",
             "",
-            "Particle-filter camera localization that consumes learned pose posteriors.",
+            wrapped("Particle-filter camera localization that consumes learned pose posteriors."),
             "",
-            *lines,
+            definitions(COMMANDS),
             "",
-            "`vapor-track COMMAND --help` lists a command's options.",
+            wrapped("`vapor-track COMMAND --help` lists a command's options."),
         ]
     )
 

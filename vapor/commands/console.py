@@ -7,13 +7,14 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import redirect_stderr
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
 import tyro
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from filtering.errors import VaporTrackError, shortened
 from vapor.commands.narrow_tables import fitting
@@ -82,24 +83,34 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], defaul
     for notice in notices:
         say(f"vapor-track {command}: {notice}")
     given: dict[str, Any] = {} if default is None else {"default": default}
-    told, columns = io.StringIO(), os.environ.get("COLUMNS")
+    told, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
     try:
         if not {"-h", "--help"} & set(words):
             os.environ["COLUMNS"] = "1000000"  # of messages in a box, so that no word is broken
-        with redirect_stderr(told):
+        else:
+            os.environ["COLUMNS"] = str(width())  # of the terminal, which is not seen behind `helped`
+        with redirect_stderr(told), redirect_stdout(helped):
             return tyro.cli(options, prog=f"vapor-track {command}", args=words, **given)
     except VaporTrackError as error:  # a value that its dataclass refuses
         usage_error(command, str(error))
     except SystemExit:
-        if not told.getvalue():
-            raise
-        usage_error(command, _unboxed(told.getvalue()))
-    except OSError as error:  # in printing the help
-        raise_of_output(error)
+        if told.getvalue():
+            usage_error(command, _unboxed(told.getvalue()))
+        show(Text.from_ansi(helped.getvalue()))
+        raise
     finally:
         os.environ.pop("COLUMNS", None)
         if columns is not None:
             os.environ["COLUMNS"] = columns
+
+
+class _Help(io.StringIO):
+    """Standard output while help is made: its lines are wrapped before they are printed, and coloured as there."""
+
+    encoding = property(lambda _: sys.stdout.encoding)  # with which boxes are drawn, where it has their lines
+
+    def isatty(self) -> bool:
+        return color_system() is not None and sys.__stdout__ is not None and sys.__stdout__.isatty()
 
 
 def _unboxed(text: str) -> str:
@@ -121,15 +132,15 @@ def usage_error(command: str, message: str) -> NoReturn:
     sys.exit(2)
 
 
-def show(content: str | Table) -> None:
-    """Print text or a table on standard output; at a terminal no line is longer than it, see `fitting`."""
+def show(content: str | Text | Table) -> None:
+    """Print text or a table on standard output; no line of a table, nor at a terminal of text, is longer than fits."""
     if isinstance(content, str):
         at_terminal = sys.stdout is not None and sys.stdout.isatty()
         write("\n".join(map(wrapped, content.splitlines())) if at_terminal else content)
         return
     console = Console(highlight=False, markup=False, width=width(), color_system=color_system())
     try:
-        console.print(fitting(content, console))
+        console.print(fitting(content, console) if isinstance(content, Table) else content)
     except OSError as error:
         raise_of_output(error)
 

@@ -20,6 +20,7 @@ from vapor.commands.experiment_progress import render, settings_of, trained
 from vapor.commands.experiment_sweeps import AlphaOptions, DecayOptions, run_alpha, run_decay
 from vapor.commands.named_settings import Preset, parse_named
 from vapor.commands.progress import progress
+from vapor.commands.terminal import definitions
 from vapor.commands.workers import Scheduler, claim_shared, publish_results, workers_for
 from vapor.evaluation.trajectory import RIGHT
 from vapor.experiments.schedule import PAPER, SCHEDULES, Point, ScheduleConfig, ScheduleExperiment, summary
@@ -82,9 +83,9 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     kinds = {"alpha": run_alpha, "decay": run_decay, "schedule": _schedule, "table": _table}
     if arguments[:1] in (["-h"], ["--help"]):
-        show("usage: vapor-track experiment alpha|decay|schedule|table ...\n")
+        show("usage: vapor-track experiment KIND ...\n")
         show("Many training runs; each kind has its own --help.\n")
-        show("\n".join(f"  {kind:<8} {options.__doc__}" for kind, options in _OPTIONS.items()))
+        show(definitions({kind: (options.__doc__ or "").split("\n", 1)[0] for kind, options in _OPTIONS.items()}))
         return
     if not arguments or arguments[0] not in kinds:
         usage_error("experiment", f"expected one of {', '.join(kinds)} first")

@@ -15,7 +15,7 @@ _WIDE = 10_000
 def fitting(table: Table, console: Console) -> RenderableType:
     """A table if it fits the console's width with every figure whole and in one line; else a block for each row.
 
-    A block is headed by the row's first cell, and has a line with heading and cell for each of the others.
+    A block is headed by heading and cell of the first column, and has a line with those of each of the others.
     """
     shown = _rendered(table, console, console.width)
     words = _words(_rendered(table, console, _WIDE))
@@ -37,7 +37,7 @@ def _words(text: str) -> list[str]:
 def _blocks(table: Table) -> list[RenderableType]:
     """Title, blocks and caption."""
     names, *columns = ([_plain(cell) for cell in column.cells] for column in table.columns)
-    headings = [re.sub(r"-\n|\n", lambda m: " " if m[0] == "\n" else "", _plain(c.header)) for c in table.columns[1:]]
+    first, *headings = (_plain(column.header).replace("-\n", "").replace("\n", " ").strip() for column in table.columns)
     blocks: list[RenderableType] = [Text(_plain(table.title), style="italic")] if table.title else []
     for name, row, cells in zip(names, table.rows, zip(*columns, strict=True), strict=True):
         block = Table.grid(padding=(0, 2, 0, 0))
@@ -45,8 +45,9 @@ def _blocks(table: Table) -> list[RenderableType]:
         block.add_column()
         for heading, cell in zip(headings, cells, strict=True):
             if cell.strip():
-                block.add_row(heading.strip(), re.sub(r" *\n *", "\n", re.sub(r"  +", "  ", cell.strip())))
-        blocks += [Text(" ".join(name.split()), style=row.style or "bold"), Padding(block, (0, 0, 0, 2))]
+                block.add_row(heading, re.sub(r" *\n *", "\n", re.sub(r"  +", "  ", cell.strip())))
+        head = f"{first}: {name}" if first else name
+        blocks += [Text(" ".join(head.split()), style=row.style or "bold"), Padding(block, (0, 0, 0, 2))]
     return [*blocks, *([Text(_plain(table.caption), style="italic")] if table.caption else [])]
 
 

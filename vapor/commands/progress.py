@@ -37,7 +37,7 @@ class Pace:
     def reach(self, done: int) -> None:
         """So many are done now."""
         now_s, points = self._clock(), self._points
-        if len(points) > 2 and points[-1][0] - points[-2][0] < _SAMPLE_S:
+        if len(points) > 2 and now_s - points[-2][0] < _SAMPLE_S:
             points.pop()
         points.append((now_s, done))
         while len(points) > 2 and points[1][0] <= (self.begin_s + now_s) / 2.0:

@@ -107,8 +107,6 @@ def _train(options: Options) -> None:
 
 def _tell(told: Progress, now: Where) -> None:
     """Show where a training stands."""
-    for note in now.notes:
-        told.note(note)
     figures = ""
     if now.loss is not None:
         figures = f"epoch {now.epoch}/{now.epochs}, loss {now.loss:.3f}"
@@ -116,6 +114,8 @@ def _tell(told: Progress, now: Where) -> None:
         held_out = f"{_recalls(now.validation)}, log density {now.validation.log_density:.2f}"
         figures += f", held out at epoch {now.validation.epoch}: {held_out}"
     told.at(now.stage, now.done, now.total, unit="images" if now.loss is None else "steps", figures=figures)
+    for note in now.notes:
+        told.note(note)
 
 
 def _summary(result: TrainResult, output: Path) -> str:
