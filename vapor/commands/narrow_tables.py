@@ -1,9 +1,11 @@
-"""Tables where a terminal is too narrow for them: a block for each row instead."""
+"""Tables where a terminal is too narrow for them: without lines, or a block for each row instead."""
 
 from __future__ import annotations
 
 import re
+from copy import copy
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
@@ -13,15 +15,25 @@ _WIDE = 10_000
 
 
 def fitting(table: Table, console: Console) -> RenderableType:
-    """A table if it fits the console's width with every figure whole and in one line; else a block for each row.
+    """A table, or it without its lines, if it fits the width with every figure in one line; else a block for each row.
 
     A block is headed by heading and cell of the first column, and has a line with those of each of the others.
     """
-    shown = _rendered(table, console, console.width)
     words = _words(_rendered(table, console, _WIDE))
-    figures = (line for column in table.columns[1:] for cell in column.cells for line in _plain(cell).splitlines())
-    fits = _words(shown) == words and all(figure.strip() in shown for figure in figures)
-    return table if fits else Group(*_blocks(table))
+    cells = [_plain(cell) for column in table.columns[1:] for cell in column.cells]
+    figures = {line.strip() for cell in cells for line in cell.splitlines()}
+    for each in (table, _narrow(table)):
+        shown = _rendered(each, console, console.width)
+        if _words(shown) == words and all(figure in shown for figure in figures):
+            return each
+    return Group(*_blocks(table))
+
+
+def _narrow(table: Table) -> Table:
+    """The same with a space between columns, and no lines but that below the headings."""
+    narrow = copy(table)
+    narrow.box, narrow.padding, narrow.pad_edge, narrow.show_edge = SIMPLE_HEAD, (0, 0), False, False
+    return narrow
 
 
 def _rendered(table: Table, console: Console, width: int) -> str:

@@ -107,6 +107,8 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, ta
     show_images(report["images"])
     show_skipped(report["skipped"])
     show_notices(result.notices)
+    if result.engine:
+        show(f"engine     {result.engine}")
     show_files(output, result.pictures, recording=recording)
     if result.few_images is not None:
         show(result.few_images)

@@ -97,9 +97,13 @@ def test_more_than_expected_is_all_and_nothing_done_is_not_told(capsys):
 
 
 def test_after_an_error_a_log_has_no_last_line(capsys):
-    with pytest.raises(ValueError, match="broken"), progress("localizing") as told:
-        told(3, 10)
-        raise ValueError("broken")
+    def broken():
+        with progress("localizing") as told:
+            told(3, 10)
+            raise ValueError("broken")
+
+    with pytest.raises(ValueError, match="broken"):
+        broken()
     assert capsys.readouterr().err == ""
 
 
