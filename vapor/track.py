@@ -120,19 +120,11 @@ def _shortage(error: Exception) -> str | None:
 
 
 def _overview() -> str:
-    from vapor.commands.terminal import definitions, wrapped
+    from vapor.commands.terminal import overview, wrapped
 
-    return "\n".join(
-        [
-            "usage: vapor-track COMMAND ...",
-            "",
-            wrapped("Particle-filter camera localization that consumes learned pose posteriors."),
-            "",
-            definitions(COMMANDS),
-            "",
-            wrapped("`vapor-track COMMAND --help` lists a command's options."),
-        ]
-    )
+    said = "Particle-filter camera localization that consumes learned pose posteriors."
+    listed = overview("vapor-track COMMAND", said, COMMANDS)
+    return "\n\n".join([listed, wrapped("`vapor-track COMMAND --help` lists a command's options.")])
 
 
 if __name__ == "__main__":

@@ -107,10 +107,17 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], defaul
 class _Help(io.StringIO):
     """Standard output while help is made: its lines are wrapped before they are printed, and coloured as there."""
 
-    encoding = property(lambda _: sys.stdout.encoding)  # with which boxes are drawn, where it has their lines
+    def __init__(self) -> None:
+        super().__init__()
+        self._stdout = sys.stdout
+
+    @property
+    def encoding(self) -> str | None:
+        """With which boxes are drawn by their own characters, or by others."""
+        return getattr(self._stdout, "encoding", None)
 
     def isatty(self) -> bool:
-        return color_system() is not None and sys.__stdout__ is not None and sys.__stdout__.isatty()
+        return color_system() is not None and self._stdout is not None and self._stdout.isatty()
 
 
 def _unboxed(text: str) -> str:

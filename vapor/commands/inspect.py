@@ -27,6 +27,7 @@ from vapor.commands.console import (
 )
 from vapor.commands.inspect_tables import parts, show_inspection
 from vapor.commands.progress import progress
+from vapor.commands.terminal import write
 from vapor.engines.device import Device
 from vapor.engines.engine import EngineConfig
 from vapor.inspection.inspect import Inspection, inspect
@@ -108,7 +109,7 @@ def main(arguments: Sequence[str]) -> None:
             write_report(directory / _REPORT, found.as_json())
             write_page(directory / _PAGE, _page(found, o, directory / _MAP, command_line("inspect", arguments)))
     if o.json:
-        show(json.dumps(found.as_json(), indent=2, sort_keys=True, allow_nan=False))
+        write(json.dumps(found.as_json(), indent=2, sort_keys=True, allow_nan=False))
         return
     show_inspection(found)
     if o.output is not None:

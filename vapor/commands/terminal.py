@@ -67,15 +67,21 @@ def wrapped(text: str) -> str:
     return textwrap.fill(text, max(width(), 1), **options)
 
 
-def definitions(meanings: Mapping[str, str]) -> str:
-    """Names and what each means, a line each, or more where lines are short."""
+def overview(command: str, said: str, meanings: Mapping[str, str]) -> str:
+    """Help of a command that has others: its usage, a sentence, and what each of the others does.
+
+    Args:
+        command: As it is typed, with a word for the others.
+        said: The sentence.
+        meanings: What each of the others does, by name.
+    """
     longest = max(map(len, meanings))
     options = {"break_on_hyphens": False, "subsequent_indent": " " * (longest + 4)}
     lines = (
         textwrap.fill(meaning, max(width(), longest + 20), initial_indent=f"  {name:<{longest}}  ", **options)
         for name, meaning in meanings.items()
     )
-    return "\n".join(lines)
+    return "\n".join([f"usage: {command} ...", "", wrapped(said), "", *lines])
 
 
 def flush_output() -> None:

@@ -16,6 +16,7 @@ from vapor.benchmark.live.traffic import read_walk
 from vapor.commands.benchmark.cells import new_table
 from vapor.commands.console import InputPath, parse, show
 from vapor.commands.progress import progress
+from vapor.commands.terminal import write
 from vapor.storage import fetched
 
 
@@ -64,7 +65,7 @@ def main(arguments: Sequence[str]) -> None:
     show(table)
     for outcome in outcomes:
         show(f"{outcome.said}: {', '.join(outcome.statuses)}")
-        show(json.dumps(asdict(outcome)))
+        write(json.dumps(asdict(outcome)))
 
 
 def _cells(o: Outcome) -> list[str]:
