@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from sequences.options import SequenceOptions
@@ -104,4 +104,5 @@ def run_into(
         notices = [*reader.notices, *observation.notices]
         if (trained := observation.description.memory_poses) is not None:
             notices += [told] if (told := told_unshown(record.methods["smoothed"].poses, trained)) else []
-        return write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)
+        result = write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)
+        return replace(result, engine=f"{engine['engine']} on {engine['device']}, {config.precision}")
