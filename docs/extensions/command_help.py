@@ -151,9 +151,8 @@ class CommandList(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """What the directive stands for."""
-        return self.parse_text_to_nodes(
-            "\n".join(f"[{name}](commands/{name}.md)\n: {COMMANDS[name]}\n" for name in COMMANDS)
-        )
+        entries = [f"[{name}](commands/{name}.md)\n: {meaning}\n" for name, meaning in COMMANDS.items()]
+        return self.parse_text_to_nodes("\n".join(entries))
 
 
 _HEADINGS = {"positional arguments": "Arguments", "options": "Options"}

@@ -57,8 +57,8 @@ def test_what_the_parser_does_not_know_is_found(text, found):
 
 
 def test_what_the_parser_knows_is_no_complaint():
-    text = "vapor-track run a --model=x --no-recording | tee log; vapor-track benchmark step --threads 2\nvapor-track --help"
-    assert [*unknown(text)] == []
+    line = "vapor-track run a --model=x --no-recording | tee log; vapor-track benchmark step --threads 2"
+    assert [*unknown(f"{line}\nvapor-track --help")] == []
 
 
 def test_the_reference_lists_everything_public():
@@ -92,7 +92,7 @@ def test_options_are_shown_with_value_default_and_group():
     assert options["--undistort"].names == ("--undistort", "--no-undistort")
     meaning, gap = shown.groups["localizer.gap"]
     assert meaning == "What is assumed where odometry is missing."
-    assert [each.names[0] for each in gap][0] == "--localizer.gap.action"
+    assert next(each.names[0] for each in gap) == "--localizer.gap.action"
 
 
 def test_defaults_that_follow_from_a_preset_are_those_of_its_command():
