@@ -129,7 +129,7 @@ class CommandHelp(SphinxDirective):
 
     def _parts(self, shown: Command) -> list[nodes.Node]:
         parts = self._parsed(shown.meaning)
-        parts.append(nodes.literal_block("", _usage(shown), language="text"))
+        parts.append(nodes.literal_block("", _usage(shown), language="text", classes=["usage"]))
         for name, (meaning, options) in shown.groups.items():
             entries = "\n".join([f"```{{program}} vapor-track {shown.words}\n```\n", *map(_entry, options)])
             content = [*self._parsed(meaning), *self.parse_text_to_nodes(entries)]
@@ -151,7 +151,8 @@ class CommandList(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """What the directive stands for."""
-        return self.parse_text_to_nodes("\n".join(f"[{name}](commands/{name}.md)\n: {COMMANDS[name]}\n" for name in COMMANDS))
+        entries = [f"[{name}](commands/{name}.md)\n: {meaning}\n" for name, meaning in COMMANDS.items()]
+        return self.parse_text_to_nodes("\n".join(entries))
 
 
 _HEADINGS = {"positional arguments": "Arguments", "options": "Options"}

@@ -18,15 +18,25 @@ import vapor
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
     app.connect("autodoc-process-docstring", _as_restructured_text, priority=400)  # before napoleon finds its sections
+    app.connect("autodoc-process-docstring", _with_colons, priority=600)
     app.connect("autodoc-process-signature", _readable)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def _as_restructured_text(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    lines[:] = "\n".join(_lines(line) for line in lines).splitlines()
+    lines[:] = map(_marked, lines)
+    if what in ("attribute", "property"):  # of which napoleon takes what is before a colon for the type
+        lines[:] = [line.replace(": ", _COLON) for line in lines]
 
 
-def _lines(line: str) -> str:
+def _with_colons(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    lines[:] = [line.replace(_COLON, ": ") for line in lines]
+
+
+_COLON = "\ue000"
+
+
+def _marked(line: str) -> str:
     parts = re.split(r"`([^`]+)`", line)
     return "".join(_code(part) if i % 2 else re.sub(r"([*|\\]|_(?!\w))", r"\\\1", part) for i, part in enumerate(parts))
 
