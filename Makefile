@@ -5,7 +5,6 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 ROS := .venv/ros-jazzy/.installed .venv/ros-kilted/.installed
 DATA := build/model-data
-DOCS := .venv/.docs-installed
 
 # What the models that ship learn from: 16 walks of each scene, and four that are held out.
 SCENES := staircase ceiling
@@ -30,18 +29,14 @@ check: $(INSTALLED)
 # The documentation site, in build/site: anew, with every code cell run, and with no warning. `make docs FRESH=` builds
 # only the pages that have changed.
 FRESH := --fresh-env
-docs: $(DOCS)
+docs: $(INSTALLED)
 	$(BIN)/python -m sphinx --builder html $(FRESH) --nitpicky --fail-on-warning --keep-going --jobs 2 --quiet \
 	    --doctree-dir build/doctrees docs build/site
 
 # Whether addresses outside of the site answer; where there is no network, none does. `make docs` checks the others.
-docs-links: $(DOCS)
+docs-links: $(INSTALLED)
 	$(BIN)/python -m sphinx --builder linkcheck --define nb_execution_mode=off --quiet \
 	    --doctree-dir build/doctrees-links docs build/links
-
-$(DOCS): pyproject.toml | $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --group docs
-	touch $@
 
 # Damaged files for every reader; `make fuzz SECONDS=60 FUZZ="--reader mcap-zstd --seed 1"`, see tests/fuzz.
 SECONDS ?= 600

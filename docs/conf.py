@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-# Code cells run in kernels of their own: with this checkout, its command, and one thread each, as they run side by side.
+# Code cells run in kernels of their own: with this checkout, its command, and one thread each, as two run at a time.
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 os.environ["OMP_NUM_THREADS"] = "1"
@@ -18,7 +18,7 @@ os.environ["BASH_ENV"] = str(ROOT / "docs" / "extensions" / "shell.sh")  # how t
 project = "vapor-track"
 author = "the authors of vapor-track"
 html_title = project
-smartquotes = False  # they make a dash of the two hyphens of an option
+smartquotes_action = "D"  # dashes; quotes stay as they are written
 extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
@@ -41,7 +41,14 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 120
 nb_merge_streams = True
 
-nitpick_ignore_regex = [(r"py:.*", r"(?!vapor\.).*")]  # what others define is not looked up: that needs a network
+# Of Python's names only `vapor.Name` and `vapor.Name.member` are looked up: those of others would need a network.
+nitpick_ignore_regex = [(r"py:.*", r"(?!vapor\.\w+(\.\w+)?$).*")]
+
+autodoc_member_order = "bysource"
+napoleon_use_ivar = True  # attributes of a class as one list
+napoleon_attr_annotations = False  # their types stand in its signature
+maximum_signature_line_length = 90  # a longer one has a line for each parameter
+toc_object_entries_show_parents = "hide"
 
 html_math_renderer = "mathml"
 html_theme = "furo"
@@ -49,3 +56,4 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sourcelink = False
+html_show_copyright = False

@@ -115,7 +115,7 @@ def _option(action: Action) -> Option:
 
 
 class CommandHelp(SphinxDirective):
-    """A section of usage, and one for each group of options."""
+    """What a command does, how it is called, and a section for each group of options."""
 
     required_arguments = 1
     final_argument_whitespace = True
@@ -123,8 +123,27 @@ class CommandHelp(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """What the directive stands for."""
         kinds = kinds_of(self.arguments[0])
-        text = "\n".join(line for words in kinds for line in _page(command(words), "#" * (1 + (len(kinds) > 1))))
-        return self.parse_text_to_nodes(text, allow_section_headings=True)
+        if len(kinds) == 1:
+            return self._parts(command(kinds[0]))
+        return [self._section(words.split()[1], words, self._parts(command(words))) for words in kinds]
+
+    def _parts(self, shown: Command) -> list[nodes.Node]:
+        parts = self._parsed(shown.meaning)
+        parts.append(nodes.literal_block("", _usage(shown), language="text", classes=["usage"]))
+        for name, (meaning, options) in shown.groups.items():
+            entries = "\n".join([f"```{{program}} vapor-track {shown.words}\n```\n", *map(_entry, options)])
+            content = [*self._parsed(meaning), *self.parse_text_to_nodes(entries)]
+            parts.append(self._section(_HEADINGS.get(name, f"--{name}.*"), f"{shown.words} {name}", content))
+        return parts
+
+    def _parsed(self, text: str) -> list[nodes.Node]:
+        return self.parse_text_to_nodes(_text(text)) if text else []
+
+    def _section(self, heading: str, name: str, content: Sequence[nodes.Node]) -> nodes.section:
+        title = nodes.literal("", heading) if heading.startswith("-") else nodes.Text(heading)
+        section = nodes.section("", nodes.title("", "", title), *content, names=[nodes.fully_normalize_name(name)])
+        self.state.document.note_implicit_target(section, section)
+        return section
 
 
 class CommandList(SphinxDirective):
@@ -132,33 +151,24 @@ class CommandList(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """What the directive stands for."""
-        return self.parse_text_to_nodes("\n".join(f"[{name}](commands/{name}.md)\n: {COMMANDS[name]}\n" for name in COMMANDS))
-
-
-def _page(shown: Command, level: str) -> Iterator[str]:
-    options = [option for _, group in shown.groups.values() for option in group]
-    if len(level) > 1:
-        yield f"{level} {shown.words}\n"
-    yield f"{_text(shown.meaning)}\n"
-    arguments = [option.value for option in options if not option.names]
-    needed = [f"{option.names[0]} {option.value}" for option in options if option.names and option.required]
-    yield f"```text\n{' '.join(['vapor-track', shown.words, *arguments, *needed, '[OPTIONS]'])}\n```\n"
-    for name, (meaning, group) in shown.groups.items():
-        yield f"{level}# {_HEADINGS.get(name, f'`--{name}.*`')}\n"
-        yield f"{_text(meaning)}\n"
-        yield f"```{{program}} vapor-track {shown.words}\n```\n"
-        for option in group:
-            yield from _entry(option)
+        entries = [f"[{name}](commands/{name}.md)\n: {meaning}\n" for name, meaning in COMMANDS.items()]
+        return self.parse_text_to_nodes("\n".join(entries))
 
 
 _HEADINGS = {"positional arguments": "Arguments", "options": "Options"}
 
 
-def _entry(option: Option) -> Iterator[str]:
+def _usage(shown: Command) -> str:
+    options = [option for _, group in shown.groups.values() for option in group]
+    arguments = [option.value for option in options if not option.names]
+    needed = [f"{option.names[0]} {option.value}" for option in options if option.names and option.required]
+    return " ".join(["vapor-track", shown.words, *arguments, *needed, "[OPTIONS]"])
+
+
+def _entry(option: Option) -> str:
     names = [f"{name} {option.value}".strip() for name in option.names] or [option.value]
-    yield f"````{{option}} {', '.join(names)}\n"
     ending = " **Required.**" if option.required else f" *Default:* `{option.default}`" if option.default else ""
-    yield f"{_text(option.help)}{ending}\n````\n"
+    return f"````{{option}} {', '.join(names)}\n\n{_text(option.help)}{ending}\n````\n"
 
 
 def _text(text: str) -> str:

@@ -1,4 +1,4 @@
-"""The Python API: a user's own observation model, and the README's example."""
+"""The Python API: a user's own observation model, and the example of README.md and docs/index.md."""
 
 import re
 
@@ -13,8 +13,6 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.synthesize import synthesize, write_synthetic
 from tests.helpers.checkout import CHECKOUT
-
-README = CHECKOUT / "README.md"
 
 ROUGH = ErrorModel(radius_m=1.0)
 
@@ -41,12 +39,13 @@ def test_a_users_own_observation_model_drives_the_filter():
 
 
 @pytest.mark.usefixtures("unchecked")
-def test_the_ten_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
-    blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), flags=re.DOTALL)
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_the_ten_lines_that_a_newcomer_sees_first_run(page, tmp_path, monkeypatch, capsys):
+    blocks = re.findall(r"```python\n(.*?)```", (CHECKOUT / page).read_text(encoding="utf-8"), flags=re.DOTALL)
     block = next((b for b in blocks if "ParticleLocalizer" in b), None)
-    assert block is not None, "the README shows no Python block with ParticleLocalizer"
+    assert block is not None, f"{page} shows no Python block with ParticleLocalizer"
     lines = [line for line in block.splitlines() if line.strip() and not line.startswith(("import", "from"))]
     assert len(lines) <= 12
     write_synthetic(synthesize("round-table", seed=3, num_frames=6, width=80, height=60), tmp_path / "sequence.mcap")
     monkeypatch.chdir(tmp_path)
-    exec(compile(block, "README.md", "exec"), {"__name__": "readme"})
+    exec(compile(block, page, "exec"), {"__name__": "page"})
