@@ -49,7 +49,10 @@ def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
     model = settings.get("model", {}).get("name")
     asked = f"{report['frames']} {kind} in {report['duration_s']:.0f} s, localized{f' by {model}' if model else ''}"
     odometry = sequence.get("odometry", settings.get("odometry"))
-    return f"{asked}. Odometry: {odometry}" if odometry else asked
+    if odometry is None:
+        return asked
+    kind = odometry.partition(": ")[0]  # of what is simulated, the noise
+    return f"{asked}. Odometry: {kind if kind.startswith('simulated') else odometry}"
 
 
 def verdict(report: Mapping[str, Any], record: RunRecord) -> str:

@@ -59,7 +59,10 @@ def test_what_is_synthetic_or_simulated_is_said_where_the_data_say_so(record):
     assert asked(sequence=synthetic) == "150 synthetic images in 15 s, localized. Odometry: simulated with drift"
     recorded = {"image_source": None, "odometry": "recorded: slam.txt"}
     assert asked(sequence=recorded) == "150 images in 15 s, localized. Odometry: recorded: slam.txt"
-    assert asked(odometry="simulated from poses") == "150 images in 15 s, localized. Odometry: simulated from poses"
+    assert (
+        asked(odometry="simulated from poses: scale 0.02, seed 0")
+        == "150 images in 15 s, localized. Odometry: simulated from poses"
+    )
     assert asked(sequence={"image_source": None, "odometry": None}) == "150 images in 15 s, localized"
 
 
