@@ -76,14 +76,15 @@ class ScheduleOptions:
     config: Annotated[ScheduleConfig, tyro.conf.arg(name="")] = field(default_factory=ScheduleConfig)
 
 
-_OPTIONS = {"alpha": AlphaOptions, "decay": DecayOptions, "schedule": ScheduleOptions, "table": TableOptions}
+KINDS = {"alpha": AlphaOptions, "decay": DecayOptions, "schedule": ScheduleOptions, "table": TableOptions}
+"""The kinds by name, with their options, whose docstring says what they do."""
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     kinds = {"alpha": run_alpha, "decay": run_decay, "schedule": _schedule, "table": _table}
     if arguments[:1] in (["-h"], ["--help"]):
-        meanings = {kind: (options.__doc__ or "").split("\n", 1)[0] for kind, options in _OPTIONS.items()}
+        meanings = {kind: (options.__doc__ or "").split("\n", 1)[0] for kind, options in KINDS.items()}
         write(overview("vapor-track experiment KIND", "Many training runs; each kind has its own --help.", meanings))
         return
     if not arguments or arguments[0] not in kinds:
