@@ -6,6 +6,7 @@ import os
 import sys
 from pathlib import Path
 
+from nbclient import NotebookClient
 from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -41,7 +42,8 @@ nb_execution_mode = "force"  # not from a cache, which would not notice that the
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600  # seconds a cell: a guard, also where other programs run
-nb_merge_streams = True
+nb_output_stderr = "remove"  # progress; errors end the build
+NotebookClient.coalesce_streams.default_value = True  # myst-nb's own way breaks lines where output came in parts
 
 # Of Python's names only `vapor.Name` and `vapor.Name.member` are looked up: those of others would need a network.
 nitpick_ignore_regex = [(r"py:.*", r"(?!vapor\.\w+(\.\w+)?$).*")]
