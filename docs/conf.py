@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 
-from nbclient import NotebookClient
+from myst_nb.core.execute import direct
 from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -43,7 +44,8 @@ nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600  # seconds a cell: a guard, also where other programs run
 nb_output_stderr = "remove"  # progress; errors end the build
-NotebookClient.coalesce_streams.default_value = True  # myst-nb's own way breaks lines where output came in parts
+# Output comes in parts, and myst-nb would break a line, or begin a block, with each; what runs the cells joins them.
+direct.single_nb_execution = partial(direct.single_nb_execution, coalesce_streams=True)
 
 # Of Python's names only `vapor.Name` and `vapor.Name.member` are looked up: those of others would need a network.
 nitpick_ignore_regex = [(r"py:.*", r"(?!vapor\.\w+(\.\w+)?$).*")]
