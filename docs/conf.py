@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from functools import partial
 from pathlib import Path
 
-from myst_nb.core.execute import direct
 from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -43,9 +41,7 @@ nb_execution_mode = "force"  # not from a cache, which would not notice that the
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600  # seconds a cell: a guard, also where other programs run
-nb_output_stderr = "remove"  # progress; errors end the build
-# Output comes in parts, and myst-nb would break a line, or begin a block, with each; what runs the cells joins them.
-direct.single_nb_execution = partial(direct.single_nb_execution, coalesce_streams=True)
+nb_merge_streams = True
 
 # Of Python's names only `vapor.Name` and `vapor.Name.member` are looked up: those of others would need a network.
 nitpick_ignore_regex = [(r"py:.*", r"(?!vapor\.\w+(\.\w+)?$).*")]
