@@ -17,6 +17,12 @@ os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.envir
 os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["BASH_ENV"] = str(ROOT / "docs" / "extensions" / "shell.sh")  # how the commands of code cells run
 
+# What code cells make to be looked at as a page of its own; copied beside the pages once all are written.
+MADE = ROOT / "build" / "site-made"
+MADE.mkdir(parents=True, exist_ok=True)
+os.environ["SITE_MADE"] = str(MADE)
+html_extra_path = [str(MADE)]
+
 project = "vapor-track"
 author = "the authors of vapor-track"
 html_title = project
