@@ -23,7 +23,7 @@ def test_the_demo_runs_with_the_model_that_ships(scene, tmp_path, monkeypatch, c
     monkeypatch.chdir(tmp_path)
     assert main(["demo", scene, "--frames", "6"]) == 0
     out, err = capsys.readouterr()
-    assert re.fullmatch(r"rendering: 6 images in \d+ s\nlocalizing: 6 images in \d+ s\n", err)
+    assert re.fullmatch(r"(rendering: .*\n)+(localizing: .*\n)+", err)
     for words in ("single image", "dead reckoning", "particle filter", "recording.rrd", "particles.png"):
         assert words in out
     report = json.loads((tmp_path / "demo" / scene / "report.json").read_text())
