@@ -15,7 +15,12 @@ sys.path.insert(0, str(ROOT))
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 os.environ["OMP_NUM_THREADS"] = "1"
-os.environ["BASH_ENV"] = str(ROOT / "docs" / "extensions" / "shell.sh")  # how the commands of code cells run
+
+# What code cells make to be looked at as a page of its own; copied beside the pages once all are written.
+MADE = ROOT / "build" / "site-made"
+MADE.mkdir(parents=True, exist_ok=True)
+os.environ["SITE_MADE"] = str(MADE)
+html_extra_path = [str(MADE)]
 
 project = "vapor-track"
 author = "the authors of vapor-track"

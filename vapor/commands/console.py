@@ -112,7 +112,7 @@ class _Help(io.StringIO):
         self._stdout = sys.stdout
 
     @property
-    def encoding(self) -> str | None:
+    def encoding(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
         """With which boxes are drawn by their own characters, or by others."""
         return getattr(self._stdout, "encoding", None)
 

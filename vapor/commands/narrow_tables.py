@@ -60,7 +60,7 @@ def _blocks(table: Table) -> list[RenderableType]:
                 block.add_row(heading, re.sub(r" *\n *", "\n", re.sub(r"  +", "  ", cell.strip())))
         head = f"{first}: {name}" if first else name
         blocks += [Text(" ".join(head.split()), style=row.style or "bold"), Padding(block, (0, 0, 0, 2))]
-    return [*blocks, *([Text(_plain(table.caption), style="italic")] if table.caption else [])]
+    return [*blocks, *([Text(_plain(table.caption), style="italic")] if table.caption else []), Text("")]
 
 
 def _plain(content: RenderableType | None) -> str:

@@ -20,10 +20,15 @@ LOG_EVERY_S = 10.0
 """Of lines in a log: least time between two."""
 _BAR, _BAR_FROM = 24, 80  # width of the bar, and of terminals that have one
 _SAMPLE_S = 0.1  # least time between two points of a pace
+_AGAIN = 0.25  # of the time to the first point
 
 
 class Pace:
-    """How long the rest takes, by the later half of the time so far: loading comes before, and what is done already."""
+    """How long the rest takes, by the later half of the time so far, as what was done already is found at once.
+
+    The time to the first, in which much is loaded, does not count; nothing is said until a quarter of it has passed
+    again, as workers have their first at about the same time.
+    """
 
     def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         """Begin.
@@ -32,10 +37,12 @@ class Pace:
             clock: Gives seconds.
         """
         self._clock, self.begin_s = clock, clock()
-        self._points = deque([(self.begin_s, 0)])  # time and number done; the first is from before half of the time
+        self._points: deque[tuple[float, int]] = deque()  # time and number done, from half of the time on and one more
 
     def reach(self, done: int) -> None:
         """So many are done now."""
+        if not done:
+            return
         now_s, points = self._clock(), self._points
         if len(points) > 2 and now_s - points[-2][0] < _SAMPLE_S:
             points.pop()
@@ -45,10 +52,12 @@ class Pace:
 
     def left_s(self, total: int) -> float | None:
         """Seconds until all are done; None where nothing is known yet."""
-        (begin_s, before), (reached_s, done) = self._points[0], self._points[-1]
-        if done <= before:
+        if not self._points:
             return None
-        expected_s = (total - done) * (reached_s - begin_s) / (done - before)
+        (from_s, before), (reached_s, done) = self._points[0], self._points[-1]
+        if done <= before or reached_s - from_s < _AGAIN * (from_s - self.begin_s):
+            return None
+        expected_s = (total - done) * (reached_s - from_s) / (done - before)
         return max(expected_s - (self._clock() - reached_s), 0.0)
 
     @property

@@ -144,7 +144,8 @@ def test_every_command_explains_its_options(command, capsys):
 )
 def test_the_usage_names_what_to_give(command, said, capsys):
     assert status_of([command, "--help"]) == 0
-    assert f" {said}" in capsys.readouterr().out.splitlines()[0]
+    usage, _, _ = capsys.readouterr().out.partition("\n\n")
+    assert f" {said}" in " ".join(usage.split())
 
 
 def test_the_help_of_train_lists_the_presets(capsys):

@@ -376,6 +376,7 @@ def test_a_table_that_does_not_fit_without_its_lines_is_a_block_for_each_row(cap
         "particle filter",
         "  median error  0.03 m  0.9°",
         "  success       no",
+        "",
     ]
 
 
