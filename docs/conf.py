@@ -39,7 +39,7 @@ repository_pages = {"CHANGELOG.md": "changelog", "CONTRIBUTING.md": "contributin
 nb_execution_mode = "force"  # not from a cache, which would not notice that the library has changed
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
-nb_execution_timeout = 120
+nb_execution_timeout = 600  # seconds a cell: a guard, also where other programs run
 nb_merge_streams = True
 
 # Of Python's names only `vapor.Name` and `vapor.Name.member` are looked up: those of others would need a network.

@@ -130,8 +130,6 @@ def find_floors(
         heights_m: Heights of the positions, metres.
         cells: Number of the cell of the plan that each is in.
     """
-    from scipy.signal import find_peaks  # loads all of SciPy's signals and statistics, which takes a while
-
     one = np.zeros(len(heights_m), np.int64), 1
     order = np.lexsort((heights_m, cells))
     gaps = np.diff(heights_m[order])
@@ -146,7 +144,7 @@ def find_floors(
     # How many cells have something at a height: a camera that stands counts once.
     counts = np.bincount(np.unique(np.column_stack([bins, cells]), axis=0)[:, 0], minlength=int(bins.max()) + 2)
     smooth = np.convolve(counts, np.hanning(_BINS // 2 + 3)[1:-1], mode="same")
-    peaks = find_peaks(np.concatenate([[0.0], smooth, [0.0]]), distance=round(0.7 * _BINS))[0] - 1
+    peaks = peaks_of(smooth, apart=round(0.7 * _BINS))
     if len(peaks) < 2:
         return one
     cuts = []
@@ -155,3 +153,27 @@ def find_floors(
         cuts.append(low_bin + int(np.median(np.flatnonzero(between <= between.min() + 0.05 * between.max()))))
     floor = np.searchsorted(cuts, bins, side="left")
     return np.unique(floor, return_inverse=True)[1].astype(np.int64), len(np.unique(floor))
+
+
+def peaks_of(values: Float64[np.ndarray, " n"], apart: int) -> Int64[np.ndarray, " p"]:
+    """Where values above 0 are higher than on both sides, without what is nearer than `apart` to a higher peak.
+
+    The same as `scipy.signal.find_peaks(values, distance=apart)` with zeros put around the values; but importing
+    `scipy.signal` loads SciPy's statistics as well, which takes half a second.
+
+    Args:
+        values: At least one.
+        apart: Least distance of two peaks, in indices.
+
+    Returns:
+        Indices in order; of equal values in a row the middle.
+    """
+    begins = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1])
+    ends = np.concatenate([begins[1:], [len(values)]]) - 1
+    runs = np.concatenate([[0.0], values[begins], [0.0]])
+    peaks = ((begins + ends) // 2)[(runs[1:-1] > runs[:-2]) & (runs[1:-1] > runs[2:])]
+    kept: list[int] = []
+    for peak in peaks[np.argsort(values[peaks])[::-1]].tolist():
+        if all(abs(peak - other) >= apart for other in kept):
+            kept.append(peak)
+    return np.array(sorted(kept), dtype=np.int64)

@@ -30,6 +30,7 @@ class SequenceReader:
         camera: Intrinsics of the undistorted images, as the file states their size; None where it has none.
         base_from_camera: Extrinsics, one pose; None where odometry is not read.
         num_images: Images in the file, all of it: for progress.
+        image_description: What the file says of its images, as `synthetic`; None where it says nothing.
         odometry_description: What the file says of where its odometry comes from; None where it says nothing.
     """
 
@@ -71,7 +72,9 @@ class SequenceReader:
         self.camera = self._image_camera.camera
         extrinsics = self._roles.extrinsics
         self.base_from_camera: Poses | None = extrinsics.body_from_camera if extrinsics is not None else None
-        self.odometry_description = self._bag.metadata.get(METADATA_NAME, {}).get("odometry")
+        said_of_itself = self._bag.metadata.get(METADATA_NAME, {})
+        self.image_description = said_of_itself.get("images")
+        self.odometry_description = said_of_itself.get("odometry")
         self._pairing: FramePairing | None = None  # of the latest iteration
         self._found_notices = self._bag.account_for(self._roles.image.name)
         self._found_notices += self._roles.truth.notices if self._roles.truth is not None else []

@@ -49,7 +49,7 @@ class SequenceWriter(MessageWriter):
             path: File to write.
             camera: Intrinsics of the images as they are written, with the distortion of a lens.
             base_from_camera: Extrinsics, one pose.
-            metadata: What the file should say of itself; `odometry` says where its odometry comes from.
+            metadata: What the file should say of itself; `images` and `odometry` say where these come from.
             jpeg_quality: Quality of images that are given as pixels, 0 to 100.
         """
         super().__init__(path)

@@ -120,19 +120,11 @@ def _shortage(error: Exception) -> str | None:
 
 
 def _overview() -> str:
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {summary}" for name, summary in COMMANDS.items()]
-    return "\n".join(
-        [
-            "usage: vapor-track COMMAND ...",
-            "",
-            "Particle-filter camera localization that consumes learned pose posteriors.",
-            "",
-            *lines,
-            "",
-            "`vapor-track COMMAND --help` lists a command's options.",
-        ]
-    )
+    from vapor.commands.terminal import overview, wrapped
+
+    said = "Particle-filter camera localization that consumes learned pose posteriors."
+    listed = overview("vapor-track COMMAND", said, COMMANDS)
+    return "\n\n".join([listed, wrapped("`vapor-track COMMAND --help` lists a command's options.")])
 
 
 if __name__ == "__main__":

@@ -12,11 +12,10 @@ import re
 import warnings
 from argparse import Action, ArgumentParser
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from inspect import cleandoc
-from io import StringIO
 from typing import Any, NoReturn
 from unittest.mock import patch
 
@@ -59,11 +58,8 @@ class Command:
 
 def kinds_of(name: str) -> Sequence[str]:
     """The kinds of a command, such as `experiment table`; itself where there are none."""
-    told = StringIO()
-    with redirect_stdout(told), suppress(SystemExit), patch.object(tyro, "cli", _given):
-        main([name, "--help"])
-    stated = re.match(rf"usage: vapor-track {name} ([\w-]+(?:\|[\w-]+)+)", told.getvalue())
-    return [f"{name} {kind}" for kind in stated[1].split("|")] if stated else [name]
+    kinds = getattr(import_module(f"vapor.commands.{name}"), "KINDS", ())
+    return [f"{name} {kind}" for kind in kinds] or [name]
 
 
 @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +57,7 @@ def convert(
     odometry_noise: OdometryNoise | None = None,
     frames: slice = slice(None),
     seed: int = 0,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ConversionSummary:
     """Write a data set as an MCAP sequence; images are copied, not encoded again.
 
@@ -70,6 +72,7 @@ def convert(
             is no recorded one either.
         frames: Which of the images.
         seed: Of the simulated odometry.
+        progress: Called after every image with the number done and the number of all.
 
     Raises:
         SequenceError: a file is missing, damaged or of an unknown layout, intrinsics are unknown or differ between
@@ -93,6 +96,7 @@ def convert(
     with SequenceWriter(output, camera=camera, base_from_camera=BASE_FROM_CAMERA, metadata=metadata) as writer:
         next_odometry = 0
         for i, file in enumerate(images.files):
+            progress(i + 1, len(images))
             time_ns = int(images.times_ns[i])
             try:
                 data = read_image_bytes(file)

@@ -1,14 +1,20 @@
 """Floors of a building: found where cameras were, the floor of a pose, and of a belief."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import find_peaks
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode
-from filtering.floors import Floors
+from filtering.floors import Floors, peaks_of
 from filtering.se3 import Poses
+from tests.helpers.checkout import CHECKOUT
 from tests.helpers.corridors import corridor
 from tests.helpers.simulated_run import true_walk
 
@@ -80,6 +86,37 @@ def test_the_landings_of_a_staircase_are_its_floors_and_no_half_landing_is_a_cut
     halfway = walk[flights == 0.5]
     shaken = (Poses(halfway.rotation, halfway.translation + up * np.eye(3)[2]) for up in (-0.2, 0.2))
     np.testing.assert_array_equal(*(found.of(each) for each in shaken))
+
+
+def scipys_peaks(values, apart):
+    return find_peaks(np.concatenate([[0.0], values, [0.0]]), distance=apart)[0] - 1
+
+
+def test_floors_are_those_that_the_peaks_of_scipy_give(monkeypatch):
+    walks = [
+        Poses.concatenate([corridor(0, 12, z_m=z) for z in (0.0, 3.0, 7.0)]),
+        corridor(0, 12),
+        true_walk(4000, floors=6),
+    ]
+    found = [Floors.found_in(walk) for walk in walks]
+    monkeypatch.setattr("filtering.floors.peaks_of", scipys_peaks)
+    assert found == [Floors.found_in(walk) for walk in walks]
+    assert [len(each.heights_m) if each is not None else 1 for each in found] == [3, 1, 6]
+
+
+@given(st.lists(st.integers(0, 6).map(float), min_size=1, max_size=40), st.integers(1, 12))
+def test_peaks_are_those_that_scipy_finds(values, apart):
+    assert peaks_of(np.array(values), apart).tolist() == scipys_peaks(np.array(values), apart).tolist()
+
+
+def test_finding_floors_does_not_load_the_signals_of_scipy():
+    code = "import sys; from filtering import floors; floors.peaks_of(floors.np.arange(3.0), 1); print(*sys.modules)"
+    python = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, capture_output=True, check=True
+    )
+    modules = python.stdout.decode().split()
+    assert "filtering.floors" in modules
+    assert not {"scipy.signal", "scipy.stats"} & {*modules}
 
 
 def test_one_floor_is_none_and_neither_is_nothing():

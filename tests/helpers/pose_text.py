@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from filtering.se3 import Poses
+from sequences.estimates.sequence import HYPOTHESIS
 
 FRAMES = 60  # of each of the two sequences
 
@@ -45,6 +46,16 @@ def write_named(path: Path, poses: Mapping[str, Poses], *, world_to_camera: bool
     np.random.default_rng(0).shuffle(lines)
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def file_of(path: Path, poses: Mapping[str, Poses]) -> Path:
+    """Poses as most estimators write them: of the world in the camera, by name."""
+    return write_named(path, poses, world_to_camera=True, extra="")
+
+
+def hypotheses(*each: tuple[int, float, Poses]) -> np.ndarray:
+    """Of one frame: the file of each, its weight, its pose."""
+    return np.array([(file, weight, pose.as_matrix()) for file, weight, pose in each], HYPOTHESIS)
 
 
 def _each(poses: Poses) -> list[Poses]:

@@ -1,5 +1,8 @@
 """Video as recordings have it, of images that are each unlike the next."""
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 
 import av
@@ -38,13 +41,25 @@ def encode(
     quiet = {"libx264": {"sc_threshold": "0"}, "libx265": {"x265-params": "log-level=none:scenecut=0"}}
     codec.options = {"crf": "16", **quiet.get(encoder, {}), **options}
     packets = []
-    for i, image in enumerate(images):
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24" if image.ndim == 3 else "gray")
-        frame.pts = i
-        packets += codec.encode(frame)
-    packets += codec.encode(None)
+    with scheduled_as_before():
+        for i, image in enumerate(images):
+            pixel_format = "rgb24" if image.ndim == 3 else "gray"
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format=pixel_format)
+            frame.pts = i
+            packets += codec.encode(frame)
+        packets += codec.encode(None)
     assert [p.pts for p in packets if p.is_keyframe] == list(range(0, len(images), GROUP))
     return [(int(p.pts or 0), bytes(p)) for p in packets]
+
+
+@contextmanager
+def scheduled_as_before() -> Iterator[None]:
+    """SVT-AV1 makes a thread of root's that encodes a real-time one: no other process would get its share any more."""
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, parameters)
 
 
 def video(packets: list[Packet], video_format: str = "h264") -> list[Told]:

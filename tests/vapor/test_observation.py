@@ -3,10 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.signal import find_peaks
 
 from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
+from filtering.floors import Floors
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
@@ -14,7 +16,8 @@ from filtering.se3 import Poses
 from tests.helpers.checkpoints import BOX
 from tests.helpers.observing import CONFIG, IMAGE, MODEL, observe, uncalibrated
 from vapor.checkpoints.calibration import Calibration
-from vapor.checkpoints.file_format import save_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.checkpoints.shipped_models import find_model
 from vapor.images import prepare
 from vapor.observation import VaporObservationModel
 from vapor.tensor_files import CheckpointError
@@ -102,6 +105,18 @@ def test_a_model_file_observes_as_the_checkpoint_it_was_saved_from(tmp_path):
     path = str(tmp_path / "m.safetensors")
     model = VaporObservationModel.from_checkpoint(path, num_samples=50, device="cpu", engine="torch")
     np.testing.assert_array_equal(observe(IMAGE, model=model).samples.translation, observe(IMAGE).samples.translation)
+
+
+@pytest.mark.parametrize("name", ["staircase", "ceiling"])
+def test_the_floors_of_the_models_that_ship_are_those_that_the_peaks_of_scipy_give(name, monkeypatch):
+    poses = load_checkpoint(find_model(name)).prior_poses
+    found = Floors.found_in(poses)
+    monkeypatch.setattr(
+        "filtering.floors.peaks_of",
+        lambda values, apart: find_peaks(np.concatenate([[0.0], values, [0.0]]), distance=apart)[0] - 1,
+    )
+    assert found == Floors.found_in(poses)
+    assert (found is not None) == (name == "staircase")
 
 
 def test_unknown_models_and_absent_devices_are_refused():

@@ -18,7 +18,8 @@ from vapor.calibration.calibrate_model import calibrate_model
 from vapor.calibration.places import REGIONS
 from vapor.checkpoints.file_format import is_model
 from vapor.checkpoints.shipped_models import find_model
-from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, show_notices, show_skipped, usage_error
+from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
+from vapor.commands.progress import progress
 from vapor.engines.device import Device
 from vapor.training_data.entries import files_read
 
@@ -60,7 +61,7 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("calibrate", f"images {o.images} and seed {o.seed}, expected at least 1 and 0")
     reads = chain([find_model(o.model)], files_read([*o.data, *o.training], o.reading))
     refuse_other(o.output, "model of vapor-track", is_model, reads=reads, overwrite=o.overwrite)
-    with bar("images") as advance:
+    with progress("calibrating") as advance:
         result = calibrate_model(
             o.model,
             o.data,

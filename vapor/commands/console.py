@@ -1,4 +1,4 @@
-"""What the commands share: reading options, progress bars, and how results are shown."""
+"""What the commands share: reading options, and how results are shown."""
 
 from __future__ import annotations
 
@@ -6,21 +6,20 @@ import io
 import os
 import shlex
 import sys
-from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
 import tyro
 from rich.console import Console
-from rich.measure import Measurement
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from filtering.errors import VaporTrackError, shortened
+from vapor.commands.narrow_tables import fitting
 from vapor.commands.renamed_options import with_new_names
-from vapor.commands.terminal import raise_of_output, say
+from vapor.commands.terminal import color_system, raise_of_output, say, width, wrapped, write
 from vapor.storage import is_url, local_path
 
 Options = TypeVar("Options")
@@ -68,7 +67,6 @@ Overwrite = Annotated[
     tyro.conf.arg(help="Write there even if something else is there, and replace what has the names of the results."),
 ]
 """Whether to replace what is not known to be results of an earlier call."""
-_MIN_WIDTH = 100  # of a table, where the output is no terminal
 
 
 def command_line(command: str, arguments: Sequence[str]) -> str:
@@ -85,24 +83,41 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], defaul
     for notice in notices:
         say(f"vapor-track {command}: {notice}")
     given: dict[str, Any] = {} if default is None else {"default": default}
-    told, width = io.StringIO(), os.environ.get("COLUMNS")
+    told, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
     try:
         if not {"-h", "--help"} & set(words):
             os.environ["COLUMNS"] = "1000000"  # of messages in a box, so that no word is broken
-        with redirect_stderr(told):
+        else:
+            os.environ["COLUMNS"] = str(width())  # of the terminal, which is not seen behind `helped`
+        with redirect_stderr(told), redirect_stdout(helped):
             return tyro.cli(options, prog=f"vapor-track {command}", args=words, **given)
     except VaporTrackError as error:  # a value that its dataclass refuses
         usage_error(command, str(error))
     except SystemExit:
-        if not told.getvalue():
-            raise
-        usage_error(command, _unboxed(told.getvalue()))
-    except OSError as error:  # in printing the help
-        raise_of_output(error)
+        if told.getvalue():
+            usage_error(command, _unboxed(told.getvalue()))
+        show(Text.from_ansi(helped.getvalue()))
+        raise
     finally:
         os.environ.pop("COLUMNS", None)
-        if width is not None:
-            os.environ["COLUMNS"] = width
+        if columns is not None:
+            os.environ["COLUMNS"] = columns
+
+
+class _Help(io.StringIO):
+    """Standard output while help is made: its lines are wrapped before they are printed, and coloured as there."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._stdout = sys.stdout
+
+    @property
+    def encoding(self) -> str | None:
+        """With which boxes are drawn by their own characters, or by others."""
+        return getattr(self._stdout, "encoding", None)
+
+    def isatty(self) -> bool:
+        return color_system() is not None and self._stdout is not None and self._stdout.isatty()
 
 
 def _unboxed(text: str) -> str:
@@ -124,87 +139,17 @@ def usage_error(command: str, message: str) -> NoReturn:
     sys.exit(2)
 
 
-@contextmanager
-def bar(verb: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on standard error; yields a function of the number done and of all."""
-    with progress_display() as display:
-        task = display.add_task(verb, total=None)
-        yield lambda done, total: display.update(task, completed=done, total=max(done, total))
-
-
-@contextmanager
-def progress_of(name: str) -> Iterator[Callable[[str, int, int | None], None]]:
-    """A bar of work in several stages; yields a function of the stage, the number done and of all where it is known.
-
-    A log gets a line a stage.
-    """
-    with progress_display() as display:
-        task, before = display.add_task(name, total=None), ""
-
-        def advance(stage: str, done: int, total: int | None) -> None:
-            nonlocal before
-            if stage != before and display.disable:
-                print(f"{name}: {stage}", file=sys.stderr, flush=True)
-            before = stage
-            display.update(task, description=f"{name}: {stage}", completed=done, total=total)
-
-        yield advance
-
-
-@contextmanager
-def progress_display(*columns: str) -> Iterator[Progress]:
-    """A display of bars, counts and times; further `columns` are formats of a task's fields.
-
-    Shown on terminals only, and gone after an error: what standard error then says is one line.
-    """
-    console = Console(stderr=True)
-    display = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        *(TextColumn(column) for column in columns),
-        console=console,
-        disable=not console.is_terminal,
-    )
-    with display:
-        try:
-            yield display
-        except BaseException:
-            display.live.transient = True
-            raise
-
-
-def show(content: Any) -> None:
-    """Print text or a table on standard output."""
-    console = Console(highlight=False, soft_wrap=isinstance(content, str), markup=False)
-    if not console.is_terminal:
-        console.width = max(console.width, _MIN_WIDTH)
+def show(content: str | Text | Table) -> None:
+    """Print text or a table on standard output; no line of a table, nor at a terminal of text, is longer than fits."""
+    if isinstance(content, str):
+        at_terminal = sys.stdout is not None and sys.stdout.isatty()
+        write("\n".join(map(wrapped, content.splitlines())) if at_terminal else content)
+        return
+    console = Console(highlight=False, markup=False, width=width(), color_system=color_system())
     try:
-        if isinstance(content, Table):
-            console.width = _width_of_whole_words(content, console)
-        console.print(content)
+        console.print(fitting(content, console) if isinstance(content, Table) else content)
     except OSError as error:
         raise_of_output(error)
-
-
-def _width_of_whole_words(table: Table, console: Console) -> int:
-    """The least width, from the console's on, at which no word or figure of a table is cut or broken.
-
-    A terminal that is narrower wraps the lines.
-    """
-    widest = Measurement.get(console, console.options.update_width(10_000), table).maximum
-
-    def words(width: int) -> list[str]:
-        with console.capture() as text:
-            console.width = width
-            console.print(table)
-        return sorted(word for word in text.get().split() if any(map(str.isalnum, word)))
-
-    own, whole = console.width, words(max(widest, console.width))
-    return own + bisect_left(range(own, widest), True, key=lambda width: words(width) == whole)
 
 
 def show_notices(notices: Sequence[str]) -> None:

@@ -17,6 +17,7 @@ from sequences.odometry import OdometryNoise
 from sequences.outputs.claims import refuse_other
 from sequences.writer import is_own_sequence
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_skipped, usage_error
+from vapor.commands.progress import progress
 
 
 @dataclass(frozen=True)
@@ -52,13 +53,15 @@ def main(arguments: Sequence[str]) -> None:
     reads = chain([] if o.odometry is None else [o.odometry], files_read(o.dataset))
     refuse_other(o.output, "sequence that vapor-track wrote", is_own_sequence, reads=reads, overwrite=o.overwrite)
     start, stop = (int(number) if number else None for number in match.groups())
-    summary = convert(
-        o.dataset,
-        o.output,
-        odometry=o.odometry,
-        odometry_noise=o.noise if o.odometry_noise else None,
-        frames=slice(start, stop),
-        seed=o.seed,
-    )
+    with progress("converting") as advance:
+        summary = convert(
+            o.dataset,
+            o.output,
+            odometry=o.odometry,
+            odometry_noise=o.noise if o.odometry_noise else None,
+            frames=slice(start, stop),
+            seed=o.seed,
+            progress=advance,
+        )
     show(f"{o.output}: {summary.num_images} images; odometry: {summary.odometry}")
     show_skipped(summary.skipped)

@@ -15,7 +15,8 @@ from sequences.outputs.results import results_folder
 from sequences.scenes import SCENES
 from sequences.synthesize import synthesize, write_synthetic
 from vapor.checkpoints.shipped_models import SHIPPED
-from vapor.commands.console import OutputPath, Overwrite, bar, command_line, parse, show, show_files, usage_error
+from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_files, usage_error
+from vapor.commands.progress import progress
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.results import RESULTS
@@ -55,9 +56,9 @@ def main(arguments: Sequence[str]) -> None:
     except SequenceError as error:  # of numbers that no sequence can have
         usage_error("demo", str(error))
     with results_folder(output, "demo", writes=RESULTS | {_SEQUENCE}, overwrite=options.overwrite) as directory:
-        with bar("rendering") as advance:
+        with progress("rendering") as advance:
             write_synthetic(synthetic, directory / _SEQUENCE, progress=advance)
-        with bar("localizing") as advance:
+        with progress("localizing") as advance:
             config = RunConfig(seed=options.seed)
             model = load_model(options.scene, config)
             command = command_line("demo", arguments)

@@ -15,10 +15,12 @@ from tyro.extras import literal_type_from_choices
 from sequences.atomic import atomic_output
 from sequences.outputs.claims import claim_folder
 from sequences.scenes import SCENES
-from vapor.commands.console import OutputPath, Overwrite, SharedOutputPath, bar, command_line, show, usage_error
+from vapor.commands.console import OutputPath, Overwrite, SharedOutputPath, command_line, show, usage_error
 from vapor.commands.experiment_progress import render, settings_of, trained
 from vapor.commands.experiment_sweeps import AlphaOptions, DecayOptions, run_alpha, run_decay
 from vapor.commands.named_settings import Preset, parse_named
+from vapor.commands.progress import progress
+from vapor.commands.terminal import overview, write
 from vapor.commands.workers import Scheduler, claim_shared, publish_results, workers_for
 from vapor.evaluation.trajectory import RIGHT
 from vapor.experiments.schedule import PAPER, SCHEDULES, Point, ScheduleConfig, ScheduleExperiment, summary
@@ -74,16 +76,16 @@ class ScheduleOptions:
     config: Annotated[ScheduleConfig, tyro.conf.arg(name="")] = field(default_factory=ScheduleConfig)
 
 
-_OPTIONS = {"alpha": AlphaOptions, "decay": DecayOptions, "schedule": ScheduleOptions, "table": TableOptions}
+KINDS = {"alpha": AlphaOptions, "decay": DecayOptions, "schedule": ScheduleOptions, "table": TableOptions}
+"""The kinds by name, with their options, whose docstring says what they do."""
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     kinds = {"alpha": run_alpha, "decay": run_decay, "schedule": _schedule, "table": _table}
     if arguments[:1] in (["-h"], ["--help"]):
-        show("usage: vapor-track experiment alpha|decay|schedule|table ...\n")
-        show("Many training runs; each kind has its own --help.\n")
-        show("\n".join(f"  {kind:<8} {options.__doc__}" for kind, options in _OPTIONS.items()))
+        meanings = {kind: (options.__doc__ or "").split("\n", 1)[0] for kind, options in KINDS.items()}
+        write(overview("vapor-track experiment KIND", "Many training runs; each kind has its own --help.", meanings))
         return
     if not arguments or arguments[0] not in kinds:
         usage_error("experiment", f"expected one of {', '.join(kinds)} first")
@@ -113,7 +115,13 @@ def _fill_table(o: TableOptions, workers: Workers, arguments: Sequence[str]) -> 
     command = command_line("experiment", ["table", *arguments])
     write_page(o.output / "report.html", _table_page(results, o.config.gamma, settings, command))
     publish_results(o.output)
-    show(markdown(results, o.config.gamma))
+    for each in scene_tables(results, o.config.gamma):
+        table = Table(*each.columns, title=f"{each.scene}, {each.measured}", title_justify="left", box=SIMPLE_HEAD)
+        for cells in each.rows:
+            table.add_row(*cells)
+        show(table)
+    for line in failures(results):
+        show(line)
 
 
 def _table_page(results: Sequence[Mapping[str, Any]], gamma: float, settings: Mapping[str, Any], command: str) -> Page:
@@ -134,8 +142,8 @@ def _schedule(arguments: Sequence[str]) -> None:
     experiment = ScheduleExperiment(o.scene, o.output, o.config)
     render(experiment)
     courses: dict[str, list[Point]] = {}
-    with bar("training") as advance:
-        for schedule in SCHEDULES:
+    for schedule in SCHEDULES:
+        with progress(f"training, {schedule}", "steps") as advance:
             courses[schedule] = experiment.train(schedule, advance)
     figures = summary(courses)
     runs = {schedule: [asdict(point) for point in course] for schedule, course in courses.items()}

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from vapor.commands.console import bar
+from vapor.commands.progress import progress
 from vapor.experiments.schedule import ScheduleConfig, ScheduleExperiment
 from vapor.experiments.sweep import Sweep, SweepConfig
 from vapor.experiments.table import TableConfig, TableExperiment
@@ -15,7 +15,7 @@ from vapor.experiments.table import TableConfig, TableExperiment
 
 def render(experiment: Sweep | ScheduleExperiment | TableExperiment) -> None:
     """Render what is missing, with progress."""
-    with bar("rendering") as advance:
+    with progress("rendering", "walks") as advance:
         for done, total in experiment.render():
             advance(done, total)
 
@@ -23,7 +23,7 @@ def render(experiment: Sweep | ScheduleExperiment | TableExperiment) -> None:
 def trained(experiment: Sweep | TableExperiment, total: int) -> Iterator[dict[str, Any]]:
     """Render and train with progress; the result of every training run as it is done."""
     render(experiment)
-    with bar("training") as advance:
+    with progress("training", "networks") as advance:
         for done, result in enumerate(experiment.train(), start=1):
             yield result
             advance(done, total)

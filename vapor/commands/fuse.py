@@ -10,7 +10,8 @@ from typing import Annotated
 import tyro
 
 from sequences.estimates.options import EstimateOptions
-from vapor.commands.console import OutputPath, Overwrite, bar, command_line, parse, usage_error
+from vapor.commands.console import OutputPath, Overwrite, command_line, parse, usage_error
+from vapor.commands.progress import progress
 from vapor.commands.run import show_run
 from vapor.pipeline.config import FilteringConfig
 from vapor.pipeline.estimate_model import EstimateConfig
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str]) -> None:
         usage_error("fuse", "no ESTIMATES, expected at least one file")
     if (o.odometry is None) == (o.simulate_odometry is None):
         usage_error("fuse", "expected either --odometry FILE or --simulate-odometry FILE")
-    with bar("localizing") as advance:
+    with progress("localizing") as advance:
         result = fuse(
             o.estimates,
             o.output,

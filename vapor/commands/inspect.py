@@ -22,11 +22,12 @@ from vapor.commands.console import (
     Overwrite,
     command_line,
     parse,
-    progress_of,
     show,
     usage_error,
 )
 from vapor.commands.inspect_tables import parts, show_inspection
+from vapor.commands.progress import progress
+from vapor.commands.terminal import write
 from vapor.engines.device import Device
 from vapor.engines.engine import EngineConfig
 from vapor.inspection.inspect import Inspection, inspect
@@ -91,8 +92,8 @@ def main(arguments: Sequence[str]) -> None:
             )
         photographs = Photographs()
         see = photographs.take if o.recording and directory is not None else lambda frame: None
-        with progress_of("inspect") as advance:
-            found = inspect(o.data, o.reading, model=model, seed=o.seed, see=see, progress=advance)
+        with progress() as told:
+            found = inspect(o.data, o.reading, model=model, seed=o.seed, see=see, progress=told.at)
         if directory is not None:
             if found.coverage is not None:
                 draw_map(directory / _MAP, found.coverage, found.predictions)
@@ -108,7 +109,7 @@ def main(arguments: Sequence[str]) -> None:
             write_report(directory / _REPORT, found.as_json())
             write_page(directory / _PAGE, _page(found, o, directory / _MAP, command_line("inspect", arguments)))
     if o.json:
-        show(json.dumps(found.as_json(), indent=2, sort_keys=True, allow_nan=False))
+        write(json.dumps(found.as_json(), indent=2, sort_keys=True, allow_nan=False))
         return
     show_inspection(found)
     if o.output is not None:

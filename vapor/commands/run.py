@@ -15,10 +15,8 @@ from vapor.commands.console import (
     InputPath,
     OutputPath,
     Overwrite,
-    bar,
     command_line,
     parse,
-    progress_of,
     show,
     show_files,
     show_images,
@@ -26,6 +24,7 @@ from vapor.commands.console import (
     show_skipped,
     usage_error,
 )
+from vapor.commands.progress import progress
 from vapor.commands.workers import Scheduler, workers_for
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.find_sequences import SUMMARY, find_sequences, is_fleet
@@ -76,7 +75,7 @@ def main(arguments: Sequence[str]) -> None:
 
 def _run_one(options: Options, command: str) -> None:
     (sequence,) = options.sequences
-    with bar("localizing") as advance:
+    with progress("localizing") as advance:
         result = run(
             fetched(sequence),
             options.model,
@@ -108,6 +107,8 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, ta
     show_images(report["images"])
     show_skipped(report["skipped"])
     show_notices(result.notices)
+    if result.engine:
+        show(f"engine     {result.engine}")
     show_files(output, result.pictures, recording=recording)
     if result.few_images is not None:
         show(result.few_images)
@@ -120,7 +121,7 @@ def _run_fleet(options: Options, command: str) -> None:
     try:
         with (
             workers_for("run", options.workers, options.scheduler) as workers,
-            progress_of("localizing") as advance,
+            progress("localizing", "images" if workers.are_this_process else "sequences") as told,
         ):
             for outcome in run_fleet(
                 sequences,
@@ -129,13 +130,13 @@ def _run_fleet(options: Options, command: str) -> None:
                 options.config,
                 reading=options.reading,
                 overwrite=options.overwrite,
-                progress=lambda name, done, count: advance(numbers[name], done, max(done, count)),
+                progress=lambda name, done, count: told.at(numbers[name], done, max(done, count)),
                 workers=workers,
                 command=command,
             ):
                 outcomes.append(outcome)
                 if not workers.are_this_process:
-                    advance("sequences", len(outcomes), len(sequences))
+                    told(len(outcomes), len(sequences))
     finally:  # after Ctrl-C too: what is done is whole
         if outcomes:
             order = [*sequences]

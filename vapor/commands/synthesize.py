@@ -14,7 +14,8 @@ from sequences.paths.choose import Cues
 from sequences.scenes import scene_names
 from sequences.synthesize import synthesize, write_synthetic
 from sequences.writer import is_own_sequence
-from vapor.commands.console import OutputPath, Overwrite, bar, parse, show, usage_error
+from vapor.commands.console import OutputPath, Overwrite, parse, show, usage_error
+from vapor.commands.progress import progress
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,6 @@ def main(arguments: Sequence[str]) -> None:
         )
     except SequenceError as error:  # of numbers that no sequence can have
         usage_error("synthesize", str(error))
-    with bar("rendering") as advance:
+    with progress("rendering") as advance:
         write_synthetic(sequence, o.output, progress=advance)
     show(f"{o.output}: {o.frames} images, {o.output.stat().st_size / 1e6:.1f} MB")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -20,19 +20,20 @@ from vapor.commands.calibrate import show_calibration
 from vapor.commands.console import (
     OutputPath,
     Overwrite,
-    progress_display,
     show,
     show_notices,
     show_skipped,
     usage_error,
 )
 from vapor.commands.named_settings import Method, Preset, parse_named
+from vapor.commands.progress import Progress, progress
 from vapor.evaluation.validation import Validation
 from vapor.training.check_result import TrainingCheck
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS, PRESETS
 from vapor.training.processes import is_first, joined_processes
-from vapor.training.progress import Progress, TrainResult
+from vapor.training.progress import Progress as Where
+from vapor.training.progress import TrainResult
 from vapor.training.state import is_training_state, state_path
 from vapor.training.train import train
 from vapor.training_data.entries import files_read
@@ -83,15 +84,14 @@ def _train(options: Options) -> None:
     ):
         data = files_read([*options.data, *options.validation], options.reading)
         refuse_other(path, kind, is_kind, reads=chain(options.config.files_read, data), overwrite=options.overwrite)
-    told = nullcontext() if not is_first() else _display() if sys.stderr.isatty() else _log()
-    with told as report:
+    with progress() if is_first() else nullcontext() as told:
         result = train(
             options.data,
             options.output,
             options.config,
             validation=options.validation,
             reading=options.reading,
-            progress=report,
+            progress=None if told is None else partial(_tell, told),
         )
     if not is_first():
         return
@@ -105,55 +105,17 @@ def _train(options: Options) -> None:
     show_notices(result.notices)
 
 
-@contextmanager
-def _log() -> Iterator[Callable[[Progress], None]]:
-    """For a log file: a line an epoch."""
-    last: Progress | None = None
-
-    def say(line: str) -> None:
-        print(line, file=sys.stderr, flush=True)
-
-    def report(progress: Progress) -> None:
-        nonlocal last
-        if last is not None and last.epoch and (last.epoch, last.stage) != (progress.epoch, progress.stage):
-            say(_line(last, progress.validation or progress.best))
-        if last is None or progress.stage != last.stage:
-            say(progress.stage)
-        for note in progress.notes:
-            say(note)
-        last = progress
-
-    yield report
-
-
-def _line(progress: Progress, validation: Validation | None) -> str:
-    told = f"epoch {progress.epoch}/{progress.epochs}  loss {progress.loss or 0.0:.3f}"
-    if validation is not None and validation.epoch == progress.epoch:
-        told += f"  held out: {_recalls(validation)}, log density {validation.log_density:.2f}"
-    return f"{told}  {progress.left_s / 60:.1f} min left"
-
-
-@contextmanager
-def _display() -> Iterator[Callable[[Progress], None]]:
-    with progress_display("{task.fields[figures]}") as display:
-        task = display.add_task("reading images", total=None, figures="")
-        stage = "reading"
-
-        def report(progress: Progress) -> None:
-            nonlocal stage
-            if progress.stage != stage:
-                stage = progress.stage
-                display.reset(task, description=stage, total=progress.total)
-            for note in progress.notes:
-                display.console.print(note)
-            figures = ""
-            if progress.loss is not None:
-                figures = f"epoch {progress.epoch}/{progress.epochs}  loss {progress.loss:.3f}"
-            if progress.validation is not None:
-                figures += f"  held out: {_recalls(progress.validation)}"
-            display.update(task, completed=progress.done, figures=figures)
-
-        yield report
+def _tell(told: Progress, now: Where) -> None:
+    """Show where a training stands."""
+    figures = ""
+    if now.loss is not None:
+        figures = f"epoch {now.epoch}/{now.epochs}, loss {now.loss:.3f}"
+    if now.validation is not None:
+        held_out = f"{_recalls(now.validation)}, log density {now.validation.log_density:.2f}"
+        figures += f", held out at epoch {now.validation.epoch}: {held_out}"
+    told.at(now.stage, now.done, now.total, unit="images" if now.loss is None else "steps", figures=figures)
+    for note in now.notes:
+        told.note(note)
 
 
 def _summary(result: TrainResult, output: Path) -> str:

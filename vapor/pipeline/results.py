@@ -41,12 +41,14 @@ class RunResult:
         report: Content of `report.json`.
         pictures: Names of the pictures in the output directory.
         notices: What a person should know of the sequence, the model and the smoothed trajectory.
+        engine: What ran the network, in words; empty where none ran.
     """
 
     record: RunRecord
     report: dict[str, Any]
     pictures: tuple[str, ...]
     notices: tuple[str, ...] = ()
+    engine: str = ""
 
     @property
     def few_images(self) -> str | None:

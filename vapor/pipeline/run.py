@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from sequences.options import SequenceOptions
@@ -92,11 +92,17 @@ def run_into(
         engine = {"device": observation.engine.device, "engine": observation.engine.name}
         settings = {"run": asdict(config) | engine, "reading": asdict(reading) | reader.resolved}
         settings = {
-            "sequence": {"name": sequence.name, "images": reader.num_images, "odometry": reader.odometry_description},
+            "sequence": {
+                "name": sequence.name,
+                "images": reader.num_images,
+                "image_source": reader.image_description,
+                "odometry": reader.odometry_description,
+            },
             "model": {"name": model.name, "sha256": model.sha256},
             **settings,
         }
         notices = [*reader.notices, *observation.notices]
         if (trained := observation.description.memory_poses) is not None:
             notices += [told] if (told := told_unshown(record.methods["smoothed"].poses, trained)) else []
-        return write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)
+        result = write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)
+        return replace(result, engine=f"{engine['engine']} on {engine['device']}, {config.precision}")

@@ -43,7 +43,7 @@ def make_keyframe(frame: Frame, estimate: Estimate) -> Keyframe:
     cloud = estimate.cloud(_CLOUD_SIZE)
     return Keyframe(
         time_ns=frame.time_ns,
-        thumbnail=_thumbnail(frame.image),
+        thumbnail=shrunk(frame.image, _THUMBNAIL_SIDE).copy(),  # the decoder's buffer may be used again
         cloud=cloud,
         modes=estimate.modes,
         status=estimate.status,
@@ -77,14 +77,13 @@ def choose_keyframes(keyframes: list[Keyframe], count: int) -> list[Keyframe]:
     return keyframes
 
 
-def _thumbnail(image: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "h w 3"]:
+def shrunk(image: UInt8[np.ndarray, "height width 3"], side: int) -> UInt8[np.ndarray, "h w 3"]:
+    """An image whose longer side has at most `side` pixels; an empty one stays empty."""
     import cv2
 
     height, width = image.shape[:2]
-    if image.size == 0:  # estimates without images
+    if image.size == 0 or max(height, width) <= side:
         return image
-    scale = min(1.0, _THUMBNAIL_SIDE / max(height, width))
-    if scale == 1.0:
-        return image.copy()  # the decoder's buffer may be used again
+    scale = side / max(height, width)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

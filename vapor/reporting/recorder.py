@@ -75,7 +75,7 @@ class RunRecorder:
             )
         )
         self._keyframes.append(make_keyframe(frame, estimate))
-        self._moments.add(estimate.modes, self._keyframes[-1].cloud)
+        self._moments.add(self._keyframes[-1])
         if len(self._keyframes) > _MOST_KEYFRAMES:
             self._keyframes = choose_keyframes(self._keyframes, _MOST_KEYFRAMES)
 

@@ -122,26 +122,26 @@ def method_table(report: Mapping[str, Any], *, tail: bool = False) -> tuple[list
         tail: Whether to give the tail of the errors rather than recalls.
 
     Returns:
-        Headings: of the method, its median errors, recalls or tail, and when it converged. A row a method.
+        Headings: of the method, its median errors, recalls or tail, and from when on it is right. A row a method.
     """
     thresholds = [f"worse than\n{TAIL_M[name]:g} m" for name in TAIL_M] if tail else [*THRESHOLDS]
     columns = [
         "",
         "median error",
         *(name.replace("m/", " m\n").replace("deg", "°") for name in thresholds),
-        "converged",
+        "right\nfrom",
     ]
     digits = 3 if tail else 2
     rows: list[list[str]] = []
     for name, metrics in in_order(report).items():
         converged_at_s = metrics.get("converged_at_s")
-        converged = "" if "success" not in metrics else "no" if converged_at_s is None else f"{converged_at_s:.1f} s"
+        right_from = "" if "success" not in metrics else "no" if converged_at_s is None else f"{converged_at_s:.1f} s"
         rows.append(
             [
                 METHODS[name].label,
                 f"{metrics['median_translation_m']:.{digits}f} m  {metrics['median_rotation_deg']:5.1f}°",
                 *(f"{100 * part:.{digits - 2}f} %" for part in metrics["worse_than" if tail else "recall"].values()),
-                converged,
+                right_from,
             ]
         )
     return columns, rows

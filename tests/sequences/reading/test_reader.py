@@ -65,7 +65,10 @@ def test_every_iteration_reads_anew(form: Form, walk_file: Path, tmp_path: Path)
 
 def test_the_file_says_where_its_odometry_comes_from(walk_file: Path, tmp_path: Path) -> None:
     assert SequenceReader(walk_file).odometry_description == "simulated: exact"
-    assert SequenceReader(Walk().write(tmp_path / "silent.mcap")).odometry_description is None
+    silent = SequenceReader(Walk().write(tmp_path / "silent.mcap"))
+    assert silent.odometry_description is silent.image_description is None
+    rendered = Walk().write(tmp_path / "rendered.mcap", metadata={"images": "synthetic"})
+    assert SequenceReader(rendered).image_description == "synthetic"
 
 
 def test_without_odometry_every_image_is_read(tmp_path: Path) -> None:

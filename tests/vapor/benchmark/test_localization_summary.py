@@ -3,7 +3,6 @@
 import pytest
 
 from vapor.benchmark.localization.summary import failed, summarise
-from vapor.commands import console
 from vapor.commands.benchmark.localization_tables import tables
 from vapor.commands.console import show
 
@@ -175,7 +174,6 @@ def test_sequences_are_summed_up_over_all_of_them_with_intervals_over_walks():
 @pytest.mark.parametrize("width", [90, 100])
 def test_the_tables_fit_a_terminal(width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
-    monkeypatch.setattr(console, "_MIN_WIDTH", width)
     rates = [
         result(
             kind, converged=0.5 + 0.04 * walk, wrong=0.01 * walk, success=walk < 9, recovered=40 + 2 * walk, walk=walk

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,7 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.box import HEAVY_HEAD, SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.table import Table
+from rich.text import Text
 
 from filtering.errors import MAX_MESSAGE, shortened
 from filtering.se3 import Poses
@@ -19,9 +23,13 @@ from sequences.trajectories.tum import write_tum
 from tests.helpers.checkout import CHECKOUT
 from tests.helpers.simulated_run import simulated_steps
 from vapor.commands import console
+from vapor.commands.benchmark.cells import new_table
 from vapor.commands.signals import Signals
 from vapor.commands.terminal import say
+from vapor.pipeline.fleet import Outcome, format_fleet
+from vapor.reporting.report import format_table
 from vapor.track import main
+from vapor.tracking.methods import METHODS
 
 ROOT = CHECKOUT
 COMMAND = [sys.executable, "-c", "from vapor.track import main; raise SystemExit(main())"]
@@ -277,18 +285,132 @@ def test_wrong_arguments_are_told_in_a_line_without_the_help_of_what_is_there(ca
     assert not set("│╭─") & set(err)
 
 
-@pytest.mark.parametrize("width", [20, 40, 200])
+def shown(table, width, capsys, monkeypatch, **environment):
+    for name in ("NO_COLOR", "FORCE_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in {"COLUMNS": str(width), **environment}.items():
+        monkeypatch.setenv(name, value)
+    console.show(table)
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("width", [30, 40, 80, 200])
 @pytest.mark.parametrize("no_wrap", [False, True])
-def test_nothing_of_a_table_is_cut_on_a_narrow_terminal(width, no_wrap, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", str(width))
-    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
-    table = Table(title="a title of several words")
+@pytest.mark.parametrize("box", [HEAVY_HEAD, SIMPLE_HEAD])
+def test_tables_of_any_terminal_fit_it_with_every_word_and_figure_whole(width, no_wrap, box, capsys, monkeypatch):
+    table = Table(title="a title of several words", caption="a caption of several words", box=box)
     cells = [f"{'median translation' if i == 3 else 'value'}{i} {1000.123 + i}" for i in range(6)]
     for i in range(6):
         table.add_column(f"column{i}", no_wrap=no_wrap)
     table.add_row(*cells)
-    console.show(table)
+    out = shown(table, width, capsys, monkeypatch, FORCE_COLOR="1")  # as on a terminal
+    plain = Text.from_ansi(out).plain
+    assert max(map(cell_len, plain.splitlines())) <= width
+    assert "…" not in plain
+    for word in ["column0", "column5", *" ".join([*cells, str(table.title), str(table.caption)]).split()]:
+        assert word in re.split(r"[\s:│┃]+", plain)
+
+
+RUNS = {
+    "frames": 9,
+    **{
+        name: {
+            "median_translation_m": 12.345,
+            "median_rotation_deg": 123.4,
+            "recall": {"0.1m/10deg": 0.123, "0.2m/15deg": 0.5, "0.3m/20deg": 1.0},
+            "worse_than": {"0.25": 0.1, "0.5": 0.05, "1.0": 0.0},
+            "success": True,
+            "converged_at_s": 123.4,
+        }
+        for name in METHODS
+    },
+}
+OUTCOMES = [
+    Outcome(
+        f"walk-{'x' * length}",
+        "walk.mcap",
+        images=10_000,
+        duration_s=1234.5,
+        status={"converged": 0.987},
+        final_status="converged",
+        images_with_true_pose=10_000,
+        median_translation_m=12.34,
+        median_rotation_deg=123.4,
+        success=True,
+    )
+    for length in (1, 20)
+]
+TABLES = {
+    "run": lambda: format_table(RUNS, title="a-walk-of-a-long-name.mcap"),
+    "fuse": lambda: format_table(RUNS, title="poses.txt", tail=True),
+    "fleet": lambda: format_fleet(OUTCOMES),
+    "benchmark": lambda: new_table("a title", "method", *(f"heading\n{i} m" for i in range(8))),
+}
+
+
+@pytest.mark.parametrize("width", [40, 80])
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_the_commands_fit_80_columns_and_40(name, width, capsys, monkeypatch):
+    table = TABLES[name]()
+    if not table.rows:
+        table.add_row("a method of two words", *(f"{i}00.123 m\n0.001–0.002" for i in range(8)))
+    out = shown(table, width, capsys, monkeypatch)
+    assert max(map(cell_len, out.splitlines())) <= width
+    assert not {"…", "\x1b"} & set(out)
+    for column in table.columns[1:]:
+        for line in "\n".join(map(str, column.cells)).splitlines():
+            assert " ".join(line.split()) in " ".join(out.split())
+
+
+def test_a_table_that_does_not_fit_without_its_lines_is_a_block_for_each_row(capsys, monkeypatch):
+    table = Table("", "median\nerror", "suc-\ncess", "empty", title="two walks")
+    table.add_row("single image", "3.04 m   2.1°\n2.9–3.1", "yes", "")
+    table.add_row("particle filter", "0.03 m   0.9°", "no", "")
+    out = shown(table, 30, capsys, monkeypatch)
+    assert [line.rstrip() for line in out.splitlines()] == [
+        "two walks",
+        "single image",
+        "  median error  3.04 m  2.1°",
+        "                2.9–3.1",
+        "  success       yes",
+        "particle filter",
+        "  median error  0.03 m  0.9°",
+        "  success       no",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("environment", "coloured"),
+    [({"FORCE_COLOR": "1"}, True), ({"FORCE_COLOR": "1", "NO_COLOR": "1"}, False), ({}, False)],
+)
+def test_colours_and_bold_are_off_where_they_are_not_wanted_or_there_is_no_terminal(
+    environment, coloured, capsys, monkeypatch
+):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    assert ("\x1b" in shown(format_table(RUNS), 80, capsys, monkeypatch, **environment)) == coloured
+
+
+def test_a_dumb_terminal_gets_no_colours(capsys, monkeypatch):
+    assert "\x1b" not in shown(format_table(RUNS), 80, capsys, monkeypatch, FORCE_COLOR="1", TERM="dumb")
+
+
+def test_lines_are_wrapped_between_words_at_a_terminal_only_and_paths_stay_whole(capsys, monkeypatch):
+    path = "/data/" + "x" * 60
+    text = f"pictures   one.png, two.png, three.png, {path}"
+    assert shown(text, 40, capsys, monkeypatch) == f"{text}\n"
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    assert shown(text, 40, capsys, monkeypatch).splitlines() == [
+        "pictures   one.png, two.png, three.png,",
+        f"           {path}",
+    ]
+
+
+@pytest.mark.parametrize("width", [40, 80])
+@pytest.mark.parametrize("words", [["--help"], ["evaluate", "--help"], ["run", "--help"], ["experiment", "--help"]])
+def test_help_fits_80_columns_and_40(words, width, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    with contextlib.suppress(SystemExit):
+        main(words)
     out = capsys.readouterr().out
-    assert "…" not in out
-    for word in ["column0", "column5", *" ".join(cells).split()]:
-        assert word in out
+    assert len(out) > 200
+    assert max(map(cell_len, out.splitlines())) <= width

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib import import_module
 
-from vapor.commands.console import show, usage_error
+from vapor.commands.console import usage_error
+from vapor.commands.terminal import overview, write
 
-BENCHMARKS = ("step", "localization", "textbook", "faults", "familiarity", "real", "cluster", "live", "live-faults")
+KINDS = ("step", "localization", "textbook", "faults", "familiarity", "real", "cluster", "live", "live-faults")
 """Names of the modules here that each have `Options`, with a docstring that says what is measured, and `main`."""
 
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     if arguments[:1] in (["-h"], ["--help"]):
-        show(f"usage: vapor-track benchmark {'|'.join(BENCHMARKS)} ...\n\nMeasure; each has its own --help.\n")
-        meanings = {name: import_module(f"{__name__}.{_module(name)}").Options.__doc__ for name in BENCHMARKS}
-        show("\n".join(f"  {name:<13} {meaning}" for name, meaning in meanings.items()))
+        meanings = {name: import_module(f"{__name__}.{_module(name)}").Options.__doc__ for name in KINDS}
+        write(overview("vapor-track benchmark KIND", "Measure; each has its own --help.", meanings))
         return
-    if not arguments or arguments[0] not in BENCHMARKS:
-        usage_error("benchmark", f"expected one of {', '.join(BENCHMARKS)} first")
+    if not arguments or arguments[0] not in KINDS:
+        usage_error("benchmark", f"expected one of {', '.join(KINDS)} first")
     import_module(f"{__name__}.{_module(arguments[0])}").main(arguments[1:])
 
 

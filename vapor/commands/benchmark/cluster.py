@@ -10,7 +10,8 @@ import tyro
 
 from vapor.benchmark.cluster import ClusterConfig, measure
 from vapor.commands.benchmark.cells import new_table
-from vapor.commands.console import bar, parse, show
+from vapor.commands.console import parse, show
+from vapor.commands.progress import progress
 from vapor.commands.workers import hush_dask
 
 _MANY = 1000
@@ -33,7 +34,7 @@ def main(arguments: Sequence[str]) -> None:
         *("time", "jobs at\na time", "effi-\nciency", "scheduler,\na job"),
     )
     scalings = []
-    with bar("measuring") as advance:
+    with progress("measuring", "sizes of clusters") as advance:
         for scaling in measure(config):
             scalings.append(scaling)
             advance(len(scalings), len(config.nodes))

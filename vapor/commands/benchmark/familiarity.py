@@ -12,7 +12,8 @@ from rich.table import Table
 
 from filtering.errors import VaporTrackError, require_within
 from vapor.benchmark.foreign_images import IN_A_ROW, evaluate_flags
-from vapor.commands.console import bar, parse, show
+from vapor.commands.console import parse, show
+from vapor.commands.progress import progress
 from vapor.engines.device import Device
 from vapor.engines.engine import EngineConfig
 from vapor.observation import VaporObservationModel
@@ -51,7 +52,7 @@ def main(arguments: Sequence[str]) -> None:
         o.model, num_samples=1, device=o.device, engine=o.network.engine, precision=o.network.precision
     )
     table = Table("images", "how many", "median score", "flagged", f"flagged, median of {IN_A_ROW}")
-    with bar("evaluating") as advance:
+    with progress("evaluating", "recordings") as advance:
         rows = evaluate_flags(model, o.familiar, o.foreign, every=o.every, seed=o.seed, advance=advance)
     for row in rows:
         in_a_row = "" if np.isnan(row.fraction_in_a_row) else f"{100 * row.fraction_in_a_row:.1f} %"

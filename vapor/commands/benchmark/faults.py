@@ -18,7 +18,8 @@ from vapor.benchmark.faults.table import FAULTS
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.benchmark.fault_tables import fault_failures, fault_tables
 from vapor.commands.benchmark.scenes import SCENE_NAMES, SceneOptions, listed, with_help, write_summary
-from vapor.commands.console import InputPath, bar, parse, show
+from vapor.commands.console import InputPath, parse, show
+from vapor.commands.progress import progress
 from vapor.commands.workers import claim_shared, publish_results, workers_for
 from vapor.parallel.jobs import Workers
 from vapor.pipeline.find_sequences import unique_names
@@ -105,13 +106,13 @@ def _measure(o: Options, workers: Workers) -> None:
         workers=workers,
     )
     claim_shared(o.output, "benchmark faults", workers, reads=o.files_read, overwrite=o.overwrite)
-    with bar("choosing walks") as advance:
+    with progress("choosing", "walks") as advance:
         chosen, unused = benchmark.choose(advance)
-    with bar("recording") as advance:
+    with progress("rendering", "walks") as advance:
         for done, total in benchmark.record(chosen):
             advance(done, total)
     results, runs = [each.without for each in chosen], benchmark.runs(chosen)
-    with bar("localizing") as advance:
+    with progress("localizing", "runs") as advance:
         for result in benchmark.localize(chosen):
             results.append(result)
             advance(len(results) - len(chosen), len(runs))

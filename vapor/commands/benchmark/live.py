@@ -18,7 +18,8 @@ from sequences.outputs.claims import claim_folder
 from vapor.benchmark.live.measure import Latency, Measured, measure
 from vapor.benchmark.live.traffic import Encoding, read_walk
 from vapor.commands.benchmark.cells import new_table
-from vapor.commands.console import InputPath, OutputPath, Overwrite, bar, parse, show
+from vapor.commands.console import InputPath, OutputPath, Overwrite, parse, show
+from vapor.commands.progress import progress
 from vapor.reporting.report import write_report
 from vapor.storage import fetched
 
@@ -91,7 +92,7 @@ def main(arguments: Sequence[str]) -> None:
     measured: list[Measured] = []
     for size in o.sizes:
         for rate in o.rates:
-            with bar(f"{rate:g} Hz, {size[0]}x{size[1]}") as advance:
+            with progress(f"{rate:g} Hz, {size[0]}x{size[1]}", "seconds") as advance:
                 measured.append(
                     measure(
                         walk,

@@ -14,7 +14,9 @@ from sequences.live.options import MAX_DOMAIN
 from vapor.benchmark.live.faults import FAULTS, Outcome, run_fault
 from vapor.benchmark.live.traffic import read_walk
 from vapor.commands.benchmark.cells import new_table
-from vapor.commands.console import InputPath, parse, progress_of, show
+from vapor.commands.console import InputPath, parse, show
+from vapor.commands.progress import progress
+from vapor.commands.terminal import write
 from vapor.storage import fetched
 
 
@@ -54,16 +56,16 @@ def main(arguments: Sequence[str]) -> None:
         *("poses/s", "tf/s", "not sure\nafter", "sure again\nafter", "off > 1 m", "worst"),
     )
     outcomes: list[Outcome] = []
-    with progress_of("faults") as advance:
-        for number, name in enumerate(options.faults):
-            advance(name, number, len(options.faults))
+    with progress("faults", "faults") as advance:
+        for number, name in enumerate(options.faults, start=1):
             outcome = run_fault(FAULTS[name], recording, walk, words, domain=options.domain, sleep=time.sleep)
             outcomes.append(outcome)
             table.add_row(*_cells(outcome))
+            advance(number, len(options.faults))
     show(table)
     for outcome in outcomes:
         show(f"{outcome.said}: {', '.join(outcome.statuses)}")
-        show(json.dumps(asdict(outcome)))
+        write(json.dumps(asdict(outcome)))
 
 
 def _cells(o: Outcome) -> list[str]:

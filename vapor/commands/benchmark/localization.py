@@ -15,7 +15,8 @@ from vapor.benchmark.localization.summary import summarise
 from vapor.benchmark.trials.kinds import KINDS
 from vapor.commands.benchmark.localization_tables import Summary, failures, said, tables
 from vapor.commands.benchmark.scenes import SceneOptions, listed, with_help, write_summary
-from vapor.commands.console import bar, command_line, parse, show
+from vapor.commands.console import command_line, parse, show
+from vapor.commands.progress import progress
 from vapor.commands.workers import claim_shared, publish_results, workers_for
 from vapor.parallel.jobs import Workers
 from vapor.reporting.html.findings_page import findings_page
@@ -46,13 +47,13 @@ def main(arguments: Sequence[str]) -> None:
 def _measure(o: Options, workers: Workers, command: str) -> None:
     benchmark = LocalizationBenchmark(o.model_of, o.output, o.config, o.replaced, workers)
     claim_shared(o.output, "benchmark localization", workers, reads=o.files_read, overwrite=o.overwrite)
-    with bar("choosing runs") as advance:
+    with progress("choosing", "runs") as advance:
         trials = benchmark.choose(advance)
-    with bar("recording") as advance:
+    with progress("rendering", "walks") as advance:
         for done, total in benchmark.record(trials):
             advance(done, total)
     results = []
-    with bar("localizing") as advance:
+    with progress("localizing", "runs") as advance:
         for result in benchmark.localize(trials):
             results.append(result)
             advance(len(results), len(trials) * len(o.config.ablations))

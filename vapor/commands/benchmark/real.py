@@ -14,7 +14,8 @@ from vapor.benchmark.real.benchmark import RealConfig, choose, measure, measure_
 from vapor.benchmark.real.row import Row, RowContext
 from vapor.benchmark.real.summary import summarise
 from vapor.commands.benchmark.real_tables import tables
-from vapor.commands.console import Overwrite, SharedOutputPath, bar, parse, progress_of, show
+from vapor.commands.console import Overwrite, SharedOutputPath, parse, show
+from vapor.commands.progress import progress
 from vapor.commands.workers import Scheduler, claim_shared, publish_results, workers_for
 from vapor.parallel.jobs import Workers
 from vapor.reporting.report import write_report
@@ -63,8 +64,8 @@ def main(arguments: Sequence[str]) -> None:
 def _one_by_one(o: Options, rows: Sequence[Row]) -> list[dict[str, Any]]:
     results = []
     for row in rows:
-        with progress_of(row.name) as advance:
-            context = RowContext(o.data, o.output, o.config.num_samples, o.config.network, advance)
+        with progress(row.name, "") as told:
+            context = RowContext(o.data, o.output, o.config.num_samples, o.config.network, told.at)
             for of_draw in measure([row], context, o.config):
                 results += of_draw
     return results
@@ -74,7 +75,7 @@ def _in_parallel(o: Options, rows: Sequence[Row], workers: Workers) -> list[dict
     """As they would come one by one."""
     order = {row.name: number for number, row in enumerate(rows)}
     results = []
-    with bar("rows") as advance:
+    with progress("measuring", "rows") as advance:
         for done, of_row in enumerate(measure_rows(rows, o.data, o.output, o.config, workers), start=1):
             results += of_row
             advance(done, len(rows))

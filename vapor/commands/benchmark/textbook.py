@@ -16,7 +16,8 @@ from vapor.benchmark.textbook.summary import summarise_methods
 from vapor.benchmark.trials.kinds import KINDS
 from vapor.commands.benchmark.scenes import SceneOptions, listed, with_help, write_summary
 from vapor.commands.benchmark.textbook_tables import filter_tables, network_table
-from vapor.commands.console import bar, parse, show
+from vapor.commands.console import parse, show
+from vapor.commands.progress import progress
 from vapor.commands.workers import claim_shared, publish_results, workers_for
 from vapor.observation import VaporObservationModel
 from vapor.parallel.jobs import Workers
@@ -55,13 +56,13 @@ def _measure(o: Options, workers: Workers) -> None:
     claim_shared(o.output, "benchmark textbook", workers, reads=o.files_read, overwrite=o.overwrite)
     for name in sorted(set(o.config.methods) - set(installed())):
         show(f"left out: {name}, which is not installed: {INSTALL_PARTICLES}")
-    with bar("choosing runs") as advance:
+    with progress("choosing", "runs") as advance:
         trials = benchmark.choose(advance)
-    with bar("recording") as advance:
+    with progress("rendering", "walks") as advance:
         for done, total in benchmark.record(trials):
             advance(done, total)
     results = []
-    with bar("filtering") as advance:
+    with progress("filtering", "runs") as advance:
         for result in benchmark.compare(trials):
             results.append(result)
             advance(len(results), len(trials))
@@ -78,7 +79,7 @@ def _measure(o: Options, workers: Workers) -> None:
 def _networks(o: Options) -> dict[str, list[dict[str, Any]]]:
     """Times of the paper's network and of our whole step, by scene."""
     timings: dict[str, list[dict[str, Any]]] = {}
-    with bar("timing networks") as advance:
+    with progress("timing networks", "scenes") as advance:
         for scene, name in o.model_of.items():
             model = VaporObservationModel.from_checkpoint(
                 name,

@@ -72,10 +72,11 @@ function scene(element, data) {
     if (pathsInk !== style("--ink")) [pathsInk, paths] = [style("--ink"), inked(data.paths)];
     return [...paths, ...inked(belief)];
   };
+  const away = Math.max(1, 0.85 * Math.hypot(data.ratio.x, data.ratio.y, data.ratio.z));  // so that all of the box is seen
   const layout = () => ({ uirevision: "kept", margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: true,
     legend: narrow() ? { orientation: "h", y: 0, yanchor: "top", font: { size: 11 } } : { x: 0, y: 1, bgcolor: "rgba(0,0,0,0)" },
     scene: { aspectmode: "manual", aspectratio: data.ratio, uirevision: "kept",
-      camera: { eye: { x: 1, y: -1, z: 0.55 } }, ...Object.fromEntries(["x", "y", "z"].map((name, i) =>
+      camera: { eye: { x: away, y: -away, z: 0.55 * away } }, ...Object.fromEntries(["x", "y", "z"].map((name, i) =>
         [`${name}axis`, { title: { text: `${name} [m]` }, range: data.ranges[i] }])) } });
 
   function show(index) {
@@ -90,10 +91,10 @@ function scene(element, data) {
       if (Number(button.dataset.moment) <= at) chosen = button;
       button.setAttribute("aria-pressed", "false");
     }
-    if (chosen && seen) {
-      chosen.setAttribute("aria-pressed", "true");
-      seen.querySelector("img").src = chosen.querySelector("img").src;
-      seen.querySelector("figcaption").textContent = `Image at ${chosen.dataset.time} s`;
+    if (chosen) chosen.setAttribute("aria-pressed", "true");
+    if (seen) {
+      seen.querySelector("img").src = moment.image;
+      seen.querySelector("figcaption").textContent = `Image at ${moment.time_s.toFixed(1)} s`;
     }
     return paint();
   }

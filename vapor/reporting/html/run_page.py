@@ -38,10 +38,21 @@ def run_page(
         notices: What a person should know.
         command: The command that was given; empty where there was none.
     """
-    images = f"{report['frames']} images in {report['duration_s']:.0f} s"
+    sections = _sections(record, report, settings, command)
+    return Page(title, _asked(report, settings), verdict(report, record), sections, notices)
+
+
+def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
+    """What was localized with what; and what is synthetic or simulated, as far as the data say so themselves."""
+    sequence = settings.get("sequence", {})
+    kind = "synthetic images" if str(sequence.get("image_source")).startswith("synthetic") else "images"
     model = settings.get("model", {}).get("name")
-    asked = f"{images}, localized by {model}" if model else f"{images}, localized"
-    return Page(title, asked, verdict(report, record), _sections(record, report, settings, command), notices)
+    asked = f"{report['frames']} {kind} in {report['duration_s']:.0f} s, localized{f' by {model}' if model else ''}"
+    odometry = sequence.get("odometry", settings.get("odometry"))
+    if odometry is None:
+        return asked
+    kind = odometry.partition(": ")[0]  # of what is simulated, the noise
+    return f"{asked}. Odometry: {kind if kind.startswith('simulated') else odometry}"
 
 
 def verdict(report: Mapping[str, Any], record: RunRecord) -> str:

@@ -59,7 +59,7 @@ def _moment_button(keyframe: Keyframe, record: RunRecord) -> str:
     _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(keyframe.thumbnail, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 80])
     words = f"{seconds:.1f} s · {keyframe.status}"
     return (
-        f'<button type="button" data-moment="{moment}" data-time="{seconds:.1f}" aria-pressed="false">'
+        f'<button type="button" data-moment="{moment}" aria-pressed="false">'
         f'<img alt="" src="{data_url(jpeg.tobytes())}">{escape(words)}</button>'
     )
 
@@ -88,6 +88,8 @@ def _data(record: RunRecord) -> dict[str, Any]:
             "weights": moment.weights.round(4).tolist(),
             "camera": _millimetres(lines[moment.index]),
         }
+        if moment.jpeg:
+            told["image"] = data_url(moment.jpeg)
         if found[moment.index]:
             told["truth"] = _millimetres(truth_lines[position_of_truth[moment.index]])
         moments.append(told)

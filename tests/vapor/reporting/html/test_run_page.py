@@ -1,7 +1,9 @@
 """The page of a run: its numbers are those of the report, its verdict is what happened."""
 
+import base64
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -49,6 +51,21 @@ def test_what_was_asked_and_how_it_was_made_are_said(record):
     assert page.cells[page.cells.index("numpy") + 1] == "2.4"
 
 
+def test_what_is_synthetic_or_simulated_is_said_where_the_data_say_so(record):
+    def asked(**settings) -> str:
+        return run_page(record, build_report(record), title="walk.mcap", settings=settings).asked
+
+    synthetic = {"image_source": "synthetic", "odometry": "simulated with drift"}
+    assert asked(sequence=synthetic) == "150 synthetic images in 15 s, localized. Odometry: simulated with drift"
+    recorded = {"image_source": None, "odometry": "recorded: slam.txt"}
+    assert asked(sequence=recorded) == "150 images in 15 s, localized. Odometry: recorded: slam.txt"
+    assert (
+        asked(odometry="simulated from poses: scale 0.02, seed 0")
+        == "150 images in 15 s, localized. Odometry: simulated from poses"
+    )
+    assert asked(sequence={"image_source": None, "odometry": None}) == "150 images in 15 s, localized"
+
+
 def test_every_image_of_a_short_run_is_a_moment_that_can_be_looked_at(record):
     data = read(record).data["run"]
     assert len(data["moments"]) == 150
@@ -65,6 +82,18 @@ def test_every_image_of_a_short_run_is_a_moment_that_can_be_looked_at(record):
     assert max(moment["of"]) < len(moment["weights"])
 
 
+def test_beside_a_moment_is_its_own_image_at_most_200_pixels_wide(record):
+    collector, keyframe = MomentCollector(), record.keyframes[0]
+    for shade in (40, 200):
+        collector.add(replace(keyframe, thumbnail=np.full((240, 320, 3), shade, np.uint8)))
+    data = read(replace(record, moments=collector.moments)).data["run"]["moments"]
+    for moment, shade in zip(data, (40, 200), strict=True):
+        jpeg = base64.b64decode(moment["image"].removeprefix("data:image/jpeg;base64,"))
+        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+        assert image.shape == (150, 200, 3)
+        assert abs(image.mean() - shade) < 2
+
+
 def test_a_path_is_broken_where_a_hypothesis_jumped(record):
     (path,) = [each for each in read(record).data["run"]["paths"] if each["name"] == "particle filter"]
     points = [each for each in path["x"] if each is not None]
@@ -76,7 +105,7 @@ def test_a_path_is_broken_where_a_hypothesis_jumped(record):
 def test_of_a_long_run_at_most_300_moments_are_kept_evenly(record):
     collector, keyframe = MomentCollector(), record.keyframes[0]
     for _ in range(1000):
-        collector.add(keyframe.modes, keyframe.cloud)
+        collector.add(keyframe)
     assert 150 < len(collector.moments) <= 300
     assert {b.index - a.index for a, b in zip(collector.moments, collector.moments[1:], strict=False)} == {4}
 

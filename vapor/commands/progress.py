@@ -1,0 +1,178 @@
+"""How far a command is and how long it will still take: a bar at a terminal, a line now and then in a log."""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import monotonic
+
+from rich.console import Console
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from vapor.commands.terminal import color_system
+
+LOG_EVERY_S = 10.0
+"""Of lines in a log: least time between two."""
+_BAR, _BAR_FROM = 24, 80  # width of the bar, and of terminals that have one
+_SAMPLE_S = 0.1  # least time between two points of a pace
+
+
+class Pace:
+    """How long the rest takes, by the later half of the time so far: loading comes before, and what is done already."""
+
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
+        """Begin.
+
+        Args:
+            clock: Gives seconds.
+        """
+        self._clock, self.begin_s = clock, clock()
+        self._points = deque([(self.begin_s, 0)])  # time and number done; the first is from before half of the time
+
+    def reach(self, done: int) -> None:
+        """So many are done now."""
+        now_s, points = self._clock(), self._points
+        if len(points) > 2 and now_s - points[-2][0] < _SAMPLE_S:
+            points.pop()
+        points.append((now_s, done))
+        while len(points) > 2 and points[1][0] <= (self.begin_s + now_s) / 2.0:
+            points.popleft()
+
+    def left_s(self, total: int) -> float | None:
+        """Seconds until all are done; None where nothing is known yet."""
+        (begin_s, before), (reached_s, done) = self._points[0], self._points[-1]
+        if done <= before:
+            return None
+        expected_s = (total - done) * (reached_s - begin_s) / (done - before)
+        return max(expected_s - (self._clock() - reached_s), 0.0)
+
+    @property
+    def seconds(self) -> float:
+        """Since the beginning."""
+        return self._clock() - self.begin_s
+
+
+class Progress:
+    """Progress of one thing after the other; call it with the number done and of all."""
+
+    def __init__(self, name: str, unit: str, console: Console, clock: Callable[[], float] = monotonic) -> None:
+        """Begin; nothing is shown before the first call.
+
+        Args:
+            name: What is done.
+            unit: What is counted, as a plural.
+            console: Standard error.
+            clock: Gives seconds.
+        """
+        self._name, self._unit, self._console, self._clock = name, unit, console, clock
+        self.at_terminal = console.is_interactive and console.file.isatty()
+        self._stage, self._figures, self._done, self._total = name, "", 0, None
+        self._pace, self._told_s = Pace(clock), clock()
+
+    def __call__(self, done: int, total: int | None) -> None:
+        """So many of all are done."""
+        self._reach(done, None if total is None else max(done, total))
+
+    def at(self, stage: str, done: int, total: int | None, *, unit: str | None = None, figures: str = "") -> None:
+        """So much of a stage is done.
+
+        Args:
+            stage: What is done now.
+            done: How much of it.
+            total: Of how much; None where that is not known.
+            unit: What is counted.
+            figures: What else there is to tell.
+        """
+        stage = f"{self._name}, {stage}" if self._name else stage
+        if stage != self._stage:
+            self.end()
+            self._stage, self._done, self._pace = stage, 0, Pace(self._clock)
+            self._tell(stage)
+        self._unit, self._figures = self._unit if unit is None else unit, figures
+        self._reach(done, total)
+
+    def note(self, text: str) -> None:
+        """Tell something beside it."""
+        if self.at_terminal:
+            self._console.print(text)
+        else:
+            self._tell(text)
+
+    def end(self) -> None:
+        """The stage is done."""
+        if self._done:
+            self._tell(self.said(ended=True))
+
+    def said(self, *, ended: bool = False) -> str:
+        """How far it is, in a line."""
+        if not self._done:
+            return self._stage
+        known = self._total is not None and not ended
+        told = [f"{self._stage}: {self._done}{f' of {self._total}' if known else ''} {self._unit}".rstrip()]
+        if ended:
+            told[0] += f" in {duration(self._pace.seconds)}"
+        elif self._total:
+            told.append(f"{100 * self._done // self._total} %")
+            left_s = self._pace.left_s(self._total)
+            told += [] if left_s is None else [f"about {duration(left_s)} left"]
+        return ", ".join([*told, *([self._figures] if self._figures else [])])
+
+    def __rich__(self) -> Text | Table:
+        """What a terminal shows, once more at every refresh."""
+        text = Text(self.said())
+        if self._console.width < _BAR_FROM:
+            return text
+        shown = Table.grid(padding=(0, 1))
+        total = None if self._total is None else max(self._total, 1)
+        shown.add_row(ProgressBar(total, self._done, width=_BAR, pulse=total is None), text)
+        return shown
+
+    def _reach(self, done: int, total: int | None) -> None:
+        self._done, self._total = done, total
+        self._pace.reach(done)
+        if self._clock() - self._told_s >= LOG_EVERY_S:
+            self._tell(self.said())
+
+    def _tell(self, line: str) -> None:
+        """A line of a log."""
+        if not self.at_terminal:
+            self._told_s = self._clock()
+            print(line, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress(name: str = "", unit: str = "images") -> Iterator[Progress]:
+    """Show on standard error how far something is, as long as the context lasts.
+
+    At a terminal a line that changes, gone after an error: what standard error then says is one line. Else, as in a
+    log file, a line every ten seconds and at the end.
+
+    Args:
+        name: What is done; may be empty where all is told by stages.
+        unit: What is counted, as a plural.
+    """
+    console = Console(stderr=True, highlight=False, markup=False, color_system=color_system())
+    shown = Progress(name, unit, console)
+    if not shown.at_terminal:
+        yield shown
+        shown.end()
+        return
+    with Live(shown, console=console, refresh_per_second=8) as live:
+        try:
+            yield shown
+            live.update(Text(shown.said(ended=True)))
+        except BaseException:
+            live.transient = True
+            raise
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 99.5 * 60 else f"{seconds / 3600:.1f} h"
