@@ -1,6 +1,5 @@
 """Shapes and types in annotations are executed while the tests run."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,7 +10,6 @@ from hypothesis import settings
 
 from tests.helpers import checks
 from tests.helpers.checkout import SHARED_DATA
-from tests.helpers.checks import no_checks
 
 if TYPE_CHECKING:
     from sequences.rendering.surface import LitScene
@@ -47,11 +45,9 @@ def walk_of_25(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Walk(25).write(tmp_path_factory.mktemp("walk") / "walk.mcap", {"odometry": "exact, for tests"})
 
 
-@pytest.fixture
-def unchecked() -> Iterator[None]:
-    """Checks no shapes during a test that takes thousands of steps; others check those of the same calls."""
-    with no_checks():
-        yield
+@pytest.fixture(autouse=True)
+def _checks_begin_anew() -> None:
+    checks.begin_test()
 
 
 @pytest.fixture

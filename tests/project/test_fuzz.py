@@ -19,8 +19,6 @@ from tests.fuzz.readers import READERS
 from tests.fuzz.reading import Reader, Reading, UnsoundError
 from tests.helpers import exported
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 
 def misbehave(path: Path) -> Reading:
     """Read a file that says how it is to be read."""

@@ -18,8 +18,6 @@ from vapor.experiments.training_runs import TrainingRun
 from vapor.track import main
 from vapor.training.presets import PRESETS
 
-pytestmark = pytest.mark.usefixtures("unchecked")
-
 TINY_TABLE = TableConfig(
     ("variational", "posenet"),
     1,
