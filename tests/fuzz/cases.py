@@ -34,6 +34,10 @@ _CORPUS = Path(__file__).with_name("corpus.jsonl")
 _MOST_KEPT = 12288  # bytes of a line
 
 
+OTHER_SAMPLE = "kept of another sample"
+"""Cause of a verdict on a case that was kept of other files than those of today."""
+
+
 class OtherSampleError(Exception):
     """A file of the sample is not the one that a splice was made of."""
 
@@ -179,7 +183,7 @@ def replay() -> Iterator[tuple[str, Verdict]]:
                     try:
                         changes = {file: put_in(sample.files[file], splice) for file, splice in files}
                     except (KeyError, OtherSampleError):
-                        yield name, Verdict("failure", "kept of another sample", damage=entry["damage"])
+                        yield name, Verdict("failure", OTHER_SAMPLE, damage=entry["damage"])
                     else:
                         yield name, sample.judge(changes, entry["damage"])
 

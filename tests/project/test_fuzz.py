@@ -20,6 +20,12 @@ from tests.fuzz.reading import Reader, Reading, UnsoundError
 from tests.helpers import exported
 
 
+def has_avx512() -> bool:
+    """Whether numpy uses AVX-512: without it sines have other last bits, and files with poses are not those kept of."""
+    found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+    return any(name.startswith(("X86_V4", "AVX512")) for name in found)
+
+
 def misbehave(path: Path) -> Reading:
     """Read a file that says how it is to be read."""
     word = path.read_text()
@@ -144,7 +150,7 @@ def test_a_case_that_was_kept_of_another_sample_is_a_failure(tmp_path: Path, mon
     assert [verdict.cause for _, verdict in cases.replay()] == [""]
     sample.files["walk.tum"] = sample.files["walk.tum"].replace(b"1", b"2", 1)
     assert keep(sample, {"walk.tum": b"1"}, Verdict("failure", "a cause"))
-    assert [verdict.cause for _, verdict in cases.replay()] == ["", "kept of another sample"]
+    assert [verdict.cause for _, verdict in cases.replay()] == ["", cases.OTHER_SAMPLE]
 
 
 @pytest.mark.parametrize("name", ["model", "model-retrieval", "training-state"])
@@ -178,8 +184,14 @@ def test_exported_models_are_damaged_under_digests_and_checksums_that_fit(tmp_pa
 
 
 def test_what_once_failed_fails_no_more() -> None:
+    not_tried = 0
     for name, verdict in cases.replay():
-        assert verdict.outcome != "failure", f"{name}: {verdict.cause}: {verdict.said}: {verdict.damage}"
+        if verdict.cause == cases.OTHER_SAMPLE and not has_avx512():
+            not_tried += 1
+        else:
+            assert verdict.outcome != "failure", f"{name}: {verdict.cause}: {verdict.said}: {verdict.damage}"
+    if not_tried:
+        pytest.skip(f"{not_tried} cases, of files with sines as processors with AVX-512 round them; the others passed")
 
 
 @pytest.mark.parametrize("name", READERS)

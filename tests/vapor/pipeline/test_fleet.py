@@ -112,6 +112,7 @@ def test_a_fleet_gives_each_sequence_what_it_gets_alone_and_one_summary(
     loads: list[str] = []
     load = model_module.find_model
     monkeypatch.setattr(model_module, "find_model", lambda name: loads.append(name) or load(name))
+    monkeypatch.setenv("COLUMNS", "100")  # as its table needs
     out = tmp_path / "results"
     assert run([bags], tiny_model, out) == 1
     assert len(loads) == 1

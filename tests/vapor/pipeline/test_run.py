@@ -86,7 +86,7 @@ def test_a_run_prints_its_table_and_where_things_lie_and_no_error(finished):
         assert words in finished.printed
     for name in ("report.html", "recording.rrd", "particles.png"):
         assert str(finished.directory / name) in finished.printed
-    assert finished.errors == ""
+    assert re.fullmatch(r"localizing: 25 images in \d+ s\n", finished.errors)
 
 
 def test_the_report_has_exactly_the_keys_of_its_contract(finished):
@@ -193,7 +193,8 @@ def test_the_estimate_can_be_read_back_with_the_poses_of_the_trajectory(finished
 
 def test_the_configuration_tells_every_setting_as_it_was_used(finished):
     config = json.loads((finished.directory / "config.json").read_text())
-    assert config["sequence"] == {"name": "walk.mcap", "images": 25, "odometry": "exact, for tests"}
+    said_of_itself = {"image_source": None, "odometry": "exact, for tests"}
+    assert config["sequence"] == {"name": "walk.mcap", "images": 25} | said_of_itself
     assert config["model"]["name"] == "tiny.safetensors"
     assert (config["run"]["seed"], config["run"]["num_samples"], config["run"]["device"]) == (0, 60, "cpu")
     assert config["run"]["localizer"]["max_hypotheses"] == 40
