@@ -1,5 +1,6 @@
 """Shapes and types in annotations are executed while the tests run."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -10,6 +11,7 @@ from hypothesis import settings
 
 from tests.helpers import checks
 from tests.helpers.checkout import SHARED_DATA
+from tests.helpers.checks import no_checks
 
 if TYPE_CHECKING:
     from sequences.rendering.surface import LitScene
@@ -45,9 +47,11 @@ def walk_of_25(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Walk(25).write(tmp_path_factory.mktemp("walk") / "walk.mcap", {"odometry": "exact, for tests"})
 
 
-@pytest.fixture(autouse=True)
-def _checks_begin_anew() -> None:
-    checks.begin_test()
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """Checks no shapes during a test that takes thousands of steps; others check those of the same calls."""
+    with no_checks():
+        yield
 
 
 @pytest.fixture

@@ -12,6 +12,8 @@ from tests.helpers.modelled_walk import ERRORS
 from tests.helpers.scaled_errors import AHEAD, APART, looked, scale_along, shifted, simulated, understated
 from tests.helpers.simulation import lifted, motion, seen_at
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 STAY = motion(0, 0, 0, 0, 0, 0)
 
 THERE = Poses.identity(1)

@@ -16,6 +16,8 @@ from filtering.se3 import Poses
 from tests.helpers.modelled_walk import SLOW
 from tests.helpers.scaled_errors import AHEAD, APART, looked, scale_along, shifted, simulated, understated
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 UP = np.array([0.0, 0.0, 9.0])
 
 NEVER_CARRIED_OFF = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, slow_errors=SLOW)

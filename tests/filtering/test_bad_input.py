@@ -143,6 +143,7 @@ def after_a_jump(odometry_of_jump, true_jump, num_frames=150):
     return error_m[19:], statuses[19:]
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("std_m", [0.005, 50.0])
 def test_an_increment_of_50_m_that_is_wrong_is_no_reason_to_be_sure_and_images_bring_the_belief_back(std_m):
     """It is a motion like any other. One that is stated to be as uncertain as it is long leaves the image to decide."""
@@ -155,6 +156,7 @@ def test_an_increment_of_50_m_that_is_wrong_is_no_reason_to_be_sure_and_images_b
     assert statuses[-1] == "converged"
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_an_increment_of_50_m_that_is_true_is_followed_though_the_heading_is_uncertain():
     error_m, statuses = after_a_jump(Odometry(JUMP, GOOD, 0.1), JUMP, num_frames=60)
     assert max(error_m) < 1.5  # a hundredth of a radian is half a metre over 50 m
@@ -164,6 +166,7 @@ def test_an_increment_of_50_m_that_is_true_is_followed_though_the_heading_is_unc
 # --- long times -------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_ten_minutes_without_images_widen_the_belief_and_the_next_image_is_followed():
     localizer, _, _ = walking(3)
     before = localizer.predict(increment())
@@ -184,6 +187,7 @@ def test_ten_minutes_without_images_widen_the_belief_and_the_next_image_is_follo
     assert estimate.modes[0].world_from_camera.distance(pose)[0] < 0.2
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_ten_minutes_without_odometry_leave_all_directions_open_and_images_find_the_camera_again():
     localizer, _, odometry = walking(60)
     gone = localizer.update(PosePosterior.nothing(), None, elapsed_s=600.0)

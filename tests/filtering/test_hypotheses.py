@@ -297,6 +297,7 @@ def test_fewer_hypotheses_come_by_falling_weight_as_many_as_asked_and_normalised
         assert (np.diff(few.log_weights) <= 0).all()
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_thinning_out_hypotheses_is_unbiased():
     weights = np.array([0.5, 0.2] + [0.3 / 28] * 28)
     h = bank(30, offset=3.0, weights=weights)

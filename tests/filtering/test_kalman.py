@@ -45,6 +45,7 @@ def test_with_one_place_per_image_it_is_the_particle_filter_with_one_hypothesis(
         np.testing.assert_allclose(mode.covariance, estimate.modes[0].covariance, atol=1e-12)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_where_errors_follow_the_model_its_covariance_is_right():
     squared = []
     for seed in range(12):

@@ -12,6 +12,8 @@ from filtering.motion import Odometry, SlowErrors
 from filtering.se3 import Poses
 from tests.helpers.simulation import ERRORS, STD, image_errors, lifted, motion, seen_at, wandering
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 RNG = np.random.default_rng
 ALIKE = (0.0, 3.0, 6.0)
 PIXEL_NOISE = np.array([1e-3] * 3 + [5e-4] * 3)

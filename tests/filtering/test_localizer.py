@@ -27,6 +27,7 @@ def localize(seed, num_frames, unique, config=None):
 # --- the story ------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("seed", range(3))
 def test_an_ambiguous_belief_collapses_to_the_truth_once_a_unique_place_is_seen(seed):
     estimates, error_m, _ = localize(seed, 60, unique=range(20, 45))
@@ -36,6 +37,7 @@ def test_an_ambiguous_belief_collapses_to_the_truth_once_a_unique_place_is_seen(
     assert estimates[-1].status == "converged"
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_without_a_unique_place_the_true_floor_stays_among_the_modes_and_convergence_is_never_claimed():
     estimates, _, truth = localize(11, 40, unique=range(0))
     assert all(estimate.status == "ambiguous" for estimate in estimates)
@@ -72,6 +74,7 @@ def test_weights_are_normalised_and_hypotheses_no_more_than_asked():
 # --- the beginning --------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_first_image_that_is_all_but_sure_of_a_wrong_place_does_not_decide():
     """95 % of its samples are where the camera is not; later images cannot tell the two places apart."""
     localizer = new_localizer()

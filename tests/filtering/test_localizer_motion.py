@@ -51,6 +51,7 @@ def test_odometry_that_errs_along_but_not_across_stays_so():
     assert up < 0.02
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("too_long", [0.05, -0.05])
 def test_odometry_that_is_5_percent_off_is_found_out(too_long):
     localizer = new_localizer(slow_errors=SlowErrors(scale=0.05, relative_drift=0.1))
@@ -70,6 +71,7 @@ def test_odometry_that_is_5_percent_off_is_found_out(too_long):
 # --- unit of length -------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("factor", [0.1, 30.0, 1000.0])
 def test_nothing_depends_on_the_unit_of_length(factor):
     """Another place every ten images, outliers, a gap: the same weights and statuses, and poses times the factor."""

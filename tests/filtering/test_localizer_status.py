@@ -8,6 +8,7 @@ from tests.helpers.localizer_walks import AHEAD, STAY, new_localizer, walk, weig
 from tests.helpers.simulation import ERRORS, ODOMETRY_STD, lifted, motion, seen_at
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("rate", [1, 3, 10, 30])
 def test_foreign_images_are_lost_after_about_a_second_or_six_images_and_the_map_in_view_again_is_found(rate):
     localizer = new_localizer()
@@ -37,6 +38,7 @@ def test_a_belief_whose_shares_say_sure_is_lost_all_the_same_when_images_fit_it_
     assert estimate.agreement < 0.3
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_kidnapped_camera_is_followed_within_a_few_lengths_and_meanwhile_the_belief_is_not_sure():
     localizer = new_localizer()
     before, pose = walk(localizer, 40)

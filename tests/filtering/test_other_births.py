@@ -63,6 +63,7 @@ def test_nothing_is_born_into_a_gaussian_sum():
     assert lost[-1].status == "lost"
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("kind", [ParticleLocalizer, DoubtingLocalizer])
 def test_births_find_a_camera_that_was_carried_off(kind):
     path = walk(90, rng=np.random.default_rng(2))

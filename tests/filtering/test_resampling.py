@@ -77,6 +77,7 @@ def test_thinning_out_keeps_exactly_as_many_as_asked_each_once_and_the_sum_of_we
     np.testing.assert_allclose(np.exp(log_weights[~own]), lightest)  # and the others all weigh the same
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("weights", [*WEIGHTS[:3], np.array([0.4, 0.3, 0.1, 0.1, 0.05, 0.03, 0.015, 0.005])])
 @pytest.mark.parametrize("count", [1, 3, 7])
 def test_the_expected_weight_of_each_is_what_it_was(weights, count):

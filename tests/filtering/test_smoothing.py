@@ -13,6 +13,8 @@ from filtering.se3 import Poses
 from filtering.smoothing import SmoothingConfig, agreement, independence, smooth
 from tests.helpers.modelled_walk import ERRORS, SLOW, walk
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 CONFIG = SmoothingConfig(slow_errors=SLOW)
 
 

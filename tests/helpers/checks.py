@@ -1,9 +1,10 @@
-"""Shapes and types in annotations, which tests execute."""
+"""Shapes and types in annotations, which tests execute, all but where they say so."""
 
 import functools
 import inspect
 import typing
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import is_dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -13,14 +14,6 @@ from beartype import BeartypeConf, beartype
 from jaxtyping import TypeCheckError, jaxtyped
 
 _CONFIGURED = BeartypeConf(violation_type=TypeCheckError)
-FIRST, ONE_IN = 20, 20  # calls of a function in a test that are checked, and of those after them
-_tests_begun = 0
-
-
-def begin_test() -> None:
-    """Check the first calls of every function again."""
-    global _tests_begun
-    _tests_begun += 1
 
 
 def install(packages: list[str]) -> None:
@@ -33,8 +26,6 @@ def checked(what: Any = None, *, typechecker: Any = None) -> Any:
     """As jaxtyping's own decorator does, which checks parameters twice and binds them to names first, in half the time.
 
     A function is made ready when it is first called: many never are, and by then all names in annotations are defined.
-    Checks take longer than much of what they check: in each test they are of the first 20 calls of a function, and of
-    one in 20 after these.
     """
     if what is None:
         return functools.partial(checked, typechecker=typechecker)
@@ -43,17 +34,13 @@ def checked(what: Any = None, *, typechecker: Any = None) -> Any:
             what.__init__ = checked(what.__init__)
         return what
     ready: Callable[..., Any] | None = None
-    calls, test = 0, -1
 
     @functools.wraps(what)
     def call(*arguments: Any, **named: Any) -> Any:
         __tracebackhide__ = True
-        nonlocal ready, calls, test
-        if test != _tests_begun:
-            test, calls = _tests_begun, 0
-        calls += 1
-        if calls > FIRST and calls % ONE_IN:
+        if jaxtyping.config.jaxtyping_disable:
             return what(*arguments, **named)
+        nonlocal ready
         if ready is None:
             ready = _with_checks(what)
         with jaxtyped("context"):  # sizes of axes are the same within a call
@@ -77,3 +64,14 @@ def _known(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
             yield name, typing.get_type_hints(with_hint, function.__globals__, include_extras=True)[name]
         except NameError:
             continue
+
+
+@contextmanager
+def no_checks() -> Iterator[None]:
+    """For what takes thousands of steps, where others check those of the same calls; may be nested."""
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", True)
+    try:
+        yield
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", before)

@@ -5,8 +5,7 @@ import pytest
 from jaxtyping import Float64, TypeCheckError
 
 from filtering.se3 import Poses
-from tests.helpers import checks
-from tests.helpers.checks import checked
+from tests.helpers.checks import checked, no_checks
 from vapor.benchmark.recordings.storage import from_rows
 from vapor.evaluation.consistency import longest_s
 
@@ -31,21 +30,9 @@ def first_of_each(pairs: Float64[np.ndarray, "n 2"], count: int) -> Float64[np.n
     return pairs[:count, 0]
 
 
-def test_a_result_that_does_not_fit_is_refused():
+def test_a_result_that_does_not_fit_is_refused_but_where_nothing_is_checked():
     assert len(first_of_each(np.zeros((3, 2)), 3)) == 3
     with pytest.raises(TypeCheckError, match="return"):
         first_of_each(np.zeros((3, 2)), 2)
-
-
-def test_the_first_calls_of_a_test_are_checked_and_one_in_so_many_after_them():
-    refused = []
-    for number in range(1, checks.FIRST + 3 * checks.ONE_IN + 1):
-        try:
-            first_of_each(np.zeros((3, 2)), 2)
-        except TypeCheckError:
-            refused.append(number)
-    after = [checks.FIRST + each * checks.ONE_IN for each in (1, 2, 3)]
-    assert refused == [*range(1, checks.FIRST + 1), *after]
-    checks.begin_test()
-    with pytest.raises(TypeCheckError):
-        first_of_each(np.zeros((3, 2)), 2)
+    with no_checks():
+        assert len(first_of_each(np.zeros((3, 2)), 2)) == 2

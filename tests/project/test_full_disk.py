@@ -32,7 +32,7 @@ MORE = {
 }
 ALL = CALLS | MORE
 
-pytestmark = pytest.mark.usefixtures("rough_light")
+pytestmark = pytest.mark.usefixtures("unchecked", "rough_light")
 
 
 @pytest.fixture

@@ -19,6 +19,8 @@ from tests.fuzz.readers import READERS
 from tests.fuzz.reading import Reader, Reading, UnsoundError
 from tests.helpers import exported
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def has_avx512() -> bool:
     """Whether numpy uses AVX-512: without it sines have other last bits, and files with poses are not those kept of."""

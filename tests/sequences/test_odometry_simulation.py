@@ -6,6 +6,8 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.odometry import OdometryNoise, simulate_odometry
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 TIMES_NS = 20_000_000 * np.arange(1501, dtype=np.int64)  # 30 s at 50 Hz
 SILENT = OdometryNoise(0.0, 0.0, 0.0, 30.0, 0.0, 0.0)
 
@@ -75,6 +77,7 @@ def test_errors_over_a_tenth_of_a_second_are_slightly_smaller_than_stated():
     assert (ratio > 0.4).all(), ratio
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_stated_covariance_is_honest_where_drift_dominates_white_noise():
     drifting = OdometryNoise(0.05, 0.05, 0.02, 30.0, 1e-4, 1e-4)
     errors, stated = errors_over(5, 400, drifting)

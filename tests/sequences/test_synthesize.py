@@ -13,6 +13,8 @@ from sequences.scenes import SCENES, find_scene
 from sequences.synthesize import synthesize
 from sequences.synthetic_sequence import SyntheticSequence
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 @pytest.fixture(scope="module", params=SCENES)
 def name(request) -> str:

@@ -89,6 +89,7 @@ def test_storage_that_cannot_be_used_is_told_in_one_line(machine, capsys):
     assert "only experiment and benchmark write to URLs" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_benchmark_under_a_url_goes_on_from_any_machine(machine, tiny_model, monkeypatch, capsys):
     fsspec.filesystem("memory").put(str(tiny_model), "/models/tiny.safetensors")
     words = ["benchmark", "localization", "ceiling", "--models", "memory://models/tiny.safetensors", "--output"]
@@ -113,6 +114,7 @@ def test_a_benchmark_under_a_url_goes_on_from_any_machine(machine, tiny_model, m
     assert "memory://other: holds notes.txt, expected an empty folder" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_walk_is_rendered_on_a_machine_that_has_no_copy_of_anything(machine):
     names = {"train_walks": 1, "train_frames": 8, "test_walks": 0, "test_frames": 8, "height": 24}
     steps = render_scenes(["dinner-table"], local_path("memory://new"), workers=Workers(1), **names)
@@ -124,6 +126,7 @@ def test_a_walk_is_rendered_on_a_machine_that_has_no_copy_of_anything(machine):
     assert len(listed(local_path("memory://new"))) == 1
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_training_that_was_killed_goes_on_on_another_machine_to_the_same_result(machine, tmp_path, monkeypatch):
     config = AlphaConfig(
         alphas=(0.5,),

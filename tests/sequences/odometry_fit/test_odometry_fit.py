@@ -18,6 +18,8 @@ from sequences.odometry_fit.segment import OdometrySegment
 from sequences.trajectories.interpolation import interpolate
 from sequences.trajectories.tum import read_tum
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 NOISE = OdometryNoise()
 WHITE = [0.008] * 3 + [0.003] * 3
 SILENT = OdometryNoise(0.0, 0.0, 0.0, 30.0, 0.0, 0.0)

@@ -28,6 +28,7 @@ def test_garbage_is_refused_by_its_first_bytes(content: bytes, tmp_path: Path) -
         SequenceReader(path)
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("form", [form for form in FORMS if form.__name__ != "as_split_folder"])
 def test_damage_anywhere_is_an_error_that_names_the_file_or_does_no_harm(
     form: Form, walk_file: Path, tmp_path: Path

@@ -70,6 +70,7 @@ def test_an_offset_is_added_to_the_stamps(walk: Path, tmp_path: Path) -> None:
     assert "images from" in reader.notices[0]
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_an_offset_is_found_by_what_odometry_says_of_the_rotation(tmp_path: Path) -> None:
     num_images = 150
     path = record(tmp_path / "a.mcap", images(num_images), mounted(), odometry(stamps(num_images)))

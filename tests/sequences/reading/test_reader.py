@@ -161,6 +161,7 @@ def test_raw_images_are_read_and_beside_compressed_ones_must_be_named(tmp_path: 
     np.testing.assert_allclose(frames[3].odometry.previous_from_current.translation, [0.1, 0, 0], atol=1e-12)
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("with_index", [True, False])
 def test_memory_does_not_grow_with_the_file(with_index: bool, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)

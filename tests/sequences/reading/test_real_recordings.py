@@ -29,6 +29,7 @@ def test_a_ros_1_bag_is_told_how_to_become_one_of_ros_2(shared_data: Path) -> No
         SequenceReader(shared_data / "ros_bags" / "t265_trimmed_locoffice.bag")
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_odometry_of_a_real_robot_gets_the_motion_noise(shared_data: Path) -> None:
     """2639 messages with covariances of zero: increments over 0.5 s are those of a robot, and chain to its path."""
     decode = decoder("nav_msgs/Odometry")

@@ -98,6 +98,7 @@ def test_odometry_of_the_camera_itself_needs_no_tf(walk_file: Path, tmp_path: Pa
     assert close(reader.base_from_camera, Poses.identity(), 1e-12)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_transforms_lead_through_a_robot_of_many_frames(shared_data: Path, tmp_path: Path) -> None:
     """The camera of a TurtleBot 4, as its /tf_static has it: from base_link up through the camera's bracket."""
     source = shared_data / "ros_bags" / "nav2_turtlebot.mcap"

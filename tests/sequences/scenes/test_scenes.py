@@ -20,6 +20,8 @@ from sequences.scenes.staircase.walk import walk_stairs
 from sequences.scenes.table_room import circle_table
 from sequences.synthesize import synthesize
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 
 

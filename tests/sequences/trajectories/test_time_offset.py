@@ -39,6 +39,7 @@ def two_records(path: Poses, rate_hz: int, offset_s: float, rng: np.random.Gener
 
 @pytest.mark.parametrize("rate_hz", [30, 10])
 @pytest.mark.parametrize("walk", WALKS)
+@pytest.mark.usefixtures("unchecked")
 def test_known_offsets_are_found_within_five_milliseconds(walk: Walk, rate_hz: int) -> None:
     for seed in range(3):
         rng = np.random.default_rng(seed)

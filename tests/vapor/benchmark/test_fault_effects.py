@@ -26,6 +26,8 @@ from vapor.benchmark.trials.replay import Replay
 from vapor.tracking.dead_reckoning import dead_reckoning
 from vapor.tracking.passage import posterior_of
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 N = 30
 
 DURING = range(10, 15)

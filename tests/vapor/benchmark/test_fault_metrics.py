@@ -12,6 +12,8 @@ from vapor.benchmark.faults.table import FAULTS, NONE
 from vapor.benchmark.faults.timing import find_moment
 from vapor.tracking.belief import Belief
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def test_faults_last_a_while_to_the_end_or_throughout():
     times_ns = 100_000_000 * np.arange(300, dtype=np.int64)

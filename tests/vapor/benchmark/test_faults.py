@@ -19,6 +19,8 @@ from vapor.benchmark.faults.walks import SyntheticWalk
 from vapor.benchmark.trials.replay import Replay
 from vapor.track import main
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 OPTIONS = [
     "--walks", "1", "--frames", "50", "--width", "32", "--height", "24", "--num-samples", "20", "--workers", "1",
     "--first-seed", "700", "--localizer.max-hypotheses", "4", "--faults", "black", "tripled", "upside-down",

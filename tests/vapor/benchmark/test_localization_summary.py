@@ -6,6 +6,8 @@ from vapor.benchmark.localization.summary import failed, summarise
 from vapor.commands.benchmark.localization_tables import tables
 from vapor.commands.console import show
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def consistency(images: int, wrong: float = 0.0) -> dict:
     if images == 0:

@@ -61,6 +61,7 @@ def summary_of(output):
     return json.loads((output / "summary.json").read_text())
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_place_30_times_as_large_gives_the_same_table_times_30(stairs, tmp_path, capsys):
     assert run(stairs, tmp_path, "--seeds", "2") == 0
     out, summary = capsys.readouterr().out, summary_of(tmp_path)
@@ -84,6 +85,7 @@ def test_a_place_30_times_as_large_gives_the_same_table_times_30(stairs, tmp_pat
     assert alone[1] == alone[2]
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_what_is_done_is_not_done_again_but_where_settings_or_code_changed(stairs, tmp_path, monkeypatch):
     only = ("--only", "stairs", "--seeds", "1")
     assert run(stairs, tmp_path, *only) == 0
@@ -101,6 +103,7 @@ def test_what_is_done_is_not_done_again_but_where_settings_or_code_changed(stair
     assert len(done) == 2
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_network_is_trained_once_and_calibrated_anew_where_that_code_changed(tmp_path, monkeypatch):
     make_7scenes(tmp_path / "scene", num_images=10)
     monkeypatch.setattr(real_benchmark, "ROWS", (TINY,))
@@ -147,6 +150,7 @@ def test_the_shared_data_have_every_row(shared_data):
     assert not missing
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_the_corridors_own_odometry_is_one_of_ours(shared_data):
     """It is that of seed 4."""
     with np.load(shared_data / "corridor_posteriors" / "floor.npz") as stored:
@@ -159,6 +163,7 @@ def test_the_corridors_own_odometry_is_one_of_ours(shared_data):
     np.testing.assert_allclose(np.diagonal(stated), np.diagonal(covariance.mean(axis=0)), rtol=0.01)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_hlocs_estimates_of_the_stairs_are_as_good_as_published(shared_data, tmp_path):
     """5.1 cm; in the unit of the scaled row the same."""
     for name in ("stairs_hloc", "stairs_x30_hloc"):

@@ -82,6 +82,7 @@ def test_errors_are_fitted_on_images_and_odometry_on_what_leads_between_them():
     assert (result.odometry, odometry.increments, odometry.recordings) == ("held-out data", 132, 3)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_without_odometry_in_held_out_data_that_of_the_training_data_is_taken():
     bare = load_training_set({"a": frames_of(60, odometry=False)}, (36, 36))
     network, before = network_for(bare), Calibration(errors=default_errors(bare.poses))
@@ -109,6 +110,7 @@ def errs_by(score, factor):
     return predict
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("factor", "power"), [(lambda score: score / 0.5, 1.0), (lambda score: 1.0, 0.0)], ids=["growing", "alike"]
 )
@@ -154,6 +156,7 @@ def test_twenty_images_are_enough():
     assert errors.constant_fraction == pytest.approx(0.1 + 2.0 / result.effective_images)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
     config = TrainConfig(NETWORK, LossConfig(num_samples=16), epochs=1, precision="float32", device="cpu")
     held_out = {str(k): frames_of(45, seed=k) for k in range(3)}

@@ -15,6 +15,8 @@ from vapor.calibration.observations import Observations
 from vapor.calibration.travel import Travel
 from vapor.checkpoints.scene_scale import default_errors, flat_log_density, scene_extent
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def test_spread_floor_tail_and_outliers_of_known_errors_are_found():
     errors = fitted().errors

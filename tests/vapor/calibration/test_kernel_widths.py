@@ -7,6 +7,8 @@ from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import anywhere
 from vapor.calibration.kernel_widths import fit_widths
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 @pytest.mark.parametrize(("spread_m", "spread_rad"), [(0.2, 0.05), (0.05, 0.15)])
 def test_the_scale_of_the_kernels_is_found_from_samples_of_known_spread(spread_m, spread_rad):

@@ -16,6 +16,8 @@ from vapor.calibration.observations import Observations
 from vapor.calibration.travel import Travel
 from vapor.checkpoints.scene_scale import default_errors, scene_extent
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 STEP = 0.1
 
 

@@ -14,7 +14,7 @@ from tests.helpers.sequence_files import BEGIN_NS
 from vapor.track import main
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_converted_tum_folder_with_recorded_odometry_can_be_run(tiny_model, tmp_path, capsys):
     make_tum(tmp_path / "data")
     write_tum(tmp_path / "odometry.tum", truth_at([BEGIN_NS - 5_000_000 + 20_000_000 * i for i in range(20)]))
@@ -27,7 +27,7 @@ def test_a_converted_tum_folder_with_recorded_odometry_can_be_run(tiny_model, tm
     assert config["sequence"]["odometry"] == "recorded: odometry.tum"
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_converted_7_scenes_folder_with_simulated_odometry_can_be_run(tiny_model, tmp_path, capsys):
     make_7scenes(tmp_path / "data")
     output = tmp_path / "sequence.mcap"

@@ -11,7 +11,7 @@ from tests.helpers.sequence_files import BEGIN_NS, IMAGES, Walk, rewrite
 from vapor.track import main
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path, capsys):
     walk, second = Walk(30), 1_000_000_000
     walk.odometry = [(t, pose) for t, pose in walk.odometry if t > BEGIN_NS + 0.25 * second]  # not images 0 to 2
@@ -43,7 +43,7 @@ def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path
     assert "NaN" not in (tmp_path / "out" / "report.json").read_text()
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_run_that_used_few_of_its_images_says_so_last_and_one_that_used_hardly_any_fails(
     tiny_model, earlier, tmp_path, capsys
 ):

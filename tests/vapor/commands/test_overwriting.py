@@ -173,7 +173,7 @@ def test_what_a_command_reads_is_never_written_to(name, belongings, capsys):
     assert contents(belongings) == before
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_the_folder_of_the_sequence_is_only_taken_when_told_and_keeps_what_is_in_it(belongings, capsys):
     folder = belongings / "own"
     folder.mkdir()
@@ -191,7 +191,7 @@ def test_the_folder_of_the_sequence_is_only_taken_when_told_and_keeps_what_is_in
     assert {name for name in before if after[name] != before[name]} == {"config.json"}
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_an_interrupted_run_leaves_nothing_and_ends_with_130(walk_of_25, tiny_model, earlier, capsys, monkeypatch):
     before = contents(earlier)
 

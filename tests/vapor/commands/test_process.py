@@ -72,7 +72,7 @@ def test_help_and_version_load_no_network_library(tmp_path):
         assert not {"torch", "rerun", "cv2", "gtsam", "matplotlib"} & loaded
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("unchecked", "no_pictures")
 def test_the_process_ends_with_the_status_of_the_command_and_gives_the_same_bytes(walk_of_25, tiny_model, tmp_path):
     wrong = process(["-m", "vapor.track", "localise"], tmp_path)
     assert (wrong.returncode, wrong.stdout) == (2, "")

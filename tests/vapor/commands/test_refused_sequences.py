@@ -62,6 +62,7 @@ def test_a_truncated_recording_is_refused(share, walk_of_25, tiny_model, earlier
     refuse_run(path, tiny_model, earlier, capsys, path, "truncated", "expected the closing MCAP magic")
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_damage_that_is_met_half_way_leaves_nothing_behind(walk_of_25, tiny_model, earlier, capsys):
     path = rewrite(walk_of_25, earlier.parent / "damaged.mcap", chunk_size=2000)
     content = bytearray(path.read_bytes())

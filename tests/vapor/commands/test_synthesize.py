@@ -11,7 +11,7 @@ from tests.helpers.command_line import contents, refuse, skipped_in_run
 from vapor.track import main
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_synthetic_sequence_appears_and_can_be_run(tiny_model, tmp_path, capsys):
     output = tmp_path / "ceiling.mcap"
     words = ["synthesize", "ceiling", str(output), "--frames", "8", "--width", "80", "--height", "60", "--seed", "5"]

@@ -25,7 +25,7 @@ TRAINING = [
 ]
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_training_that_was_interrupted_goes_on_and_its_model_runs(walk_of_25, tmp_path, capsys, monkeypatch):
     model = tmp_path / "model.safetensors"
     words = ["train", str(walk_of_25), "--output", str(model), *TRAINING]

@@ -208,6 +208,7 @@ def test_settings_for_all_to_read_that_were_changed_alone_are_refused(small):
         (lambda c: c.update(calibration={"errors": 1e999}), "configuration"),
     ],
 )
+@pytest.mark.usefixtures("unchecked")
 def test_a_configuration_of_wrong_values_is_refused_though_checksums_fit(changed, said, small):
     content = small.read_bytes()
     config = json.loads(take_apart(content)[1][0][1])

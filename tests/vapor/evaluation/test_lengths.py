@@ -20,6 +20,8 @@ from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scale
 from vapor.tracking.belief import Belief
 from vapor.tracking.methods import METHODS
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def test_a_calibration_is_scaled_with_the_odometry_that_it_found():
     fit = OdometryFit(

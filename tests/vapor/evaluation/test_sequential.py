@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +15,8 @@ from tests.helpers.modelled_walk import ERRORS, walk
 from vapor.evaluation.sequential import evaluate_sequences, starts_of_sequences, succeeds
 from vapor.tracking.follow import follow
 from vapor.tracking.passage import Passage
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 STILL = Odometry(Poses.identity(), 1e-6 * np.eye(6), 0.1)
 

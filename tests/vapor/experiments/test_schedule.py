@@ -20,6 +20,8 @@ from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
 from vapor.training.progress import Progress
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 TINY = ScheduleConfig(
     sequences=1,
     frames=32,

@@ -18,6 +18,8 @@ from vapor.experiments.training_runs import TrainingRun
 from vapor.track import main
 from vapor.training.presets import PRESETS
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 TINY_TABLE = TableConfig(
     ("variational", "posenet"),
     1,

@@ -55,7 +55,7 @@ def compared(
 # --- odometry ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("no_odometry_fit")
+@pytest.mark.usefixtures("unchecked", "no_odometry_fit")
 @pytest.mark.parametrize("late_s", [0.041, -0.12])
 def test_odometry_that_is_late_is_said_to_be_by_as_many_milliseconds(late_s):
     found = compared(late_s=late_s, seconds=60.0)
@@ -64,6 +64,7 @@ def test_odometry_that_is_late_is_said_to_be_by_as_many_milliseconds(late_s):
     assert not found.axes.swapped
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_scale_error_of_three_percent_is_found():
     found = compared(scale=0.03)
     assert found.fit is not None
@@ -73,6 +74,7 @@ def test_a_scale_error_of_three_percent_is_found():
     assert not any((found.axes.swapped, found.axes.tilted, found.axes.unlike))
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_swapped_axes_are_named_and_put_right_before_errors_are_fitted():
     left = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # odometry's z is the true poses' -x
     found = compared(turned=left, scale=0.03)
@@ -84,7 +86,7 @@ def test_swapped_axes_are_named_and_put_right_before_errors_are_fitted():
     assert found.fit.scale == pytest.approx(0.03, abs=0.008)
 
 
-@pytest.mark.usefixtures("no_odometry_fit")
+@pytest.mark.usefixtures("unchecked", "no_odometry_fit")
 def test_a_camera_turned_by_less_on_its_base_is_noticed_too():
     turned = Poses.exp(np.array([0.0, 0.0, 0.0, 0.0, np.radians(25.0), 0.0])).rotation
     found = compared(turned=turned)
@@ -140,7 +142,7 @@ def clocked(path: Path, *, seconds: float = 30.0, image: Callable[[Poses], np.nd
     return path
 
 
-@pytest.mark.usefixtures("no_odometry_fit")
+@pytest.mark.usefixtures("unchecked", "no_odometry_fit")
 @pytest.mark.parametrize(
     ("late_s", "odometry_ms", "images_ms"),
     [
@@ -170,7 +172,7 @@ def test_a_clock_that_is_off_is_found_and_named(late_s, odometry_ms, images_ms, 
 OFF = (r"\d+ ms early", r"\d+ ms late")
 
 
-@pytest.mark.usefixtures("no_odometry_fit")
+@pytest.mark.usefixtures("unchecked", "no_odometry_fit")
 def test_images_whose_view_does_not_shift_as_the_camera_turns_tell_no_clock(tmp_path):
     found = inspect([clocked(tmp_path / "w.mcap", image=lambda _: scenery(0), images=0.5)])
     assert [clock.late_ms for clock in found.clocks] == [None]

@@ -27,6 +27,7 @@ pytestmark = pytest.mark.usefixtures("no_odometry_fit")
 # --- images --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("blur_px", [1.5, 6.0])
 def test_a_gap_a_blurred_segment_and_dark_images_are_counted_where_they_are(blur_px, tmp_path):
     def image(index: int) -> np.ndarray:
@@ -48,6 +49,7 @@ def test_a_gap_a_blurred_segment_and_dark_images_are_counted_where_they_are(blur
     only(found, "a gap of 3.1 s, 6.9 s after its start")
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_dull_view_is_not_taken_for_blur(tmp_path):
     def image(index: int) -> np.ndarray:
         return detailed(index) if index < 80 else 100 + detailed(index) // 3
@@ -56,6 +58,7 @@ def test_a_dull_view_is_not_taken_for_blur(tmp_path):
     assert not walk.looks.blurred.any()
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_images_all_alike_and_frozen_ones_are_said(tmp_path):
     same = inspect([write(tmp_path / "same.mcap", walked(), image=lambda _: scenery(0))])
     assert same.verdict[0] == "record same.mcap again: its 120 images are all one and the same"
@@ -67,6 +70,7 @@ def test_images_all_alike_and_frozen_ones_are_said(tmp_path):
 # --- recordings that lack something --------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_good_recording_is_good_enough(tmp_path):
     paths = [write(tmp_path / f"w{i}.mcap", walked(60, at=(0.05 * i, 0.0, 0.0))) for i in range(4)]
     assert inspect(paths).verdict == (GOOD_ENOUGH,)
@@ -97,6 +101,7 @@ def test_a_camera_that_stands_is_told_to_walk(tmp_path):
     assert found.odometry.axes is None
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_poses_far_from_zero_give_the_same_figures(tmp_path):
     near, far = (
         inspect([write(tmp_path / f"{name}.mcap", walked(at=at))])
@@ -110,6 +115,7 @@ def test_poses_far_from_zero_give_the_same_figures(tmp_path):
     assert "from zero" in far.notices[0]
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_range_takes_the_images_that_training_takes(tmp_path):
     path = write(tmp_path / "w.mcap", walked())
     images = posed_images(read_walks([f"{path}@20:50", f"{path}@60:"]))

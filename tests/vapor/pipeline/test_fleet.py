@@ -105,7 +105,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_fleet_gives_each_sequence_what_it_gets_alone_and_one_summary(
     bags, tiny_model, tmp_path, capsys, monkeypatch
 ):
@@ -147,7 +147,7 @@ def test_a_fleet_gives_each_sequence_what_it_gets_alone_and_one_summary(
         assert (tmp_path / "alone" / name).read_bytes() == (out / "bag" / name).read_bytes()
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_an_interrupted_fleet_keeps_what_was_finished_whole(bags, tiny_model, tmp_path, capsys, monkeypatch):
     real, out = fleet_module.run, tmp_path / "out"
 
@@ -194,7 +194,7 @@ def test_folders_without_a_recording_and_absent_files_fail_each_in_its_row(tiny_
     assert printed.err.endswith("2 of 2 sequences failed: empty, gone\n")
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_sequence_that_used_hardly_any_of_its_images_fails_unless_it_may(tiny_model, tmp_path, capsys):
     bags = tmp_path / "bags"
     bags.mkdir()

@@ -50,6 +50,7 @@ def test_each_sequence_starts_without_odometry_and_exact_odometry_leads_to_the_n
             np.testing.assert_allclose(led.as_matrix(), after.world_from_camera.as_matrix(), atol=1e-7)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_file_may_lack_frames_and_odometry_reaches_across_those_that_all_lack(tmp_path, truth):
     names = list(walk())
     first = file_of(tmp_path / "a.txt", {name: walk()[name] for name in names if name not in names[10:15]})
@@ -173,6 +174,7 @@ def test_estimates_that_come_twice_are_no_camera_that_froze():
 # --- the command ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_the_command_bridges_a_run_of_wrong_estimates(tmp_path, truth, capsys, request):
     """Estimates 3 cm off, but for twelve images in a row that put the camera 0.6 m away; a second method lacks some."""
     poses = walk()
@@ -214,7 +216,7 @@ def test_the_command_bridges_a_run_of_wrong_estimates(tmp_path, truth, capsys, r
     assert (output / "trajectory.tum").read_bytes() == before
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("unchecked", "no_pictures")
 def test_another_sequence_starts_anew_however_much_the_first_one_said(tmp_path, truth):
     """The second one begins with an estimate that is 0.6 m off: nothing of the first one corrects it."""
     poses = walk()
@@ -233,7 +235,7 @@ def test_another_sequence_starts_anew_however_much_the_first_one_said(tmp_path, 
     assert config["run"]["localizer"]["gap"]["action"] == "forget"
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_estimates_that_odometry_does_not_cover_count_and_frames_without_an_estimate_do_not(tmp_path, truth, capsys):
     names, output = list(walk()), tmp_path / "result"
 
@@ -307,7 +309,7 @@ def test_what_cannot_be_used_is_one_line_and_leaves_nothing(tmp_path, truth, cap
     assert not output.exists()
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("unchecked", "no_pictures")
 def test_real_estimates_of_a_staircase_have_no_tail_left(shared_data: Path, tmp_path: Path, capsys):
     """The 150 frames of 7-Scenes stairs around hloc's longest run of wrong estimates: all that were asked for."""
     folder = shared_data / "7scenes_stairs"

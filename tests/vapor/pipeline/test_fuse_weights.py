@@ -74,7 +74,7 @@ def weighted_file(path: Path, *methods: tuple[dict[str, Poses], float]) -> Path:
     return path
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("unchecked", "no_pictures")
 def test_equal_weights_in_one_file_are_files_of_one_hypothesis_each(tmp_path, truth):
     """Bit by bit, whatever the unit of the weights."""
     one, two = noisy(walk(), 0.02, 0.01, 1), noisy(walk(), 0.02, 0.01, 2)
@@ -93,7 +93,7 @@ def test_equal_weights_in_one_file_are_files_of_one_hypothesis_each(tmp_path, tr
     assert config["reading"]["columns"] == WEIGHTED[1]
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("unchecked", "no_pictures")
 def test_the_hypothesis_with_more_inliers_is_the_single_image_and_the_filter_finds_the_right_one_all_the_same(
     tmp_path, truth
 ):
@@ -135,7 +135,7 @@ def test_weights_that_are_missing_are_said_with_the_file_and_the_line(tmp_path, 
     assert not output.exists()
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("unchecked", "no_pictures")
 def test_six_real_methods_in_one_weighted_file_are_fused_as_six_files_are(shared_data: Path, tmp_path: Path):
     """150 frames of 7-Scenes stairs; the weights are one vote each, as the published files state no inliers."""
     folder = shared_data / "7scenes_stairs"

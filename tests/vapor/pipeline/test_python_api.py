@@ -38,6 +38,7 @@ def test_a_users_own_observation_model_drives_the_filter():
     assert np.sqrt(best.covariance[0, 0]) < 0.2  # better than any one image
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
 def test_the_ten_lines_that_a_newcomer_sees_first_run(page, tmp_path, monkeypatch, capsys):
     blocks = re.findall(r"```python\n(.*?)```", (CHECKOUT / page).read_text(encoding="utf-8"), flags=re.DOTALL)

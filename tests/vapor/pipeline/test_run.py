@@ -227,6 +227,7 @@ def test_evaluate_takes_other_true_poses(finished, tmp_path):
 # --- the same twice -------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(
     finished, tiny_model, walk_of_25, tmp_path, request
 ):
@@ -243,7 +244,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(
     assert (tmp_path / "other" / "trajectory.tum").read_bytes() != (tmp_path / "again" / "trajectory.tum").read_bytes()
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_a_rosbag2_folder_gives_what_its_file_gives(finished, tiny_model, walk_of_25, tmp_path):
     folder = as_split_folder(walk_of_25, tmp_path)
     assert run(folder, tiny_model, tmp_path / "out", "--no-recording") == 0
@@ -254,6 +255,7 @@ def test_a_rosbag2_folder_gives_what_its_file_gives(finished, tiny_model, walk_o
 # --- less than everything -------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_without_true_poses_nothing_is_evaluated_and_nothing_of_an_earlier_run_stays(
     finished, tiny_model, walk_of_25, tmp_path, capsys
 ):
@@ -279,7 +281,7 @@ def test_a_run_of_one_image_is_a_run(tiny_model, tmp_path):
     assert set(report) & METHODS == METHODS - {"dead_reckoning"}
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_options_choose_the_segment_and_leave_out_topics(tiny_model, walk_of_25, tmp_path):
     words = ["--start-s", "0.5", "--duration-s", "1", "--ground-truth-topic", "", "--no-recording"]
     assert run(walk_of_25, tiny_model, tmp_path / "out", *words) == 0
@@ -287,7 +289,7 @@ def test_options_choose_the_segment_and_leave_out_topics(tiny_model, walk_of_25,
     assert (report["frames"], report["duration_s"], report["frames_with_true_pose"]) == (11, 1.0, 0)
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_true_poses_and_odometry_of_tf_are_used_and_their_jumps_said(tiny_model, tmp_path, capsys):
     at_ns = next(t for t in stamps(every_ms=90, since_ms=-39) if t > BEGIN_NS + 600_000_000)  # behind the seventh image
     out, words = tmp_path / "out", ["--ground-truth-frame", "map", "--no-recording"]
@@ -301,7 +303,7 @@ def test_true_poses_and_odometry_of_tf_are_used_and_their_jumps_said(tiny_model,
 # --- what happens on the way ----------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_the_noise_of_odometry_is_that_of_the_calibration_unless_it_is_told_not_to(tiny_model, walk_of_25, tmp_path):
     six = (0.01,) * 6
     fit = OdometryFit(six, six, six, 30.0, 0.0, 0.1, six, six, six, 0.1, 100, 1, 10.0, 10.0, 0)

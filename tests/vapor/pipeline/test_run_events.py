@@ -76,7 +76,7 @@ def wrong_odometry(kind: str, poses: list[tuple[int, Poses]], begin: int, end: i
     return list(zip(times_ns, told, strict=True))
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 @pytest.mark.parametrize("kind", ["right", "stuck", "slipping", "reset"])
 def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, capsys):
     walk, begin = Walk(60, twist_covariance=1e-6 * np.eye(6)), 150  # 50 Hz: three seconds
@@ -102,7 +102,7 @@ def test_smoothed_poses_are_doubtful_where_odometry_was_wrong(kind, tmp_path, ca
     assert f"{doubtful.sum()} of 60 smoothed poses are doubtful: images about them do not fit (status.csv)" in printed
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_foreign_images_make_a_run_lost_and_it_recovers(tmp_path):
     sequence = Walk(60).write(tmp_path / "walk.mcap")
     record = follow(sequence, tmp_path / "out", floors_of(sequence, alone=60, unfamiliar=range(20, 40)))
@@ -125,7 +125,7 @@ class KnowsWhatIsForeign:
         return replace(self.says.observe(image, rng=rng), unfamiliarity=unfamiliarity)
 
 
-@pytest.mark.usefixtures("plain_results")
+@pytest.mark.usefixtures("unchecked", "plain_results")
 def test_black_frames_are_lost_where_the_model_knows_what_is_familiar(tiny_model, tmp_path):
     """They are equal, pixel by pixel: a camera that freezes on a picture of the place is not lost."""
     walk = Walk(60)

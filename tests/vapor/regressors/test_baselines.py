@@ -216,6 +216,7 @@ def test_pairs_are_of_one_sequence_and_near_each_other():
 # --- training and use ------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     "method", [m for m in METHODS if m not in ("mixture-50", "retrieval")]
 )  # see mixture-10, test_retrieval

@@ -29,6 +29,8 @@ from vapor.training.presets import METHODS
 from vapor.training.train import train_on
 from vapor.training_data.load import load_training_set
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 BOX = SceneBox((-1.0, -1.0, 0.0), (1.0, 2.0, 2.0))
 AROUND = {"flow": BOX, "mixture": SceneBox((-3.0, -3.0, -2.0), (3.0, 4.0, 4.0))}  # all that a density reaches
 CONFIG = NetworkConfig(

@@ -9,6 +9,7 @@ import torch
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
+from tests.helpers.checks import no_checks
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import predict
@@ -227,7 +228,8 @@ def trained(output: Path, **more):
 def whole(tmp_path_factory):
     """A finished training, and its file."""
     output = tmp_path_factory.mktemp("retrieval") / "m.safetensors"
-    return trained(output), output
+    with no_checks():
+        return trained(output), output
 
 
 def test_it_learns_where_a_view_is_from_walks_that_it_does_not_remember(whole):
@@ -278,6 +280,7 @@ def _interrupt_in(stage: str):
     return progress
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_training_that_is_interrupted_twice_ends_with_the_same_weights_and_memory(whole, tmp_path):
     output = tmp_path / "m.safetensors"
     for stage in ("training", "training on everything"):

@@ -91,6 +91,7 @@ def test_an_error_of_the_loop_leaves_nothing_and_the_process_goes_on(tmp_path, s
     assert pid_of() == pid
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_an_error_of_what_is_written_comes_with_a_later_image_or_at_the_end_and_leaves_nothing(tmp_path, steps):
     pid = pid_of()
     with pytest.raises(VaporTrackError, match=r"expected the folder .*absent to exist"):

@@ -1,6 +1,7 @@
 """The table of tracking methods, and the step loop that leads them from image to image."""
 
 import numpy as np
+import pytest
 
 from filtering.config import LocalizerConfig
 from filtering.localizer import ParticleLocalizer
@@ -73,6 +74,7 @@ def test_where_an_image_says_nothing_its_places_are_those_of_the_last_one_that_d
     assert foreign.evidence == ()
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_history_has_what_methods_at_the_end_need():
     loop, history, config = loop_of(), History(), LocalizerConfig()
     many = seen_at(lifted(Poses.identity(), np.arange(20.0)), np.full(20, 0.05))

@@ -7,6 +7,7 @@ import pytest
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
+from tests.helpers.checks import no_checks
 from tests.helpers.short_training import Interrupted, same_weights, train_on_most
 from tests.helpers.tiny_training import TINY, make_frames
 from vapor.training.presets import PRESETS
@@ -28,9 +29,11 @@ EVERYTHING = replace(TINY, calibrate=False, finish=0.5)
 def finished(tmp_path_factory):
     """A training on everything in the end, and all that it told on the way."""
     told = []
-    return train_on(walks(), tmp_path_factory.mktemp("w") / "m.safetensors", EVERYTHING, progress=told.append), told
+    with no_checks():
+        return train_on(walks(), tmp_path_factory.mktemp("w") / "m.safetensors", EVERYTHING, progress=told.append), told
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_model_that_was_judged_learns_from_what_was_held_out(finished, tmp_path):
     result, told = finished
     stages = [p.stage for p in told if p.epoch]
@@ -52,6 +55,7 @@ def test_held_out_data_that_were_given_are_never_learned_from(tmp_path):
     assert result.images_seen == 4 * 72
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_interrupted_before_and_after_it_was_judged_a_training_ends_with_the_same_weights(finished, tmp_path):
     for step in (20, 50):
 
@@ -64,6 +68,7 @@ def test_interrupted_before_and_after_it_was_judged_a_training_ends_with_the_sam
     assert same_weights(train_on(walks(), tmp_path / "m.safetensors", EVERYTHING).checkpoint, finished[0].checkpoint)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_epochs_that_are_not_given_fit_into_the_hours(tmp_path, monkeypatch):
     now = iter(np.arange(0.0, 1e6, 0.1))  # as if every step took so long, and nothing else any time
     monkeypatch.setattr("vapor.training.duration.perf_counter", lambda: float(next(now)))

@@ -47,6 +47,7 @@ def second(variables: Mapping[str, str], output: Path) -> None:
             train_in_passes(output)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_two_processes_go_on_with_a_training_as_one_would_and_only_the_first_writes(tmp_path, monkeypatch):
     alone = losses_of(tmp_path / "alone.safetensors")
     output = tmp_path / "shared.safetensors"

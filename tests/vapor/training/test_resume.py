@@ -38,6 +38,7 @@ def test_an_interrupted_training_ends_with_the_same_weights_as_an_uninterrupted_
     assert not same_weights(anew.checkpoint, whole.checkpoint)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_short_epochs_are_not_all_saved_but_the_first_and_the_last_are(tmp_path, monkeypatch):
     clock, saved = iter([0.0, 1.0, 2.0, 50.0, 51.0, 52.0, 53.0, 54.0]), []  # begin, end, and begins until the next
     monkeypatch.setattr(saving, "perf_counter", lambda: next(clock))

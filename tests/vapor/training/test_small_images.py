@@ -26,6 +26,7 @@ def test_no_image_is_smaller_than_a_network_can_see():
     assert image_size(small, 0) == (48, 32)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_only_the_last_epochs_see_whole_images_and_are_evaluated(tmp_path, monkeypatch):
     seen = []
 

@@ -26,6 +26,7 @@ from vapor.training_data.training_set import TrainingError
 # --- the story ------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
     frames = make_frames(6, seed=5, places=3)  # three images, each taken at two poses
     apart = [pose(a).distance(pose(b))[0] for a, b in zip(frames[:3], frames[3:], strict=True)]

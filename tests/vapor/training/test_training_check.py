@@ -15,6 +15,8 @@ from vapor.training import check_result
 from vapor.training.check import check
 from vapor.training_data.load import load_training_set
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 STD = np.array([0.1, 0.1, 0.1, 0.03, 0.03, 0.03])
 SIX = (0.1, 0.1, 0.1, 0.03, 0.03, 0.03)
 HONEST = ErrorModel(
