@@ -30,6 +30,7 @@ extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
+    "docs.extensions.accessible",
     "docs.extensions.command_help",
     "docs.extensions.docstrings",
     "docs.extensions.mathml",
