@@ -46,15 +46,14 @@ def test_what_changed_is_told_with_its_gain():
         {"lasting_fraction", "length_m", "length_rad", "mistaken_lengths"},
         None,
     )
-    few = simulated(100)
-    again = fit(*few, before=fit(*few).errors).changes[0]
+    again = fit(*simulated(100), before=fitted(100).errors).changes[0]
     assert again.gain == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_fit_is_the_same_in_a_scene_thirty_times_as_large():
     samples, truth = simulated(100)
     larger = [Poses(poses.rotation, 30.0 * poses.translation) for poses in (*samples, truth)]
-    found, expected = fit(larger[:-1], larger[-1]).errors, fit(samples, truth).errors.scaled(30.0)
+    found, expected = fit(larger[:-1], larger[-1]).errors, fitted(100).errors.scaled(30.0)
     for name in (
         "radius_m",
         "spread",
@@ -114,6 +113,7 @@ def fit_graded(power: float, trained: bool = True, before: ErrorModel | None = N
     ).errors
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_errors_that_grow_with_the_score_are_found_to_with_their_size_at_its_median():
     errors = fit_graded(1.0)
     assert errors.unfamiliar_power == pytest.approx(1.0, abs=0.25)
@@ -121,10 +121,12 @@ def test_errors_that_grow_with_the_score_are_found_to_with_their_size_at_its_med
     np.testing.assert_allclose(errors.typical_std, AT_A_HALF, rtol=0.25)
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_errors_that_do_not_depend_on_the_score_do_not_grow():
     assert fit_graded(0.0).unfamiliar_power <= 0.125
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_without_images_trained_on_the_power_stays_and_the_errors_follow_it():
     before = replace(default_errors(graded(1.0)[0].truth), unfamiliar_power=1.0, unfamiliar_score=0.25)
     errors = fit_graded(1.0, trained=False, before=before)
@@ -132,6 +134,7 @@ def test_without_images_trained_on_the_power_stays_and_the_errors_follow_it():
     np.testing.assert_allclose(errors.typical_std, 0.5 * AT_A_HALF, rtol=0.25)
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_where_nobody_knows_how_unfamiliar_images_are_nothing_grows():
     held_out, trained = (replace(seen, score=None) for seen in graded(0.0))
     assert fit(held_out.samples, held_out.truth, trained=trained).errors.unfamiliar_power == 0.0
