@@ -56,8 +56,8 @@ def fit(samples, truth, travel=None, before=None, *, score=None, trained=None):
 
 
 @cache
-def fitted():
-    return fit(*simulated())
+def fitted(count: int = 400):
+    return fit(*simulated(count))
 
 
 def walk(count: int, step_m: float, *, rng: np.random.Generator) -> Poses:

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import asdict, replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -69,20 +68,15 @@ def scale_drawn(seed: int) -> float:
     return NOISE.scale * np.random.default_rng(seed + 1000).standard_normal()
 
 
-@cache
-def fitted(first_seed: int) -> OdometryFit:
-    """Of four recordings, with seeds from this one on."""
-    return fit_odometry([segment(s, seconds=40, jitter=MOCAP, recording=s) for s in range(first_seed, first_seed + 4)])
+SEEDS = range(4)  # of as many recordings
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def fit() -> OdometryFit:
-    return fitted(0)
+    return fit_odometry([segment(s, seconds=40, jitter=MOCAP, recording=s) for s in SEEDS])
 
 
-@pytest.mark.parametrize("seed", [0, 10])
-def test_white_noise_drift_and_scale_of_simulated_odometry_are_found(seed: int) -> None:
-    seeds, fit = range(seed, seed + 4), fitted(seed)
+def test_white_noise_drift_and_scale_of_simulated_odometry_are_found(fit: OdometryFit) -> None:
     np.testing.assert_allclose(np.sqrt(fit.white_per_s), WHITE, rtol=0.2)
     assert not any(fit.white_per_m)
     # Four recordings are hardly more draws of a drift that changes over 30 s.
@@ -92,7 +86,7 @@ def test_white_noise_drift_and_scale_of_simulated_odometry_are_found(seed: int) 
     assert max(fit.drift[3:5]) < 0.001  # there is none: what could not be seen
     assert 10.0 < fit.time_s < 90.0
     np.testing.assert_allclose(fit.pose_noise[3:], MOCAP[1], rtol=0.15)
-    assert abs(fit.scale - np.mean([scale_drawn(s) for s in seeds])) < 3 * fit.scale_error
+    assert abs(fit.scale - np.mean([scale_drawn(s) for s in SEEDS])) < 3 * fit.scale_error
     assert 0.005 < fit.scale_std < 0.04
     assert max(fit.white_error) < 0.2
     assert (fit.increments, fit.recordings) == (1600, 4)
@@ -100,7 +94,7 @@ def test_white_noise_drift_and_scale_of_simulated_odometry_are_found(seed: int) 
 
 
 def test_true_poses_that_jitter_do_not_pass_for_white_noise() -> None:
-    jittering = segment(3, every=2, jitter=MOCAP)
+    jittering = segment(3, every=2, seconds=15, jitter=MOCAP)
     reported = Poses.stack([step.previous_from_current for step in jittering.odometry])
     errors = ((jittering.truth[:-1].inverse() @ jittering.truth[1:]).inverse() @ reported).log()
     naive = errors.std(axis=0) / np.sqrt(0.04)
@@ -131,7 +125,7 @@ def test_white_noise_that_grows_with_distance_is_told_from_that_which_grows_with
 def test_scale_errors_are_not_blurred_by_true_poses_that_jitter() -> None:
     """Errors and true motion share the noise of the true poses: plain regression finds 1.5 % too little here."""
     scaled = OdometryNoise(0.0, 0.0, 0.0, 30.0, 0.001, 0.001)
-    segments = [segment(s, scaled, every=2, jitter=(0.003, 0.0)) for s in range(3)]
+    segments = [segment(s, scaled, every=2, seconds=15, jitter=(0.003, 0.0)) for s in range(3)]
     v = np.concatenate([(s.truth[:-1].inverse() @ s.truth[1:]).log()[:, 0] for s in segments])
     odometry = np.concatenate([[o.previous_from_current.log()[0] for o in s.odometry] for s in segments])
     assert ((odometry - v) @ v) / (v @ v) < -0.01  # precondition

@@ -82,7 +82,7 @@ def test_errors_are_fitted_on_images_and_odometry_on_what_leads_between_them():
     assert (result.odometry, odometry.increments, odometry.recordings) == ("held-out data", 132, 3)
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "widest_places")
 def test_without_odometry_in_held_out_data_that_of_the_training_data_is_taken():
     bare = load_training_set({"a": frames_of(60, odometry=False)}, (36, 36))
     network, before = network_for(bare), Calibration(errors=default_errors(bare.poses))
@@ -110,7 +110,7 @@ def errs_by(score, factor):
     return predict
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "widest_places")
 @pytest.mark.parametrize(
     ("factor", "power"), [(lambda score: score / 0.5, 1.0), (lambda score: 1.0, 0.0)], ids=["growing", "alike"]
 )
@@ -148,6 +148,7 @@ def test_how_errors_grow_with_the_score_is_fitted_where_images_trained_on_are_at
     assert (without.unfamiliar_power, without.unfamiliar_score) == (0.0, ErrorModel().unfamiliar_score)
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_twenty_images_are_enough():
     images = load_training_set({"a": frames_of(20)}, (36, 36))
     result = calibrate(network_for(images), images, images.poses, Calibration(), max_images=500, seed=0)
@@ -158,7 +159,7 @@ def test_twenty_images_are_enough():
 
 @pytest.mark.usefixtures("unchecked")
 def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
-    config = TrainConfig(NETWORK, LossConfig(num_samples=16), epochs=1, precision="float32", device="cpu")
+    config = TrainConfig(NETWORK, loss=LossConfig(num_samples=16), epochs=1, precision="float32", device="cpu")
     held_out = {str(k): frames_of(45, seed=k) for k in range(3)}
     stages = []
     result = train_on(
@@ -190,6 +191,7 @@ def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
 # --- the command -----------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model, tmp_path, capsys):
     walk, output = Walk(60).write(tmp_path / "walk.mcap"), tmp_path / "m.safetensors"
     assert main(["calibrate", str(tiny_model), str(walk), "--output", str(output), "--device", "cpu"]) == 0
@@ -206,6 +208,7 @@ def test_the_command_writes_the_same_weights_with_another_calibration(tiny_model
     assert all(old[name].dtype == new[name].dtype and torch.equal(old[name], new[name]) for name in old)
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_the_command_tells_what_it_left_out_of_the_data(tiny_model, tmp_path, capsys):
     names = ("seq-01", "seq-02", "seq-03")
     scene = make_7scenes(tmp_path / "chess", num_images=20, sequences=names)

@@ -48,15 +48,14 @@ def test_what_changed_is_told_with_its_gain():
         {"lasting_fraction", "length_m", "length_rad", "mistaken_lengths"},
         None,
     )
-    few = simulated(100)
-    again = fit(*few, before=fit(*few).errors).changes[0]
+    again = fit(*simulated(100), before=fitted(100).errors).changes[0]
     assert again.gain == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_fit_is_the_same_in_a_scene_thirty_times_as_large():
     samples, truth = simulated(100)
     larger = [Poses(poses.rotation, 30.0 * poses.translation) for poses in (*samples, truth)]
-    found, expected = fit(larger[:-1], larger[-1]).errors, fit(samples, truth).errors.scaled(30.0)
+    found, expected = fit(larger[:-1], larger[-1]).errors, fitted(100).errors.scaled(30.0)
     for name in (
         "radius_m",
         "spread",
@@ -71,6 +70,7 @@ def test_the_fit_is_the_same_in_a_scene_thirty_times_as_large():
     np.testing.assert_allclose(found.typical_std, expected.typical_std, rtol=0.02)
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_a_posterior_that_cannot_decide_between_two_places_is_measured_by_the_right_one():
     samples, truth = simulated()
     elsewhere = Poses.exp(np.array([4.0, 1.0, 0.0, 0.0, 0.0, 1.5]))
@@ -116,6 +116,7 @@ def fit_graded(power: float, trained: bool = True, before: ErrorModel | None = N
     ).errors
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_errors_that_grow_with_the_score_are_found_to_with_their_size_at_its_median():
     errors = fit_graded(1.0)
     assert errors.unfamiliar_power == pytest.approx(1.0, abs=0.25)
@@ -123,10 +124,12 @@ def test_errors_that_grow_with_the_score_are_found_to_with_their_size_at_its_med
     np.testing.assert_allclose(errors.typical_std, AT_A_HALF, rtol=0.25)
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_errors_that_do_not_depend_on_the_score_do_not_grow():
     assert fit_graded(0.0).unfamiliar_power <= 0.125
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_without_images_trained_on_the_power_stays_and_the_errors_follow_it():
     before = replace(default_errors(graded(1.0)[0].truth), unfamiliar_power=1.0, unfamiliar_score=0.25)
     errors = fit_graded(1.0, trained=False, before=before)
@@ -134,6 +137,7 @@ def test_without_images_trained_on_the_power_stays_and_the_errors_follow_it():
     np.testing.assert_allclose(errors.typical_std, 0.5 * AT_A_HALF, rtol=0.25)
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_where_nobody_knows_how_unfamiliar_images_are_nothing_grows():
     held_out, trained = (replace(seen, score=None) for seen in graded(0.0))
     assert fit(held_out.samples, held_out.truth, trained=trained).errors.unfamiliar_power == 0.0
@@ -162,6 +166,7 @@ def test_sixty_images_of_one_pass_are_worth_few_and_the_fit_is_cautious():
     assert usable(found.errors, samples[0])
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_images_that_are_all_wrong_leave_nothing_to_be_believed():
     rng = np.random.default_rng(4)
     truth = anywhere(100, rng=rng)
@@ -171,6 +176,7 @@ def test_images_that_are_all_wrong_leave_nothing_to_be_believed():
     assert usable(found, samples[0])
 
 
+@pytest.mark.usefixtures("widest_places")
 @pytest.mark.parametrize("num_samples", [150, 1])
 def test_cameras_that_move_in_a_plane_get_positive_covariances(num_samples):
     rng = np.random.default_rng(5)

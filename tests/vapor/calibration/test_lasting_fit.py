@@ -16,7 +16,7 @@ from vapor.calibration.observations import Observations
 from vapor.calibration.travel import Travel
 from vapor.checkpoints.scene_scale import default_errors, scene_extent
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = pytest.mark.usefixtures("unchecked", "widest_places")  # that is what is found here as well
 
 STEP = 0.1
 
@@ -37,10 +37,16 @@ def fit_walk(normal: np.ndarray, *, rng: np.random.Generator):
     return fit(samples, truth, Travel.along(truth, np.zeros(len(normal), np.int64)))
 
 
+@cache
+def fit_lasting(length_m: float, fraction: float):
+    """The fit of a walk whose errors last so long, and which never mistakes the place."""
+    rng = np.random.default_rng(1)
+    return fit_walk(lasting(500, length_m, fraction, rng=rng), rng=rng)
+
+
 @pytest.mark.parametrize(("length_m", "fraction"), [(0.5, 0.65), (2.0, 0.6)])
 def test_how_long_errors_last_is_found(length_m, fraction):
-    rng = np.random.default_rng(1)
-    found = fit_walk(lasting(500, length_m, fraction, rng=rng), rng=rng)
+    found = fit_lasting(length_m, fraction)
     assert length_m / 2 < found.errors.length_m < length_m * 2
     assert found.errors.lasting_fraction == pytest.approx(fraction, abs=0.12)
     expected = 1 + STEP * 500 / (2 * found.errors.length_m)
@@ -92,8 +98,7 @@ def test_mistakes_that_fade_sooner_than_errors_are_votes_closer_than_a_length():
 
 
 def test_images_that_never_mistake_the_place_are_worth_one_a_length():
-    rng = np.random.default_rng(1)
-    assert fit_walk(lasting(500, 0.5, 0.65, rng=rng), rng=rng).errors.mistaken_lengths == pytest.approx(1.0, abs=0.5)
+    assert fit_lasting(0.5, 0.65).errors.mistaken_lengths == pytest.approx(1.0, abs=0.5)
 
 
 def found_lasting(normal: np.ndarray, truth: Poses, passes: int = 1, extent: float = 20.0) -> LastingErrors:
