@@ -259,6 +259,20 @@ def test_another_network_whose_digest_fits_is_not_run(graph, said, here):
     assert "\n" not in str(found.value)
 
 
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory) -> bytes:
+    """The graph of a variational network."""
+    export_onnx(any_checkpoint(), file := tmp_path_factory.mktemp("graph") / "m.onnx")
+    return take_apart(file.read_bytes())[0]
+
+
+@pytest.fixture
+def written_before(graph, monkeypatch) -> None:
+    """Networks are not exported anew, where a test looks at what is made of the graph: that takes half a second."""
+    monkeypatch.setattr(onnx_export, "_write", lambda _, path: path.write_bytes(graph))
+
+
+@pytest.mark.usefixtures("written_before")
 def test_an_export_that_differs_from_torch_is_not_written(tmp_path, monkeypatch):
     def turned(path, runtime, inputs):
         found = run(path, runtime, inputs)
@@ -271,6 +285,7 @@ def test_an_export_that_differs_from_torch_is_not_written(tmp_path, monkeypatch)
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("written_before")
 def test_openvino_checks_an_export_where_there_is_no_onnxruntime(tmp_path, monkeypatch):
     monkeypatch.setattr(onnx_export, "find_spec", lambda name: None if name == "onnxruntime" else find_spec(name))
     runtime, metres, radians = export_onnx(any_checkpoint(), tmp_path / "m.onnx")
@@ -308,6 +323,7 @@ def test_what_has_no_familiarity_gives_poses_alone(tmp_path):
     assert describe_onnx(tmp_path / "m.onnx").familiarity is None
 
 
+@pytest.mark.usefixtures("written_before")
 def test_a_network_of_numbers_that_are_none_is_not_exported(tmp_path):
     good = any_checkpoint()
     state = {n: torch.full_like(v, torch.nan) if v.is_floating_point() else v for n, v in good.state_dict.items()}
