@@ -4,6 +4,7 @@ import json
 import os
 import time
 from dataclasses import replace
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -28,19 +29,28 @@ from vapor.tensor_files import CheckpointError
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory):
+def of_head(tmp_path_factory):
+    """The checkpoint of a head, its exported file and what the export said; of each head once."""
+
+    @cache
+    def export(head: str) -> tuple[Checkpoint, Path, tuple[str, float, float]]:
+        checkpoint, file = any_checkpoint(head), tmp_path_factory.mktemp(head) / "m.onnx"
+        return checkpoint, file, export_onnx(checkpoint, file)
+
+    return export
+
+
+@pytest.fixture
+def exported(of_head):
     """A retrieval network's file, which has all there is to describe, and its checkpoint."""
-    checkpoint, file = any_checkpoint("retrieval"), tmp_path_factory.mktemp("exported") / "m.onnx"
-    export_onnx(checkpoint, file)
-    return checkpoint, file
+    return of_head("retrieval")[:2]
 
 
 @pytest.mark.parametrize("head", REGRESSORS)
-def test_every_regressor_gives_torchs_poses_and_description_as_onnx(tmp_path, head):
-    checkpoint = any_checkpoint(head)
-    runtime, metres, radians = export_onnx(checkpoint, tmp_path / "m.onnx")
+def test_every_regressor_gives_torchs_poses_and_description_as_onnx(of_head, head):
+    checkpoint, file, (runtime, metres, radians) = of_head(head)
     assert (runtime, metres < 1e-4, radians < 1e-4) == ("onnxruntime", True, True)
-    session = onnxruntime.InferenceSession(str(tmp_path / "m.onnx"))
+    session = onnxruntime.InferenceSession(str(file))
     torchs, image, columns = TorchEngine(checkpoint, device="cpu"), an_image(), session.get_inputs()[1].shape[1]
     numbers = noise(columns)
     translation, rotation, description = session.run(None, {"image": image, "noise": numbers})
@@ -259,16 +269,10 @@ def test_another_network_whose_digest_fits_is_not_run(graph, said, here):
     assert "\n" not in str(found.value)
 
 
-@pytest.fixture(scope="module")
-def graph(tmp_path_factory) -> bytes:
-    """The graph of a variational network."""
-    export_onnx(any_checkpoint(), file := tmp_path_factory.mktemp("graph") / "m.onnx")
-    return take_apart(file.read_bytes())[0]
-
-
 @pytest.fixture
-def written_before(graph, monkeypatch) -> None:
-    """Networks are not exported anew, where a test looks at what is made of the graph: that takes half a second."""
+def written_before(of_head, monkeypatch) -> None:
+    """A variational network is not exported anew where a test looks at what becomes of its graph."""
+    graph, _ = take_apart(of_head("variational")[1].read_bytes())
     monkeypatch.setattr(onnx_export, "_write", lambda _, path: path.write_bytes(graph))
 
 
