@@ -20,7 +20,6 @@ from sequences.scenes.staircase.walk import walk_stairs
 from sequences.scenes.table_room import circle_table
 from sequences.synthesize import synthesize
 
-
 CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 
 # What looks alike shares its paint and light, however finely light is sampled.
