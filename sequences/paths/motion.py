@@ -28,9 +28,9 @@ def eased_angle(target: np.ndarray, *, time_s: float, max_rate: float) -> np.nda
     """An angle that follows a target with a lag and a greatest rate, radians per second."""
     angle, rate = np.empty(len(target)), 0.0
     current = float(target[0])
-    for i, goal in enumerate(target):
+    for i, goal in enumerate(target.tolist()):
         error = (goal - current + np.pi) % (2 * np.pi) - np.pi
-        rate += (float(np.clip(error / time_s, -max_rate, max_rate)) - rate) * STEP_S / 0.12
+        rate += (min(max(error / time_s, -max_rate), max_rate) - rate) * STEP_S / 0.12
         current += rate * STEP_S
         angle[i] = current
     return angle

@@ -1,6 +1,7 @@
 """Models of every regressor with random weights, small enough to be compiled in a test."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ CONFIG = NetworkConfig(
 )  # fmt: skip
 
 
+@cache
 def any_checkpoint(head: str = "variational", *, familiar: bool = True) -> Checkpoint:
     """A model of that head; a retrieval network remembers thirty poses."""
     torch.manual_seed(0)

@@ -17,7 +17,7 @@ from sequences.trajectories.tum import write_tum
 from tests.helpers.full_disk import ENOUGH, filling
 from tests.helpers.killed_commands import CALLS, Call, Killing
 from tests.helpers.sequence_files import Walk
-from tests.helpers.tiny_model import write_tiny_model
+from tests.helpers.tiny_model import SMALL, write_tiny_model
 from vapor.track import main
 
 EVERY = bool(os.environ.get("FULL"))
@@ -26,7 +26,7 @@ MORE = {
         ("synthesize", "ceiling", "out/result.mcap", "--frames", "6", "--width", "32", "--height", "24"),
     ),
     "posterior": Call(
-        ("posterior", "walk.mcap", "--model", "tiny.safetensors", "--output", "out/result.png", "--num-samples", "20")
+        ("posterior", "walk.mcap", "--model", "tiny.safetensors", "--output", "out/result.png", *SMALL[:4])
     ),
     "evaluate": Call(("evaluate", "trajectories", "--output", "out/result.json")),
 }

@@ -30,7 +30,7 @@ def walk_corridor(duration_s: float, *, rng: np.random.Generator) -> Poses:
             pause = 0.6 + 1.5 * chance[i, 2]
         pause -= STEP_S
         speed += ((0.0 if pause > 0 else way * pace) - speed) * STEP_S / 0.3
-        x = float(np.clip(x + speed * STEP_S, low - 0.3, high + 0.3))
+        x = min(max(x + speed * STEP_S, low - 0.3), high + 0.3)
         place[i], walking[i], headings[i] = x, abs(speed), heading
     phase = np.pi * np.cumsum(walking) * STEP_S / 0.65 + rng.uniform(0, 2 * np.pi)  # π a step
     stride = np.clip(walking / 0.9, 0, 1)

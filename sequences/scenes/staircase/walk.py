@@ -31,7 +31,7 @@ def walk_stairs(duration_s: float, *, rng: np.random.Generator) -> Poses:
             pause = 0.6 + 2.0 * chance[i, 0]
         pause -= STEP_S
         speed += ((0.0 if pause > 0 else way * pace) - speed) * STEP_S / 0.3
-        s = float(np.clip(s + speed * STEP_S, 0, length))
+        s = min(max(s + speed * STEP_S, 0.0), length)
         place[i], walking[i], ways[i] = s, abs(speed), way
 
     def at(distance: np.ndarray) -> np.ndarray:

@@ -165,14 +165,21 @@ MALFORMED = {
 }  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """Metadata and tensors of a model file that is good when they are written unchanged."""
+    file = tmp_path_factory.mktemp("good") / "good.safetensors"
+    save_checkpoint(file, make_checkpoint())
+    metadata, tensors = read_safetensors(file)
+    write_safetensors(file, tensors, metadata)
+    load_checkpoint(file)
+    return metadata, tensors
+
+
 @pytest.mark.parametrize("case", MALFORMED)
-def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(tmp_path, case):
+def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(good, tmp_path, case):
     change, message = MALFORMED[case]
-    good, bad = tmp_path / "good.safetensors", tmp_path / "bad.safetensors"
-    save_checkpoint(good, make_checkpoint())
-    metadata, tensors = read_safetensors(good)
-    write_safetensors(bad, tensors, metadata)
-    load_checkpoint(bad)  # unchanged, it is good
+    (metadata, tensors), bad = good, tmp_path / "bad.safetensors"
     write_safetensors(bad, *change(tensors, metadata))
     with pytest.raises(CheckpointError, match=rf"bad\.safetensors: .*{message}"):
         load_checkpoint(bad)
