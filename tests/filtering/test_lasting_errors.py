@@ -46,7 +46,6 @@ def stand(localizer, shares, count, *, noise=None, jitter_m=0.0, seed=0, pose=No
 
 WAYS_TO_STAND = {
     "equal": {},
-    "with pixel noise": {"noise": PIXEL_NOISE},
     "with odometry that trembles": {"noise": PIXEL_NOISE, "jitter_m": 0.004},
 }
 
@@ -57,12 +56,11 @@ WAYS_TO_STAND = {
 @pytest.mark.parametrize(
     ("how", "shares", "count"),
     [
-        ("equal", (0.4, 0.35, 0.25), 500),
-        ("with pixel noise", (0.5, 0.5), 500),
-        ("with odometry that trembles", (0.7, 0.3), 2000),
+        ("equal", (0.4, 0.35, 0.25), 100),
+        ("with odometry that trembles", (0.7, 0.3), 1000),
     ],
 )
-def test_thousands_of_images_of_one_view_are_worth_one_image(how, shares, count):
+def test_any_number_of_images_of_one_view_is_worth_one_image(how, shares, count):
     localizer = ParticleLocalizer(None, rng=RNG(0))
     estimates = stand(localizer, shares, count, **WAYS_TO_STAND[how])
     begun, ended = weights_of(estimates[0], ALIKE[: len(shares)]), weights_of(estimates[-1], ALIKE[: len(shares)])
@@ -73,10 +71,9 @@ def test_thousands_of_images_of_one_view_are_worth_one_image(how, shares, count)
     assert sum(estimate.novelty for estimate in estimates[1:]) < 0.05
 
 
-@pytest.mark.parametrize("how", ["with pixel noise", "with odometry that trembles"])
-def test_where_only_one_place_looks_so_standing_does_not_narrow_it_beyond_what_lasts_and_what_never_fades(how):
+def test_where_only_one_place_looks_so_standing_does_not_narrow_it_beyond_what_lasts_and_what_never_fades():
     localizer = ParticleLocalizer(None, rng=RNG(0))
-    mode = stand(localizer, (1.0,), 1000, **WAYS_TO_STAND[how])[-1].modes[0]
+    mode = stand(localizer, (1.0,), 1000, **WAYS_TO_STAND["with odometry that trembles"])[-1].modes[0]
     least = ERRORS.lasting_fraction * STD**2 + np.diag(ERRORS.least_covariance)
     assert (np.diag(mode.covariance) > 0.97 * least).all()
     assert (np.diag(mode.covariance) < STD**2 + np.diag(ERRORS.least_covariance)).all()
@@ -143,7 +140,7 @@ def walk_at_rates(seed, rates, seconds=6):
     return estimates
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_walk_at_3_10_and_30_images_a_second_gives_the_same_belief(seed):
     """But for what the fresh share of the errors tells when it is seen ten times as often: a tenth of a std."""
     estimates = walk_at_rates(seed, (3, 10, 30))
@@ -189,10 +186,11 @@ def squared_error(seed, rate, errors, config, *, outlier_probability=0.0, second
     return off @ np.linalg.solve(mode.covariance, off)
 
 
-@pytest.mark.parametrize(("rate", "runs"), [(3, 100), (10, 40)])
-def test_regions_hold_the_truth_as_often_as_they_say_where_all_is_as_the_model_says(rate, runs):
+@pytest.mark.parametrize(("rate", "runs", "seconds"), [(3, 100, 6), (10, 40, 3)])
+def test_regions_hold_the_truth_as_often_as_they_say_where_all_is_as_the_model_says(rate, runs, seconds):
     config = LocalizerConfig(kidnap_per_view=0.0, max_kidnap_per_view=0.0, slow_errors=SLOW)
-    squared = np.array([squared_error(seed, rate, EXACT, config) for seed in range(1000, 1000 + runs)])
+    seeds = range(1000, 1000 + runs)
+    squared = np.array([squared_error(seed, rate, EXACT, config, seconds=seconds) for seed in seeds])
     assert squared.mean() == pytest.approx(6.0, abs=4 * np.sqrt(12 / runs))
     for probability in (0.5, 0.9, 0.95):
         held = (squared < chi2.ppf(probability, 6)).mean()

@@ -148,6 +148,7 @@ def test_how_errors_grow_with_the_score_is_fitted_where_images_trained_on_are_at
     assert (without.unfamiliar_power, without.unfamiliar_score) == (0.0, ErrorModel().unfamiliar_score)
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_twenty_images_are_enough():
     images = load_training_set({"a": frames_of(20)}, (36, 36))
     result = calibrate(network_for(images), images, images.poses, Calibration(), max_images=500, seed=0)

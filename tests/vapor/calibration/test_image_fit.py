@@ -68,6 +68,7 @@ def test_the_fit_is_the_same_in_a_scene_thirty_times_as_large():
     np.testing.assert_allclose(found.typical_std, expected.typical_std, rtol=0.02)
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_a_posterior_that_cannot_decide_between_two_places_is_measured_by_the_right_one():
     samples, truth = simulated()
     elsewhere = Poses.exp(np.array([4.0, 1.0, 0.0, 0.0, 0.0, 1.5]))
@@ -163,6 +164,7 @@ def test_sixty_images_of_one_pass_are_worth_few_and_the_fit_is_cautious():
     assert usable(found.errors, samples[0])
 
 
+@pytest.mark.usefixtures("widest_places")
 def test_images_that_are_all_wrong_leave_nothing_to_be_believed():
     rng = np.random.default_rng(4)
     truth = anywhere(100, rng=rng)
@@ -172,6 +174,7 @@ def test_images_that_are_all_wrong_leave_nothing_to_be_believed():
     assert usable(found, samples[0])
 
 
+@pytest.mark.usefixtures("widest_places")
 @pytest.mark.parametrize("num_samples", [150, 1])
 def test_cameras_that_move_in_a_plane_get_positive_covariances(num_samples):
     rng = np.random.default_rng(5)
