@@ -21,7 +21,7 @@ from vapor.regressors.network_config import NetworkConfig
 from vapor.track import main
 from vapor.training.presets import PRESETS
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = pytest.mark.usefixtures("unchecked", "rough_light")
 
 TINY = AlphaConfig(
     alphas=(0.1, 1.0), runs=2, sequences=1, frames=32, test_frames=6, num_samples=50, workers=1, train=TINY_TRAIN

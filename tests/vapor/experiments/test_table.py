@@ -18,7 +18,7 @@ from vapor.experiments.training_runs import TrainingRun
 from vapor.track import main
 from vapor.training.presets import PRESETS
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = pytest.mark.usefixtures("unchecked", "rough_light")
 
 TINY_TABLE = TableConfig(
     ("variational", "posenet"),
@@ -34,7 +34,6 @@ TINY_TABLE = TableConfig(
 )
 
 
-@pytest.mark.usefixtures("rough_light")
 def test_methods_are_trained_and_drive_the_filter(tmp_path):
     experiment = TableExperiment([parse_scene("staircase")], tmp_path, TINY_TABLE)
     assert list(experiment.render())[-1] == (2, 2)

@@ -86,22 +86,25 @@ def checkpoint_of(network: FlowRegressor) -> Checkpoint:
 # --- the density -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("head", ["flow", "mixture"])
-def test_the_density_integrates_to_one_over_positions_and_rotations(head):
-    network = network_with(head)
-    translation, rotation, volume = uniform(100_000, AROUND[head])
-    share = volume * density(network, translation, rotation)
+@pytest.fixture(scope="module", params=["flow", "mixture"])
+def evaluated(request):
+    """A network, poses all over what its density reaches, their volume, and the density at each."""
+    network = network_with(request.param)
+    translation, rotation, volume = uniform(100_000, AROUND[request.param])
+    return network, translation, rotation, volume, density(network, translation, rotation)
+
+
+def test_the_density_integrates_to_one_over_positions_and_rotations(evaluated):
+    _, _, _, volume, found = evaluated
+    share = volume * found
     error = share.std() / np.sqrt(len(share))
     assert error < 0.05
     assert share.mean() == pytest.approx(1.0, abs=4 * error)
 
 
-@pytest.mark.parametrize("head", ["flow", "mixture"])
-def test_draws_follow_the_density(head):
-    network = network_with(head)
+def test_draws_follow_the_density(evaluated):
+    network, translation, rotation, _, weights = evaluated
     drawn = draw(network, 40_000)
-    translation, rotation, _ = uniform(100_000, AROUND[head])
-    weights = density(network, translation, rotation)
     effective = weights.sum() ** 2 / (weights**2).sum()
     for ours, theirs in zip(
         torch.cat([drawn[0], drawn[1].flatten(2)], -1)[0].T.numpy(),

@@ -43,7 +43,7 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
         resume=False,
     )
     result = train_on({"two places": frames * 120}, tmp_path / "m.safetensors", config)
-    model = VaporObservationModel.from_checkpoint(result.checkpoint, num_samples=400, device="cpu")
+    model = VaporObservationModel.from_checkpoint(result.checkpoint, num_samples=400, device="cpu", engine="torch")
     for i in range(3):
         samples = model.observe(frames[i].image, rng=np.random.default_rng(i)).samples
         near = [samples.distance(pose(frames[j]))[0] < 0.5 for j in (i, i + 3)]
