@@ -216,18 +216,24 @@ def test_pairs_are_of_one_sequence_and_near_each_other():
 # --- training and use ------------------------------------------------------------------------------
 
 
+LEARNED = (
+    ("variational", 2, 8, 6, 24, 6e-3),
+    ("no-sampling", 2, 8, 6, 24, 6e-3),
+    ("bayesian-posenet", 2, 8, 8, 30, 6e-3),
+    ("mapnet", 3, 12, 6, 45, 6e-3),  # from pairs it learns more slowly
+    ("mixture-10", 3, 12, 12, 80, 2e-3),  # which image it is makes little of a density's loss, and is learned last
+    ("flow", 3, 12, 12, 80, 2e-3),
+)
+OTHER_NUMBERS = ("no-kl", "posenet", "mixture-50")  # are these with other numbers
+ELSEWHERE = ("retrieval",)  # test_retrieval
+
+
+def test_no_method_is_forgotten_here():
+    assert {*METHODS} == {method for method, *_ in LEARNED} | {*OTHER_NUMBERS, *ELSEWHERE}
+
+
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize(
-    ("method", "images", "batch", "epochs", "repeats", "rate"),
-    [
-        ("variational", 2, 8, 6, 24, 6e-3),
-        ("no-sampling", 2, 8, 6, 24, 6e-3),
-        ("bayesian-posenet", 2, 8, 8, 30, 6e-3),
-        ("mapnet", 3, 12, 6, 45, 6e-3),  # from pairs it learns more slowly
-        ("mixture-10", 3, 12, 12, 80, 2e-3),  # which image it is makes little of a density's loss, and is learned last
-        ("flow", 3, 12, 12, 80, 2e-3),
-    ],
-)  # no-kl, posenet and mixture-50 are these with other numbers; of retrieval see test_retrieval
+@pytest.mark.parametrize(("method", "images", "batch", "epochs", "repeats", "rate"), LEARNED)
 def test_methods_of_every_kind_learn_where_images_are_and_drive_a_posterior(
     method, images, batch, epochs, repeats, rate, tmp_path
 ):
