@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,7 +13,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from vapor.commands.terminal import color_system
+from vapor.commands.terminal import color_system, say
 
 LOG_EVERY_S = 10.0
 """Of lines in a log: least time between two."""
@@ -151,7 +150,7 @@ class Progress:
         """A line of a log."""
         if not self.at_terminal:
             self._told_s = self._clock()
-            print(line, file=sys.stderr, flush=True)
+            say(line)
 
 
 @contextmanager

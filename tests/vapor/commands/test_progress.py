@@ -137,7 +137,7 @@ def shown_at(monkeypatch, width, **environment):
         monkeypatch.delenv(name, raising=False)
     for name, value in {"TERM": "xterm-256color", "COLUMNS": str(width), **environment}.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(progress_module.sys, "stderr", terminal)
+    monkeypatch.setattr("sys.stderr", terminal)
     with progress("localizing in a place of a long name") as told:
         told(3, 10)
         told.note("a note")
@@ -171,3 +171,10 @@ def test_a_terminal_that_cannot_move_its_cursor_gets_the_lines_of_a_log(monkeypa
 )
 def test_times_are_said_in_the_unit_that_suits_them(seconds, said):
     assert duration(seconds) == said
+
+
+def test_where_standard_error_is_closed_nothing_is_told_and_standard_output_stays_clean(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr", None)
+    with progress_module.progress("localizing") as told:
+        told(3, 3)
+    assert capsys.readouterr().out == ""

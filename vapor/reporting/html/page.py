@@ -141,8 +141,7 @@ class Folded:
 
     def html(self, packed: dict[str, Any]) -> str:
         """See `Block`."""
-        inner = "".join(block.html(packed) for block in self.blocks)
-        return f"<details><summary>{escape(self.title)}</summary>{inner}</details>"
+        return f"<details><summary>{escape(self.title)}</summary>{_html(self.blocks, packed)}</details>"
 
 
 @dataclass(frozen=True)
@@ -165,8 +164,7 @@ class Section:
 
     def html(self, packed: dict[str, Any]) -> str:
         """See `Block`."""
-        inner = "".join(block.html(packed) for block in self.blocks)
-        return f"<section><h2>{escape(self.title)}</h2>{inner}</section>"
+        return f"<section><h2>{escape(self.title)}</h2>{_html(self.blocks, packed)}</section>"
 
 
 @dataclass(frozen=True)
@@ -230,6 +228,10 @@ def data_url(data: bytes) -> str:
     """A PNG or JPEG as an address that holds it."""
     kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
     return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def _html(blocks: Sequence[Block], packed: dict[str, Any]) -> str:
+    return "".join(block.html(packed) for block in blocks)
 
 
 def _packed(data: bytes) -> str:
