@@ -67,8 +67,8 @@ def _moment_button(keyframe: Keyframe, record: RunRecord) -> str:
 def _data(record: RunRecord) -> dict[str, Any]:
     start_ns = int(record.times_ns[0])
     filtered = record.methods["filter"].poses
-    extent_m = float(np.ptp(filtered.translation, axis=0).max())
-    size_m = float(np.clip(_CAMERA_OF_EXTENT * extent_m, 0.1, 2.0))
+    low, high = _extent(record)
+    size_m = float(_CAMERA_OF_EXTENT * (high - low).max())
     lines = frusta(filtered, size_m)
     truth_lines = np.zeros((len(record.times_ns), 0, 3), np.float32)
     found = np.zeros(len(record.times_ns), bool)
@@ -102,7 +102,6 @@ def _data(record: RunRecord) -> dict[str, Any]:
     if record.truth is not None:
         paths.append(_path("truth", "ink", record.truth, visible=True))
     none, all_ = (_rgb(COLORS[name]) for name in ("other", "filter"))
-    low, high = _extent(record)
     ratio = (high - low) / (high - low).max()
     return {
         "moments": moments,
