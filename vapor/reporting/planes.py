@@ -9,6 +9,7 @@ from jaxtyping import Float64
 
 from filtering.se3 import Poses
 from vapor.reporting.drawing import quiet_axes
+from vapor.reporting.jumps import jumps
 from vapor.reporting.record import RunRecord
 
 if TYPE_CHECKING:
@@ -61,8 +62,5 @@ def prepare_plane(ax: Axes, plane: tuple[int, int], low: np.ndarray, high: np.nd
 
 def draw_path(ax: Axes, poses: Poses, plane: tuple[int, int], **style: object) -> None:
     """A line through the positions that is broken where a hypothesis jumped instead of moving."""
-    points = poses.translation
-    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    jumps = np.flatnonzero(step > 0.4 + 6.0 * np.median(step)) + 1 if len(step) else []
-    points = np.insert(points, jumps, np.nan, axis=0)
+    points = np.insert(poses.translation, jumps(poses.translation), np.nan, axis=0)
     ax.plot(points[:, plane[0]], points[:, plane[1]], solid_capstyle="round", **style)  # pyright: ignore[reportArgumentType]

@@ -12,6 +12,7 @@ from sequences.frame import Trajectory
 from vapor.evaluation.trajectory import associate
 from vapor.reporting.colors import COLORS
 from vapor.reporting.html.page import data_url
+from vapor.reporting.jumps import jumps
 from vapor.reporting.keyframes import Keyframe, choose_keyframes
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_shapes import frusta
@@ -128,10 +129,9 @@ def _extent(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
 def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> dict[str, Any]:
     """A line that is broken where a hypothesis jumped instead of moving."""
     points = trajectory.poses.translation
-    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    jumps = np.flatnonzero(step > 0.4 + 6.0 * np.median(step)) + 1 if len(step) else np.zeros(0, int)
-    kept = np.unique(np.concatenate([_evenly(len(points)), jumps, np.maximum(jumps - 1, 0)]).astype(int))
-    broken = np.isin(kept, jumps)
+    jumped = jumps(points)
+    kept = np.unique(np.concatenate([_evenly(len(points)), jumped, np.maximum(jumped - 1, 0)]))
+    broken = np.isin(kept, jumped)
     x, y, z = (_with_gaps(points[kept, axis], broken) for axis in range(3))
     return {
         "type": "scatter3d",
