@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from filtering.error_model import ErrorModel
+from filtering.moments import settle
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -88,8 +89,10 @@ class ErrorScale:
         carry = self.since.carry
         new = 1.0 - posterior.errors.lasting_fraction * np.exp(-self.way)
         of_images = new * (carry @ self.covariance @ carry.T + posterior.covariances)
-        information = np.linalg.inv(of_images + self.since.covariance)
-        squared = np.einsum("ki,kij,kj->k", difference, information, difference) / 6.0
+        expected_covariance = of_images + self.since.noise
+        settle(expected_covariance)
+        information = np.linalg.inv(expected_covariance)
+        squared = np.maximum(np.einsum("ki,kij,kj->k", difference, information, difference), 0.0) / 6.0
         nearest = int(np.argmin(squared))
         if squared[nearest] > _OUTLIER * max(1.0, self.factor):
             return self._from(posterior, heaviest)

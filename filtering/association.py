@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.special import gammaln
 
-from filtering.hypotheses import POSE, Hypotheses, bias, blocks, concatenate
+from filtering.hypotheses import POSE, Hypotheses, bias, blocks, concatenate, corrected_poses
+from filtering.moments import settle
 from filtering.posterior import PosePosterior
-from filtering.se3 import Poses
 
 _GATE = 36.0  # squared, in standard deviations: what is further apart is not looked at
 PLACE = 3.0
@@ -48,8 +48,11 @@ class _Pairs(NamedTuple):
 
     Attributes:
         hypothesis, place: Indices, (p,).
-        innovation: Difference of the place from what the hypothesis expects, (p, 6).
+        difference: Of the place from the hypothesis, (p, 6).
+        innovation: The same from what the hypothesis expects, (p, 6).
         covariance: Of state and innovation, (p, d, 6).
+        factor: By which the lasting error of the camera's images is in the innovation, (p, 6, 6).
+        noise: Covariance of what is new in the innovation, (p, 6, 6).
         information: Inverse covariance of the innovation, (p, 6, 6).
         squared: Squared Mahalanobis distance by the ordinary error, (p,).
         log_density: Of the place, as the hypothesis expects it, (p,).
@@ -57,8 +60,11 @@ class _Pairs(NamedTuple):
 
     hypothesis: Int64[np.ndarray, " p"]
     place: Int64[np.ndarray, " p"]
+    difference: Float64[np.ndarray, "p 6"]
     innovation: Float64[np.ndarray, "p 6"]
     covariance: Float64[np.ndarray, "p d 6"]
+    factor: Float64[np.ndarray, "p 6 6"]
+    noise: Float64[np.ndarray, "p 6 6"]
     information: Float64[np.ndarray, "p 6 6"]
     squared: Float64[np.ndarray, " p"]
     log_density: Float64[np.ndarray, " p"]
@@ -110,7 +116,8 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
     log_fraction = log_seen - log_total[pairs.hypothesis]
     taken = np.flatnonzero(log_fraction > np.log(_LEAST))
     if len(taken):
-        parts.append(_corrected(belief, pairs, taken, log_weights[pairs.hypothesis[taken]] + log_fraction[taken]))
+        part = log_weights[pairs.hypothesis[taken]] + log_fraction[taken]
+        parts.append(_corrected(belief, posterior, pairs, taken, camera, part))
     agreement = float(belief.weights @ possible)
     return Association(concatenate(parts), log_evidence, agreement)
 
@@ -136,12 +143,12 @@ def _paired(
     with_pose, with_bias = belief.covariance[:, :, POSE][h], belief.covariance[:, :, bias(camera)][h]
     lasting = belief.mean[:, _without_pose(camera)][h]
     factor = np.sqrt(errors.lasting_fraction) * posterior.factors[k]
-    fresh = (1.0 - errors.lasting_fraction) * posterior.covariances[k]
-    # What is measured is error of the pose + factor · bias + fresh noise.
+    noise = (1.0 - errors.lasting_fraction) * posterior.covariances[k]
+    # What is measured is error of the pose + factor · bias + noise.
     innovation = difference - (factor @ lasting[:, :, None])[:, :, 0]
     joint = with_pose + with_bias @ np.swapaxes(factor, 1, 2)
-    information = np.linalg.inv(joint[:, POSE] + factor @ joint[:, bias(camera)] + fresh)
-    squared = np.vecdot(innovation, (information @ innovation[:, :, None])[:, :, 0])
+    information = np.linalg.inv(joint[:, POSE] + factor @ joint[:, bias(camera)] + noise)
+    squared = np.maximum(np.vecdot(innovation, (information @ innovation[:, :, None])[:, :, 0]), 0.0)
     log_det = -np.linalg.slogdet(information)[1]
     nu = errors.tail
     log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
@@ -153,23 +160,40 @@ def _paired(
         # Errors that last over a way of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
         error = larger[far, None, None] * max(1.0, 2.0 / max(way, 1e-6)) * posterior.covariances[k[far]]
         innovation[far] = difference[far]
-        joint[far] = with_pose[far]
+        joint[far], factor[far], noise[far] = with_pose[far], 0.0, error
         information[far] = np.linalg.inv(with_pose[far][:, POSE] + error)
-    return _Pairs(h, k, innovation, joint, information, squared, log_density)
+    return _Pairs(h, k, difference, innovation, joint, factor, noise, information, squared, log_density)
 
 
 def _corrected(
-    belief: Hypotheses, pairs: _Pairs, taken: Int64[np.ndarray, " c"], log_weights: Float64[np.ndarray, " c"]
+    belief: Hypotheses,
+    posterior: PosePosterior,
+    pairs: _Pairs,
+    taken: Int64[np.ndarray, " c"],
+    camera: int,
+    log_weights: Float64[np.ndarray, " c"],
 ) -> Hypotheses:
+    """Hypotheses corrected by the places that they are taken to see, as by a Kalman filter in Joseph's form.
+
+    P − K Jᵀ loses all digits of an image that is some 10⁷ times more precise than the belief. (I − K H) P (I − K H)ᵀ +
+    K R Kᵀ does not; that is U − (U Hᵀ − K R) Kᵀ with U = P − K Jᵀ, of which the product in brackets is what rounding
+    left in U.
+    """
     parent, joint = pairs.hypothesis[taken], pairs.covariance[taken]
     gain = joint @ pairs.information[taken]
     change = (gain @ pairs.innovation[taken][:, :, None])[:, :, 0]
+    factor, noise = pairs.factor[taken], pairs.noise[taken]
     covariance = np.empty((len(taken), *belief.covariance.shape[1:]))
     for block in blocks(len(taken)):
-        uneven = belief.covariance[parent[block]] - gain[block] @ np.swapaxes(joint[block], 1, 2)
-        # Rounding is not to make it uneven: that would grow from image to image, tenfold every ten.
-        np.multiply(uneven + np.swapaxes(uneven, 1, 2), 0.5, out=covariance[block])
-    poses = belief.poses[parent] @ Poses.exp(change[:, POSE])
+        before, transposed = belief.covariance[parent[block]], np.swapaxes(gain[block], 1, 2)
+        plain = before - gain[block] @ np.swapaxes(joint[block], 1, 2)
+        left = plain[:, :, POSE] + plain[:, :, bias(camera)] @ np.swapaxes(factor[block], 1, 2)
+        left -= gain[block] @ noise[block]
+        np.subtract(plain, left @ transposed, out=covariance[block])
+        settle(covariance[block], np.einsum("nii->ni", before))
+    places = posterior.means[pairs.place[taken]]
+    difference, information = pairs.difference[taken], pairs.information[taken]
+    poses = corrected_poses(belief.poses[parent], places, difference, change[:, POSE], information)
     return Hypotheses(poses, belief.mean[parent] + change[:, 6:], covariance, log_weights)
 
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 import re
 import reprlib
 
-MAX_MESSAGE = 300
+MAX_MESSAGE = 1000
 """Characters of a message, at most."""
+_LONG_MESSAGE = 300  # characters beyond which long words and paths lose some; all else stays whole
 _MAX_QUOTED = 60
 _LONG_PATH, _PATH_END = re.compile(r"/[^\s'\"]{50,}"), 40  # the end of a path says most
 _MAX_BITS = 256  # of an integer that is written out: beyond some thousand digits Python refuses to
@@ -17,16 +18,16 @@ class VaporTrackError(Exception):
     """An input cannot be used; the message names what, where, what was found and what was expected."""
 
     def __str__(self) -> str:
-        """The message; one that is too long loses the beginnings of long paths, and then its middle."""
+        """The message; of a long one, long paths lose their beginnings and long words their middles."""
         text = super().__str__()
-        if len(text) > MAX_MESSAGE:
+        if len(text) > _LONG_MESSAGE:
             text = _LONG_PATH.sub(lambda path: f"...{path[0][-_PATH_END:]}", text)
         return shortened(text, MAX_MESSAGE)
 
 
 def shortened(message: str, length: int = MAX_MESSAGE) -> str:
-    """A message of at most so many characters: of words that are too long, then of the whole, the middle goes."""
-    words, excess = message.split(" "), len(message) - length
+    """A message of at most so many characters: the middle of long words goes, and of the whole only beyond that."""
+    words, excess = message.split(" "), len(message) - min(length, _LONG_MESSAGE)
     for index in sorted(range(len(words)), key=lambda index: -len(words[index])):
         word = words[index]
         if excess <= 0 or len(word) <= _MAX_QUOTED:

@@ -19,7 +19,8 @@ from filtering.association import UNUSUAL
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
-from filtering.hypotheses import POSE, Hypotheses, bias, born, motion_of_state, widened
+from filtering.hypotheses import POSE, Hypotheses, bias, born, corrected_poses, motion_of_state, widened
+from filtering.moments import settle
 from filtering.motion import Odometry, SlowErrors, require_duration, require_odometry
 from filtering.novelty import ViewMeter
 from filtering.posterior import PosePosterior
@@ -132,7 +133,8 @@ class KalmanLocalizer:
         self._way += way
         transition, noise = motion_of_state(odom, self.config.slow_errors, [way])
         self._filter.predict(F=transition, Q=noise)
-        self._fold(pose @ odom.previous_from_current)
+        settle(self._filter.P)
+        self._fold((pose @ odom.previous_from_current).orthonormal())
 
     def _correct(self, posterior: PosePosterior) -> bool:
         """Take the nearest place for what the image shows, if it is near enough; returns whether it is."""
@@ -155,8 +157,13 @@ class KalmanLocalizer:
             # An image that errs in a way of its own, which lasts: over a way of 2 it is worth one image.
             shows[k, :, bias(0)] = 0.0
             error = larger * max(1.0, 2.0 / max(self._way, 1e-6)) * posterior.covariances[k]
-        self._filter.update(difference[k][:, None], R=error, H=shows[k])
-        self._fold(pose)
+        before = self._filter.P.diagonal().copy()
+        self._filter.update(difference[k][:, None], R=error, H=shows[k])  # in Joseph's form
+        settle(self._filter.P, before)
+        change = self._filter.x[POSE].T
+        at, place = (Poses.stack([each]) for each in (pose, posterior.means[k]))
+        self._pose = corrected_poses(at, place, difference[k : k + 1], change, self._filter.SI[None])[0]
+        self._filter.x[POSE] = 0.0
         self._rejected_s = None
         return True
 

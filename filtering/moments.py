@@ -1,11 +1,55 @@
-"""Mean and covariance of weighted poses, and of Gaussians, group by group."""
+"""Mean and covariance of weighted poses, and of Gaussians, group by group; covariances that rounding leaves some."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from filtering.errors import VaporTrackError
 from filtering.se3 import Poses, nearest_rotation
+
+_ROUNDING = 1e-12  # of a variance: some thousand times what double precision loses in a product of states' covariances
+
+
+def settle(covariance: Float64[np.ndarray, "*n d d"], before: Float64[np.ndarray, "*n d"] | None = None) -> None:
+    """Make covariances, in place, symmetric and positive definite whatever rounding has made of them.
+
+    Numbers of 16 digits tell no direction of a covariance better than that, so each variance grows by what rounding may
+    have taken. Otherwise errors of the size of a variance that was large, after a leap of the odometry or a long gap,
+    make small ones negative.
+
+    Args:
+        covariance: As computed, positive semidefinite but for rounding.
+        before: Variances before a correction whose rounding is of the second order in them (Joseph's form).
+    """
+    covariance += np.swapaxes(covariance, -1, -2)
+    covariance *= 0.5
+    variances = np.einsum("...ii->...i", covariance)  # a view
+    variances *= 1.0 + _ROUNDING
+    if before is not None:
+        variances += _ROUNDING**2 * before
+
+
+def require_sound(poses: Poses, covariances: Float64[np.ndarray, "*n 6 6"] | None = None) -> None:
+    """Check what is about to be written or published: nothing leaves that is wrong about itself.
+
+    Args:
+        poses: Any batch.
+        covariances: Of them, where they are told, too.
+
+    Raises:
+        VaporTrackError: a pose or covariance is not finite, or a covariance not positive definite.
+    """
+    if not poses.is_finite().all():
+        number = int((~poses.is_finite()).sum())
+        raise VaporTrackError(f"{number} of {poses.is_finite().size} poses to write are not finite, expected none")
+    if covariances is None:
+        return
+    if not np.isfinite(covariances).all():
+        raise VaporTrackError(f"covariance to write is not finite: {covariances.tolist()}")
+    least = float(np.linalg.eigvalsh(covariances).min())
+    if least <= 0.0:
+        raise VaporTrackError(f"covariance to write has the eigenvalue {least:.3g}, expected positive ones")
 
 
 def group_moments(

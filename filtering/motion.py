@@ -14,7 +14,7 @@ from filtering.se3 import Poses
 _RIGID = 1e-6  # of RRᵀ − I: float32 passes. Particles compose every increment and are never made orthonormal again
 
 
-_LARGEST_VARIANCE = 1e12
+_LARGEST_VARIANCE, _LONGEST_M = 1e12, 1e9
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(10)  # 1e-14 of the integral for turns up to π
 _REMAINING, _NODE_WEIGHTS = (1.0 - _NODES) / 2, _NODE_WEIGHTS / 2
 
@@ -46,6 +46,16 @@ class Odometry:
         return self.previous_from_current.inverse().adjoint()
 
     @cached_property
+    def noise(self) -> Float64[np.ndarray, "6 6"]:
+        """The covariance as it is computed with: the nearest that is symmetric and has no negative eigenvalue.
+
+        Raises:
+            VaporTrackError: as `covariance_factor`.
+        """
+        factor = covariance_factor(self.covariance)
+        return factor @ factor.T
+
+    @cached_property
     def is_motion(self) -> bool:
         """True; raises as `require_odometry`, which filter and baselines all ask for."""
         _require_motion(self)
@@ -74,8 +84,8 @@ def require_odometry(odometry: Odometry) -> None:
     """Check that odometry is one rigid motion with a covariance. However far it goes is its covariance's affair.
 
     Raises:
-        VaporTrackError: the motion is not one pose, not finite or not rigid, its duration is negative or not finite, or
-            as `covariance_factor`.
+        VaporTrackError: the motion is not one pose, not finite, not rigid or longer than 10⁹ m, its duration is none
+            (`require_duration`), or as `covariance_factor`.
     """
     _ = odometry.is_motion
 
@@ -92,8 +102,10 @@ def _require_motion(odometry: Odometry) -> None:
             f"odometry increment has {rotation.tolist()} for a rotation, expected orthonormal columns (to {_RIGID:g}) "
             "and determinant 1"
         )
+    if (distance_m := float(np.abs(motion.translation).max())) > _LONGEST_M:
+        raise VaporTrackError(f"odometry increment goes {distance_m:.3g} m, expected at most {_LONGEST_M:g} m")
     require_duration(odometry.duration_s)
-    covariance_factor(odometry.covariance)
+    _ = odometry.noise
     widest = float(np.diagonal(odometry.covariance).max())
     if widest > _LARGEST_VARIANCE:
         raise VaporTrackError(

@@ -147,7 +147,7 @@ class PosePosterior:
         """Square roots of the covariances, symmetric in units of an ordinary image's error: the same in any unit."""
         unit = np.asarray(self.errors.typical_std)
         values, vectors = np.linalg.eigh(self.covariances / np.multiply.outer(unit, unit))
-        return unit[:, None] * ((vectors * np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
+        return unit[:, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
     def inflated(self, factor: float) -> PosePosterior:
         """The same with errors whose variances are larger by a factor."""

@@ -31,6 +31,7 @@ SMOOTHED_MODES = 6
 
 _ABOUT_NS, _ABOUT_IMAGES = 500_000_000, 5  # what is about an image, to each side
 _REGULAR = 1e-8 * np.eye(6)  # a tenth of a millimetre and of a milliradian keep modes of equal samples regular
+_FAR = 10.0
 _STANDING = 1e-9  # lengths: no way is shorter, which keeps correlations regular
 _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 
@@ -146,14 +147,16 @@ def agreement(
     """
     n = len(trajectory)
     fits, says = np.zeros(n), np.array([len(modes) > 0 for modes in image_modes], bool)
+    in_map = _within_map(trajectory, [mode for modes in image_modes for mode in modes], errors)
     for i in np.flatnonzero(says).tolist():
         modes = image_modes[i]
         residual = (Poses.stack([mode.world_from_camera for mode in modes]).inverse() @ trajectory[i]).log()
         information = np.linalg.inv(np.stack([mode.covariance for mode in modes]) + _REGULAR)
         near = np.exp(-0.5 * np.einsum("ki,kij,kj->k", residual, information, residual) / PLACE**2)
         weight = np.array([mode.weight for mode in modes])
-        untold = max(1.0 - weight.sum(), 0.0)  # of modes that were left out, one of which may be near
-        possible, most = (s / (s + errors.possible_fraction) for s in (weight @ near + untold, weight.max() + untold))
+        untold = max(1.0 - weight.sum(), 0.0)  # of modes that were left out, one of which may be near within the map
+        sums = weight @ near + in_map[i] * untold, weight.max() + untold
+        possible, most = (s / (s + errors.possible_fraction) for s in sums)
         fits[i] = min(possible / most, 1.0)
     at = np.arange(n)
     first = np.minimum(np.searchsorted(times_ns, times_ns - _ABOUT_NS), np.maximum(at - _ABOUT_IMAGES, 0))
@@ -162,6 +165,16 @@ def agreement(
     )
     summed, count = (np.concatenate([[0.0], np.cumsum(values)]) for values in (fits, says))
     return (summed[last] - summed[first]) / np.maximum(count[last] - count[first], 1.0)
+
+
+def _within_map(trajectory: Poses, modes: Sequence[Mode], errors: ErrorModel) -> Bool[np.ndarray, " n"]:
+    """Which poses are where a mode that was left out may be: not ten times as far from the middle of all as any is."""
+    if not modes:
+        return np.zeros(len(trajectory), bool)
+    positions = np.stack([mode.world_from_camera.translation for mode in modes])
+    middle = positions.mean(axis=0)
+    furthest_m = np.linalg.norm(positions - middle, axis=1).max() + errors.map_size_m
+    return np.linalg.norm(trajectory.translation - middle, axis=1) <= _FAR * furthest_m
 
 
 def _initial_guesses(filtered: Poses, steps: Sequence[Odometry], converged: np.ndarray) -> list[Poses]:
@@ -255,7 +268,7 @@ def _widened(step: Odometry, config: SmoothingConfig) -> Float64[np.ndarray, "6 
     """Covariance of white noise that adds up, over `cover_s`, to what noise and slow errors of an increment do."""
     slow = config.slow_errors
     errs = motion_of_state(step, slow, [])[0][POSE, SLOW] * np.array([slow.scale, *6 * [1.0]])
-    return step.covariance + config.cover_s / max(step.duration_s, 1e-9) * (errs @ errs.T)
+    return step.noise + config.cover_s / max(step.duration_s, 1e-9) * (errs @ errs.T)
 
 
 def _gaussian(covariance: Float64[np.ndarray, "6 6"]) -> gtsam.noiseModel.Gaussian:

@@ -39,6 +39,9 @@ class ReadingOptions:
     camera_info_topic: str | None = None
     """Topic of the intrinsics, sensor_msgs/CameraInfo or foxglove.CameraCalibration; '' for none. Default: the one
     beside the image topic."""
+    tf_topic: str | None = None
+    """Topic of the transforms, tf2_msgs/TFMessage, with the static ones beside it: /robot1/tf, /robot1/tf_static.
+    Default: /tf; where there is none, the only one whose name ends in /tf."""
     undistort: bool = True
     """Undistort images by their intrinsics (CameraInfo, COLMAP), to those of a pinhole camera of the same size."""
     camera_frame: str | None = None
@@ -53,7 +56,7 @@ class ReadingOptions:
     """When messages are of: by the stamps in their headers or, where those are none, by the times they were logged."""
 
     def __post_init__(self) -> None:
-        for name in ("image_topic", "odometry_topic"):
+        for name in ("image_topic", "odometry_topic", "tf_topic"):
             if getattr(self, name) == "":
                 raise SequenceError(f"{name} is '', expected the name of a topic: it cannot be left out")
         for name in ("odometry_frame", "ground_truth_frame", "ground_truth_child_frame"):

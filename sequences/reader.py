@@ -14,9 +14,12 @@ from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import ImageCounts
 from sequences.reading.frame_pairing import FramePairing
+from sequences.reading.motion_streams import MotionStreams
+from sequences.reading.requested_segment import LoggedSegment
 from sequences.reading.roles import Roles
+from sequences.reading.stamps import odometry_apart, odometry_sparse, true_poses_apart
+from sequences.reading.timeline import Dated, Timeline
 from sequences.recordings.bag import METADATA_NAME, Bag
-from sequences.recordings.topics import decode
 
 
 class SequenceReader:
@@ -61,7 +64,7 @@ class SequenceReader:
         self.path = Path(path)
         self.across_jumps = 0
         self._options = options or SequenceOptions()
-        self._bag = Bag(self.path, stamps=self._options.stamps)
+        self._bag = Bag(self.path, stamps=self._options.stamps, tf_topic=self._options.tf_topic)
         self._roles = Roles(self._bag, self._options, odometry, true_poses)
         self.num_images = self._roles.image.num_messages
         self.counts = ImageCounts(self.num_images)
@@ -75,6 +78,7 @@ class SequenceReader:
         said_of_itself = self._bag.metadata.get(METADATA_NAME, {})
         self.image_description = said_of_itself.get("images")
         self.odometry_description = said_of_itself.get("odometry")
+        self._timeline: Timeline | None = None
         self._pairing: FramePairing | None = None  # of the latest iteration
         self._found_notices = self._bag.account_for(self._roles.image.name)
         self._found_notices += self._roles.truth.notices if self._roles.truth is not None else []
@@ -107,39 +111,91 @@ class SequenceReader:
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order of time.
 
-        What lies behind the segment asked for is not decoded, but counted.
+        The stamps of the whole recording are read first, to know where clocks were set and how late messages lie; then
+        the images one after the other, and beside them each other topic as far as an image needs it. What lies behind
+        the segment asked for is not decoded, but counted.
 
         Raises:
             SequenceError: the file is damaged or has not all of the messages that it states, an image is neither used
-                nor skipped, no image is left, all stamps are equal, a camera that should be fixed moves, or true poses
-                are required and none is of the time of an image.
+                nor skipped, no image is left, all stamps are equal, a camera that should be fixed moves, more odometry
+                than not cannot be used, or true poses are required and none is of the time of an image.
         """
-        pairing = FramePairing(self.path, self._roles, self._options, self._image_camera, self.num_images)
-        left_out, motion, self._pairing = pairing.left_out, pairing.motion, pairing
-        self.counts, self._skipped_messages = left_out.counts, left_out.messages
-        self.across_jumps, self.notices = 0, list(self._found_notices)
-        for raw in self._bag.messages(self._roles.streamed, until=pairing.segment.is_over):
-            pairing.take(raw, decode(self._bag, raw, tolerate=self._roles.may_be_damaged(raw.topic)))
+        roles, timeline = self._roles, self._survey()
+        images = timeline.streams.get(("", roles.image.name))
+        pairing = FramePairing(
+            self.path,
+            roles,
+            self._options,
+            self._image_camera,
+            self.num_images,
+            begin_ns=0 if images is None else images.begin_ns,
+            lateness_ns=0 if images is None else images.lateness_ns,
+        )
+        motion, self._pairing = pairing.motion, pairing
+        self.counts, self._skipped_messages = pairing.left_out.counts, pairing.left_out.messages
+        self.across_jumps, self.notices = 0, [*self._found_notices, *timeline.notices]
+
+        def take(dated: Dated) -> None:
+            if dated.num_odd:
+                pairing.leave_out_odd(dated.raw, dated.num_odd)
+            if dated.stamps_ns or not dated.num_odd:
+                pairing.take(dated.raw, dated.message)
+
+        def forget_before(time_ns: int) -> None:
+            if pairing.previous_ns is None:  # else odometry since then will be asked for
+                motion.forget_before(time_ns)
+
+        beside = {topic: links for topic, links in roles.watched.items() if topic != roles.image.name}
+        streams = MotionStreams(timeline, beside, take, reaches=motion.reaches, forget_before=forget_before)
+        pairing.come_to = streams.read_until
+        for dated in timeline.messages(roles.image.name, until=lambda _: pairing.is_over):
+            take(dated)
             for frame in pairing.ready_frames():
                 self.across_jumps = motion.across_jumps
                 yield frame
         for frame in pairing.ready_frames(at_end=True):
             self.across_jumps = motion.across_jumps
             yield frame
+        streams.finish()
         pairing.account_for_the_rest()
-        pairing.require_stamps()
-        apart = pairing.odometry_apart()
-        if self.counts.used == 0 and apart is not None:
+        self._judge(pairing, timeline)
+
+    def _survey(self) -> Timeline:
+        """The clocks of the recording, as far as the segment asked for reaches."""
+        if self._timeline is None:
+            roles, options = self._roles, self._options
+            lasts_s = None if options.duration_s is None else options.start_s + options.duration_s
+            segment = None if lasts_s is None else LoggedSegment(roles.image.name, lasts_s)
+            timeline = Timeline(self._bag, roles.watched, segment=segment)
+            timeline.require_differing(("", roles.image.name), "images")
+            for key in roles.odometry_keys if roles.odometry_required else ():
+                timeline.require_differing(key, "messages of odometry")
+            self._timeline = timeline
+        return self._timeline
+
+    def _judge(self, pairing: FramePairing, timeline: Timeline) -> None:
+        """Say what a person should know of what was read; raise SequenceError where nothing is to be made of it."""
+        roles, motion = self._roles, pairing.motion
+        images, odometry = timeline.span_ns([("", roles.image.name)]), timeline.span_ns(roles.odometry_keys)
+        sparse = odometry_sparse(roles.odometry_said, timeline.spacing_s(roles.odometry_keys))
+        said = [told for told in (odometry_apart(images, odometry), sparse) if told is not None]
+        for what, unusable in motion.unusable.items():
+            if roles.odometry_required if what == "poses of odometry" else roles.truth_required:
+                unusable.require_few(self.path)
+            said += unusable.notices
+        if self.counts.used == 0 and (apart := odometry_apart(images, odometry)) is not None:
             raise SequenceError(f"{self.path}: no image has odometry: {apart}")
         if self.counts.used == 0:
             found = ", ".join(f"{count} × {reason}" for reason, count in self.skipped.items()) or "nothing was skipped"
             raise SequenceError(
-                f"{self.path}: no image left of {self.num_images} on {self._roles.image.name}: {found}"
-                f"{left_out.first_problem}; expected at least one that can be used"
+                f"{self.path}: no image left of {self.num_images} on {roles.image.name}: {found}"
+                f"{pairing.left_out.first_problem}; {'; '.join([*said, 'expected at least one that can be used'])}"
             )
-        self.notices += [] if apart is None else [apart]
-        if (apart := pairing.true_poses_apart()) is not None:
-            if self._roles.truth_required:
+        self.notices += said
+        if motion.has_no_true_pose and pairing.frames_span_ns is not None and roles.truth is not None:
+            span = motion.true_poses_span_ns if roles.truth_keys == [] else timeline.span_ns(roles.truth_keys)
+            apart = true_poses_apart(roles.truth.said, span, pairing.frames_span_ns)
+            if roles.truth_required:
                 raise SequenceError(f"{self.path}: {apart}")
             self.notices.append(apart)
         self.notices += [*self._image_camera.notices, *motion.jumps()]

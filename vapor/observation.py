@@ -45,6 +45,7 @@ class VaporObservationModel:
     Attributes:
         description: What the model says of itself.
         engine: What runs its network.
+        camera: The camera of the images that come next.
     """
 
     def __init__(
@@ -126,6 +127,22 @@ class VaporObservationModel:
         samples = Poses(seen.rotation.astype(np.float64), seen.translation.astype(np.float64))
         unfamiliarity = self._unfamiliarity(seen.description)
         return PosePosterior.from_samples(samples, self.description.calibration.errors, unfamiliarity=unfamiliarity)
+
+    def unfamiliarity(self, image: np.ndarray, camera: Camera | None) -> float:
+        """How unlike the training images an image is, as `PosePosterior.unfamiliarity`, whatever was observed before.
+
+        Args:
+            image: (H, W, 3) uint8 RGB of any size.
+            camera: The camera that took it; None where unknown.
+
+        Raises:
+            VaporTrackError: the image is not (H, W, 3) uint8.
+        """
+        require_rgb(image)
+        as_learned = AsTakenBy(self.description.camera, self.description.network.frame_size)
+        prepared = prepare(as_learned(image, camera), self.description.network)
+        noise = np.zeros((self.num_samples, self.engine.noise_dim), np.float32)
+        return self._unfamiliarity(self.engine.run(prepared, noise).description)
 
     def _unfamiliarity(self, description: np.ndarray) -> float:
         """Score of an image by its description; 0 where the model does not say what is familiar."""

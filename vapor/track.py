@@ -94,6 +94,7 @@ def _run(words: list[str], signals: Signals) -> int:
     command = importlib.import_module(f"vapor.commands.{name}").main
     signals.working = True
     command(rest)
+    signals.complete = True
     return 0
 
 

@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from filtering.se3 import Poses
-from sequences.datasets.layout_helpers.image_files import read_image_bytes
+from sequences.datasets.layout_helpers.image_files import decoded_file, read_image_bytes
 from sequences.datasets.listing import list_images
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
+from sequences.files.rows import Rows
 from sequences.frame import BASE_FROM_CAMERA, Camera
-from sequences.images.decoding import decode_image_bytes
 from sequences.images.headers import why_left_out
 from sequences.images.undistortion import Lens
 from sequences.odometry import OdometryNoise, simulate_odometry
+from sequences.reading.counts import uncovered
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, interpolate
 from sequences.trajectories.tum import read_tum
 from sequences.writer import SequenceWriter
@@ -32,11 +33,13 @@ class ConversionSummary:
         num_images: Images written.
         skipped: Images left out, by reason.
         odometry: Where the odometry comes from, as the file says it too.
+        notices: What a person should know of what was left out.
     """
 
     num_images: int
     skipped: dict[str, int]
     odometry: str
+    notices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,23 +98,20 @@ def convert(
     num_images = 0
     with SequenceWriter(output, camera=camera, base_from_camera=BASE_FROM_CAMERA, metadata=metadata) as writer:
         next_odometry = 0
-        for i, file in enumerate(images.files):
+        rows = Rows("images", why_left_out)
+        for i, file in rows.each(enumerate(images.files)):
             progress(i + 1, len(images))
             time_ns = int(images.times_ns[i])
-            try:
-                data = read_image_bytes(file)
-                decode_image_bytes(data)
-            except SequenceError as error:
-                skipped[why_left_out(error)] += 1
+            if isinstance(decoded := rows.use(decoded_file, file), str):
+                skipped[decoded] += 1
                 continue
+            data = read_image_bytes(file)
             if track is not None:
                 next_odometry = _write_odometry(writer, track, next_odometry, time_ns)
             writer.write_true_pose(time_ns, images.world_from_camera[i])
             writer.write_encoded_image(time_ns, data, "png" if data[:4] == b"\x89PNG" else "jpeg")
             num_images += 1
-        if num_images == 0:
-            raise SequenceError(f"{dataset}: no image left: {dict(skipped)}; expected at least one that can be used")
-    return ConversionSummary(num_images, dict(skipped), description)
+    return ConversionSummary(num_images, dict(skipped), description, (*images.notices, *rows.notices))
 
 
 def _odometry(
@@ -150,7 +150,8 @@ def _covered(images: PosedImages, track: _OdometryTrack | None, skipped: Counter
             f" {images.times_ns[0]} to {images.times_ns[-1]} ns, expected it to overlap"
         )
     if not covered.all():
-        skipped["odometry does not cover"] += int((~covered).sum())
+        for time_ns in images.times_ns[~covered].tolist():
+            skipped[uncovered(time_ns, track.times_ns)] += 1
     return images.select(np.flatnonzero(covered))
 
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-from sequences.datasets.layout_helpers.image_files import read_image_bytes
+from sequences.datasets.layout_helpers.image_files import decoded_file
 from sequences.datasets.listing import is_recording, list_images
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
+from sequences.files.rows import Rows
 from sequences.frame import Camera, Frame
-from sequences.images.decoding import decode_image_bytes
 from sequences.images.headers import why_left_out
 from sequences.images.undistortion import Lens, pinhole_of, undistorted
 from sequences.options import OdometryUse, SequenceOptions
@@ -118,9 +118,11 @@ def _posed_frames(
         images = opened()
         assert isinstance(images, PosedImages)
         skipped.update(images.skipped)
-        for frame in _load(images[frames], skipped, undistort=options is None or options.undistort):
+        rows = Rows("images", why_left_out)
+        for frame in _load(images[frames], rows, skipped, undistort=options is None or options.undistort):
             number += 1
             yield frame
+        notices += [*images.notices, *rows.notices]
     if number == 0:
         raise SequenceError(
             f"{path}: no image with a true pose in frames {frames.start}:{frames.stop}:{frames.step},"
@@ -150,23 +152,16 @@ def _used(camera: Camera | Lens | None, undistort: bool) -> Camera | Lens | None
     return camera.camera if isinstance(camera, Lens) and not undistort else camera
 
 
-def _load(images: PosedImages, skipped: Counter[str], *, undistort: bool) -> Iterator[Frame]:
-    """Decode and undistort images; those that cannot be are left out, unless it is all of them."""
-    problem = None
-    num_loaded = 0
-    for i, file in enumerate(images.files):
-        try:
-            image = decode_image_bytes(read_image_bytes(file))
-        except SequenceError as error:
-            problem = problem or f"{file}: {error}"
-            skipped[why_left_out(error)] += 1
+def _load(images: PosedImages, rows: Rows, skipped: Counter[str], *, undistort: bool) -> Iterator[Frame]:
+    """Decode and undistort images; those that cannot be decoded are left out, unless it is most of them."""
+    for i, file in rows.each(enumerate(images.files)):
+        image = rows.use(decoded_file, file)
+        if isinstance(image, str):
+            skipped[image] += 1
             continue
-        num_loaded += 1
         try:
             image, camera = undistorted(image, _used(images.cameras[i], undistort))
         except SequenceError as error:
             raise SequenceError(f"{file}: {error}") from error
         sequence = 0 if images.sequence is None else int(images.sequence[i])
         yield Frame(int(images.times_ns[i]), image, None, images.world_from_camera[i], camera, sequence)
-    if problem and not num_loaded:
-        raise SequenceError(f"no image left: {problem}")

@@ -16,8 +16,10 @@ where `list_images(path)` keeps to these rules:
   `PosedImages.numbered` makes them up.
 - Intrinsics that a layout does not state come from an `intrinsics.json`, in the folder of the images or at most
   `INTRINSICS_LEVELS` folders above.
-- An image or a pose that is not used is counted in `skipped` under its reason, in the words of the other layouts. What
-  is damaged raises SequenceError, which names the file and the line, what was found and what was expected.
+- An image or a pose that is not used is counted in `skipped` under its reason, in the words of the other layouts. A row
+  that is damaged is left out by `sequences.files.rows`, which refuses a file of which more than half is, and `notices`
+  name the first. A header, a file that is missing, or rows that contradict each other raise SequenceError, which names
+  the file and the line, what was found and what was expected.
 - Files are read by `sequences.files`, and their numbers by `sequences.values`, within limits. No name in a file may
   lead out of the folder of the data set: `sequences.files.paths` checks that.
 

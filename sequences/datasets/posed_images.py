@@ -28,16 +28,18 @@ class PosedImages:
         assumed_hz: The rate that stamps were made up with; None where they were recorded.
         skipped: Images and poses left out, by reason.
         sequence: Index of the sequence each image is from, (n,); None where all are from one.
+        notices: What a person should know of what was left out.
     """
 
     layout: str
     files: Sequence[ImageFile]
     times_ns: Int64[np.ndarray, " n"]
     world_from_camera: Poses
-    cameras: list[Camera | Lens | None]
+    cameras: Sequence[Camera | Lens | None]
     assumed_hz: int | None = None
     skipped: Counter[str] = field(default_factory=Counter)
     sequence: Int64[np.ndarray, " n"] | None = None
+    notices: Sequence[str] = ()
 
     @classmethod
     def numbered(
@@ -48,6 +50,7 @@ class PosedImages:
         numbers: Sequence[Sequence[int]],
         skipped: Counter[str],
         camera: Camera | Lens | None = None,
+        notices: Sequence[str] = (),
     ) -> PosedImages:
         """Images of sequences without time stamps, which are made up at the assumed rate.
 
@@ -58,6 +61,7 @@ class PosedImages:
             numbers: Increasing frame numbers of each sequence, n in all.
             skipped: Images and poses left out, by reason; zeros are dropped.
             camera: Intrinsics of all, in pixels of the image; None where unknown.
+            notices: What a person should know of what was left out.
         """
         return cls(
             layout,
@@ -68,6 +72,7 @@ class PosedImages:
             ASSUMED_HZ,
             +skipped,
             np.repeat(np.arange(len(numbers)), [len(some) for some in numbers]),
+            notices,
         )
 
     def __len__(self) -> int:
@@ -87,6 +92,7 @@ class PosedImages:
             self.assumed_hz,
             self.skipped,
             None if self.sequence is None else self.sequence[indices],
+            self.notices,
         )
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from filtering.motion import MotionNoise
 from sequences.errors import SequenceError
 from sequences.estimates.pose_files import Direction, require_columns
 from sequences.frame import ASSUMED_HZ
 from sequences.odometry import OdometryNoise
+
+_MAX_OFFSET_S = 1e10  # between two clocks, one of which began in 1970
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,9 @@ class EstimateOptions:
     """Names of the columns of the files of estimates, as one word in quotation marks, such as "name qw qx qy qz tx ty
     tz _ _ weight": time in place of name for stamps in seconds, _ for what is ignored. With a weight, such as the
     number of inliers, a frame may have several lines, which are its hypotheses. Default: as above."""
+    time_offset_s: float | Literal["auto"] = 0.0
+    """Seconds to add to the stamps of estimates; auto finds them, file by file, by comparing their rotation with
+    odometry's."""
     unit_m: float = 1.0
     """The unit of length of all files, in metres: 0.001 where they are in millimetres."""
     rate_hz: float = float(ASSUMED_HZ)
@@ -35,6 +41,8 @@ class EstimateOptions:
     def __post_init__(self) -> None:
         if self.columns is not None:
             require_columns(self.columns)
+        if self.time_offset_s != "auto" and not abs(self.time_offset_s) <= _MAX_OFFSET_S:
+            raise SequenceError(f"time_offset_s is {self.time_offset_s}, expected at most {_MAX_OFFSET_S:g} or auto")
         if not 1e-3 <= self.rate_hz <= 1e6:
             raise SequenceError(f"rate_hz is {self.rate_hz}, expected between 0.001 and 1e6")
         if not 1e-6 <= self.unit_m <= 1e6:

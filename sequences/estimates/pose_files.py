@@ -20,6 +20,9 @@ from sequences.values import is_number, natural, parse_frame_number, parse_numbe
 Direction = Literal["world-to-camera", "camera-to-world"]
 """Which way the poses of a file map points."""
 
+FramesBy = Literal["names", "stamped names", "stamps"]
+"""What frames go by: names that hold a number, names that are stamps (`cam0/1403636579763555584.png`), or stamps."""
+
 COLUMNS = "name qw qx qy qz tx ty tz"
 """Columns of named frames where no others are stated."""
 
@@ -77,7 +80,9 @@ def read_poses(path: Path, direction: Direction | None = None, columns: str | No
 
     Lines are `name qw qx qy qz tx ty tz`, in any order, with further columns ignored: the format of published 7-Scenes
     estimates. The last number before the first dot of a name's last part is the frame's; what stands before it names
-    the sequence. Where the first line begins with a number the file is a TUM trajectory, `time tx ty tz qx qy qz qw`,
+    the sequence. Names that are stamps, as EuRoC's (`cam0/1403636579763555584.png`, nanoseconds) and TUM's
+    (`rgb/1305031102.175304.png`, seconds), are read as such. Where the first line
+    begins with a number the file is a TUM trajectory, `time tx ty tz qx qy qz qw`,
     camera-to-world. Lines that start with # are comments.
 
     Other columns are stated by their names, such as `name qw qx qy qz tx ty tz _ _ weight`: `time`, in seconds, in
@@ -110,6 +115,7 @@ def read_poses(path: Path, direction: Direction | None = None, columns: str | No
     columns = columns or COLUMNS
     at = {name: i for i, name in enumerate(columns.split()) if name != _IGNORED}
     timed, weighted = "time" in at, "weight" in at
+    stamped = not timed and frames_by(path, columns)[0] == "stamped names"
     if timed:
         _require_camera_to_world(path, direction, "frames by stamps")
     elif direction is None:
@@ -128,7 +134,7 @@ def read_poses(path: Path, direction: Direction | None = None, columns: str | No
         if len(fields) != len(first[1].split()):
             raise SequenceError(f"{where}: {len(fields)} columns, expected as many as on line {first[0]}")
         name = fields[at["time" if timed else "name"]]
-        frame = FrameName("", parse_time_ns(name, where)) if timed else _frame_name(name, where)
+        frame = FrameName("", parse_time_ns(name, where)) if timed else _frame_name(name, where, stamped)
         if seen.setdefault(frame, number) != number and not weighted:
             raise SequenceError(
                 f"{where}: {quoted(name)} names the same frame as line {seen[frame]}, expected it once; of several"
@@ -148,11 +154,30 @@ def read_poses(path: Path, direction: Direction | None = None, columns: str | No
     poses = poses_of_rows(path, lines, table[:, :3], table[:, 3:], columns)[order]
     return PoseFile(
         path,
-        timed,
+        timed or stamped,
         tuple(frames[i] for i in order),
         poses.inverse() if direction == "world-to-camera" else poses,
         np.array(weights)[order] if weighted else None,
     )
+
+
+def frames_by(path: Path, columns: str | None = None) -> tuple[FramesBy, str]:
+    """How the first line of a file names its frame, as `read_poses` takes it, and that name.
+
+    Raises:
+        SequenceError: the file cannot be read, or holds no poses.
+    """
+    first = next(read_rows(path), None)
+    if first is None:
+        raise SequenceError(f"{path}: no poses, expected at least one line of them")
+    fields, names = first[1].split(), (columns or COLUMNS).split()
+    if columns is None and is_number(fields[0]):
+        return "stamps", fields[0]
+    at = names.index("time" if "time" in names else "name")
+    name = fields[at] if at < len(fields) else ""
+    if "time" in names:
+        return "stamps", name
+    return ("stamped names" if _stamp_of(name) is not None else "names"), name
 
 
 def natural_order(frame: FrameName) -> tuple[list[tuple[int, str]], int]:
@@ -165,7 +190,21 @@ def _require_camera_to_world(path: Path, direction: Direction | None, what: str)
         raise SequenceError(f"{path}: {what}, which is camera-to-world, expected no world-to-camera with it")
 
 
-def _frame_name(name: str, where: str) -> FrameName:
+def _stamp_of(name: str) -> str | None:
+    """Seconds that a name states, as EuRoC's images are named, or TUM's; None where it states none."""
+    file = name.rpartition("/")[2]
+    if match := re.fullmatch(r"(\d{9,10})(\d{9})(\.[A-Za-z]\w*)?", file, flags=re.ASCII):
+        return f"{match[1]}.{match[2]}"
+    match = re.fullmatch(r"(\d{9,10}\.\d{1,9})(\.[A-Za-z]\w*)?", file, flags=re.ASCII)
+    return match[1] if match else None
+
+
+def _frame_name(name: str, where: str, stamped: bool) -> FrameName:
+    if stamped:
+        stamp = _stamp_of(name)
+        if stamp is None:
+            raise SequenceError(f"{where}: name {quoted(name)} is no stamp, expected one as on the first line")
+        return FrameName("", parse_time_ns(stamp, where))
     folder, slash, file = name.rpartition("/")
     match = re.fullmatch(r"(.*?)(\d+)\D*", file.split(".")[0], flags=re.ASCII)
     if match is None:

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Shaped
 
+from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.estimates.options import EstimateOptions
-from sequences.estimates.pose_files import FrameName, PoseFile, natural_order, read_poses
+from sequences.estimates.pose_files import FrameName, PoseFile, frames_by, natural_order, read_poses
 from sequences.estimates.tracks import OdometryTrack, frame_stamps
-from sequences.frame import BASE_FROM_CAMERA, Frame
+from sequences.frame import BASE_FROM_CAMERA, Frame, Trajectory
 from sequences.odometry import simulate_odometry
 from sequences.reading.counts import NO_ESTIMATE, ImageCounts
 from sequences.trajectories.interpolation import MAX_TRUE_POSE_GAP_S, interpolate
@@ -23,6 +24,7 @@ from sequences.trajectories.interpolation import MAX_TRUE_POSE_GAP_S, interpolat
 HYPOTHESIS = np.dtype([("file", np.int64), ("weight", np.float64), ("world_from_camera", np.float64, (4, 4))])
 """What a file says of a frame: number of the file from 0, weight above 0 in any unit, homogeneous matrix."""
 
+NO_ODOMETRY = "no odometry of its sequence"
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
@@ -74,18 +76,18 @@ class EstimateSequence:
                 "a filter needs odometry: expected either a file of it, or true poses to simulate it from"
             )
         self._options = options or EstimateOptions()
+        asked = [(path, self._options.columns) for path in estimates]
+        asked += [(path, None) for path in (odometry, simulate_odometry_from, ground_truth) if path is not None]
+        self._has_names = _have_names(asked)
         self.files = [self._read(path, self._options.columns) for path in estimates]
         source = self._read(simulate_odometry_from or odometry or Path())
         truth_path = ground_truth or simulate_odometry_from
         truth = None if truth_path is None else self._read(truth_path)
+        self.path, self.notices = self.files[0].path, []
+        for file in [*self.files, *([] if truth is None else [truth])]:
+            _require_common(file, source)
+        self._set_clocks(source, truth)
         given = [*self.files, source, *([] if truth is None else [truth])]
-        for file in given:
-            if file.timed != given[0].timed:
-                raise SequenceError(
-                    f"{file.path}: frames by {'stamps' if file.timed else 'names'}, but those of {given[0].path} by"
-                    f" {'stamps' if given[0].timed else 'names'}, expected all alike"
-                )
-        self.path = self.files[0].path
         self.counts = ImageCounts(0)
         self._times_ns = frame_stamps(given, self._options.rate_hz)
         self._frames = sorted({frame for file in self.files for frame in file.frames}, key=natural_order)
@@ -113,7 +115,7 @@ class EstimateSequence:
         for i, frame in enumerate(self._frames):
             time_ns, track = self._times_ns[frame], self._tracks.get(frame.sequence)
             if track is None or not track.covers(time_ns):
-                self.counts.skipped["odometry does not cover"] += 1
+                self.counts.skipped[NO_ODOMETRY if track is None else track.why_uncovered(time_ns)] += 1
                 continue
             motion = None
             if previous is not None and previous[0] == frame.sequence:
@@ -123,7 +125,8 @@ class EstimateSequence:
             truth = true_poses[i] if true_poses is not None and known[i] else None
             yield EstimatedFrame(time_ns, _NO_IMAGE, motion, truth, estimates=self._hypotheses[frame])
         if previous is None:
-            raise SequenceError(f"{self.path}: no frame is left: {dict(self.skipped)}, expected odometry for some")
+            found = ", ".join(f"{count} × {reason}" for reason, count in self.skipped.items())
+            raise SequenceError(f"{self.path}: no frame is left: {found}, expected odometry for some")
 
     @property
     def interval_s(self) -> float:
@@ -144,8 +147,36 @@ class EstimateSequence:
         return float(np.median(np.concatenate(speeds))) if speeds else 0.0
 
     def _read(self, path: Path, columns: str | None = None) -> PoseFile:
-        file = read_poses(path, self._options.direction, columns)
+        # The direction is that of named frames: beside them, files of stamps are camera-to-world as ever.
+        beside = self._has_names and frames_by(path, columns)[0] == "stamps"
+        file = read_poses(path, None if beside else self._options.direction, columns)
         return replace(file, poses=Poses(file.poses.rotation, file.poses.translation * self._options.unit_m))
+
+    def _set_clocks(self, source: PoseFile, truth: PoseFile | None) -> None:
+        """Add the time offset to the stamps of estimates; note where rotations say that clocks differ."""
+        asked = self._options.time_offset_s
+        if not source.timed:
+            if asked != 0.0:
+                raise SequenceError(
+                    f"{self.path}: frames by names, which have no clock, expected stamps with --time-offset-s"
+                )
+            return
+        from sequences.trajectories.time_offset import offset_of_clocks  # loads SciPy's signals, which takes a while
+
+        track, offsets_s = _best(source), []
+        for i, file in enumerate(self.files):
+            # Files that name the same frames have the same clock: each frame stays one.
+            same = (k for k in range(i) if not set(self.files[k].frames).isdisjoint(file.frames))
+            other = next(same, None)
+            if other is None:
+                offset_s, notices = offset_of_clocks(asked, track, _best(file), str(file.path))
+                self.notices += notices
+                offsets_s.append(offset_s)
+            else:
+                offsets_s.append(offsets_s[other])
+        self.files = [_shifted(file, offset_s) for file, offset_s in zip(self.files, offsets_s, strict=True)]
+        if truth is not None and truth is not source:
+            self.notices += offset_of_clocks(0.0, track, _best(truth), str(truth.path))[1]
 
     def _odometry(self, source: PoseFile, seed: int | None) -> dict[str, OdometryTrack]:
         """One track for each sequence, of the body, in whose axes noise is stated; simulated with a seed."""
@@ -170,6 +201,49 @@ class EstimateSequence:
         # Stamps of true poses may lie between those of frames; names are the same or they are not.
         max_gap_s = MAX_TRUE_POSE_GAP_S if self._truth.timed else 0.0
         return interpolate(known_ns, self._truth.poses, times_ns, max_gap_s=max_gap_s)
+
+
+def _have_names(files: Sequence[tuple[Path, str | None]]) -> bool:
+    """Whether frames of any file have names. Raises SequenceError where names are no stamps, but another has stamps."""
+    by = [(path, *frames_by(path, columns)) for path, columns in files]
+    named = next((each for each in by if each[1] == "names"), None)
+    timed = next((each for each in by if each[1] != "names"), None)
+    if named is not None and timed is not None:
+        raise SequenceError(
+            f"{named[0]}: frames by names, but those of {timed[0]} by stamps: {quoted(named[2])} is no stamp, so it"
+            f" cannot be placed in time beside {quoted(timed[2])}, expected all alike, or names that are stamps such as"
+            " 1403636579763555584.png or 1305031102.175304.png"
+        )
+    return any(each[1] != "stamps" for each in by)
+
+
+def _best(file: PoseFile) -> Trajectory:
+    """Of each stamp the pose of the largest weight."""
+    weights = np.ones(len(file.frames)) if file.weights is None else file.weights
+    times_ns = np.array([frame.number for frame in file.frames], np.int64)
+    order = np.lexsort((-weights, times_ns))
+    found, first = np.unique(times_ns[order], return_index=True)
+    return Trajectory(found, file.poses[order[first]])
+
+
+def _shifted(file: PoseFile, seconds: float) -> PoseFile:
+    """The same by a clock that shows so much more."""
+    shift_ns = round(seconds * 1e9)
+    return replace(file, frames=tuple(frame._replace(number=frame.number + shift_ns) for frame in file.frames))
+
+
+def _require_common(file: PoseFile, other: PoseFile) -> None:
+    """Raise SequenceError where no name of a file begins as one of another does."""
+    if file.timed or not {frame.sequence for frame in file.frames}.isdisjoint(frame.sequence for frame in other.frames):
+        return
+    one, two = (f"{len(set(each.frames))} names such as {_said(each.frames[0])}" for each in (file, other))
+    raise SequenceError(
+        f"{file.path} has {one}, {other.path} has {two}: none match, expected names that begin alike up to their number"
+    )
+
+
+def _said(frame: FrameName) -> str:
+    return quoted(f"{frame.sequence}{frame.number}")
 
 
 def _by_frame(files: Sequence[PoseFile]) -> dict[FrameName, Shaped[np.ndarray, " h"]]:

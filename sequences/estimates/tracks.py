@@ -12,6 +12,7 @@ from filtering.motion import MotionNoise, Odometry
 from filtering.se3 import Poses
 from sequences.estimates.pose_files import FrameName, PoseFile, natural_order
 from sequences.frame import BASE_FROM_CAMERA
+from sequences.reading.counts import uncovered
 from sequences.trajectories.increments import odometry_between
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S, interpolate
 
@@ -23,6 +24,10 @@ class OdometryTrack:
     times_ns: Int64[np.ndarray, " k"]
     odom_from_base: Poses
     twist_covariances: Float64[np.ndarray, "k 6 6"]
+
+    def why_uncovered(self, time_ns: int) -> str:
+        """The reason to count where odometry does not cover a time."""
+        return uncovered(time_ns, self.times_ns)
 
     def covers(self, time_ns: int) -> bool:
         """Whether odometry tells where the body was."""

@@ -25,15 +25,19 @@ def read_bytes(path: Path, most: int = _MAX_TEXT) -> bytes:
 
 
 def read_text(path: Path, most: int = _MAX_TEXT) -> str:
-    """Text of a file. Raises SequenceError where it cannot be read, is no text, or has more than so many bytes."""
+    """Text of a file, without a byte order mark.
+
+    Raises:
+        SequenceError: it cannot be read, is no text, or has more than so many bytes.
+    """
     try:
-        return read_bytes(path, most).decode("utf-8")
+        return read_bytes(path, most).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SequenceError(f"{path}: byte {error.start} is no UTF-8 text, expected a text file") from error
 
 
 def read_lines(path: Path, most: int | None = _MAX_TEXT) -> Iterator[tuple[int, str]]:
-    """Lines of a text file with their numbers from 1 on, one at a time.
+    """Lines of a text file with their numbers from 1 on, one at a time; a byte order mark before them is skipped.
 
     Args:
         path: The file.
@@ -51,7 +55,7 @@ def read_lines(path: Path, most: int | None = _MAX_TEXT) -> Iterator[tuple[int, 
                 number += 1
                 if len(line) == _MAX_LINE:
                     raise SequenceError(f"{path}:{number}: more than {_MAX_LINE:,} bytes, expected a shorter line")
-                yield number, line.decode("utf-8").rstrip("\r\n")
+                yield number, line.decode("utf-8-sig" if number == 1 else "utf-8").rstrip("\r\n")
     except OSError as error:
         raise SequenceError(f"{path}: cannot read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from filtering.errors import quoted
 from sequences.errors import SequenceError
 from sequences.images.headers import DamagedImageError, check_before_decoding, is_jpeg, lengthened, require_pixels
 
@@ -21,9 +23,14 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     "mono8": ("u1", 1, cv2.COLOR_GRAY2RGB),
     "8UC1": ("u1", 1, cv2.COLOR_GRAY2RGB),
     "8UC3": ("u1", 3, cv2.COLOR_BGR2RGB),
+    "8UC4": ("u1", 4, cv2.COLOR_BGRA2RGB),
     "rgb16": ("u2", 3, None),
     "bgr16": ("u2", 3, cv2.COLOR_BGR2RGB),
+    "rgba16": ("u2", 4, cv2.COLOR_RGBA2RGB),
+    "bgra16": ("u2", 4, cv2.COLOR_BGRA2RGB),
     "mono16": ("u2", 1, cv2.COLOR_GRAY2RGB),
+    "16UC3": ("u2", 3, cv2.COLOR_BGR2RGB),
+    "16UC4": ("u2", 4, cv2.COLOR_BGRA2RGB),
     "bayer_rggb8": ("u1", 1, cv2.COLOR_BayerRGGB2RGB),
     "bayer_bggr8": ("u1", 1, cv2.COLOR_BayerBGGR2RGB),
     "bayer_gbrg8": ("u1", 1, cv2.COLOR_BayerGBRG2RGB),
@@ -36,7 +43,15 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {
     "uyvy": ("u1", 2, cv2.COLOR_YUV2RGB_UYVY),
     "yuv422_yuy2": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
     "yuyv": ("u1", 2, cv2.COLOR_YUV2RGB_YUY2),
+    "nv12": ("u1", 1, cv2.COLOR_YUV2RGB_NV12),
+    "nv21": ("u1", 1, cv2.COLOR_YUV2RGB_NV21),
+    "nv24": ("u1", 1, cv2.COLOR_YUV2RGB_NV12),
 }
+# Encodings in planes -> rows of the message for every two of the image: luma, then rows of both chroma values by turns.
+_PLANAR = {"nv12": 3, "nv21": 3, "nv24": 6}
+_NAMES = {name.lower(): name for name in _ENCODINGS}
+# ROS' names of matrices of numbers. Of those that are no encoding above, none is a picture: depth, disparity, flow.
+_MATRIX = re.compile(r"(8|16|32|64)[usf]c\d*", re.IGNORECASE)
 
 
 def decode_image_bytes(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
@@ -71,41 +86,84 @@ def _decoded(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
-    """sensor_msgs/CompressedImage -> RGB. Raises as `decode_image_bytes`."""
-    return decode_image_bytes(message.data)
+    """sensor_msgs/CompressedImage -> RGB.
+
+    A file says by itself whether it is grey or in colour, but not that its grey is a Bayer mosaic: `format` does, which
+    image_transport writes as `ENCODING; png compressed ` where it left the pixels as they were, and as `ENCODING; jpeg
+    compressed OTHER` where it converted them before. Whether that names rgb8 or bgr8, colours are those of the file.
+
+    Raises:
+        SequenceError: as `decode_image_bytes`; or the pixels are named as depth, which is no picture.
+    """
+    encoding = _stored_encoding(message.format)
+    _require_picture(encoding)
+    try:
+        image = decode_image_bytes(message.data)
+    except DamagedImageError:
+        raise
+    except SequenceError as error:
+        raise SequenceError(f"{error}; its format is {quoted(message.format)}") from error
+    if encoding.startswith("bayer_") and (image == image[..., :1]).all():
+        return _converted(np.ascontiguousarray(image[..., :1]), encoding)
+    return image
+
+
+def _stored_encoding(image_format: str) -> str:
+    """The encoding of the pixels in a file, by the `format` of its message; '' where that names none."""
+    source, _, rest = image_format.partition(";")
+    named = [word for word in [source.strip(), *rest.split()] if word.lower() in _NAMES or _MATRIX.fullmatch(word)]
+    return _NAMES.get(named[-1].lower(), named[-1]) if named else ""
+
+
+def _require_picture(encoding: str) -> None:
+    if encoding not in _ENCODINGS and _MATRIX.fullmatch(encoding):
+        raise SequenceError(
+            f"image encoding {encoding!r} is of depth or another measurement, no picture; expected a topic of images in"
+            " colour or grey (--image-topic), which a grey camera publishes as mono8 or mono16"
+        )
 
 
 def decode_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
     """sensor_msgs/Image -> RGB; 16-bit values keep their upper 8 bits.
 
     Raises:
-        SequenceError: the encoding is unknown, the data do not fill the image, or it has more than 100 megapixels.
+        SequenceError: the encoding is unknown or of depth, the data do not fill the image, or it has more than 100
+            megapixels.
     """
-    height, width, step = int(message.height), int(message.width), int(message.step)
+    height, width, step, encoding = int(message.height), int(message.width), int(message.step), message.encoding
     require_pixels(width, height, "image")
-    if message.encoding not in _ENCODINGS:
-        raise SequenceError(
-            f"image encoding {message.encoding!r} is not known, expected one of {', '.join(_ENCODINGS)}"
-        )
-    kind, channels, conversion = _ENCODINGS[message.encoding]
+    _require_picture(encoding)
+    if encoding not in _ENCODINGS:
+        raise SequenceError(f"image encoding {encoding!r} is not known, expected one of {', '.join(_ENCODINGS)}")
+    kind, channels, _ = _ENCODINGS[encoding]
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
-    row = width * channels * dtype.itemsize
-    if height < 1 or width < 1 or step < row or len(message.data) < step * (height - 1) + row:
+    row, rows = width * channels * dtype.itemsize, height * _PLANAR.get(encoding, 2) // 2
+    if height < 1 or width < 1 or step < row or len(message.data) < step * (rows - 1) + row:
         raise SequenceError(
-            f"image of {width} x {height} {message.encoding} has {len(message.data)} bytes in rows of {step},"
-            f" expected {row * height} or more in rows of {row} or more"
+            f"image of {width} x {height} {encoding} has {len(message.data)} bytes in rows of {step},"
+            f" expected {row * rows} or more in rows of {row} or more"
         )
     # The last row may lack the padding that the others have.
-    data = np.frombuffer(message.data, np.uint8, count=step * (height - 1) + row)
-    pixels = np.lib.stride_tricks.as_strided(data, (height, row), (step, 1), writeable=False)
-    pixels = np.ascontiguousarray(pixels).view(dtype).reshape(height, width, channels)
-    if dtype.itemsize == 2:
-        pixels = (pixels >> 8).astype(np.uint8)
+    data = np.frombuffer(message.data, np.uint8, count=step * (rows - 1) + row)
+    pixels = np.lib.stride_tricks.as_strided(data, (rows, row), (step, 1), writeable=False)
+    pixels = np.ascontiguousarray(pixels).view(dtype).reshape(rows, width, channels)
+    return _converted((pixels >> 8).astype(np.uint8) if dtype.itemsize == 2 else pixels, encoding)
+
+
+def _converted(pixels: UInt8[np.ndarray, "rows width channels"], encoding: str) -> UInt8[np.ndarray, "height width 3"]:
+    """Pixels of an encoding, their upper 8 bits, as RGB."""
+    conversion = _ENCODINGS[encoding][2]
     if conversion is None:
         return np.array(pixels)  # the message's own bytes are not writeable
     try:
-        return cv2.cvtColor(pixels, conversion)  # pyright: ignore[reportReturnType]
+        if encoding != "nv24":
+            return cv2.cvtColor(pixels, conversion)  # pyright: ignore[reportReturnType]
+        # A chroma value for each pixel, as of an image twice as large of which every second pixel is taken.
+        height, width = len(pixels) // 3, pixels.shape[1]
+        luma = pixels[:height].repeat(2, axis=0).repeat(2, axis=1)
+        doubled = np.concatenate([luma, pixels[height:].reshape(height, 2 * width, 1)])
+        return np.ascontiguousarray(cv2.cvtColor(doubled, conversion)[::2, ::2])  # pyright: ignore[reportReturnType]
     except cv2.error as error:
         raise SequenceError(
-            f"image of {width} x {height} {message.encoding} cannot be converted: {error.err}"
+            f"image of {pixels.shape[1]} x {len(pixels)} {encoding} cannot be converted: {error.err}"
         ) from error

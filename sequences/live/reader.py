@@ -11,16 +11,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Frame
-from sequences.live.clock_steps import ClockOfStream, Told
 from sequences.live.heard import Heard
 from sequences.live.transport import Transport
 from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reading.camera_info import ImageCamera
+from sequences.reading.clock_steps import ClockOfStream, Told
 from sequences.reading.counts import ImageCounts
 from sequences.reading.frame_pairing import FramePairing
 from sequences.reading.roles import IMAGE_TYPES, Roles
@@ -68,7 +67,7 @@ class LiveReader:
         first(heard, image)  # whose header names the frame of the camera
         self.roles = Roles(heard, self._options, "required", "optional")
         self.camera = ImageCamera(heard, self.roles.camera_info, self.roles.image, undistort=options.undistort)
-        self.streamed = self.roles.streamed
+        self.streamed = list(self.roles.watched)
         for name in self.streamed:
             heard.hear(name)
         self._arrived_ns: dict[int, int] = {}  # by stamp, of the latest images
@@ -89,7 +88,6 @@ class LiveReader:
             self.camera,
             0,
             most_waiting=_MOST_WAITING,
-            sorted_within_s=0.0,
             over_gaps=False,
         )
 
@@ -146,7 +144,7 @@ class LiveReader:
         if told == "odd":
             waiting.append((raw, message))
             if len(waiting) > 2:
-                self._leave_out(*waiting.pop(0))
+                self._pairing.leave_out_odd(waiting.pop(0)[0])
             return False
         if told == "stepped":
             if raw.topic in self._fed:  # else another stream told the same of this clock before
@@ -155,7 +153,7 @@ class LiveReader:
                 self._feed(*each)
         else:
             for each in waiting:
-                self._leave_out(*each)
+                self._pairing.leave_out_odd(each[0])
         waiting.clear()
         return True
 
@@ -165,13 +163,6 @@ class LiveReader:
         self._past_counts.skipped["clock was set"] += self._pairing.num_waiting
         self._pairing = self._begin()
 
-    def _leave_out(self, raw: RawMessage, message: SimpleNamespace) -> None:
-        if raw.topic == self.roles.image.name:
-            self._pairing.left_out.counts.read += 1
-            self._pairing.left_out.image("time stamp unlike those before", stamp_ns(message.header))
-        else:
-            self._pairing.left_out.message("time stamp unlike those before", raw.log_time_ns)
-
     def _feed(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
         if message is not None:
             self._fed.add(raw.topic)
@@ -179,7 +170,7 @@ class LiveReader:
             self._pairing.take(raw, message)
             self._pairing.drop_overtaken()
         except SequenceError as error:  # damage that a recording would be refused for
-            self._pairing.left_out.message(f"unusable message on {raw.topic}", raw.log_time_ns, error)
+            self._pairing.left_out.message(f"unusable message on {raw.topic}", raw.log_time_ns, str(error))
 
     def _stamp(self, raw: RawMessage, message: SimpleNamespace) -> int | None:
         """The stamp by which the clock of a stream is watched; None where a message has none that counts."""
@@ -187,10 +178,7 @@ class LiveReader:
             return stamp_ns(message.header)
         if self._links is None or raw.topic != self._links.topic:
             return None
-        try:
-            return max((sample.time_ns for sample in self._links.samples(message)), default=None)
-        except VaporTrackError:  # counted where it is taken in
-            return None
+        return max((sample.time_ns for sample in self._links.samples(message)[0]), default=None)
 
     def newest_frame(self) -> Frame | None:
         """The newest image that odometry has come to and that was not given before; None where there is none."""
@@ -249,7 +237,7 @@ def open_live(
     Raises:
         SequenceError: what is there cannot be used, or there is a choice to make.
     """
-    heard = Heard(transport, events, stamps=options.stamps)
+    heard = Heard(transport, events, options=options)
     changed_s, said_s = time.monotonic(), -math.inf
     while True:
         if heard.refresh():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import struct
 import time
 from collections.abc import Callable, Iterator
@@ -102,7 +103,8 @@ def replay(
     damaged: set[str] = set()
     while True:
         pace = _Pace(options.rate, tick)
-        for raw in bag.messages([name for name in topics if name != TF_STATIC]):
+        streams = [bag.messages([name]) for name in topics if name != TF_STATIC]  # a file may have one after the other
+        for raw in heapq.merge(*streams, key=lambda raw: raw.log_time_ns):
             if raw.type != topics[raw.topic].type:  # Foxglove's transforms, under the name that they stand for
                 continue
             shift_ns = pace.wait_for(raw.log_time_ns) - raw.log_time_ns

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,6 +12,7 @@ from jaxtyping import UInt8
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens, pinhole_of, undistorted
+from sequences.recordings.messages import stamp_ns
 from sequences.recordings.source import MessageSource, Topic
 from sequences.recordings.topics import first
 
@@ -28,8 +30,10 @@ _MODELS: dict[str, DistortionModel] = {
 class ImageCamera:
     """What a recording says of the camera of its images, and the images as a pinhole camera would have taken them.
 
+    A camera that zooms, or is set to another mode, says so by other intrinsics from then on.
+
     Attributes:
-        camera: Intrinsics of the images of the stated size, undistorted if so wished; None where unknown.
+        camera: Intrinsics of the first images, of the stated size, undistorted if so wished; None where unknown.
         notices: What a person should know of that.
     """
 
@@ -47,31 +51,45 @@ class ImageCamera:
         """
         self.notices: list[str] = []
         self.camera: Camera | None = None
-        self._lens: Camera | Lens | None = None
+        self._rectified, self._undistort = is_rectified(image.name), undistort
+        self._from_ns: list[int] = []  # when each of the lenses came into force
+        self._lenses: list[Camera | Lens | None] = []
         if info is None or not info.num_messages:
             return
         message = first(bag, info)
         try:
-            self._lens = self._read(message, rectified=is_rectified(image.name), undistort=undistort)
-            self.camera = None if self._lens is None else pinhole_of(self._lens)
+            self.take(message)
         except SequenceError as error:
             raise SequenceError(
                 f"{bag.path}: {info.name}: {error} (--no-undistort leaves distortion alone, --camera-info-topic '' all)"
             ) from error
 
-    def _read(self, message: SimpleNamespace, *, rectified: bool, undistort: bool) -> Camera | Lens | None:
+    def take(self, message: SimpleNamespace) -> None:
+        """Take a message of the intrinsics. Raises SequenceError where it says what no camera has."""
+        lens = self._read(message)
+        pinhole = None if lens is None else pinhole_of(lens)  # or none can be made of it
+        if not self._lenses:
+            self.camera = pinhole
+        time_ns = stamp_ns(message.header)
+        at = bisect_right(self._from_ns, time_ns)
+        if at and self._lenses[at - 1] == lens:
+            return
+        self._from_ns.insert(at, time_ns)
+        self._lenses.insert(at, lens)
+
+    def _read(self, message: SimpleNamespace) -> Camera | Lens | None:
         k = [float(value) for value in message.k]
         if not any(k):
             return None  # by ROS' convention an uncalibrated camera
-        p = [float(value) for value in message.p] if rectified else []
+        p = [float(value) for value in message.p] if self._rectified else []
         fx, fy, cx, cy = (p[0], p[5], p[2], p[6]) if any(p) else (k[0], k[4], k[2], k[5])
         camera = Camera(int(message.width), int(message.height), fx, fy, cx, cy)
         d = tuple(float(value) for value in message.d)
         name = message.distortion_model
         lens: Camera | Lens = camera
-        if undistort and any(d) and not rectified:  # NaN counts as true
+        if self._undistort and any(d) and not self._rectified:  # NaN counts as true
             if name not in _MODELS:
-                self.notices.append(
+                self._notice(
                     f"distortion model {name!r} of the camera is not known, expected one of"
                     f" {', '.join(filter(None, _MODELS))}: images are used as they are, and intrinsics not at all"
                 )
@@ -83,19 +101,24 @@ class ImageCamera:
         return _binned(lens, message)
 
     def seen(
-        self, image: UInt8[np.ndarray, "height width 3"]
+        self, image: UInt8[np.ndarray, "height width 3"], time_ns: int
     ) -> tuple[UInt8[np.ndarray, "height width 3"], Camera | None]:
-        """An image of the recording, undistorted, and its camera, as `undistorted` has it."""
-        seen, camera = undistorted(image, self._lens)
-        if camera is None and self._lens is not None:
-            stated = self._lens.camera if isinstance(self._lens, Lens) else self._lens
-            notice = (
+        """An image of the recording, undistorted, and its camera, as `undistorted` has it; later ones come next."""
+        if before := max(bisect_right(self._from_ns, time_ns) - 1, 0):
+            del self._from_ns[:before], self._lenses[:before]
+        lens = self._lenses[0] if self._lenses else None
+        seen, camera = undistorted(image, lens)
+        if camera is None and lens is not None:
+            stated = lens.camera if isinstance(lens, Lens) else lens
+            self._notice(
                 f"images are {image.shape[1]} x {image.shape[0]} pixels, but their camera is said to have"
                 f" {stated.width} x {stated.height}: what is said of it is not used, and images are not undistorted"
             )
-            if notice not in self.notices:
-                self.notices.append(notice)
         return seen, camera
+
+    def _notice(self, notice: str) -> None:
+        if notice not in self.notices:
+            self.notices.append(notice)
 
 
 def is_rectified(image_topic: str) -> bool:

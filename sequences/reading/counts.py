@@ -6,13 +6,28 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+from jaxtyping import Int64
+
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
+
 OUTSIDE = "outside the stretch asked for"
-UNCOVERED = "odometry does not cover"
+BEFORE, AFTER = "before odometry begins", "after odometry ends"
+IN_GAP = f"in a gap of odometry over {MAX_ODOMETRY_GAP_S:g} s"
+NOT_COME = "odometry had not come yet"
+"""To a running system: of a recording, odometry is read as far as it has to be."""
 OVERTAKEN = "a newer image was there"
 NO_ESTIMATE = "no estimate"
 """Frames that others' estimates leave out, as those of a part of a walk do: they were not asked for either."""
 _NOT_ASKED = (OUTSIDE, NO_ESTIMATE)
 _FEW, _VERY_FEW = 0.5, 0.1  # fractions of the images asked for
+
+
+def uncovered(time_ns: int, odometry_ns: Int64[np.ndarray, " n"]) -> str:
+    """The reason to count where odometry of such stamps does not cover a time."""
+    if time_ns > odometry_ns[-1]:
+        return AFTER
+    return BEFORE if time_ns < odometry_ns[0] else IN_GAP
 
 
 @dataclass
@@ -47,7 +62,7 @@ class ImageCounts:
         if not self.are_complete or self.used >= _FEW * self._asked:
             return None
         ((reason, number),) = self._lost.most_common(1)
-        return f"Only {self.used} of {self._asked} images were used: {number} were skipped, {reason}."
+        return f"Only {self.used} of {self._asked} images were used: {number} were skipped: {reason}."
 
     def taken(self, number: int) -> ImageCounts:
         """The same where only so many frames were taken, and no others asked for."""

@@ -36,7 +36,7 @@ class Extrinsics:
     def require_fixed(self, raw: RawMessage, message: SimpleNamespace) -> None:
         """Take a message of tf. Raises SequenceError where a link of the path moves."""
         links = {step.link: step for step in self.path}
-        for t in transforms_from_message(message, links):
+        for t in transforms_from_message(message, links)[0]:
             step = links[t.parent, t.child]
             if step.static != (raw.topic == TF_STATIC):
                 continue
@@ -77,10 +77,11 @@ def find_extrinsics(
     tree = read_tree(bag, lambda tree: named and tree.path(body, camera) is not None)
     path = tree.path(body, camera) if named else None
     if path is None:
+        unusable = f"; unusable: {tree.problem}" if tree.problem else ""
         raise NotFoundError(
             f"{bag.path}: no transform from {body!r}{body_is} to {camera!r}{camera_is}"
-            f" on {TF_STATIC} or {TF}, found frames: {', '.join(tree.frames) or 'none'}; expected a chain of transforms"
-            f" between the two (or name --camera-frame, or give {instead})"
+            f" on {TF_STATIC} or {TF}, found frames: {', '.join(tree.frames) or 'none'}{unusable}; expected a chain of"
+            f" transforms between the two (or name --camera-frame, or give {instead})"
         )
     return Extrinsics(along(path, [step.parent_from_child for step in path]), tuple(path))
 
@@ -90,20 +91,16 @@ def read_tree(
     found: Callable[[TransformTree], bool] = lambda _: False,
     *,
     within_s: float | None = None,
-    tolerate: bool = False,
 ) -> TransformTree:
     """The tree of frames, from `/tf_static` and then `/tf`, read until it has what is looked for.
+
+    Messages and transforms that cannot be used are left out; the tree says what was wrong with them.
 
     Args:
         bag: The recording.
         found: Asked after every message; reading stops where it says yes.
         within_s: Seconds of `/tf` to read; None for all of it.
-        tolerate: Leave damaged messages out, as those of a running system always are.
-
-    Raises:
-        SequenceError: a message is damaged, or a transform is none, and that is not tolerated.
     """
-    tolerate = tolerate or bag.is_running
     tree = TransformTree()
     for name in (TF_STATIC, TF):
         if name not in bag:
@@ -113,15 +110,13 @@ def read_tree(
             begin_ns = raw.log_time_ns if begin_ns is None else begin_ns
             if name == TF and within_s is not None and (raw.log_time_ns - begin_ns) * 1e-9 > within_s:
                 break
-            message = decode(bag, raw, tolerate=tolerate)
+            message = decode(bag, raw, tolerate=True)
             if message is None:
+                tree.problem = tree.problem or f"{len(raw.data)} bytes on {name} that are no {raw.type}"
                 continue
-            try:
-                tree.add(transforms_from_message(message), static=name == TF_STATIC)
-            except SequenceError as error:
-                if tolerate:
-                    continue
-                raise SequenceError(f"{bag.path}: {name}: message logged at {raw.log_time_ns} ns: {error}") from error
+            transforms, problems = transforms_from_message(message)
+            tree.problem = tree.problem or next(iter(problems), "")
+            tree.add(transforms, static=name == TF_STATIC)
             if found(tree):
                 return tree
     return tree

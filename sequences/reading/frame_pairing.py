@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,17 +14,16 @@ from sequences.images.headers import why_left_out
 from sequences.images.streams import Picture
 from sequences.options import SequenceOptions
 from sequences.reading.camera_info import ImageCamera
-from sequences.reading.counts import OUTSIDE, OVERTAKEN, UNCOVERED
-from sequences.reading.left_out import LeftOut
+from sequences.reading.counts import NOT_COME, OUTSIDE, OVERTAKEN
+from sequences.reading.left_out import ODD, LeftOut
 from sequences.reading.motion import MotionOfCamera
 from sequences.reading.requested_segment import RequestedSegment
 from sequences.reading.roles import Roles
-from sequences.reading.stamps import Clocks, Stamps, odometry_apart
+from sequences.reading.stamps import Stamps, odometry_apart
 from sequences.recordings.messages import stamp_ns
-from sequences.recordings.source import TF, TF_STATIC, RawMessage
+from sequences.recordings.source import RawMessage
 
 MOST_WAITING = 64
-SORTED_WITHIN_S = 0.5
 
 
 class FramePairing:
@@ -34,6 +33,8 @@ class FramePairing:
         left_out: What becomes of the images, and what is left out.
         segment: Which images are asked for.
         motion: Odometry and true poses.
+        come_to: Asked for what an image needs: whether odometry and true poses have come as far as its stamp. Who can
+            read on does so, and says yes.
     """
 
     def __init__(
@@ -44,8 +45,9 @@ class FramePairing:
         camera: ImageCamera,
         num_images: int,
         *,
+        begin_ns: int = 0,
         most_waiting: int = MOST_WAITING,
-        sorted_within_s: float = SORTED_WITHIN_S,
+        lateness_ns: int = 0,
         over_gaps: bool = True,
     ) -> None:
         """Set up a reading that no message was taken into yet.
@@ -56,16 +58,17 @@ class FramePairing:
             options: What to read.
             camera: Of the images.
             num_images: How many there are.
+            begin_ns: Stamp of the first image, from which the segment asked for is counted.
             most_waiting: Images held, still encoded, until odometry and true poses reach them.
-            sorted_within_s: Images are held until one so much later has come, and so put in the order of their stamps.
+            lateness_ns: Images are held until one so much later has come, and so put in the order of their stamps.
             over_gaps: Whether odometry leads over times without messages, by the poses before and after them.
         """
-        clocks = Clocks()
-        self._most_waiting, self._sorted_within_ns = most_waiting, round(sorted_within_s * 1e9)
+        self._most_waiting, self._lateness_ns = most_waiting, lateness_ns
         self.left_out = LeftOut(num_images)
-        self.segment = RequestedSegment(options.start_s, options.duration_s)
-        self.motion = MotionOfCamera(path, roles, options, self.left_out, clocks, over_gaps=over_gaps)
-        self._path, self._roles, self._camera, self._clocks = path, roles, camera, clocks
+        self.segment = RequestedSegment(begin_ns, options.start_s, options.duration_s)
+        self.motion = MotionOfCamera(path, roles, options, self.left_out, over_gaps=over_gaps)
+        self.come_to: Callable[[int], bool] = self.motion.reaches
+        self._path, self._roles, self._camera = path, roles, camera
         self._counts = self.left_out.counts
         self._images = roles.open_images()
         # A heap: what they are ordered by, how many came before, stamps, and messages, None for lost ones.
@@ -79,28 +82,44 @@ class FramePairing:
         """Take one message in, of whichever topic; None for bytes that are no message.
 
         Raises:
-            SequenceError: a camera that should be fixed moves, or a message says no pose.
+            SequenceError: a camera that should be fixed moves.
         """
         if raw.topic == self._roles.image.name:
             self._counts.read += 1
             self._take_image(raw, message)
-        elif message is None:
-            is_transforms = raw.topic in (TF, TF_STATIC)
-            self.left_out.message("undecodable transforms" if is_transforms else "unusable odometry", raw.log_time_ns)
         else:
+            info = self._roles.camera_info
+            if message is not None and info is not None and raw.topic == info.name:
+                self._take_camera(raw, message)
             before_images = self._previous_ns is None and not self._waiting
             self.motion.take(raw, message, before_images=before_images)
 
-    def _take_image(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
-        time_ns = stamp_ns(message.header) if message is not None else 0
-        is_ahead = message is not None and self._clocks.jump_ahead(time_ns, raw.log_time_ns, raw.topic)
-        if message is None or is_ahead:
-            self.left_out.image("time stamp far ahead" if is_ahead else "undecodable image", raw.log_time_ns)
-            if self._images.remembers:  # those after it build on it
-                self._wait(self._image_stamps.end_ns, None)
+    def _take_camera(self, raw: RawMessage, message: SimpleNamespace) -> None:
+        try:
+            self._camera.take(message)
+        except SequenceError as error:
+            self.left_out.message("unusable intrinsics", raw.log_time_ns, str(error))
+
+    def leave_out_odd(self, raw: RawMessage, number: int = 1) -> None:
+        """Leave out a message whose stamp is unlike those around it, or so many transforms of it."""
+        if raw.topic == self._roles.image.name:
+            self._counts.read += 1
+            self._leave_out_image(ODD, raw.log_time_ns)
             return
-        self._image_stamps.take(time_ns, raw.log_time_ns)
-        self.segment.take_image(time_ns, raw.log_time_ns)
+        for _ in range(number):
+            self.left_out.message(f"{ODD} on {raw.topic}", raw.log_time_ns)
+
+    def _leave_out_image(self, reason: str, time_ns: int) -> None:
+        self.left_out.image(reason, time_ns)
+        if self._images.remembers:  # those after it build on it
+            self._wait(self._image_stamps.end_ns, None)
+
+    def _take_image(self, raw: RawMessage, message: SimpleNamespace | None) -> None:
+        if message is None:
+            self._leave_out_image("undecodable image", raw.log_time_ns)
+            return
+        time_ns = stamp_ns(message.header)
+        self._image_stamps.take(time_ns)
         if self._images.remembers or self.segment.has(time_ns):
             self._wait(time_ns, message)
         else:
@@ -131,18 +150,22 @@ class FramePairing:
         """Skip the oldest of the images that wait where there are too many: newer ones are asked for, but not yet."""
         while len(self._waiting) > self._most_waiting:
             _, _, time_ns, message = heapq.heappop(self._waiting)
-            reason = OVERTAKEN if self.motion.reaches(time_ns) else UNCOVERED
+            reason = OVERTAKEN if self.motion.reaches(time_ns) else NOT_COME
             for _ in self._images.take(time_ns, message):
                 self._counts.skipped[reason] += 1
 
     def _ready_pictures(self, *, at_end: bool = False) -> Iterator[Picture]:
-        while self._waiting and (
-            at_end or len(self._waiting) > self._most_waiting or self._is_due(self._waiting[0][2])
-        ):
+        while self._waiting and self._is_due(self._waiting[0][2], at_end):
             _, _, time_ns, message = heapq.heappop(self._waiting)
             yield from self._images.take(time_ns, message)
         if at_end:
             yield from self._images.finish()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all images that may yet come lie behind the segment asked for."""
+        span = self._image_stamps.span_ns
+        return self.segment.is_stopped or (span is not None and self.segment.ends_before(span[1] - self._lateness_ns))
 
     @property
     def previous_ns(self) -> int | None:
@@ -154,10 +177,11 @@ class FramePairing:
         """How many images wait."""
         return len(self._waiting)
 
-    def _is_due(self, time_ns: int) -> bool:
+    def _is_due(self, time_ns: int, at_end: bool) -> bool:
         """Whether no image before this one is to be expected any more, and odometry and true poses have come as far."""
-        in_order = self._images.remembers or self._image_stamps.end_ns - time_ns >= self._sorted_within_ns
-        return in_order and self.motion.reaches(time_ns)
+        is_too_many = at_end or len(self._waiting) > self._most_waiting
+        in_order = self._images.remembers or self._image_stamps.end_ns - time_ns >= self._lateness_ns
+        return (is_too_many or in_order) and (self.come_to(time_ns) or is_too_many)
 
     def _frame_asked_for(self, picture: Picture) -> Frame | None:
         """The frame of an image of the segment, which is counted; None elsewhere."""
@@ -177,17 +201,17 @@ class FramePairing:
             return self.left_out.image("time stamp not increasing", time_ns)
         covered = self.motion.covers(time_ns)
         if self._roles.odometry_required and not covered:
-            return self.left_out.image(UNCOVERED, time_ns)
+            return self.left_out.image(self.motion.why_uncovered(time_ns), time_ns)
         try:
             image = picture.decode()
         except SequenceError as error:
-            return self.left_out.image(why_left_out(error), time_ns, error)
+            return self.left_out.image(why_left_out(error), time_ns, str(error))
         odometry = self._odometry_until(time_ns) if covered else None
         truth = self.motion.true_pose(time_ns)
         self.motion.forget_before(time_ns)
         self._previous_ns, self._previous_covered = time_ns, covered
         self._span_ns = (self._span_ns[0] if self._span_ns else time_ns, time_ns)
-        image, camera = self._camera.seen(image)
+        image, camera = self._camera.seen(image, time_ns)
         return Frame(time_ns, image, odometry, truth, camera)
 
     def _odometry_until(self, time_ns: int) -> Odometry | None:
@@ -219,16 +243,11 @@ class FramePairing:
                 f" {counts.skipped.total()} skipped, expected the {counts.stated} that are stated"
             )
 
-    def require_stamps(self) -> None:
-        """Raise SequenceError where all images, or all messages of odometry, have one and the same stamp."""
-        self._image_stamps.require_differing(self._path, "images")
-        if self._roles.odometry_required:
-            self.motion.odometry_stamps.require_differing(self._path, "messages of odometry")
-
     def odometry_apart(self) -> str | None:
         """What to say where odometry is of another time than all images: by another clock. None elsewhere."""
-        return odometry_apart(self._image_stamps, self.motion.odometry_span_ns)
+        return odometry_apart(self._image_stamps.span_ns, self.motion.odometry_span_ns)
 
-    def true_poses_apart(self) -> str | None:
-        """What to say where there are true poses, but none of the time of an image; None elsewhere."""
-        return self.motion.true_poses_apart(self._span_ns)
+    @property
+    def frames_span_ns(self) -> tuple[int, int] | None:
+        """Stamps of the first and the last frame; None before any."""
+        return self._span_ns

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from types import SimpleNamespace
 
+from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.reading.pose_source import MAX_STILL_GAP_S, Jumps, PoseSource, Sample
 from sequences.recordings.messages import (
@@ -36,7 +37,7 @@ class LinkedPoses(PoseSource):
         topic: str,
         path: Sequence[Step],
         body_from_camera: Poses,
-        read: Callable[[SimpleNamespace], list[Sample]],
+        read: Callable[[SimpleNamespace], tuple[list[Sample], list[str]]],
         *,
         max_gap_s: float,
         still_gap_s: float = 0.0,
@@ -48,7 +49,7 @@ class LinkedPoses(PoseSource):
             topic: Where its messages are.
             path: The links, of which those that are not static are told by messages.
             body_from_camera: What follows at the end of the path, one pose.
-            read: What a message says of those.
+            read: What a message says of those, and what is wrong with the rest.
             max_gap_s: As of `PoseWindow`.
             still_gap_s: Likewise.
             watch_jumps: Likewise.
@@ -59,8 +60,13 @@ class LinkedPoses(PoseSource):
         self._read = read
         self._windows = {step.link: PoseWindow(max_gap_s, still_gap_s, watch_jumps) for step in path if not step.static}
 
-    def samples(self, message: SimpleNamespace) -> list[Sample]:
-        """What a message says of the links. Raises VaporTrackError where that is no pose."""
+    @property
+    def links(self) -> Collection[tuple[str, str]]:
+        """The links of the path that messages tell of."""
+        return self._windows.keys()
+
+    def samples(self, message: SimpleNamespace) -> tuple[list[Sample], list[str]]:
+        """What a message says of the links, and what is wrong with what cannot be used of it."""
         return self._read(message)
 
     def append(self, sample: Sample) -> bool:
@@ -112,8 +118,11 @@ def poses_of_topic(topic: Topic, body_from_camera: Poses, *, max_gap_s: float) -
     """Poses of a body that a topic tells, of any type but a path, and of the camera that is fixed on it."""
     link, pose_of = ("", topic.name), _POSE_OF[topic.read_as]
 
-    def read(message: SimpleNamespace) -> list[Sample]:
-        return [Sample(link, stamp_ns(message.header), pose_of(message))]
+    def read(message: SimpleNamespace) -> tuple[list[Sample], list[str]]:
+        try:
+            return [Sample(link, stamp_ns(message.header), pose_of(message))], []
+        except VaporTrackError as error:
+            return [], [str(error)]
 
     path = [Step(*link, Poses.identity(), static=False, upwards=False)]
     return LinkedPoses(topic.name, path, body_from_camera, read, max_gap_s=max_gap_s)
@@ -126,9 +135,9 @@ def poses_of_tree(
 
     links = {step.link for step in path if not step.static}
 
-    def read(message: SimpleNamespace) -> list[Sample]:
-        told = transforms_from_message(message, links)
-        return [Sample((t.parent, t.child), t.time_ns, t.parent_from_child) for t in told]
+    def read(message: SimpleNamespace) -> tuple[list[Sample], list[str]]:
+        told, problems = transforms_from_message(message, links)
+        return [Sample((t.parent, t.child), t.time_ns, t.parent_from_child) for t in told], problems
 
     return LinkedPoses(
         TF, path, body_from_camera, read, max_gap_s=max_gap_s, still_gap_s=MAX_STILL_GAP_S, watch_jumps=watch_jumps

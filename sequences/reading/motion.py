@@ -12,17 +12,12 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
+from sequences.reading.counts import AFTER, BEFORE, IN_GAP
 from sequences.reading.extrinsics import Extrinsics
-from sequences.reading.left_out import LeftOut
+from sequences.reading.left_out import LeftOut, Unusable
 from sequences.reading.pose_source import PoseSource
 from sequences.reading.roles import Roles
-from sequences.reading.stamps import (
-    MAX_LATENESS_S,
-    Clocks,
-    Stamps,
-    jumps_of_true_poses,
-    true_poses_apart,
-)
+from sequences.reading.stamps import MAX_LATENESS_S, Stamps, jumps_of_true_poses
 from sequences.recordings.messages import odometry_from_message, stamp_ns
 from sequences.recordings.source import RawMessage
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
@@ -35,6 +30,7 @@ class MotionOfCamera:
     Attributes:
         across_jumps: How many frames have no true pose as it jumps about them.
         odometry_stamps: Stamps of the messages of odometry.
+        unusable: How much of the odometry and the true poses cannot be used, by what it is.
     """
 
     def __init__(
@@ -43,7 +39,6 @@ class MotionOfCamera:
         roles: Roles,
         options: SequenceOptions,
         left_out: LeftOut,
-        clocks: Clocks,
         *,
         over_gaps: bool = True,
     ) -> None:
@@ -51,7 +46,8 @@ class MotionOfCamera:
         self._over_gaps = over_gaps
         self.across_jumps = 0
         self.odometry_stamps = Stamps()
-        self._path, self._roles, self._left_out, self._clocks = path, roles, left_out, clocks
+        self._path, self._roles, self._left_out = path, roles, left_out
+        self.unusable: dict[str, Unusable] = {}
         self._motion_noise = options.motion_noise
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
         self._told_on = _told_on(roles)
@@ -59,26 +55,40 @@ class MotionOfCamera:
         self._odometry = PoseWindow(MAX_ODOMETRY_GAP_S)
         self._odometry_source = roles.tree_odometry.open() if roles.tree_odometry is not None else None
         self._truth = roles.truth.open() if roles.truth is not None else None
+        told = (roles.odometry.name if roles.odometry is not None else "", self._odometry_source, self._truth)
+        self._poses_on = {each if isinstance(each, str) else each.topic for each in told if each is not None}
         self._origin = np.array(options.ground_truth_origin or (0.0, 0.0, 0.0))
         self._num_true = 0
 
-    def take(self, raw: RawMessage, message: SimpleNamespace, *, before_images: bool) -> None:
+    def take(self, raw: RawMessage, message: SimpleNamespace | None, *, before_images: bool) -> None:
         """Take one message in that is no image.
 
         Args:
             raw: The message.
-            message: Its fields.
+            message: Its fields; None for bytes that are no message.
             before_images: Whether no image came so far: there is nothing to remember but what a late one may ask for.
 
         Raises:
-            SequenceError: a camera that should be fixed moves, or a message says no pose.
+            SequenceError: a camera that should be fixed moves.
         """
-        self._check_extrinsics(raw, message)
+        if message is not None:
+            self._check_extrinsics(raw, message)
+        elif raw.topic not in self._poses_on:
+            problem = self._roles.why_undecodable(raw)
+            self._left_out.message(f"unusable message on {raw.topic}", raw.log_time_ns, problem)
         if self._roles.odometry is not None and raw.topic == self._roles.odometry.name:
             self._take_odometry(raw, message, before_images)
-        for source, what in ((self._odometry_source, "odometry"), (self._truth, "true pose")):
+        for source, what in ((self._odometry_source, "poses of odometry"), (self._truth, "true poses")):
             if source is not None and source.topic == raw.topic:
                 self._take_poses(raw, message, source, what, before_images)
+
+    def _left_out_of(self, what: str, raw: RawMessage, problem: str | None) -> None:
+        """Count a message, or a transform in it: as one that cannot be used, where there is a problem."""
+        unusable = self.unusable.setdefault(what, Unusable(what, raw.topic))
+        unusable.total += 1
+        if problem is not None:
+            unusable.note(raw.log_time_ns, problem)
+            self._left_out.message(f"unusable {what}", raw.log_time_ns, problem)
 
     def _check_extrinsics(self, raw: RawMessage, message: SimpleNamespace) -> None:
         """Take a message of tf: a camera that moves on its base has no odometry, where it can do without."""
@@ -91,43 +101,37 @@ class MotionOfCamera:
                     raise SequenceError(f"{self._path}: {error}") from error
                 if self._moves_from_ns is None:
                     reason = "odometry from where the camera moved on its base"
-                    self._left_out.message(reason, raw.log_time_ns, error)
+                    self._left_out.message(reason, raw.log_time_ns, str(error))
                     self._moves_from_ns = min(stamp_ns(stamped.header) for stamped in message.transforms)
 
-    def _take_odometry(self, raw: RawMessage, message: SimpleNamespace, before_images: bool) -> None:
-        time_ns = stamp_ns(message.header)
-        if self._clocks.jump_ahead(time_ns, raw.log_time_ns, raw.topic):
-            self._left_out.message("odometry time stamp far ahead", raw.log_time_ns)
+    def _take_odometry(self, raw: RawMessage, message: SimpleNamespace | None, before_images: bool) -> None:
+        if message is None:
+            self._left_out_of("poses of odometry", raw, self._roles.why_undecodable(raw))
             return
-        self.odometry_stamps.take(time_ns, raw.log_time_ns)
+        time_ns = stamp_ns(message.header)
+        self.odometry_stamps.take(time_ns)
         try:
             sample = odometry_from_message(message)
         except VaporTrackError as error:
-            if not self._roles.odometry_required:
-                self._left_out.message("unusable odometry", time_ns, error)
-                return
-            raise SequenceError(f"{self._path}: {raw.topic} at {time_ns} ns: odometry: {error}") from error
+            self._left_out_of("poses of odometry", raw, str(error))
+            return
+        self._left_out_of("poses of odometry", raw, None)
         if not self._odometry.append(time_ns, sample.odom_from_base, sample.twist_covariance):
-            self._left_out.message("odometry time stamp not increasing", time_ns)
+            self._left_out.message("poses of odometry: time stamp not increasing", time_ns)
         if before_images:
             self._odometry.forget_before(time_ns - int(MAX_LATENESS_S * 1e9))
         elif not self._over_gaps:  # nothing may grow for ever
             self._odometry.forget_before(self.odometry_stamps.end_ns - int(2 * MAX_LATENESS_S * 1e9))
 
     def _take_poses(
-        self, raw: RawMessage, message: SimpleNamespace, source: PoseSource, what: str, before_images: bool
+        self, raw: RawMessage, message: SimpleNamespace | None, source: PoseSource, what: str, before_images: bool
     ) -> None:
-        try:
-            samples = source.samples(message)
-        except VaporTrackError as error:
-            stamp = f"{stamp_ns(message.header)} ns" if hasattr(message, "header") else f"{raw.log_time_ns} ns (logged)"
-            raise SequenceError(f"{self._path}: {raw.topic} at {stamp}: {what}: {error}") from error
+        samples, problems = ([], [self._roles.why_undecodable(raw)]) if message is None else source.samples(message)
+        for problem in (*problems, *(None for _ in samples)):
+            self._left_out_of(what, raw, problem)
         for sample in samples:
-            if self._clocks.jump_ahead(sample.time_ns, raw.log_time_ns, (what, sample.link)):
-                self._left_out.message(f"{what} time stamp far ahead", raw.log_time_ns)
-                continue
             if not source.append(sample):
-                self._left_out.message(f"{what} time stamp not increasing", sample.time_ns)
+                self._left_out.message(f"{what}: time stamp not increasing", sample.time_ns)
             if before_images or not self._over_gaps:
                 late_s = MAX_LATENESS_S if before_images else 2 * MAX_LATENESS_S
                 source.forget_before(sample.time_ns - int(late_s * 1e9))
@@ -146,6 +150,13 @@ class MotionOfCamera:
         for source in (self._odometry_source, self._truth):
             if source is not None:
                 source.forget_before(time_ns)
+
+    def why_uncovered(self, time_ns: int) -> str:
+        """The reason to count where odometry does not cover a time: it lies before or behind it all, or in a gap."""
+        span = self.odometry_span_ns
+        if span is None or time_ns > span[1]:
+            return AFTER
+        return BEFORE if time_ns < span[0] else IN_GAP
 
     def covers(self, time_ns: int) -> bool:
         """Whether odometry tells where the base was; of a tree it becomes a pose like those of a topic."""
@@ -188,14 +199,17 @@ class MotionOfCamera:
         """First and last stamp of the odometry; None where there is none."""
         if self._odometry_source is not None:
             return self._odometry_source.span_ns
-        stamps = self.odometry_stamps
-        return (stamps.begin_ns, stamps.end_ns) if stamps.number else None
+        return self.odometry_stamps.span_ns
 
-    def true_poses_apart(self, frames_ns: tuple[int, int] | None) -> str | None:
-        """What to say where there are true poses, but none of the time of a frame; None elsewhere."""
-        if self._truth is None or self._roles.truth is None or self._num_true or frames_ns is None:
-            return None
-        return true_poses_apart(self._roles.truth.said, self._truth.span_ns, frames_ns)
+    @property
+    def has_no_true_pose(self) -> bool:
+        """Whether there are true poses, but none was of the time of a frame."""
+        return self._truth is not None and self._num_true == 0
+
+    @property
+    def true_poses_span_ns(self) -> tuple[int, int] | None:
+        """First and last stamp of the true poses; None where there is none."""
+        return None if self._truth is None else self._truth.span_ns
 
     def jumps(self) -> list[str]:
         """What to say of jumps of the true poses, once all were read."""

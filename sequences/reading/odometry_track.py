@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Collection
 
 import numpy as np
 
@@ -10,20 +11,29 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.reading.pose_source import PoseSource
+from sequences.reading.timeline import Key, Timeline
 from sequences.recordings.source import MessageSource
-from sequences.recordings.topics import decode
 
 _OFFSET_SEGMENT_S, _OFFSET_STEP_S = 1800.0, 0.02  # of odometry, to find a time offset in
 
 
-def odometry_track(bag: MessageSource, source: PoseSource) -> Trajectory:
-    """The first half hour of odometry, at most fifty poses a second."""
+def odometry_track(bag: MessageSource, source: PoseSource, links: Collection[Key] | None) -> Trajectory:
+    """The first half hour of odometry, at most fifty poses a second, by one steady clock.
+
+    Args:
+        bag: The recording.
+        source: The odometry.
+        links: Those of tf that tell it, None where a topic of its own does.
+
+    Raises:
+        SequenceError: there is none, or the recording is damaged.
+    """
     times_ns, numbers = array("q"), array("d")
     step_ns = round(_OFFSET_STEP_S * 1e9)
-    for raw in bag.messages([source.topic]):
-        message = decode(bag, raw)
-        assert message is not None
-        for sample in source.samples(message):
+    for dated in Timeline(bag, {source.topic: links}).messages(source.topic):
+        if dated.message is None or not dated.stamps_ns:
+            continue
+        for sample in source.samples(dated.message)[0]:
             source.append(sample)
         span = source.span_ns
         if span is None or (times_ns and span[1] - times_ns[-1] < step_ns):

@@ -89,7 +89,9 @@ def route_of_topic(bag: MessageSource, options: SequenceOptions, rig: Rig, topic
             " (--ground-truth-child-frame says otherwise)"
         )
     if topic.read_as == "nav_msgs/Path":
-        table = TabledPoses(read_path(bag, topic), extrinsics.body_from_camera)
+        poses, unusable = read_path(bag, topic)
+        notices += unusable.notices
+        table = TabledPoses(poses, extrinsics.body_from_camera)
         return PoseRoute(topic.name, "", lambda: table, extrinsics, resolved, notices)
     gap_s = MAX_TRUE_POSE_GAP_S if topic.read_as == CAMERA_POSES else MAX_GAP_S
 
@@ -136,15 +138,13 @@ def route_of_file(
     extrinsics = rig.on(bag, frame_name(options.ground_truth_child_frame or ""), " (--ground-truth-child-frame)")
     offset_s, notices = options.time_offset_s, []
     if offset_s == "auto":
-        try:
-            from sequences.trajectories.time_offset import (
-                find_time_offset,  # loads SciPy's signals, which takes a while
-            )
+        from sequences.trajectories.time_offset import offset_of_clocks  # loads SciPy's signals, which takes a while
 
-            offset_s = find_time_offset(odometry(), trajectory)
+        try:
+            track = odometry()
         except VaporTrackError as error:
             raise SequenceError(f"{file}: {error}") from error
-        notices.append(f"{file}: time offset {offset_s:.4f} s found by rotation")
+        offset_s, notices = offset_of_clocks("auto", track, trajectory, str(file))
     table = TabledPoses(
         replace(trajectory, times_ns=trajectory.times_ns + round(offset_s * 1e9)), extrinsics.body_from_camera
     )

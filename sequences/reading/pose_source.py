@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Collection
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -36,9 +37,14 @@ class PoseSource(ABC):
 
     topic: str = ""
 
-    def samples(self, message: SimpleNamespace) -> list[Sample]:
-        """What a message says. Raises VaporTrackError where that is no pose."""
-        return []
+    @property
+    def links(self) -> Collection[tuple[str, str]]:
+        """The links of which messages say something; '' and a topic where its messages are of one."""
+        return ()
+
+    def samples(self, message: SimpleNamespace) -> tuple[list[Sample], list[str]]:
+        """What a message says, and what is wrong with what cannot be used of it."""
+        return [], []
 
     def append(self, sample: Sample) -> bool:
         """Take it in; False where it is earlier than the one before, or a second one of its time."""

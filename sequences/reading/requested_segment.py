@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from sequences.reading.clock_steps import SET_AHEAD_S
 from sequences.reading.stamps import MAX_LATENESS_S
+from sequences.recordings.source import RawMessage
 
 
 class RequestedSegment:
@@ -12,29 +14,51 @@ class RequestedSegment:
         is_stopped: Whether no more frames are asked for.
     """
 
-    def __init__(self, start_s: float, duration_s: float | None) -> None:
-        """Set up a segment that begins so late, and lasts so long, None: to the end."""
-        self.is_stopped = False
-        self._start_s, self._duration_s = start_s, duration_s
-        self._begin: tuple[int, int] | None = None  # stamp and log time of the first image
+    def __init__(self, begin_ns: int, start_s: float, duration_s: float | None) -> None:
+        """Set up a segment.
 
-    def take_image(self, time_ns: int, log_time_ns: int) -> None:
-        """Learn of an image: the recording begins with the first."""
-        self._begin = self._begin or (time_ns, log_time_ns)
+        Args:
+            begin_ns: Stamp of the first image.
+            start_s: How much later the segment begins.
+            duration_s: How long it lasts; None: to the end.
+        """
+        self.is_stopped = False
+        self._first_ns = begin_ns + round(start_s * 1e9) if start_s else None
+        self._last_ns = None if duration_s is None else begin_ns + round((start_s + duration_s) * 1e9)
 
     def has(self, time_ns: int) -> bool:
         """Whether an image is of the segment; of video the first packet need not have the first image."""
-        assert self._begin is not None
-        if self.is_stopped:
-            return False
-        since_s = (time_ns - self._begin[0]) * 1e-9 - self._start_s
-        return (since_s >= 0 or self._start_s == 0) and (self._duration_s is None or since_s <= self._duration_s)
+        return (
+            not self.is_stopped
+            and (self._first_ns is None or time_ns >= self._first_ns)
+            and not self.ends_before(time_ns)
+        )
 
-    def is_over(self, log_time_ns: int) -> bool:
-        """Whether what is logged from a time on lies too far behind the segment to be of it."""
-        if self.is_stopped:
-            return True
-        if self._duration_s is None or self._begin is None:
-            return False
-        since_s = (log_time_ns - self._begin[1]) * 1e-9
-        return since_s > self._start_s + self._duration_s + MAX_LATENESS_S
+    def ends_before(self, time_ns: int) -> bool:
+        """Whether all images from a time on lie behind the segment."""
+        return self.is_stopped or (self._last_ns is not None and time_ns > self._last_ns)
+
+
+class LoggedSegment:
+    """The segment of a recording that is asked for, by the times at which its images were logged.
+
+    Attributes:
+        is_over: Whether all that comes lies too far behind it to be of it.
+    """
+
+    def __init__(self, image_topic: str, duration_s: float) -> None:
+        """Set up a segment that lasts so long from the first image on."""
+        self.is_over = False
+        self._topic, self._until_ns = image_topic, round((duration_s + MAX_LATENESS_S) * 1e9)
+        self._last_ns: int | None = None
+        self._passed_ns = 0
+
+    def take(self, raw: RawMessage) -> None:
+        """Take the next message."""
+        if raw.topic != self._topic:
+            return
+        since_ns = 0 if self._last_ns is None else raw.log_time_ns - self._last_ns
+        self._last_ns = raw.log_time_ns
+        if 0 <= since_ns <= SET_AHEAD_S * 1e9:  # else the clock of the log was set
+            self._passed_ns += since_ns
+        self.is_over = self._passed_ns > self._until_ns

@@ -21,8 +21,8 @@ from sequences.reading.pose_source import PoseSource
 from sequences.reading.rig import Rig
 from sequences.reading.true_poses import find_true_poses
 from sequences.recordings.messages import frame_name
-from sequences.recordings.source import MessageSource, Topic
-from sequences.recordings.topics import choose, first
+from sequences.recordings.source import TF, TF_STATIC, MessageSource, RawMessage, Topic
+from sequences.recordings.topics import choose, decode, first
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 
 _IMAGE_STREAMS: dict[str, Callable[[], ImageStream]] = {
@@ -135,19 +135,51 @@ class Roles:
             source = poses_of_topic(self.odometry, Poses.identity(), max_gap_s=MAX_ODOMETRY_GAP_S)
         else:
             raise SequenceError(f"{self._bag.path}: no odometry found, expected it for --time-offset-s auto")
-        return odometry_track(self._bag, source)
+        return odometry_track(self._bag, source, None if self.odometry is not None else set(source.links))
 
-    def may_be_damaged(self, name: str) -> bool:
-        """Whether messages of a topic that cannot be decoded are left out, rather than an error."""
-        return name == self.image.name or (
-            self.odometry is not None and name == self.odometry.name and not self.odometry_required
-        )
+    def why_undecodable(self, raw: RawMessage) -> str:
+        """What is wrong with bytes that are no message."""
+        try:
+            decode(self._bag, raw)
+        except SequenceError as error:
+            return str(error).removeprefix(f"{self._bag.path}: ")
+        return ""
 
     @property
-    def streamed(self) -> list[str]:
-        """Names of the topics that are read from front to back."""
+    def watched(self) -> dict[str, set[tuple[str, str]] | None]:
+        """Names of the topics that are read from front to back: with the links that count of tf, else None."""
+        names: dict[str, set[tuple[str, str]] | None] = {self.image.name: None}
+        links: dict[str, set[tuple[str, str]]] = {}
+        if self.odometry is not None:
+            names[self.odometry.name] = None
         routes = [route for route in (self.tree_odometry, self.truth) if route is not None]
-        names = [self.image.name, self.odometry.name if self.odometry is not None else ""]
-        names += [name for route in routes for name in (route.topic, *route.extrinsics.told_on)]
-        names += self.extrinsics.told_on if self.extrinsics is not None else ()
-        return [name for name in dict.fromkeys(names) if name in self._bag]
+        for route in routes:
+            if route.topic == TF:
+                links.setdefault(TF, set()).update(route.open().links)
+            elif route.topic:
+                names[route.topic] = None
+        for extrinsics in (self.extrinsics, *(route.extrinsics for route in routes)):
+            for step in extrinsics.path if extrinsics is not None else ():
+                links.setdefault(TF_STATIC if step.static else TF, set()).add(step.link)
+        if self.camera_info is not None:
+            names[self.camera_info.name] = None
+        return {name: links for name, links in {**names, **links}.items() if name in self._bag}
+
+    @property
+    def odometry_keys(self) -> list[tuple[str, str]]:
+        """What tells odometry, of `watched`: a topic, or links of tf."""
+        if self.tree_odometry is not None:
+            return [*self.tree_odometry.open().links]
+        return [] if self.odometry is None else [("", self.odometry.name)]
+
+    @property
+    def odometry_said(self) -> str:
+        """What tells odometry, to name in a message."""
+        return f"the tf frame {self.odometry_frame!r}" if self.odometry is None else self.odometry.name
+
+    @property
+    def truth_keys(self) -> list[tuple[str, str]]:
+        """What tells true poses as a recording is read, likewise."""
+        if self.truth is None or not self.truth.topic:
+            return []
+        return [*self.truth.open().links]

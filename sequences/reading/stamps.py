@@ -1,76 +1,65 @@
-"""Time stamps of a recording's messages: from when to when they are, and which of them cannot be true."""
+"""From when to when messages are, and what to say where those of one kind are of another time than the images."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from sequences.errors import SequenceError
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 
 MAX_LATENESS_S = 10.0
-"""How much later than its stamp a message may be logged, and how far clocks may jump ahead."""
+"""How long poses are remembered for images that come late, where nothing else says what will be asked for."""
 
 
 @dataclass
 class Stamps:
-    """The messages of one topic: how many, the earliest and the latest stamp, and whether log times differ."""
+    """The messages of one topic: how many, the earliest and the latest stamp."""
 
     number: int = 0
     begin_ns: int = 0
     end_ns: int = 0
-    first_log_ns: int = 0
-    log_times_differ: bool = False
 
-    def take(self, time_ns: int, log_time_ns: int) -> None:
-        """Take in the stamp of a message and the time at which it was logged."""
-        if self.number == 0:
-            self.begin_ns = self.end_ns = time_ns
-            self.first_log_ns = log_time_ns
+    def take(self, time_ns: int) -> None:
+        """Take in the stamp of a message."""
+        self.begin_ns = time_ns if self.number == 0 else min(self.begin_ns, time_ns)
+        self.end_ns = time_ns if self.number == 0 else max(self.end_ns, time_ns)
         self.number += 1
-        self.begin_ns, self.end_ns = min(self.begin_ns, time_ns), max(self.end_ns, time_ns)
-        self.log_times_differ |= log_time_ns != self.first_log_ns
 
-    def require_differing(self, path: Path, what: str) -> None:
-        """Raise SequenceError where there are several messages, all with one and the same stamp."""
-        if self.number < 2 or self.begin_ns != self.end_ns:
-            return
-        helps = "; --stamps log takes the times at which they were logged" if self.log_times_differ else ""
-        said = "zero" if self.begin_ns == 0 else f"{self.begin_ns} ns"
-        raise SequenceError(
-            f"{path}: the time stamps in the headers of all {self.number} {what} are {said}, expected"
-            f" increasing ones{helps}"
-        )
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """The earliest and the latest stamp; None where there is none."""
+        return (self.begin_ns, self.end_ns) if self.number else None
 
 
-class Clocks:
-    """How far the clocks of the streams of a recording run ahead of its log."""
-
-    def __init__(self) -> None:
-        self._ahead_ns: dict[object, int] = {}  # stream -> stamp less log time of its last usual message
-
-    def jump_ahead(self, time_ns: int, log_time_ns: int, stream: object) -> bool:
-        """Whether a stamp ran ahead of its log time, by what is usual in its stream: all after it would seem late."""
-        ahead_ns = time_ns - log_time_ns
-        drift_ns = ahead_ns - self._ahead_ns.setdefault(stream, ahead_ns)
-        if abs(drift_ns) <= MAX_LATENESS_S * 1e9:
-            self._ahead_ns[stream] = ahead_ns  # clocks may drift apart slowly
-        return drift_ns > MAX_LATENESS_S * 1e9
-
-
-def odometry_apart(images: Stamps, odometry_ns: tuple[int, int] | None) -> str | None:
+def odometry_apart(images_ns: tuple[int, int] | None, odometry_ns: tuple[int, int] | None) -> str | None:
     """What to say where odometry is of another time than all images: by another clock. None elsewhere.
 
     Args:
-        images: Stamps of the images.
+        images_ns: First and last stamp of the images; None where there is none.
         odometry_ns: First and last stamp of the odometry; None where there is none.
     """
-    span = odometry_ns
-    if span is None or not images.number or (span[0] <= images.end_ns and images.begin_ns <= span[1]):
+    if images_ns is None or odometry_ns is None:
+        return None
+    if odometry_ns[0] <= images_ns[1] and images_ns[0] <= odometry_ns[1]:
         return None
     return (
-        f"images run from {_seconds(images.begin_ns)} to {_seconds(images.end_ns)} s, odometry from"
-        f" {_seconds(span[0])} to {_seconds(span[1])} s: they begin {abs(span[0] - images.begin_ns) * 1e-9:.1f} s"
-        " apart, expected one clock (--stamps log takes log times)"
+        f"images run from {_seconds(images_ns[0])} to {_seconds(images_ns[1])} s, odometry from"
+        f" {_seconds(odometry_ns[0])} to {_seconds(odometry_ns[1])} s: they begin"
+        f" {abs(odometry_ns[0] - images_ns[0]) * 1e-9:.1f} s apart, expected one clock (--stamps log takes log times)"
+    )
+
+
+def odometry_sparse(said: str, spacing_s: float) -> str | None:
+    """What to say where odometry comes too rarely to lead from image to image. None elsewhere.
+
+    Args:
+        said: What the odometry is.
+        spacing_s: How far apart its messages usually are.
+    """
+    if spacing_s <= MAX_ODOMETRY_GAP_S:
+        return None
+    return (
+        f"odometry of {said} comes every {spacing_s:.2g} s: no motion is known over gaps of more than"
+        f" {MAX_ODOMETRY_GAP_S:g} s, expected a topic with denser odometry (--odometry-topic, --odometry-frame)"
     )
 
 

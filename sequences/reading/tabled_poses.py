@@ -11,6 +11,7 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
+from sequences.reading.left_out import Unusable
 from sequences.reading.pose_source import MAX_GAP_S, MAX_STILL_GAP_S, Jumps, PoseSource
 from sequences.recordings.messages import pose_from_message, stamp_ns
 from sequences.recordings.source import MessageSource, Topic
@@ -55,12 +56,14 @@ class TabledPoses(PoseSource):
         return int(self._times_ns[0]), int(self._times_ns[-1])
 
 
-def read_path(bag: MessageSource, topic: Topic) -> Trajectory:
+def read_path(bag: MessageSource, topic: Topic) -> tuple[Trajectory, Unusable]:
     """Poses of nav_msgs/Path: the last message where it begins no later than the first one ends, else what each adds.
 
     Raises:
-        SequenceError: damaged messages, no poses, or poses without stamps of their own.
+        SequenceError: damaged messages, no poses, poses without stamps of their own, or more that cannot be used than
+            can.
     """
+    unusable = Unusable("true poses", topic.name)
     last = None
     for raw in bag.messages([topic.name]):
         last = raw
@@ -70,12 +73,13 @@ def read_path(bag: MessageSource, topic: Topic) -> Trajectory:
     assert whole is not None
     rows: list[tuple[int, Float64[np.ndarray, " 7"]]] = []
     if beginning.poses and whole.poses and stamp_ns(whole.poses[0].header) <= stamp_ns(beginning.poses[0].header):
-        _extend(rows, whole, bag, topic)
+        _extend(rows, whole, bag, topic, unusable)
     else:
         for raw in bag.messages([topic.name]):
             message = decode(bag, raw)
             assert message is not None
-            _extend(rows, message, bag, topic)
+            _extend(rows, message, bag, topic, unusable)
+    unusable.require_few(bag.path)
     if len(rows) < 2:
         raise SequenceError(
             f"{bag.path}: {topic.name}: {len(rows)} poses at stamps of their own, expected at least two whose stamps"
@@ -83,11 +87,15 @@ def read_path(bag: MessageSource, topic: Topic) -> Trajectory:
         )
     table = np.stack([row for _, row in rows])
     times_ns = np.array([time_ns for time_ns, _ in rows], np.int64)
-    return Trajectory(times_ns, Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
+    return Trajectory(times_ns, Poses.from_quat_xyzw(table[:, :3], table[:, 3:])), unusable
 
 
 def _extend(
-    rows: list[tuple[int, Float64[np.ndarray, " 7"]]], message: SimpleNamespace, bag: MessageSource, topic: Topic
+    rows: list[tuple[int, Float64[np.ndarray, " 7"]]],
+    message: SimpleNamespace,
+    bag: MessageSource,
+    topic: Topic,
+    unusable: Unusable,
 ) -> None:
     """Add the poses of a path that are later than those there are. Raises SequenceError where they share a stamp."""
     if len(message.poses) > 1 and len({stamp_ns(stamped.header) for stamped in message.poses}) == 1:
@@ -99,8 +107,10 @@ def _extend(
         time_ns = stamp_ns(stamped.header)
         if rows and time_ns <= rows[-1][0]:
             continue
+        unusable.total += 1
         try:
             pose = pose_from_message(stamped.pose)
         except VaporTrackError as error:
-            raise SequenceError(f"{bag.path}: {topic.name} at {time_ns} ns: true pose: {error}") from error
+            unusable.note(time_ns, str(error))
+            continue
         rows.append((time_ns, np.concatenate([pose.translation, pose.as_quat_xyzw()])))

@@ -63,7 +63,7 @@ def _only_candidate(bag: MessageSource, options: SequenceOptions, rig: Rig, *, r
                 continue
             is_odometry = topic.name == rig.odometry_topic or _is_odometry(frame, rig)
             (others if is_odometry else topics).append(topic)
-    tree = read_tree(bag, within_s=SURVEY_S, tolerate=True) if TF in bag else TransformTree()
+    tree = read_tree(bag, within_s=SURVEY_S) if TF in bag else TransformTree()
     frames = _frames_that_could(tree, rig)
     number = len(topics) + bool(frames)
     if number == 1:

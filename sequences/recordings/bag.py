@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
-from mcap.records import Channel, Schema
-
 from filtering.errors import quoted
 from sequences.errors import SequenceError
 from sequences.recordings.mcap_file import McapFile
+from sequences.recordings.recording_file import Channel, LatestChunks, RecordingFile
 from sequences.recordings.rosbag2 import read_listing
-from sequences.recordings.source import RawMessage, Stamps, Topic, fixed_links_of, stands_for
+from sequences.recordings.source import TF, RawMessage, Stamps, Topic, fixed_links_of, namespaced_tf, stands_for
 
 METADATA_NAME = "vapor-track"
 """Of the metadata record in which a file says where its odometry comes from."""
@@ -26,12 +25,13 @@ class Bag:
         metadata: Metadata records by name, later ones over earlier ones; empty for files without an index.
     """
 
-    def __init__(self, path: Path, *, stamps: Stamps = "header"):
+    def __init__(self, path: Path, *, stamps: Stamps = "header", tf_topic: str | None = TF):
         """Open a bag.
 
         Args:
             path: File or folder.
             stamps: Whether messages keep the stamps of their headers, or get the times at which they were logged.
+            tf_topic: Which topic is tf, see `namespaced_tf`.
 
         Raises:
             SequenceError: a file is missing, truncated, garbage or of another format, or metadata.yaml is damaged.
@@ -42,16 +42,17 @@ class Bag:
         self.metadata: dict[str, dict[str, str]] = {}
         self._fixed_links: frozenset[tuple[str, str]] | None = None
         self._listing = None if self.path.is_file() else read_listing(self.path)
-        self._files = [McapFile(file) for file in (self._listing.files if self._listing else [self.path])]
+        self._latest = LatestChunks()
+        self._files = [McapFile(file, self._latest) for file in (self._listing.files if self._listing else [self.path])]
         for file in self._files:
             self.metadata |= file.metadata
-            for channel in file.channels.values():
-                type_name = _type_name(file.schemas.get(channel.schema_id))
+            for id, channel in file.channels.items():
                 known = self.topics.get(channel.topic)
-                count = file.counts[channel.id] + (known.num_messages if known else 0)
-                topic = Topic(channel.topic, type_name, count, channel.message_encoding)
+                count = file.counts[id] + (known.num_messages if known else 0)
+                topic = Topic(channel.topic, channel.type, count, channel.encoding)
                 if not topic.is_misnamed:
                     self.topics[topic.name] = topic
+        self._tf = namespaced_tf(self.topics, tf_topic, self.path)
 
     @property
     def is_running(self) -> bool:
@@ -60,7 +61,7 @@ class Bag:
 
     def __contains__(self, topic: str) -> bool:
         """Whether messages of a topic can be asked for."""
-        return any(topic in stands_for(known) for known in self.topics.values())
+        return any(topic in stands_for(known, self._tf) for known in self.topics.values())
 
     def account_for(self, topic: str) -> list[str]:
         """Compare how many messages of a topic there are with how many metadata.yaml states.
@@ -102,40 +103,41 @@ class Bag:
     def messages(
         self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
     ) -> Iterator[RawMessage]:
-        """Messages of some topics: by log time within an indexed file, as written otherwise; file after file.
+        """Messages of some topics in the order in which they lie in a file, file after file.
 
-        Those of Foxglove's transforms come once as /tf_static and once as /tf, where both are asked for.
+        Several iterators may run at once. Those of Foxglove's transforms come once as /tf_static and once as /tf, where
+        both are asked for.
 
         Args:
             topics: Names of topics.
-            until: Whether messages from a log time on are not wanted; they are counted all the same.
+            until: Whether messages of a topic from a log time on are not wanted: of each file, those of its writer that
+                lie behind the first such one are not given; they are counted all the same.
 
         Raises:
             SequenceError: a file is damaged, or at its end has other numbers of messages than it states, or a topic has
                 messages of several types.
         """
-        asked = {t.name: [name for name in stands_for(t) if name in topics] for t in self.topics.values()}
+        asked = {t.name: [name for name in stands_for(t, self._tf) if name in topics] for t in self.topics.values()}
         names = [name for name, stands_for in asked.items() if stands_for]
         for file in self._files:
-            known: dict[int, tuple[str, str, bytes]] = {}  # of channels: type, encoding, definition
+            known: set[int] = set()
             for record in file.messages(names, until=until):
                 channel = file.channels[record.channel_id]
-                if channel.id not in known:
-                    known[channel.id] = self._described(file, channel)
+                if record.channel_id not in known:
+                    self._require_one_type(file, channel)
+                    known.add(record.channel_id)
                 for name in asked[channel.topic]:
-                    yield RawMessage(name, record.log_time_ns, record.data, *known[channel.id], self._restamped)
+                    yield RawMessage(name, record.log_time_ns, record.data, *channel[1:], self._restamped)
 
-    def _described(self, file: McapFile, channel: Channel) -> tuple[str, str, bytes]:
-        """Type, encoding and definition of a channel. Raises SequenceError where its topic has another type."""
-        schema = file.schemas.get(channel.schema_id)
-        topic, type_name = self.topics[channel.topic], _type_name(schema)
-        if (type_name, channel.message_encoding) != (topic.type, topic.encoding):
+    def _require_one_type(self, file: RecordingFile, channel: Channel) -> None:
+        """Raises SequenceError where the topic of a channel has another type or encoding elsewhere."""
+        topic = self.topics[channel.topic]
+        if (channel.type, channel.encoding) != (topic.type, topic.encoding):
             raise SequenceError(
-                f"{file.path}: {quoted(topic.name)} has messages of {quoted(type_name)}"
-                f" ({quoted(channel.message_encoding)}) and of {quoted(topic.type)} ({quoted(topic.encoding)}),"
+                f"{file.path}: {quoted(topic.name)} has messages of {quoted(channel.type)}"
+                f" ({quoted(channel.encoding)}) and of {quoted(topic.type)} ({quoted(topic.encoding)}),"
                 " expected one type a topic"
             )
-        return type_name, channel.message_encoding, schema.data if schema is not None else b""
 
     def fixed_links(self) -> frozenset[tuple[str, str]]:
         """Of Foxglove's transforms, see `fixed_links_of`."""
@@ -147,7 +149,3 @@ class Bag:
 def bag_files(path: Path) -> list[Path]:
     """The MCAP files of a file or rosbag2 folder, in their order. Raises SequenceError as `Bag` does."""
     return [path] if path.is_file() else read_listing(path).files
-
-
-def _type_name(schema: Schema | None) -> str:
-    return "" if schema is None else schema.name.replace("/msg/", "/")

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
+from filtering.moments import require_sound, settle
 from filtering.se3 import Poses
 from sequences.recordings.mcap_writer import MAP_FRAME, ros_header, ros_poses
 from sequences.recordings.messages import covariance_to_ros
@@ -16,6 +17,7 @@ PUBLISHED_PARTICLES = 500
 """How many particles are published after each image."""
 _ARROW_M = 0.5  # length of the arrow of a mode, along its optical axis
 _MARKER_ARROW, _MARKER_DELETE_ALL = 0, 3
+_LEAST_EIGENVALUE = 1e-14  # of the largest: what double precision tells of a matrix, whoever reads it
 _NO_TURN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # an arrow's points are in the map
 
 Believed = tuple[Poses, Float64[np.ndarray, "6 6"], float]
@@ -51,23 +53,45 @@ def estimate_messages(
         particles: world_from_camera, batch (n,); thinned evenly to at most 500.
         under: What the names of topics begin with.
         frame: The frame that poses are in.
+
+    Raises:
+        VaporTrackError: a pose is not finite, or as `pose_with_covariance`.
     """
     header = ros_header(time_ns, frame)
     if len(particles) > PUBLISHED_PARTICLES:
         particles = particles[np.linspace(0, len(particles) - 1, PUBLISHED_PARTICLES).astype(int)]
-    best = Poses.stack([modes[0][0]]) if modes else Poses.identity(0)
-    poses = ros_poses(Poses.concatenate([best, particles]), known_valid=True)  # the check takes nine times as long
+    require_sound(Poses.concatenate([particles, *(Poses.stack([pose]) for pose, _, _ in modes)]))
+    poses = ros_poses(particles, known_valid=True)  # the check takes nine times as long
     markers = [{"header": header, "ns": "modes", "action": _MARKER_DELETE_ALL}]
     markers += [_arrow(header, rank, pose, weight) for rank, (pose, _, weight) in enumerate(modes)]
     messages = [
         Message(f"{under}/modes", "visualization_msgs/MarkerArray", {"markers": markers}),
-        Message(f"{under}/particles", "geometry_msgs/PoseArray", {"header": header, "poses": poses[len(best) :]}),
+        Message(f"{under}/particles", "geometry_msgs/PoseArray", {"header": header, "poses": poses}),
     ]
     if modes:
-        told = {"pose": poses[0], "covariance": covariance_to_ros(modes[0][1], modes[0][0])}
-        pose = {"header": header, "pose": told}
+        pose = {"header": header, "pose": pose_with_covariance(modes[0][0], modes[0][1])}
         messages.insert(0, Message(f"{under}/pose", "geometry_msgs/PoseWithCovarianceStamped", pose))
     return messages
+
+
+def pose_with_covariance(pose: Poses, covariance: Float64[np.ndarray, "6 6"]) -> dict[str, Any]:
+    """geometry_msgs/PoseWithCovariance of one pose: all that are written or published are made here.
+
+    A covariance whose eigenvalues differ by more than double precision tells is widened until they do not.
+
+    Args:
+        pose: One pose.
+        covariance: In the tangent at it.
+
+    Raises:
+        VaporTrackError: the pose or the covariance is not finite, or the covariance not positive definite.
+    """
+    with np.errstate(invalid="ignore"):  # of what is not finite, which is told below
+        told = covariance_to_ros(covariance, pose)
+    settle(told)
+    told += _LEAST_EIGENVALUE * np.trace(told) * np.eye(6)
+    require_sound(pose, told)
+    return {"pose": ros_poses(pose, known_valid=True), "covariance": told}
 
 
 def _arrow(header: dict, rank: int, world_from_camera: Poses, weight: float) -> dict:

@@ -38,7 +38,7 @@ def read_with_chunks_opened(stream: IO[bytes]) -> Iterator[tuple[int, bytes | me
     """Records of a file from its beginning on, with those within chunks in their place."""
     for opcode, content in read_records(stream):
         if opcode == Opcode.CHUNK:
-            yield from open_chunk(content)
+            yield from records_within(unpack_chunk(content))
         else:
             yield opcode, content
 
@@ -81,10 +81,14 @@ def read_record_at(stream: IO[bytes], offset: int, opcode: int) -> bytes:
     return content
 
 
-def open_chunk(chunk_content: bytes) -> Iterator[tuple[int, memoryview]]:
+def unpack_chunk(content: bytes) -> bytes:
+    """The records within a chunk."""
+    return _uncompressed(parse_record(Chunk, content))
+
+
+def records_within(chunk: bytes) -> Iterator[tuple[int, memoryview]]:
     """Opcode and content of each record within a chunk."""
-    data = memoryview(_uncompressed(parse_record(Chunk, chunk_content)))
-    at = 0
+    data, at = memoryview(chunk), 0
     while at < len(data):
         opcode, length = _HEAD.unpack_from(data, at)
         at += _HEAD.size

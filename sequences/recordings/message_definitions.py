@@ -107,6 +107,12 @@ def schema_name(message_type: str) -> str:
 
 
 @cache
+def begins_with_stamp(message_type: str) -> bool:
+    """Whether a message's bytes begin with the time that it is of: seconds and nanoseconds."""
+    return DEFINITIONS.get(message_type, "").startswith(("std_msgs/Header ", "builtin_interfaces/Time timestamp"))
+
+
+@cache
 def decoder(message_type: str) -> Callable[[bytes], SimpleNamespace]:
     """A function from the CDR bytes of a message to its fields.
 

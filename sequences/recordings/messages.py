@@ -17,7 +17,6 @@ from jaxtyping import Float64
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
-from sequences.errors import SequenceError
 
 _MAX_DISTANCE_M = 1e8  # further than from any frame on Earth
 _MAX_VARIANCE = 1e12
@@ -114,17 +113,14 @@ def _twist_covariance(values: tuple[float, ...]) -> Float64[np.ndarray, "6 6"]:
 
 def transforms_from_message(
     message: SimpleNamespace, links: Collection[tuple[str, str]] | None = None
-) -> list[FrameTransform]:
-    """tf2_msgs/TFMessage -> its transforms.
+) -> tuple[list[FrameTransform], list[str]]:
+    """tf2_msgs/TFMessage -> its transforms, and what is wrong with each of those that are none.
 
     Args:
         message: The message.
         links: Names of parent and child of those that are asked for; None for all.
-
-    Raises:
-        SequenceError: one of them is not finite; it names the frames.
     """
-    transforms = []
+    transforms, problems = [], []
     for stamped in message.transforms:
         parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
         if links is not None and (parent, child) not in links:
@@ -132,9 +128,10 @@ def transforms_from_message(
         try:
             pose = pose_from_transform(stamped.transform)
         except VaporTrackError as error:
-            raise SequenceError(f"transform {parent} -> {child}: {error}") from error
+            problems.append(f"transform {parent} -> {child}: {error}")
+            continue
         transforms.append(FrameTransform(parent, child, pose, stamp_ns(stamped.header)))
-    return transforms
+    return transforms, problems
 
 
 def covariance_to_ros(covariance: Float64[np.ndarray, "6 6"], pose: Poses) -> Float64[np.ndarray, "6 6"]:

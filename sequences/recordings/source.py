@@ -8,11 +8,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
+from filtering.errors import quoted
+from sequences.errors import NotFoundError
 from sequences.recordings import foxglove, serializations
 from sequences.recordings.messages import frame_name
 
 Stamps = Literal["header", "log"]
 TF_STATIC, TF = "/tf_static", "/tf"
+_TRANSFORMS = ("tf2_msgs/TFMessage", "tf/tfMessage")
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,13 @@ class Topic:
     @property
     def is_misnamed(self) -> bool:
         """Whether it is called /tf or /tf_static and has no transforms."""
-        is_transforms = self.type in ("tf2_msgs/TFMessage", "tf/tfMessage") or foxglove.is_transforms(self.type)
+        is_transforms = self.type in _TRANSFORMS or foxglove.is_transforms(self.type)
         return self.name in (TF_STATIC, TF) and not is_transforms
+
+    @property
+    def is_ros_tf(self) -> bool:
+        """Whether it is /tf, or that of a robot among several."""
+        return self.type in _TRANSFORMS and self.name.endswith(TF)
 
     @property
     def is_foxglove_tf(self) -> bool:
@@ -57,7 +65,7 @@ class RawMessage(NamedTuple):
     """One message, not yet decoded.
 
     Attributes:
-        topic: The topic that was asked for: of Foxglove's transforms /tf or /tf_static.
+        topic: The topic that was asked for: of transforms /tf or /tf_static, whatever their topic is called.
         log_time_ns: The time it was logged.
         data: Its bytes.
         type: Its type, as of `Topic`.
@@ -115,18 +123,51 @@ class MessageSource(Protocol):
     def messages(
         self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
     ) -> Iterator[RawMessage]:
-        """Messages of some topics, in the order in which they were logged or heard.
+        """Messages of some topics, in the order in which they lie in a file or were heard.
 
         Args:
             topics: Names of topics.
-            until: Whether messages from a log time on are not wanted.
+            until: Whether messages of a topic from a log time on are not wanted.
         """
         ...
 
 
-def stands_for(topic: Topic) -> tuple[str, ...]:
-    """The names under which the messages of a topic can be asked for."""
-    return (TF_STATIC, TF) if topic.is_foxglove_tf else (topic.name,)
+def namespaced_tf(topics: Mapping[str, Topic], tf_topic: str | None, path: Path) -> dict[str, str]:
+    """Which topics are tf under another name, as of a robot among several: /robot1/tf, and /robot1/tf_static beside it.
+
+    Args:
+        topics: All there are.
+        tf_topic: The one to take; None: where there is no /tf, the only one of such a name.
+        path: What messages of errors call what has them.
+
+    Returns:
+        /tf and /tf_static by the names of the topics that stand for them; empty where these are there themselves.
+
+    Raises:
+        NotFoundError: the one to take is not there.
+    """
+    named = sorted(name for name, topic in topics.items() if topic.is_ros_tf)
+    if tf_topic == TF:
+        return {}
+    if tf_topic is None:
+        if TF in topics or len(named) != 1:
+            return {}
+        (tf_topic,) = named
+    elif tf_topic not in named:
+        found = ", ".join(named) or "none"
+        raise NotFoundError(f"{path}: no tf on {quoted(tf_topic)} (--tf-topic), found: {found}; expected one of these")
+    static = tf_topic.removesuffix(TF) + TF_STATIC
+    names = {tf_topic: TF} | ({static: TF_STATIC} if static in topics else {})
+    return {name: stands_for for name, stands_for in names.items() if name != stands_for}
+
+
+def stands_for(topic: Topic, tf: Mapping[str, str]) -> tuple[str, ...]:
+    """The names under which the messages of a topic can be asked for, by `namespaced_tf`."""
+    if topic.is_foxglove_tf:
+        return TF_STATIC, TF
+    if topic.name not in tf and topic.name in tf.values():
+        return ()
+    return (tf.get(topic.name, topic.name),)
 
 
 def link_of(stamped: SimpleNamespace) -> tuple[str, str]:

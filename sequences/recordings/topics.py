@@ -52,8 +52,10 @@ def choose(
         if not candidates and not required:
             return None
         if not candidates:
+            robots = [topic.name for topic in bag.topics.values() if topic.is_ros_tf]
+            of_one = f"; tf is of {len(robots)} robots, name one by --tf-topic" if len(robots) > 1 else ""
             raise NotFoundError(
-                f"{bag.path}: no {role} topic, expected one of type {expected}; {listing(bag.topics.values())}"
+                f"{bag.path}: no {role} topic, expected one of type {expected}{of_one}; {listing(bag.topics.values())}"
             )
         if len(candidates) > 1:
             none = "" if required else ", or '' for none"

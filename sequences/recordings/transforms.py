@@ -34,9 +34,14 @@ class Step:
 
 
 class TransformTree:
-    """Frames and the transforms that join them; the latest transform of a child replaces the one before."""
+    """Frames and the transforms that join them; the latest transform of a child replaces the one before.
+
+    Attributes:
+        problem: What was wrong with the first transform that could not be taken in; '' where all could.
+    """
 
     def __init__(self) -> None:
+        self.problem = ""
         self._parents: dict[str, tuple[str, Poses, bool]] = {}
 
     @property

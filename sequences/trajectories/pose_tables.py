@@ -9,6 +9,7 @@ import numpy as np
 from filtering.errors import quoted
 from filtering.se3 import Poses, nearest_rotation
 from sequences.errors import SequenceError
+from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import read_tum
@@ -19,7 +20,7 @@ _KITTI = "twelve numbers, the upper three rows of a matrix"
 _MAX_ERROR = 0.01  # of a unit quaternion's length, and of a rotation's elements; beyond, these are other numbers
 
 
-def read_pose_table(path: Path, times: Path | None = None) -> Trajectory:
+def read_pose_table(path: Path, times: Path | None = None, rows: Rows | None = None) -> Trajectory:
     """Read poses of a body over time, in whichever of three formats the first line is.
 
     TUM: `time tx ty tz qx qy qz qw`, seconds. EuRoC: with commas, nanoseconds, position, quaternion with w first,
@@ -29,25 +30,27 @@ def read_pose_table(path: Path, times: Path | None = None) -> Trajectory:
     Args:
         path: The file.
         times: Times of KITTI's poses; None for `times.txt` in the same folder.
+        rows: Counts the lines of TUM text or EuRoC's that cannot be used, which are left out; None where one of them is
+            an error.
 
     Raises:
         SequenceError: a file is missing, empty or in none of these formats, a value is not finite or no rotation, times
             do not increase, or there are not as many times as poses.
     """
     path = Path(path)
-    rows = list(read_rows(path))
-    if not rows:
+    lines = list(read_rows(path))
+    if not lines:
         raise SequenceError(f"{path}: no poses, expected TUM text, EuRoC's data.csv or KITTI's poses")
-    number, line = rows[0]
+    number, line = lines[0]
     columns = len(line.split())
     if times is not None and ("," in line or columns != 12):
         raise SequenceError(f"{path}:{number}: not KITTI's poses, expected {_KITTI}, or no --poses-times with them")
     if "," in line:
-        return _read_euroc(path, rows)
+        return _read_euroc(path, lines, rows or Rows(tolerant=False))
     if columns == 12:
-        return _read_kitti(path, rows, Path(times) if times is not None else times_beside(path))
+        return _read_kitti(path, lines, Path(times) if times is not None else times_beside(path))
     if columns == 8:
-        return read_tum(path)
+        return read_tum(path, rows)
     raise SequenceError(
         f"{path}:{number}: {columns} columns, expected TUM text (8), EuRoC's data.csv (with commas) or KITTI's poses"
         " (12)"
@@ -59,23 +62,31 @@ def times_beside(poses: Path) -> Path:
     return poses.parent / "times.txt"
 
 
-def _read_euroc(path: Path, rows: list[tuple[int, str]]) -> Trajectory:
+def _read_euroc(path: Path, lines: list[tuple[int, str]], rows: Rows) -> Trajectory:
     times_ns: list[int] = []
-    table = np.empty((len(rows), 7))
-    for i, (number, line) in enumerate(rows):
-        where, fields = f"{path}:{number}", line.split(",")
-        if len(fields) < 8:
-            raise SequenceError(f"{where}: {len(fields)} columns, expected at least the eight of `{_EUROC}`")
-        times_ns.append(parse_whole(fields[0].strip(), f"{where}: nanoseconds", -MAX_TIME_NS, MAX_TIME_NS))
-        row = parse_numbers(fields[1:8], where, f"those of `{_EUROC}`")
-        if not (np.abs(row) <= LARGEST).all() or abs(np.hypot.reduce(row[3:]) - 1) > _MAX_ERROR:
-            raise SequenceError(
-                f"{where}: {quoted(row)} is no finite position and unit quaternion, expected `{_EUROC}`"
-            )
-        table[i] = row
-    _require_increasing(path, rows, times_ns)
+    values: list[list[float]] = []
+    for number, line in rows.each(lines):
+        row = rows.use(_read_euroc_row, line, f"{path}:{number}", times_ns[-1] if times_ns else None)
+        if not isinstance(row, str):
+            times_ns.append(row[0])
+            values.append(row[1])
+    table = np.array(values)
     poses = Poses.from_quat_xyzw(table[:, :3], table[:, [4, 5, 6, 3]])
     return Trajectory(np.array(times_ns, np.int64), poses)
+
+
+def _read_euroc_row(line: str, where: str, before_ns: int | None) -> tuple[int, list[float]]:
+    """Stamp and pose of a line."""
+    fields = line.split(",")
+    if len(fields) < 8:
+        raise SequenceError(f"{where}: {len(fields)} columns, expected at least the eight of `{_EUROC}`")
+    time_ns = parse_whole(fields[0].strip(), f"{where}: nanoseconds", -MAX_TIME_NS, MAX_TIME_NS)
+    row = parse_numbers(fields[1:8], where, f"those of `{_EUROC}`")
+    if not (np.abs(row) <= LARGEST).all() or abs(np.hypot.reduce(row[3:]) - 1) > _MAX_ERROR:
+        raise SequenceError(f"{where}: {quoted(row)} is no finite position and unit quaternion, expected `{_EUROC}`")
+    if before_ns is not None and time_ns <= before_ns:
+        raise SequenceError(f"{where}: time {time_ns} ns is not after the line before, expected increasing times")
+    return time_ns, row
 
 
 def _read_kitti(path: Path, rows: list[tuple[int, str]], times: Path) -> Trajectory:

@@ -6,11 +6,14 @@ needs to be known.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from jaxtyping import Float64
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import correlate, find_peaks
 
+from filtering.errors import VaporTrackError
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.trajectories.interpolation import interpolate
@@ -23,6 +26,7 @@ _MAX_STEPS = 1 << 21  # half a day
 _LEAST_CORRELATION = 0.6
 _RIVAL_FRACTION = 0.9  # another offset must correlate by less than this fraction of the best
 _LEAST_TURN_RAD_PER_S = 0.02  # standard deviation of how fast it turns
+_WARN_WITHIN_S, _WARN_CERTAIN_S, _WARN_FROM_S = 5.0, 0.01, 0.05
 
 
 def find_time_offset(
@@ -72,6 +76,39 @@ def find_time_offset(
             f" {_LEAST_CORRELATION:g}, {1e3 * certain_s:g} ms and a clear best; give --time-offset-s a number"
         )
     return float(offsets_s[best]) + 0.5 * (right - left) / bend * _STEP_S
+
+
+def offset_of_clocks(
+    asked: float | Literal["auto"], odometry: Trajectory, poses: Trajectory, said: str
+) -> tuple[float, list[str]]:
+    """Seconds to add to the stamps of poses as a person asked for them, and what they should know of it.
+
+    Args:
+        asked: A number, or auto, which finds it by rotation.
+        odometry: The recording by whose clock the poses are wanted.
+        poses: The poses, by their own clock.
+        said: What people call the poses.
+
+    Raises:
+        SequenceError: it is to be found, but rotations do not tell it.
+    """
+    if asked == "auto":
+        try:
+            found_s = find_time_offset(odometry, poses)
+        except VaporTrackError as error:
+            raise SequenceError(f"{said}: {error}") from error
+        return found_s, [f"{said}: time offset {found_s:.4f} s found by rotation"]
+    shifted = Trajectory(poses.times_ns + round(asked * 1e9), poses.poses)
+    try:
+        left_s = find_time_offset(odometry, shifted, within_s=_WARN_WITHIN_S, certain_s=_WARN_CERTAIN_S)
+    except VaporTrackError:
+        return asked, []  # rotations tell nothing either way
+    if abs(left_s) < _WARN_FROM_S:
+        return asked, []
+    return asked, [
+        f"{said}: rotations say that its clock differs: {asked + left_s:.2f} s are to be added to its stamps, not"
+        f" {asked:g} s (--time-offset-s)"
+    ]
 
 
 def _turn_rate(track: Trajectory, what: str) -> tuple[Float64[np.ndarray, " n"], np.ndarray]:

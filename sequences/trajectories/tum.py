@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from math import hypot, isnan
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 
 from filtering.errors import quoted
+from filtering.moments import require_sound
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
 from sequences.errors import SequenceError
+from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Trajectory
 from sequences.values import LARGEST, parse_numbers, parse_time_ns
@@ -21,32 +24,45 @@ _COLUMNS = "time tx ty tz qx qy qz qw"
 _SHORTEST = 1e-6  # of a quaternion that says how a pose is turned
 
 
-def read_tum(path: Path) -> Trajectory:
+def read_tum(path: Path, rows: Rows | None = None) -> Trajectory:
     """Read a trajectory; lines that start with # are comments.
+
+    Args:
+        path: The file.
+        rows: Counts the lines that cannot be used, which are left out; None where one of them is an error.
 
     Raises:
         SequenceError: the file is missing or empty, a line has other than eight numbers, a value is not finite or
             beyond what a pose has, a quaternion has no length, or times do not increase.
     """
     path = Path(path)
-    lines: list[int] = []
+    rows = rows or Rows(tolerant=False)
     times_ns: list[int] = []
     values: array[float] = array("d")
-    for number, line in read_rows(path):
-        where, fields = f"{path}:{number}", line.split()
-        if len(fields) != 8:
-            raise SequenceError(f"{where}: {len(fields)} columns, expected the eight of `{_COLUMNS}`")
-        found_ns = parse_time_ns(fields[0], where)
-        if times_ns and found_ns <= times_ns[-1]:
-            raise SequenceError(f"{where}: time {fields[0]} is not after the line before, expected increasing times")
-        lines.append(number)
-        times_ns.append(found_ns)
-        values.extend(parse_numbers(fields[1:], where, f"those of `{_COLUMNS}`"))
-    if not lines:
+    for number, line in rows.each(read_rows(path)):
+        row = rows.use(_read_row, path, number, line, times_ns[-1] if times_ns else None)
+        if not isinstance(row, str):
+            times_ns.append(row[0])
+            values.extend(row[1])
+    if not times_ns:
         raise SequenceError(f"{path}: no poses, expected lines of `{_COLUMNS}`")
     table = np.array(values).reshape(-1, 7)
-    poses = poses_of_rows(path, lines, table[:, :3], table[:, 3:], _COLUMNS)
-    return Trajectory(np.array(times_ns, np.int64), poses)
+    return Trajectory(np.array(times_ns, np.int64), Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
+
+
+def _read_row(path: Path, number: int, line: str, before_ns: int | None) -> tuple[int, list[float]]:
+    """Stamp and pose of a line."""
+    where, fields = f"{path}:{number}", line.split()
+    if len(fields) != 8:
+        raise SequenceError(f"{where}: {len(fields)} columns, expected the eight of `{_COLUMNS}`")
+    found_ns = parse_time_ns(fields[0], where)
+    if before_ns is not None and found_ns <= before_ns:
+        raise SequenceError(f"{where}: time {fields[0]} is not after the line before, expected increasing times")
+    values = parse_numbers(fields[1:], where, f"those of `{_COLUMNS}`")
+    if not max(map(abs, values)) <= LARGEST or hypot(*values[3:]) < _SHORTEST or isnan(sum(values)):
+        table = np.array([values])
+        poses_of_rows(path, [number], table[:, :3], table[:, 3:], _COLUMNS)  # says what is wrong
+    return found_ns, values
 
 
 def poses_of_rows(
@@ -74,7 +90,12 @@ def poses_of_rows(
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory, whole or not at all; times to the nanosecond, poses to nine decimals."""
+    """Write a trajectory, whole or not at all; times to the nanosecond, poses to nine decimals.
+
+    Raises:
+        VaporTrackError: a pose is not finite.
+    """
+    require_sound(trajectory.poses)
     table = np.concatenate([trajectory.poses.translation, trajectory.poses.as_quat_xyzw()], axis=1)
     table += 0.0  # −0 becomes 0
     with atomic_output(path) as partial, open(partial, "w", encoding="ascii") as file:

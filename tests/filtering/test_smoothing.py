@@ -179,6 +179,13 @@ def test_one_place_among_many_alike_agrees_also_where_its_mode_was_left_out():
     assert agreement(aside, at(30), modes, ERRORS).max() < 0.1
 
 
+def test_a_pose_far_outside_of_the_map_fits_no_image_whatever_modes_were_left_out():
+    path = walk(30, rng=np.random.default_rng(4), lifts=lambda i: tuple(3.0 * k for k in range(15)))
+    told = [posterior_modes(posterior)[-6:] for posterior in path.posteriors]
+    away = Poses(path.truth.rotation, path.truth.translation + np.array([36590.0, 124135.0, -19294.0]))
+    assert agreement(away, at(30), told, ERRORS).max() < 0.01
+
+
 def test_images_that_say_nothing_leave_the_word_to_those_about_them():
     path = walk(30, rng=np.random.default_rng(5))
     modes = [posterior_modes(posterior) if i < 10 else () for i, posterior in enumerate(path.posteriors)]

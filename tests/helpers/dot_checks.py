@@ -9,6 +9,7 @@ import pytest
 from sequences.datasets.convert import convert
 from sequences.datasets.frames import count_frames, posed_frames
 from sequences.datasets.listing import list_images
+from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from tests.helpers import dot_scene
@@ -46,6 +47,16 @@ def refuse(path: Path, *said: str) -> None:
     assert "\n" not in line
     for words in said:
         assert words in line, line
+
+
+def leaves_out(path: Path, num_rows: int, *said: str) -> PosedImages:
+    """Reading goes on without one row, which is counted; of it one notice says all this."""
+    listed = list_images(path)
+    (notice,) = listed.notices
+    assert notice.startswith(f"1 of {num_rows} ")
+    for words in said:
+        assert words in notice, notice
+    return listed
 
 
 def edit(file: Path, change: Callable[[str], str]) -> None:

@@ -81,19 +81,20 @@ def rewrite(
     topic_names: dict[str, str] | None = None,
     data: Callable[[str, int, bytes], bytes] = lambda topic, time_ns, data: data,
     log_time: Callable[[str, int], int] = lambda topic, time_ns: time_ns,
+    order: Callable[[str, int], int] | None = None,
     index_types: IndexType = IndexType.ALL,
     **options: object,
 ) -> Path:
-    """Copy a file message by message, as another recorder might have written it, or as a damaged one."""
+    """Copy a file as another recorder might have written it, or as a damaged one, by log time or in another order."""
     with open(source, "rb") as stream, open(target, "wb") as out:
         settings = {"compression": CompressionType.NONE, "index_types": index_types, **options}
         writer = Writer(out, **settings)  # pyright: ignore[reportArgumentType]
         writer.start(profile="ros2")
         channels: dict[str, int] = {}
-        for schema, channel, message in make_reader(stream).iter_messages():
+        messages = [each for each in make_reader(stream).iter_messages() if keep(each[1].topic, each[2].log_time)]
+        placed = order or log_time
+        for schema, channel, message in sorted(messages, key=lambda each: placed(each[1].topic, each[2].log_time)):
             assert schema is not None
-            if not keep(channel.topic, message.log_time):
-                continue
             topic = (topic_names or {}).get(channel.topic, channel.topic)
             if topic not in channels:
                 schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)

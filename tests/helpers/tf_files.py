@@ -70,9 +70,9 @@ def tf(parent: str, child: str, times_ns: Iterable[int], at: Callable[[int], Pos
     ]
 
 
-def mounted(base: str = "base_link", camera: str = "camera") -> list[Event]:
-    """Where the camera sits, on /tf_static."""
-    return tf(base, camera, [BEGIN_NS - 40 * MS], lambda _: BASE_FROM_CAMERA, "/tf_static")
+def mounted(base: str = "base_link", camera: str = "camera", topic: str = "/tf_static") -> list[Event]:
+    """Where the camera sits."""
+    return tf(base, camera, [BEGIN_NS - 40 * MS], lambda _: BASE_FROM_CAMERA, topic)
 
 
 def body(time_ns: int) -> Poses:

@@ -244,7 +244,7 @@ def test_an_image_that_says_it_is_larger_than_any_is_not_decoded(data: bytes, mo
     folder.mkdir()
     path = tum(folder, "rgb/1.png")
     (folder / "rgb" / "1.png").write_bytes(data)
-    with pytest.raises(SequenceError, match=r"no image left: .*1\.png: .*pixels, expected at most"):
+    with pytest.raises(SequenceError, match=r"1\.png: .*pixels, expected at most"):
         list(posed_frames(path))
 
 

@@ -32,7 +32,7 @@ LONG = "9" * 5000
 
 
 def refused(read, *said: str) -> None:
-    """What is read is refused in one line of at most 300 characters that says all of this."""
+    """What is read is refused in one line of at most 1000 characters that says all of this."""
     with pytest.raises(VaporTrackError) as error:
         read()
     message = str(error.value)

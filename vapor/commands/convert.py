@@ -16,7 +16,7 @@ from sequences.datasets.listing import files_read
 from sequences.odometry import OdometryNoise
 from sequences.outputs.claims import refuse_other
 from sequences.writer import is_own_sequence
-from vapor.commands.console import OutputPath, Overwrite, parse, show, show_skipped, usage_error
+from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import progress
 
 
@@ -65,3 +65,4 @@ def main(arguments: Sequence[str]) -> None:
         )
     show(f"{o.output}: {summary.num_images} images; odometry: {summary.odometry}")
     show_skipped(summary.skipped)
+    show_notices(summary.notices)

@@ -17,6 +17,7 @@ from sequences.synthesize import synthesize, write_synthetic
 from vapor.checkpoints.shipped_models import SHIPPED
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_files, usage_error
 from vapor.commands.progress import progress
+from vapor.commands.signals import results_are_complete
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.results import RESULTS
@@ -63,6 +64,7 @@ def main(arguments: Sequence[str]) -> None:
             model = load_model(options.scene, config)
             command = command_line("demo", arguments)
             result = run_into(directory, directory / _SEQUENCE, model, config, progress=advance, command=command)
+    results_are_complete()
     shown = {name: result.report[name] for name in _METHODS if name in result.report}
     show(format_table(shown, title=f"{options.scene}, {result.report['frames']} synthetic images"))
     show_files(output, result.pictures, recording=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -26,7 +26,10 @@ class Options:
     directory: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIRECTORY")]
     """What `vapor-track run` wrote."""
     ground_truth: Path | None = None
-    """True poses as a TUM file. Default: ground_truth.tum in the directory."""
+    """True poses: TUM text, EuRoC's data.csv, or KITTI's with times.txt beside it. Default:
+    ground_truth.tum in the directory."""
+    time_offset_s: float | Literal["auto"] = 0.0
+    """Seconds to add to the stamps of true poses; auto finds them by comparing rotations."""
     output: OutputPath | None = None
     """JSON file to write the figures to, new or of an earlier evaluation; a page of the same name, .html, goes beside
     it."""
@@ -41,12 +44,12 @@ def main(arguments: Sequence[str]) -> None:
         refuse_other(options.output, kind, _is_evaluation, reads=reads, overwrite=options.overwrite)
         page = options.output.with_suffix(".html")
         refuse_other(page, "page of vapor-track", is_page, reads=reads, overwrite=options.overwrite)
-    report = evaluate_directory(options.directory, options.ground_truth)
+    report, notices = evaluate_directory(options.directory, options.ground_truth, options.time_offset_s)
     if options.output is not None:
         write_report(options.output, report)
         write_page(options.output.with_suffix(".html"), _page(options, report, command_line("evaluate", arguments)))
     show(format_table(report, title=str(options.directory)))
-    show_notices([UNCHECKED] if not (options.directory / MANIFEST).exists() else [])
+    show_notices([*notices, *([UNCHECKED] if not (options.directory / MANIFEST).exists() else [])])
 
 
 def _page(o: Options, report: Mapping[str, Any], command: str) -> Page:

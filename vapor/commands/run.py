@@ -25,6 +25,7 @@ from vapor.commands.console import (
     usage_error,
 )
 from vapor.commands.progress import progress
+from vapor.commands.signals import results_are_complete
 from vapor.commands.workers import Scheduler, workers_for
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.find_sequences import SUMMARY, find_sequences, is_fleet
@@ -99,6 +100,7 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, ta
         recording: Whether there is a recording among them.
         tail: Whether the figures are about the tail of the errors, see `format_table`.
     """
+    results_are_complete()
     report = result.report
     if report["frames_with_true_pose"]:
         show(format_table(report, title=title, tail=tail))

@@ -16,6 +16,13 @@ from vapor.commands.terminal import say
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _ONE_S = 1.0
 _SOON_S = 0.02
+_latest: list[Signals] = []
+
+
+def results_are_complete() -> None:
+    """From now on a signal ends the command early, and with status 0: what was asked for is there."""
+    for signals in _latest:
+        signals.complete = True
 
 
 class Signals:
@@ -29,13 +36,15 @@ class Signals:
         received: The first signal that came; None before.
         working: Whether there is something to undo.
         silent: Whether the command has said its last line.
+        complete: Whether all that was asked for is done: a signal then ends the command early, and with status 0.
     """
 
     def __init__(self, prefix: str) -> None:
         self.prefix = prefix
         self.received: int | None = None
-        self.working = self.silent = False
+        self.working = self.silent = self.complete = False
         self._next_s = 0.0
+        _latest[:] = [self]
 
     def take(self) -> None:
         """Handle the signals of this process from now on, except those that are ignored, as nohup does with SIGHUP."""
@@ -45,7 +54,9 @@ class Signals:
         sys.unraisablehook = self._unraisable
 
     def tell(self) -> int:
-        """Say in one line that a signal ended the command; returns the exit status."""
+        """Say in one line that a signal ended the command, if it left something undone; returns the exit status."""
+        if self.complete:
+            return 0
         number = self.received or signal.SIGINT
         if not self.silent:
             self.silent = True

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from filtering.errors import VaporTrackError
 from sequences.outputs.manifest import MANIFEST, verify
+from sequences.trajectories.pose_tables import read_pose_table
 from sequences.trajectories.tum import read_tum
 from vapor.evaluation.trajectory import associate, evaluate_methods
 from vapor.tracking.methods import FILES
@@ -20,15 +22,20 @@ def files_read(directory: Path, ground_truth: Path | None = None) -> list[Path]:
     return [*(directory / name for name in (*FILES.values(), MANIFEST)), truth]
 
 
-def evaluate_directory(directory: Path, ground_truth: Path | None = None) -> dict[str, Any]:
+def evaluate_directory(
+    directory: Path, ground_truth: Path | None = None, time_offset_s: float | Literal["auto"] = 0.0
+) -> tuple[dict[str, Any], list[str]]:
     """Recompute the metrics of a run from the trajectories that it wrote.
 
     Args:
         directory: What `vapor-track run` wrote; `trajectory.tum` must be there, other files of `FILES` may be missing.
-        ground_truth: True poses as a TUM file; None for `ground_truth.tum` in the directory.
+        ground_truth: True poses as TUM text, EuRoC's data.csv or KITTI's; None for
+            `ground_truth.tum` in the directory.
+        time_offset_s: Seconds to add to the stamps of true poses; auto finds them by the rotation of the filter's.
 
     Returns:
-        `frames`, `frames_with_true_pose`, and for each method found its metrics, as in `report.json`.
+        `frames`, `frames_with_true_pose`, and for each method found its metrics, as in `report.json`; and what
+        a person should know of the clocks.
 
     Raises:
         VaporTrackError: a file is missing, malformed or not as its manifest lists it, or nothing overlaps.
@@ -44,11 +51,15 @@ def evaluate_directory(directory: Path, ground_truth: Path | None = None) -> dic
     if not truth_path.is_file():
         hint = "; give the true poses with --ground-truth FILE" if ground_truth is None else ""
         raise VaporTrackError(f"{truth_path}: no such file, expected true poses as TUM text{hint}")
-    truth = read_tum(truth_path)
+    truth = read_pose_table(truth_path)
     methods = {name: read_tum(directory / file) for name, file in FILES.items() if (directory / file).is_file()}
+    from sequences.trajectories.time_offset import offset_of_clocks  # loads SciPy's signals, which takes a while
+
+    offset_s, notices = offset_of_clocks(time_offset_s, methods["filter"], truth, str(truth_path))
+    truth = replace(truth, times_ns=truth.times_ns + round(offset_s * 1e9))
     try:
         metrics = evaluate_methods(methods, truth)
     except VaporTrackError as error:
         raise VaporTrackError(f"{directory} against {truth_path}: {error}") from error
     found, _ = associate(methods["filter"].times_ns, truth)
-    return {"frames": len(found), "frames_with_true_pose": int(found.sum()), **metrics}
+    return {"frames": len(found), "frames_with_true_pose": int(found.sum()), **metrics}, notices

@@ -96,7 +96,7 @@ def fuse(
             "errors": asdict(errors),
         }
         title = ", ".join(file.path.stem for file in sequence.files)
-        return write_results(record, directory, settings, title=title, command=command)
+        return write_results(record, directory, settings, title=title, notices=sequence.notices, command=command)
 
 
 def over_sequences(config: LocalizerConfig) -> LocalizerConfig:

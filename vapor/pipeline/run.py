@@ -6,6 +6,9 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
+
+from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from sequences.outputs.results import results_folder
 from sequences.reader import SequenceReader
@@ -13,6 +16,7 @@ from vapor.pipeline.config import RunConfig
 from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.results import RESULTS, RunResult, write_results
+from vapor.pipeline.unrecognised import SomeImages, are_unrecognised, why_unrecognised
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
 from vapor.training_data.ground import told_unshown
@@ -74,6 +78,13 @@ def run_into(
     reader = SequenceReader(sequence, reading)
     observation = model.observation.seen_by(reader.camera)
 
+    some = SomeImages()
+
+    def seen(frame: Frame) -> np.ndarray:
+        observation.camera = frame.camera  # which may zoom
+        some.add(frame.image, frame.camera)
+        return frame.image
+
     with limited_threads(config.threads):
         calibration = observation.description.calibration
         fit = calibration.odometry if config.fitted_odometry else None
@@ -88,6 +99,7 @@ def run_into(
             place=Place.of_model(observation.description),
             allow_few_images=reading.allow_few_images,
             progress=progress,
+            observed=seen,
         )
         engine = {"device": observation.engine.device, "engine": observation.engine.name}
         settings = {"run": asdict(config) | engine, "reading": asdict(reading) | reader.resolved}
@@ -102,6 +114,8 @@ def run_into(
             **settings,
         }
         notices = [*reader.notices, *observation.notices]
+        if are_unrecognised(record.status) and observation.description.familiarity is not None:
+            notices.append(why_unrecognised(some, observation.unfamiliarity))
         if (trained := observation.description.memory_poses) is not None:
             notices += [told] if (told := told_unshown(record.methods["smoothed"].poses, trained)) else []
         result = write_results(record, directory, settings, title=sequence.name, notices=notices, command=command)

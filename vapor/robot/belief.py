@@ -19,6 +19,7 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from sequences.live.reader import LiveReader
 from sequences.odometry_fit.result import OdometryFit
+from vapor.observation import VaporObservationModel
 from vapor.robot.network import Job
 
 _SETTLE_S, _SETTLED_S = 4.0, 2.0  # without images the belief follows odometry for good after so long, to so long ago
@@ -54,7 +55,8 @@ class LiveBelief:
     """The belief about a robot that moves on while its images are at the network.
 
     Args:
-        localizer: The filter, which has its model.
+        localizer: The filter.
+        model: What it observes images by.
         reader: What odometry is from.
         fit: What the model's calibration found of odometry; None to believe what the odometry says of itself.
 
@@ -65,10 +67,21 @@ class LiveBelief:
         now: What was published last, which is of a later time where images are silent; None before the first.
     """
 
-    def __init__(self, localizer: ParticleLocalizer, reader: LiveReader, fit: OdometryFit | None) -> None:
-        self.localizer, self.reader, self._fit = localizer, reader, fit
+    def __init__(
+        self,
+        localizer: ParticleLocalizer,
+        model: VaporObservationModel,
+        reader: LiveReader,
+        fit: OdometryFit | None,
+    ) -> None:
+        self.localizer, self.reader, self._model, self._fit = localizer, reader, model, fit
         self.anchor: Anchor | None = None
         self.now: Estimate | None = None
+
+    def observe(self, frame: Frame) -> PosePosterior:
+        """What the network says of an image, see `ParticleLocalizer.observe`."""
+        self._model.camera = frame.camera  # which may zoom
+        return self.localizer.observe(frame.image)
 
     def update(self, job: Job, posterior: PosePosterior) -> Anchor:
         """Step the filter by what the network says of an image.

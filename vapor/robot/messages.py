@@ -11,9 +11,8 @@ from jaxtyping import Float64
 from filtering.estimate import Estimate, Status
 from filtering.floors import Floors
 from filtering.se3 import Poses
-from sequences.recordings.estimate_messages import Message
+from sequences.recordings.estimate_messages import Message, pose_with_covariance
 from sequences.recordings.mcap_writer import ros_header, ros_poses, ros_transform
-from sequences.recordings.messages import covariance_to_ros
 
 _OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3
 _LEVELS: Mapping[Status, int] = {"converged": _OK, "ambiguous": _WARN, "lost": _ERROR}
@@ -21,8 +20,7 @@ _LEVELS: Mapping[Status, int] = {"converged": _OK, "ambiguous": _WARN, "lost": _
 
 def pose_message(topic: str, frame: str, time_ns: int, pose: Poses, covariance: Float64[np.ndarray, "6 6"]) -> Message:
     """geometry_msgs/PoseWithCovarianceStamped of one pose, and its covariance in the tangent at it."""
-    told = {"pose": ros_poses(pose), "covariance": covariance_to_ros(covariance, pose)}
-    fields = {"header": ros_header(time_ns, frame), "pose": told}
+    fields = {"header": ros_header(time_ns, frame), "pose": pose_with_covariance(pose, covariance)}
     return Message(topic, "geometry_msgs/PoseWithCovarianceStamped", fields)
 
 

@@ -9,8 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
 
-import numpy as np
-
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Frame
@@ -54,7 +52,7 @@ class Network:
         job: The image at the network; None while it is free.
     """
 
-    def __init__(self, observe: Callable[[np.ndarray], PosePosterior], put: Callable[[Observed], None]) -> None:
+    def __init__(self, observe: Callable[[Frame], PosePosterior], put: Callable[[Observed], None]) -> None:
         self._observe, self._put = observe, put
         self.job: Job | None = None
         self._outdated: Job | None = None
@@ -89,7 +87,7 @@ class Network:
         while (job := self._jobs.get()) is not None:
             posterior: PosePosterior | BaseException
             try:
-                posterior = self._observe(job.frame.image)
+                posterior = self._observe(job.frame)
             except BaseException as error:
                 posterior = error
             self._put(Observed(job, posterior))

@@ -166,14 +166,14 @@ class LiveSession:
         observation = self._model.observation.seen_by(reader.camera.camera)
         localizer = ParticleLocalizer(observation, settings, rng=np.random.default_rng(self._config.seed))
         self._health.reader = reader
-        self._belief = LiveBelief(localizer, reader, fit)
+        self._belief = LiveBelief(localizer, observation, reader, fit)
         self._tell_roles(reader)
         return self._belief
 
     # --- events -------------------------------------------------------------------------------------
 
     def _loop(self, belief: LiveBelief) -> None:
-        with Network(belief.localizer.observe, self._events.put) as self._network:
+        with Network(belief.observe, self._events.put) as self._network:
             ticks, next_s = 0, time.monotonic() + _TICK_S
             while True:
                 self._take_all(belief, max(next_s - time.monotonic(), 0.0))

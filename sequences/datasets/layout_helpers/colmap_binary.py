@@ -10,20 +10,35 @@ from pathlib import Path
 from filtering.errors import quoted
 from sequences.errors import SequenceError
 
-# Models in the order of their numbers, and how many parameters each has: what follows cannot be found without.
-_MODELS = (
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12),
-    ("FOV", 5),
-    ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5),
-    ("THIN_PRISM_FISHEYE", 12),
+NUM_PARAMETERS = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 4,
+    "RADIAL": 5,
+    "OPENCV": 8,
+    "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12,
+    "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5,
+    "THIN_PRISM_FISHEYE": 12,
+    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+    "SIMPLE_DIVISION": 4,
+    "DIVISION": 5,
+    "SIMPLE_FISHEYE": 3,
+    "FISHEYE": 4,
+    "EUCM": 6,
+    "EQUIRECTANGULAR": 2,
+    "SKEWED_PINHOLE": 5,
+    "BROWN_CONRADY": 8,
+}
+"""COLMAP's camera models in the order of their numbers, and how many parameters each has."""
+UNDISTORTER = (
+    "PINHOLE cameras are made by `colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path NEW"
+    " --output_type COLMAP`"
 )
+"""The way out for images of other models than can be undistorted here."""
+_MODELS = tuple(NUM_PARAMETERS.items())
 _KEYPOINT_BYTES, _TRACK_BYTES = 24, 8
 _LONGEST_NAME = 4096
 
@@ -37,9 +52,11 @@ def camera_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
     with _Records(file) as records:
         for number in range(1, records.take("Q")[0] + 1):
             camera_id, model, width, height = records.take("iiQQ")
-            if not 0 <= model < len(_MODELS):
-                known = ", ".join(f"{i} {name}" for i, (name, _) in enumerate(_MODELS))
-                raise SequenceError(f"{file}:{number}: camera model {model}, expected one of {known}")
+            if not 0 <= model < len(_MODELS):  # what follows cannot be found without the number of its parameters
+                raise SequenceError(
+                    f"{file}:{number}: camera model {model} is unknown, expected 0 to {len(_MODELS) - 1}"
+                    f" ({_MODELS[-1][0]}); {UNDISTORTER}, of the version that wrote it"
+                )
             name, num_parameters = _MODELS[model]
             parameters = records.take(f"{num_parameters}d")
             yield number, [str(camera_id), name, str(width), str(height), *map(repr, parameters)]

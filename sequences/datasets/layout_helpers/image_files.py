@@ -7,6 +7,9 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import UInt8
+
 from sequences.datasets.layout_helpers.packed import ImageFile, PackedImage
 from sequences.errors import SequenceError
 from sequences.files.text import read_bytes
@@ -23,6 +26,14 @@ def read_image_bytes(file: ImageFile) -> bytes:
     if stated_size(data) is None or not (is_jpeg(data) or is_png(data)):
         raise SequenceError(f"{len(data)} bytes are no image with the header of a JPEG or PNG, expected one")
     return data
+
+
+def decoded_file(file: ImageFile) -> UInt8[np.ndarray, "height width 3"]:
+    """A JPEG or PNG as RGB. Raises as `decode_image_bytes`; the message begins with the name of the file."""
+    try:
+        return decode_image_bytes(read_image_bytes(file))
+    except SequenceError as error:
+        raise type(error)(f"{file}: {error}") from error
 
 
 def size_of_first(files: Iterable[ImageFile]) -> tuple[int, int] | None:

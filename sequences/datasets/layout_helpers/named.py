@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path, PurePosixPath
 
@@ -22,6 +22,7 @@ def list_named(
     root: Path,
     world_from_camera: Mapping[str, Poses | str],
     folders: Iterable[Path] = (),
+    notices: Sequence[str] = (),
 ) -> PosedImages:
     """Images in the order of their names, those of one folder as one sequence, without intrinsics yet.
 
@@ -31,6 +32,7 @@ def list_named(
         root: What the names are relative to.
         world_from_camera: One pose by the name of each image, or why it has none.
         folders: Where other images than these should not be, beside their own folders: they are counted as left out.
+        notices: What a person should know of what was left out.
 
     Raises:
         SequenceError: a name leads out of the folder.
@@ -54,7 +56,7 @@ def list_named(
                 poses.append(pose)
                 numbers[-1].append(number)
     skipped["image not in the list"] += num_beside((root / name for name in ordered), folders)
-    return PosedImages.numbered(layout, files, stack_poses(poses), numbers, skipped)
+    return PosedImages.numbered(layout, files, stack_poses(poses), numbers, skipped, notices=notices)
 
 
 def _folder(name: str) -> str:

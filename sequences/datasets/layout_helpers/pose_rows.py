@@ -11,12 +11,12 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.values import LARGEST, parse_numbers
 
-NOT_FINITE = "true pose not finite"  # why an image is left out, as of a frame that was not tracked
+NOT_FINITE = "true pose not finite"
 _MAX_MATRIX_ERROR = 0.01  # of a rotation's elements
 _MAX_LENGTH_ERROR = 0.01  # of a quaternion; beyond, these are other numbers
 
 
-def read_pose_row(fields: Sequence[str], columns: str, where: str) -> Poses | None:
+def read_pose_row(fields: Sequence[str], columns: str, where: str) -> Poses | str:
     """The pose in a row of text: its rotation and translation as they stand, whichever way they map points.
 
     Args:
@@ -25,7 +25,7 @@ def read_pose_row(fields: Sequence[str], columns: str, where: str) -> Poses | No
         where: Begins the message of an error.
 
     Returns:
-        One pose; None where it is not finite.
+        One pose; the reason for which its image is left out where it is not finite, as of a frame that was not tracked.
 
     Raises:
         SequenceError: another number of columns, no number where one belongs, or no unit quaternion.
@@ -36,7 +36,7 @@ def read_pose_row(fields: Sequence[str], columns: str, where: str) -> Poses | No
     wanted = [fields[names.index(name)] for name in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")]
     row = np.array(parse_numbers(wanted, where, f"those of `{columns}`"))
     if not np.isfinite(row).all():
-        return None
+        return NOT_FINITE
     _require_in_range(row, where)
     length = float(np.linalg.norm(row[3:]))
     if abs(length - 1) > _MAX_LENGTH_ERROR:
@@ -44,7 +44,7 @@ def read_pose_row(fields: Sequence[str], columns: str, where: str) -> Poses | No
     return Poses.from_quat_xyzw(row[:3], row[3:])
 
 
-def read_pose_matrix(matrix: object, where: str) -> Poses | None:
+def read_pose_matrix(matrix: object, where: str) -> Poses | str:
     """The pose of a 4 x 4 camera-to-world matrix, its rotation made exact; its axes as they stand.
 
     Args:
@@ -52,7 +52,7 @@ def read_pose_matrix(matrix: object, where: str) -> Poses | None:
         where: Begins the message of an error.
 
     Returns:
-        One pose; None where it is not finite.
+        One pose; the reason for which its image is left out where it is not finite.
 
     Raises:
         SequenceError: no 4 x 4 numbers, or not those of a rotation and a translation.
@@ -64,7 +64,7 @@ def read_pose_matrix(matrix: object, where: str) -> Poses | None:
     if values.shape != (4, 4):
         raise SequenceError(f"{where}: shape {values.shape}, expected a 4 x 4 matrix")
     if not np.isfinite(values).all():
-        return None
+        return NOT_FINITE
     _require_in_range(values, where)
     u, _, vt = np.linalg.svd(values[:3, :3])
     if np.abs(u @ vt - values[:3, :3]).max() > _MAX_MATRIX_ERROR or np.linalg.det(u @ vt) < 0:
@@ -81,8 +81,14 @@ def _require_in_range(values: np.ndarray, where: str) -> None:
         )
 
 
-def from_opengl(pose: Poses) -> Poses:
-    """The pose of a camera whose axes are OpenGL's (y up, z backward), with OpenCV's (y down, z forward)."""
+def from_opengl(pose: Poses | str) -> Poses | str:
+    """The pose of a camera whose axes are OpenGL's (y up, z backward), with OpenCV's (y down, z forward).
+
+    Args:
+        pose: One pose; the reason for which there is none is given back.
+    """
+    if isinstance(pose, str):
+        return pose
     return Poses(pose.rotation * np.array([1.0, -1.0, -1.0]), pose.translation)
 
 

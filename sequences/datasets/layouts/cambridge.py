@@ -14,6 +14,7 @@ assumed rate, although they are a video's at a lower one. Nor have they intrinsi
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,9 +25,10 @@ from filtering.se3 import Poses
 from sequences.datasets.layout import Layout
 from sequences.datasets.layout_helpers.intrinsics import find_camera
 from sequences.datasets.layout_helpers.named import list_named
-from sequences.datasets.layout_helpers.pose_rows import NOT_FINITE, read_pose_row
+from sequences.datasets.layout_helpers.pose_rows import read_pose_row
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
+from sequences.files.rows import Rows
 from sequences.files.text import read_lines
 from sequences.values import is_number
 
@@ -40,36 +42,41 @@ def list_images(path: Path) -> PosedImages | None:
     """Images of a split, given as the file that lists them; None where it is another file or a folder.
 
     Raises:
-        SequenceError: a line is damaged, an image is listed twice, or the header is missing.
+        SequenceError: most lines are damaged, an image is listed twice, or the header is missing.
     """
     if re.fullmatch(r"dataset_\w+\.txt", path.name) is None or not path.is_file():
         return None
     poses: dict[str, Poses | str] = {}
     lines: dict[str, int] = {}
-    for number, line in read_lines(path):
-        where, fields = f"{path}:{number}", line.split()
-        if number <= _NUM_HEADER_LINES:
-            if len(fields) == len(_COLUMNS.split()) and is_number(fields[-1]):
-                raise SequenceError(
-                    f"{where}: {quoted(line)} among the first three lines, expected them to be a header"
-                )
-            continue
-        if not fields:
-            continue
-        pose, name = read_pose_row(fields, _COLUMNS, where), fields[0]
+    rows = Rows()
+    for number, fields in rows.each(_rows(path)):
+        where, name = f"{path}:{number}", fields[0]
         if name in lines:
             raise SequenceError(f"{where}: {quoted(name)} is on line {lines[name]} too, expected it once")
         lines[name] = number
-        if pose is None:
-            poses[name] = NOT_FINITE
-        elif np.linalg.norm(pose.translation) > _FARTHEST_M:
-            poses[name] = "true pose more than 10 km away"
-        else:
-            poses[name] = Poses(np.ascontiguousarray(pose.rotation.T), pose.translation)
+        pose = rows.use(read_pose_row, fields, _COLUMNS, where)
+        if isinstance(pose, Poses):
+            is_far = np.linalg.norm(pose.translation) > _FARTHEST_M
+            inverted = Poses(np.ascontiguousarray(pose.rotation.T), pose.translation)
+            pose = "true pose more than 10 km away" if is_far else inverted
+        poses[name] = pose
     scene = path.absolute().parent
-    images = list_named(_NAME, path.parent, path.parent, poses, _in_no_list(path.parent))
+    images = list_named(_NAME, path.parent, path.parent, poses, _in_no_list(path.parent), rows.notices)
     camera = find_camera((scene, scene.parent), images.files)
     return replace(images, cameras=[camera] * len(images))
+
+
+def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Line and fields of each image behind the header."""
+    for number, line in read_lines(path):
+        fields = line.split()
+        if number > _NUM_HEADER_LINES:
+            if fields:
+                yield number, fields
+        elif len(fields) == len(_COLUMNS.split()) and is_number(fields[-1]):
+            raise SequenceError(
+                f"{path}:{number}: {quoted(line)} among the first three lines, expected them to be a header"
+            )
 
 
 def _in_no_list(scene: Path) -> list[Path]:

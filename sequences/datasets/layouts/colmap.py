@@ -6,13 +6,14 @@ folder of images that the model does not name: `images/` or the folder itself is
 two above it. The unit is that of the reconstruction and taken to be metres. There are no time stamps: images follow
 each other in the order of their names at the assumed rate, those of each folder as a sequence.
 
-Of COLMAP's camera models FOV and THIN_PRISM_FISHEYE, which OpenCV does not undistort, are refused. COLMAP has the first
-pixel's centre at (0.5, 0.5), here it is at (0, 0).
+Of COLMAP's camera models those that OpenCV does not undistort are refused: FOV, fisheyes with a thin prism, division,
+EUCM, SKEWED_PINHOLE and EQUIRECTANGULAR. COLMAP has the first pixel's centre at (0.5, 0.5), here it is at (0, 0).
 """
 
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,13 +21,14 @@ from pathlib import Path
 from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.colmap_binary import camera_rows, image_rows
+from sequences.datasets.layout_helpers.colmap_binary import NUM_PARAMETERS, UNDISTORTER, camera_rows, image_rows
 from sequences.datasets.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
 from sequences.datasets.layout_helpers.named import list_named
 from sequences.datasets.layout_helpers.packed import ImageFile
-from sequences.datasets.layout_helpers.pose_rows import NOT_FINITE, read_pose_row
+from sequences.datasets.layout_helpers.pose_rows import read_pose_row
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
+from sequences.files.rows import Rows
 from sequences.files.text import read_lines, read_rows
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens
@@ -35,18 +37,27 @@ from sequences.values import parse_numbers
 _NAME = "COLMAP"
 _IMAGE_COLUMNS = "id qw qx qy qz tx ty tz camera name"
 _CAMERA_COLUMNS = "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"
-# Of each model: focal lengths among its parameters, which are followed by cx and cy; how it distorts, and the number of
-# coefficients of that, in OpenCV's order: those that it lacks are zero.
-_MODELS: dict[str, tuple[int, DistortionModel, int]] = {
-    "SIMPLE_PINHOLE": (1, "plumb_bob", 0),
-    "PINHOLE": (2, "plumb_bob", 0),
-    "SIMPLE_RADIAL": (1, "plumb_bob", 1),
-    "RADIAL": (1, "plumb_bob", 2),
-    "OPENCV": (2, "plumb_bob", 4),
-    "FULL_OPENCV": (2, "rational_polynomial", 8),
-    "SIMPLE_RADIAL_FISHEYE": (1, "equidistant", 1),
-    "RADIAL_FISHEYE": (1, "equidistant", 2),
-    "OPENCV_FISHEYE": (2, "equidistant", 4),
+# Of each model: focal lengths among its parameters, which are followed by cx and cy; how it distorts, and the names of
+# the coefficients of that, which come last.
+_MODELS: dict[str, tuple[int, DistortionModel, str]] = {
+    "SIMPLE_PINHOLE": (1, "plumb_bob", ""),
+    "PINHOLE": (2, "plumb_bob", ""),
+    "SIMPLE_RADIAL": (1, "plumb_bob", "k1"),
+    "RADIAL": (1, "plumb_bob", "k1 k2"),
+    "OPENCV": (2, "plumb_bob", "k1 k2 p1 p2"),
+    "BROWN_CONRADY": (1, "plumb_bob", "k1 k2 k3 p1 p2"),
+    "FULL_OPENCV": (2, "rational_polynomial", "k1 k2 p1 p2 k3 k4 k5 k6"),
+    "SIMPLE_FISHEYE": (1, "equidistant", ""),
+    "FISHEYE": (2, "equidistant", ""),
+    "SIMPLE_RADIAL_FISHEYE": (1, "equidistant", "k1"),
+    "RADIAL_FISHEYE": (1, "equidistant", "k1 k2"),
+    "OPENCV_FISHEYE": (2, "equidistant", "k1 k2 k3 k4"),
+}
+# OpenCV's order; coefficients that a model lacks are zero, and those behind its last one left out, but for four.
+_ORDERS = {
+    "equidistant": "k1 k2 k3 k4",
+    "plumb_bob": "k1 k2 p1 p2 k3",
+    "rational_polynomial": "k1 k2 p1 p2 k3 k4 k5 k6",
 }
 
 
@@ -63,17 +74,18 @@ def list_images(path: Path) -> PosedImages | None:
     if found is None:
         return None
     cameras = _read_cameras(found[0])
-    poses, camera_ids = _read_images(found[1], cameras)
+    rows, skipped = Rows("images"), Counter[str]()
+    poses, camera_ids = _read_images(found[1], cameras, rows, skipped)
     base, root = _image_folder(found[1], camera_ids)
     folders = [Path(each) for each, _, _ in os.walk(root)] if root != base else ()  # which may hold what not
-    images = list_named(_NAME, base, root, poses, folders)
+    images = list_named(_NAME, base, root, poses, folders, rows.notices)
     ids: dict[ImageFile, str] = {root / name: camera_id for name, camera_id in camera_ids.items()}
     used = [ids[file] for file in images.files]
     scaled = {
         camera_id: scaled_to(cameras[camera_id], (f for f, i in zip(images.files, used, strict=True) if i == camera_id))
         for camera_id in set(used)
     }
-    return replace(images, cameras=[scaled[camera_id] for camera_id in used])
+    return replace(images, cameras=[scaled[camera_id] for camera_id in used], skipped=images.skipped + skipped)
 
 
 def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
@@ -87,31 +99,46 @@ def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
         if camera_id in cameras:
             raise SequenceError(f"{where}: camera {quoted(camera_id)} for the second time, expected it once")
         if model not in _MODELS:
-            raise SequenceError(
-                f"{where}: camera model {quoted(model)}, expected one of {', '.join(_MODELS)} (colmap"
-                " image_undistorter makes PINHOLE of any)"
-            )
-        num_focal, distortion, num_coefficients = _MODELS[model]
-        num_parameters = num_focal + 2 + num_coefficients
+            raise SequenceError(f"{where}: {_way_out(model)}")
+        num_focal, distortion, names = _MODELS[model]
+        num_parameters = num_focal + 2 + len(names.split())
         parameters = parse_numbers(fields[4:], where, f"those of `{_CAMERA_COLUMNS}`")
         if len(parameters) != num_parameters:
             raise SequenceError(f"{where}: {len(parameters)} parameters, expected the {num_parameters} of {model}")
         centre = [value - 0.5 for value in parameters[num_focal : num_focal + 2]]
         camera = camera_of(where, fields[2:4], (parameters[0], parameters[num_focal - 1]), centre)
-        coefficients = (*parameters[num_focal + 2 :], 0.0, 0.0, 0.0, 0.0)[: max(num_coefficients, 4)]
+        stated = dict(zip(names.split(), parameters[num_focal + 2 :], strict=True))
+        coefficients = [stated.get(name, 0.0) for name in _ORDERS[distortion].split()][: max(len(stated), 4)]
         cameras[camera_id] = lens_of(where, camera, distortion, coefficients)
     return cameras
 
 
-def _read_images(file: Path, cameras: dict[str, Camera | Lens]) -> tuple[dict[str, Poses | str], dict[str, str]]:
+def _way_out(model: str) -> str:
+    """What to say of a model whose images cannot be undistorted here."""
+    if model not in NUM_PARAMETERS:
+        return f"camera model {quoted(model)} is unknown, expected one of COLMAP's, such as {', '.join([*_MODELS][:5])}"
+    if model == "EQUIRECTANGULAR":
+        return (
+            f"camera model {model} is of panoramas, expected perspective images: COLMAP's example panorama_sfm.py"
+            " renders them"
+        )
+    return f"camera model {model} cannot be undistorted here; {UNDISTORTER}"
+
+
+def _read_images(
+    file: Path, cameras: dict[str, Camera | Lens], rows: Rows, skipped: Counter[str]
+) -> tuple[dict[str, Poses | str], dict[str, str]]:
     """Poses, or why there is none, and the ids of the cameras, both by the name of the image."""
     poses: dict[str, Poses | str] = {}
     camera_ids: dict[str, str] = {}
     seen: dict[str, int] = {}
     binary = file.suffix == ".bin"
-    for number, fields in image_rows(file) if binary else _text_images(file):
+    for number, fields in rows.each(image_rows(file) if binary else _text_images(file)):
         where = f"{file}:{number}"
-        camera_from_world = read_pose_row(fields, _IMAGE_COLUMNS, where)
+        camera_from_world = rows.use(read_pose_row, fields, _IMAGE_COLUMNS, where)
+        if isinstance(camera_from_world, str) and len(fields) != len(_IMAGE_COLUMNS.split()):
+            skipped[camera_from_world] += 1
+            continue
         camera_id, name = fields[8:]
         if name in seen:
             place = f"image {seen[name]}" if binary else f"on line {seen[name]}"
@@ -122,7 +149,8 @@ def _read_images(file: Path, cameras: dict[str, Camera | Lens]) -> tuple[dict[st
             )
         seen[name] = number
         camera_ids[name] = camera_id
-        poses[name] = NOT_FINITE if camera_from_world is None else camera_from_world.inverse()
+        is_known = isinstance(camera_from_world, Poses)
+        poses[name] = camera_from_world.inverse() if is_known else camera_from_world
     return poses, camera_ids
 
 

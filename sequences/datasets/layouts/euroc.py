@@ -25,6 +25,7 @@ from sequences.datasets.layout_helpers.pose_rows import read_pose_matrix
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
 from sequences.files.paths import require_inside
+from sequences.files.rows import Rows
 from sequences.files.structured import read_yaml
 from sequences.files.text import read_rows
 from sequences.frame import Camera
@@ -60,34 +61,39 @@ def list_images(path: Path) -> PosedImages | None:
     truth_file = folder / "state_groundtruth_estimate0" / "data.csv"
     if not truth_file.is_file():
         raise SequenceError(f"{truth_file}: no such file, expected the true poses of the sequence")
-    truth = read_pose_table(truth_file)
+    truth_rows = Rows("true poses")
+    truth = read_pose_table(truth_file, rows=truth_rows)
     stated = truth_file.with_name("sensor.yaml")
     sensor_from_body = _body_from_sensor(stated).inverse() if stated.is_file() else Poses.identity()
     calibration = folder / "cam0" / "sensor.yaml"
     body_from_camera = _body_from_sensor(calibration)
-    times_ns, files = _read_list(folder / "cam0" / "data.csv", skipped)
+    rows = Rows("images")
+    times_ns, files = _read_list(folder / "cam0" / "data.csv", rows, skipped)
     poses, covered = interpolate(truth.times_ns, truth.poses, times_ns, max_gap_s=MAX_TRUE_POSE_GAP_S)
     skipped["true pose does not cover"] += int((~covered).sum())
     kept = np.flatnonzero(covered)
     files = [files[i] for i in kept]
     camera = _read_camera(calibration, files)
     world_from_camera = poses[kept] @ (sensor_from_body @ body_from_camera)
-    return PosedImages(_NAME, files, times_ns[kept], world_from_camera, [camera] * len(files), skipped=+skipped)
+    cameras = [camera] * len(files)
+    notices = [*truth_rows.notices, *rows.notices]
+    return PosedImages(_NAME, files, times_ns[kept], world_from_camera, cameras, skipped=+skipped, notices=notices)
 
 
-def _read_list(listing: Path, skipped: Counter[str]) -> tuple[np.ndarray, list[Path]]:
+def _read_list(listing: Path, rows: Rows, skipped: Counter[str]) -> tuple[np.ndarray, list[Path]]:
     """Stamps and files of the images that are there, in order of time."""
     times_ns: list[int] = []
     files: list[Path] = []
-    for number, line in read_rows(listing):
-        where, fields = f"{listing}:{number}", [field.strip() for field in line.split(",")]
-        if len(fields) != 2 or not fields[1]:
-            raise SequenceError(f"{where}: {quoted(line)}, expected `timestamp [ns],filename`")
-        time_ns = parse_whole(fields[0], f"{where}: nanoseconds", -MAX_TIME_NS, MAX_TIME_NS)
+    for number, line in rows.each(read_rows(listing)):
+        row = rows.use(_time_and_name, line, f"{listing}:{number}")
+        if isinstance(row, str):
+            skipped[row] += 1
+            continue
+        time_ns, name = row
         if times_ns and time_ns <= times_ns[-1]:
             skipped["time stamp not increasing"] += 1
             continue
-        if not os.path.isfile(file := listing.parent / "data" / fields[1]):
+        if not os.path.isfile(file := listing.parent / "data" / name):
             skipped["no image"] += 1
             continue
         times_ns.append(time_ns)
@@ -97,6 +103,13 @@ def _read_list(listing: Path, skipped: Counter[str]) -> tuple[np.ndarray, list[P
     return np.array(times_ns, np.int64), files
 
 
+def _time_and_name(line: str, where: str) -> tuple[int, str]:
+    fields = [field.strip() for field in line.split(",")]
+    if len(fields) != 2 or not fields[1]:
+        raise SequenceError(f"{where}: {quoted(line)}, expected `timestamp [ns],filename`")
+    return parse_whole(fields[0], f"{where}: nanoseconds", -MAX_TIME_NS, MAX_TIME_NS), fields[1]
+
+
 def _body_from_sensor(file: Path) -> Poses:
     content = read_yaml(file, _MAX_YAML).get("T_BS")
     values = content.get("data") if isinstance(content, dict) else content
@@ -104,7 +117,7 @@ def _body_from_sensor(file: Path) -> Poses:
         raise SequenceError(f"{file}: T_BS is {quoted(content)}, expected its data: 16 numbers")
     rows = [values[i : i + 4] for i in range(0, len(values), 4)] if len(values) == 16 else values
     pose = read_pose_matrix(rows, f"{file}: T_BS")
-    if pose is None:
+    if isinstance(pose, str):
         raise SequenceError(f"{file}: T_BS is not finite, expected the pose of the sensor in the body")
     return pose
 

@@ -1,11 +1,12 @@
 """nerfstudio's `transforms.json`, as `ns-process-data` and instant-ngp's scripts write it.
 
 `frames` has an entry an image: `file_path`, relative to the file, and `transform_matrix`, the pose camera-to-world with
-OpenGL's axes (y up, z backward). Intrinsics `fl_x fl_y cx cy w h`, `camera_model` and the distortion `k1 k2 k3 k4 p1
-p2` stand in the entry or at the top; `camera_angle_x`, as of synthetic scenes, gives the focal length where `fl_x` does
-not. Pixel centres are at half-integers, as COLMAP's. The unit is that of the reconstruction, `applied_scale` undone,
-and taken to be metres. There are no time stamps: images follow each other in the order of their names at the assumed
-rate, those of each folder as a sequence. A split is named by its file, such as `transforms_train.json`.
+OpenGL's axes (y up, z backward). Intrinsics `fl_x fl_y cx cy w h`, `camera_model`, or instant-ngp's `is_fisheye`, and
+the distortion `k1 k2 k3 k4 p1 p2` stand in the entry or at the top; `camera_angle_x`, as of synthetic scenes, gives the
+focal length where `fl_x` does not. Pixel centres are at half-integers, as COLMAP's. The unit is that of the
+reconstruction, `applied_scale` undone, and taken to be metres. There are no time stamps: images follow each other in
+the order of their names at the assumed rate, those of each folder as a sequence. A split is named by its file, such as
+`transforms_train.json`.
 """
 
 from __future__ import annotations
@@ -24,24 +25,28 @@ from sequences.datasets.layout_helpers.image_files import size_of_first
 from sequences.datasets.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
 from sequences.datasets.layout_helpers.named import list_named
 from sequences.datasets.layout_helpers.packed import ImageFile
-from sequences.datasets.layout_helpers.pose_rows import NOT_FINITE, from_opengl, read_pose_matrix
+from sequences.datasets.layout_helpers.pose_rows import from_opengl, read_pose_matrix
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
+from sequences.files.rows import Rows
 from sequences.files.structured import read_json
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens
 from sequences.values import LARGEST, parse_number
 
 _NAME = "nerfstudio"
-# Of each model: how it distorts, and the names of the coefficients of that in OpenCV's order.
-_MODELS: dict[str, tuple[DistortionModel, tuple[str, ...]]] = {
-    "SIMPLE_PINHOLE": ("plumb_bob", ()),
-    "PINHOLE": ("plumb_bob", ()),
-    "SIMPLE_RADIAL": ("plumb_bob", ("k1", "k2", "p1", "p2")),
-    "RADIAL": ("plumb_bob", ("k1", "k2", "p1", "p2")),
-    "OPENCV": ("plumb_bob", ("k1", "k2", "p1", "p2", "k3")),
-    "OPENCV_FISHEYE": ("equidistant", ("k1", "k2", "k3", "k4")),
+# How nerfstudio takes each model, and the names of the coefficients in OpenCV's order: those that it lacks are 0.
+_MODELS: dict[str, DistortionModel] = {
+    **dict.fromkeys(("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"), "plumb_bob"),
+    "OPENCV_FISHEYE": "equidistant",
 }
+_COEFFICIENTS: dict[DistortionModel, tuple[str, ...]] = {
+    "plumb_bob": ("k1", "k2", "p1", "p2", "k3"),
+    "equidistant": ("k1", "k2", "k3", "k4"),
+}
+# Keys by which instant-ngp is told of an image that no pinhole camera or fisheye took.
+_OTHER_IMAGES = ("equirectangular", "latlong", "orthographic", "ftheta_p0")
+_PANORAMAS = ("EQUIRECTANGULAR", "equirectangular", "latlong")
 _SMALLEST = 1e-6  # of what is positive
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg")  # that names may lack
 
@@ -65,17 +70,18 @@ def list_images(path: Path) -> PosedImages | None:
     root = file.parent
     poses: dict[str, Poses | str] = {}
     stated: dict[ImageFile, _Stated] = {}
-    for number, frame in enumerate(content["frames"]):
+    rows = Rows("frames")
+    for number, frame in rows.each(enumerate(content["frames"])):
         where = f"{file}: frames[{number}]"
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
             raise SequenceError(f"{where}: no file_path, expected the name of an image")
         name = _existing(root, frame["file_path"].replace("\\", "/"))
         if name in poses:
             raise SequenceError(f"{where}: {quoted(name)} for the second time, expected it once")
-        pose = read_pose_matrix(frame.get("transform_matrix"), f"{where}: transform_matrix")
-        poses[name] = NOT_FINITE if pose is None else _scaled(from_opengl(pose), 1.0 / scale)
+        pose = from_opengl(rows.use(read_pose_matrix, frame.get("transform_matrix"), f"{where}: transform_matrix"))
+        poses[name] = pose if isinstance(pose, str) else _scaled(pose, 1.0 / scale)
         stated[root / name] = _read_stated(content | frame, where)
-    images = list_named(_NAME, root, root, poses)
+    images = list_named(_NAME, root, root, poses, notices=rows.notices)
     used = [stated[image] for image in images.files]
     cameras = {
         one: _camera(one, [image for image, its in zip(images.files, used, strict=True) if its == one], str(file))
@@ -109,16 +115,34 @@ class _Stated:
 
 
 def _read_stated(values: dict[str, Any], where: str) -> _Stated:
-    name = values.get("camera_model", "OPENCV")
-    if not isinstance(name, str) or name not in _MODELS:
-        raise SequenceError(f"{where}: camera_model {quoted(name)}, expected one of {', '.join(_MODELS)}")
-    model, coefficients = _MODELS[name]
-    if model == "plumb_bob" and _number(values, "k4", where, 0.0):
-        raise SequenceError(f"{where}: k4 of {name} is not 0, expected a distortion that OpenCV knows")
+    name = _camera_model(values, where)
+    coefficients = _COEFFICIENTS[_MODELS[name]]
+    for key in ("k1", "k2", "k3", "k4", "p1", "p2"):
+        if key not in coefficients and _number(values, key, where, 0.0):
+            raise SequenceError(f"{where}: {key} of {name} is not 0, expected a distortion that OpenCV knows")
     names = ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x")
     positive = ("w", "h", "fl_x", "fl_y")
     stated = {key: _number(values, key, where, None, low=_SMALLEST if key in positive else -LARGEST) for key in names}
-    return _Stated(**stated, model=model, coefficients=tuple(_number(values, key, where, 0.0) for key in coefficients))
+    distortion = tuple(_number(values, key, where, 0.0) for key in coefficients)
+    return _Stated(**stated, model=_MODELS[name], coefficients=distortion)
+
+
+def _camera_model(values: dict[str, Any], where: str) -> str:
+    """Name of the model of a camera, of those in `_MODELS`."""
+    fisheye = values.get("is_fisheye") or False
+    if not isinstance(fisheye, bool):
+        raise SequenceError(f"{where}: is_fisheye is {quoted(fisheye)}, expected true or false")
+    name = values.get("camera_model") or next((key for key in _OTHER_IMAGES if values.get(key)), None)
+    if name is None:
+        return "OPENCV_FISHEYE" if fisheye else "OPENCV"
+    if not isinstance(name, str) or name not in _MODELS:
+        way_out = f"expected one of {', '.join(_MODELS)}"
+        if name in _PANORAMAS:
+            way_out = "expected perspective images, as `ns-process-data images --camera-type equirectangular` cuts out"
+        raise SequenceError(f"{where}: camera_model {quoted(name)}, {way_out}")
+    if fisheye and name != "OPENCV_FISHEYE":
+        raise SequenceError(f"{where}: camera_model {name} and is_fisheye, expected OPENCV_FISHEYE or no camera_model")
+    return name
 
 
 def _number(values: dict[str, Any], key: str, where: str, default: Any, low: float = -LARGEST) -> Any:

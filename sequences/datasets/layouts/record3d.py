@@ -20,10 +20,11 @@ from filtering.se3 import Poses
 from sequences.datasets.layout import Layout
 from sequences.datasets.layout_helpers.intrinsics import camera_of, scaled_to
 from sequences.datasets.layout_helpers.packed import Archive, ImageFile, PackedImage
-from sequences.datasets.layout_helpers.pose_rows import NOT_FINITE, from_opengl, read_pose_row, stack_poses
+from sequences.datasets.layout_helpers.pose_rows import from_opengl, read_pose_row, stack_poses
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
 from sequences.files.paths import require_inside
+from sequences.files.rows import Rows
 from sequences.files.structured import parse_json, read_json
 from sequences.frame import Camera
 from sequences.values import LARGEST, parse_frame_number, parse_number, parse_time_ns
@@ -50,10 +51,11 @@ def list_images(path: Path) -> PosedImages | None:
     skipped: Counter[str] = Counter({"no true pose": sum(number >= len(rows) for number in files)})
     numbers: list[int] = []
     poses: list[Poses] = []
-    for number, row in enumerate(rows):
-        pose = _pose(row, f"{where}: poses[{number}]")
-        if pose is None:
-            skipped[NOT_FINITE] += 1
+    told = Rows()
+    for number, row in told.each(enumerate(rows)):
+        pose = told.use(_pose, row, f"{where}: poses[{number}]")
+        if isinstance(pose, str):
+            skipped[pose] += 1
         elif number not in files:
             skipped["no image"] += 1
         elif numbers and stamps[number] <= stamps[numbers[-1]]:
@@ -64,7 +66,8 @@ def list_images(path: Path) -> PosedImages | None:
     used = [files[number] for number in numbers]
     camera = scaled_to(_camera(metadata, where), used)
     times_ns = np.array([stamps[number] for number in numbers], np.int64)
-    return PosedImages(_NAME, used, times_ns, stack_poses(poses), [camera] * len(used), assumed_hz, skipped=+skipped)
+    cameras = [camera] * len(used)
+    return PosedImages(_NAME, used, times_ns, stack_poses(poses), cameras, assumed_hz, +skipped, notices=told.notices)
 
 
 def _find(path: Path) -> tuple[str, Any, dict[int, ImageFile]] | None:
@@ -88,11 +91,10 @@ def _find(path: Path) -> tuple[str, Any, dict[int, ImageFile]] | None:
     return None
 
 
-def _pose(row: Any, where: str) -> Poses | None:
+def _pose(row: Any, where: str) -> Poses | str:
     if not isinstance(row, list):
         raise SequenceError(f"{where}: {quoted(row)}, expected a row `{_COLUMNS}`")
-    pose = read_pose_row([str(value) for value in row], _COLUMNS, where)
-    return None if pose is None else from_opengl(pose)
+    return from_opengl(read_pose_row([str(value) for value in row], _COLUMNS, where))
 
 
 def _stamps(metadata: dict[str, Any], count: int, where: str) -> tuple[list[int], int | None]:

@@ -14,10 +14,11 @@ from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.datasets.layout import Layout
 from sequences.datasets.layout_helpers.intrinsics import find_camera
-from sequences.datasets.layout_helpers.pose_rows import NOT_FINITE, read_pose_matrix, stack_poses
+from sequences.datasets.layout_helpers.pose_rows import read_pose_matrix, stack_poses
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
 from sequences.files.paths import require_inside
+from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Camera
 from sequences.values import parse_frame_number, parse_numbers
@@ -72,6 +73,7 @@ def _list(sequences: list[Path]) -> PosedImages:
     files: list[Path] = []
     poses: list[Poses] = []
     numbers: list[list[int]] = []
+    rows = Rows("poses")
     for folder in sequences:
         images = {_frame_number(p): p for ext in ("png", "jpg") for p in folder.glob(f"frame-*.color.{ext}")}
         posed = {_frame_number(p): p for p in folder.glob("frame-*.pose.txt")}
@@ -79,16 +81,15 @@ def _list(sequences: list[Path]) -> PosedImages:
         skipped["no true pose"] += len(images.keys() - posed.keys())
         skipped["no image"] += len(posed.keys() - images.keys())
         numbers.append([])
-        for number in sorted(images.keys() & posed.keys()):
-            pose = _read_pose(posed[number])
-            if pose is None:
-                skipped[NOT_FINITE] += 1
+        for number in rows.each(sorted(images.keys() & posed.keys())):
+            if isinstance(pose := rows.use(_read_pose, posed[number]), str):
+                skipped[pose] += 1
                 continue
             files.append(images[number])
             poses.append(pose)
             numbers[-1].append(number)
     camera = find_camera((sequences[0], sequences[0].parent), files, _CAMERA)
-    return PosedImages.numbered(_NAME, files, stack_poses(poses), numbers, skipped, camera)
+    return PosedImages.numbered(_NAME, files, stack_poses(poses), numbers, skipped, camera, rows.notices)
 
 
 def _frame_number(path: Path) -> int:
@@ -98,8 +99,8 @@ def _frame_number(path: Path) -> int:
     return parse_frame_number(match[1], str(path))
 
 
-def _read_pose(file: Path) -> Poses | None:
-    """One pose; None where it is not finite."""
+def _read_pose(file: Path) -> Poses | str:
+    """One pose, or why there is none."""
     rows = [parse_numbers(line.split(), f"{file}:{number}", "a 4 x 4 matrix") for number, line in read_rows(file)]
     return read_pose_matrix(rows, str(file))
 

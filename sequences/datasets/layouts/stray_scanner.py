@@ -20,10 +20,11 @@ from filtering.se3 import Poses
 from sequences.datasets.layout import Layout
 from sequences.datasets.layout_helpers.image_files import images_by_number, images_in, size_of_first
 from sequences.datasets.layout_helpers.packed import ImageFile, VideoFile
-from sequences.datasets.layout_helpers.pose_rows import NOT_FINITE, read_pose_row, stack_poses
+from sequences.datasets.layout_helpers.pose_rows import read_pose_row, stack_poses
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
 from sequences.files.paths import require_inside
+from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Camera
 from sequences.values import parse_frame_number, parse_numbers, parse_time_ns
@@ -49,30 +50,37 @@ def list_images(path: Path) -> PosedImages | None:
     focal: list[list[float]] = []
     frames = _Frames(path)
     seen: dict[int, str] = {}
-    for where, row in _rows(path / "odometry.csv"):
-        pose = read_pose_row(list(row.values()), " ".join(_POSITION.get(name, name) for name in row), where)
-        number = parse_frame_number(row["frame"], where)
+    names, lines = _table(path / "odometry.csv")
+    columns = " ".join(_POSITION.get(name, name) for name in names)
+    rows = Rows()
+    for line_number, line in rows.each(lines):
+        where, fields = f"{path / 'odometry.csv'}:{line_number}", [field.strip() for field in line.split(",")]
+        row = rows.use(_read_row, names, fields, where)
+        if isinstance(row, str):
+            skipped[row] += 1
+            continue
+        number, found_ns, focal_of_row = row
         if number in seen:
             raise SequenceError(f"{where}: frame {number} is on {seen[number]} too, expected it once")
-        seen[number] = f"line {where.rsplit(':', 1)[1]}"
-        found_ns = parse_time_ns(row["timestamp"], where)
+        seen[number] = f"line {line_number}"
+        pose = rows.use(read_pose_row, fields, columns, where)
         if times_ns and (found_ns <= times_ns[-1] or number <= numbers[-1]):
             skipped["time stamp not increasing"] += 1
-        elif pose is None:
-            skipped[NOT_FINITE] += 1
+        elif isinstance(pose, str):
+            skipped[pose] += 1
         elif number not in frames:
             skipped["no image"] += 1
         else:
             times_ns.append(found_ns)
             numbers.append(number)
             poses.append(pose)
-            if all(name in row for name in _FOCAL):
-                focal.append(parse_numbers([row[name] for name in _FOCAL], where))
+            focal += [focal_of_row] if focal_of_row else []
     skipped["no true pose"] += frames.num_beside(seen)
     files = [frames[number] for number in numbers]
     camera = _camera(path / "camera_matrix.csv", files, focal, frames.size)
     times = np.array(times_ns, np.int64)
-    return PosedImages(_NAME, files, times, stack_poses(poses), [camera] * len(files), skipped=+skipped)
+    cameras = [camera] * len(files)
+    return PosedImages(_NAME, files, times, stack_poses(poses), cameras, skipped=+skipped, notices=rows.notices)
 
 
 class _Frames:
@@ -109,21 +117,24 @@ class _Frames:
         return None if self._files is not None else (self._video.width, self._video.height)
 
 
-def _rows(file: Path) -> list[tuple[str, dict[str, str]]]:
-    """Where each row is, and its fields by the names of the header."""
+def _table(file: Path) -> tuple[list[str], list[tuple[int, str]]]:
+    """Names in the header, and the rows behind it with the numbers of their lines."""
     lines = list(read_rows(file))
     if not lines:
         raise SequenceError(f"{file}: empty, expected the header `{', '.join(_COLUMNS)}` and rows")
     names = [name.strip() for name in lines[0][1].split(",")]
     if not set(_COLUMNS) <= set(names) or len(set(names)) != len(names):
         raise SequenceError(f"{file}:{lines[0][0]}: {quoted(lines[0][1])}, expected the header {', '.join(_COLUMNS)}")
-    rows: list[tuple[str, dict[str, str]]] = []
-    for number, line in lines[1:]:
-        fields = [field.strip() for field in line.split(",")]
-        if len(fields) != len(names):
-            raise SequenceError(f"{file}:{number}: {len(fields)} columns, expected the {len(names)} of the header")
-        rows.append((f"{file}:{number}", dict(zip(names, fields, strict=True))))
-    return rows
+    return names, lines[1:]
+
+
+def _read_row(names: list[str], fields: list[str], where: str) -> tuple[int, int, list[float]]:
+    """Number of the frame, stamp, and `_FOCAL` of a row, empty where it has none."""
+    if len(fields) != len(names):
+        raise SequenceError(f"{where}: {len(fields)} columns, expected the {len(names)} of the header")
+    row = dict(zip(names, fields, strict=True))
+    focal = parse_numbers([row[name] for name in _FOCAL], where) if set(_FOCAL) <= row.keys() else []
+    return parse_frame_number(row["frame"], where), parse_time_ns(row["timestamp"], where), focal
 
 
 def _camera(

@@ -15,6 +15,7 @@ from sequences.datasets.layout_helpers.intrinsics import find_camera
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
 from sequences.files.paths import require_inside
+from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Camera
 from sequences.trajectories.interpolation import MAX_TRUE_POSE_GAP_S, interpolate
@@ -40,16 +41,19 @@ def list_images(path: Path) -> PosedImages | None:
     if not ((path / "rgb.txt").is_file() and (path / "groundtruth.txt").is_file()):
         return None
     skipped: Counter[str] = Counter()
-    truth = read_tum(path / "groundtruth.txt")
+    truth_rows = Rows("true poses")
+    truth = read_tum(path / "groundtruth.txt", truth_rows)
     times_ns: list[int] = []
     files: list[Path] = []
     listed: list[Path] = []
-    for number, line in read_rows(path / "rgb.txt"):
-        where, fields = f"{path / 'rgb.txt'}:{number}", line.split(maxsplit=1)
-        if len(fields) != 2:
-            raise SequenceError(f"{where}: {quoted(line)}, expected `time file`")
-        found_ns = parse_time_ns(fields[0], where)
-        listed.append(file := path / fields[1].strip())
+    rows = Rows("images")
+    for number, line in rows.each(read_rows(path / "rgb.txt")):
+        row = rows.use(_time_and_name, line, f"{path / 'rgb.txt'}:{number}")
+        if isinstance(row, str):
+            skipped[row] += 1
+            continue
+        found_ns, name = row
+        listed.append(file := path / name)
         if times_ns and found_ns <= times_ns[-1]:
             skipped["time stamp not increasing"] += 1
             continue
@@ -68,7 +72,15 @@ def list_images(path: Path) -> PosedImages | None:
     files = [files[i] for i in kept]
     known = next((camera for name, camera in _KNOWN_CAMERAS.items() if name in path.name), _CAMERA)
     camera = find_camera((path, path.parent), files, known)
-    return PosedImages(_NAME, files, times[kept], poses[kept], [camera] * len(files), skipped=+skipped)
+    notices = [*truth_rows.notices, *rows.notices]
+    return PosedImages(_NAME, files, times[kept], poses[kept], [camera] * len(files), skipped=+skipped, notices=notices)
+
+
+def _time_and_name(line: str, where: str) -> tuple[int, str]:
+    fields = line.split(maxsplit=1)
+    if len(fields) != 2:
+        raise SequenceError(f"{where}: {quoted(line)}, expected `time file`")
+    return parse_time_ns(fields[0], where), fields[1].strip()
 
 
 LAYOUT = Layout(_NAME, looked_for="rgb.txt and groundtruth.txt", order=10, list_images=list_images)

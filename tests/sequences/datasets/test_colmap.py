@@ -1,5 +1,6 @@
 """COLMAP's models as text: images, cameras, and what is wrong with them."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -7,14 +8,17 @@ import pytest
 
 from sequences.datasets.convert import convert
 from sequences.datasets.frames import posed_frames
+from sequences.datasets.layout_helpers.colmap_binary import NUM_PARAMETERS
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
+from sequences.files.rows import UNUSABLE
 from sequences.frame import Camera
 from sequences.images.decoding import decode_image_bytes
 from sequences.images.undistortion import Lens, pinhole_of, undistorted
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from tests.helpers.data_sets import COLMAP_NAMES, colmap_row, make_colmap, true_pose, write_images
+from tests.helpers.dot_checks import leaves_out
 from tests.helpers.layout_checks import THIRTIETH_NS, check
 
 
@@ -60,6 +64,13 @@ def test_colmap_cameras_are_each_image_s_own_at_its_size(tmp_path: Path) -> None
             (30.0, 29.0),
             ("rational_polynomial", 0.1, 0.2, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08),
         ),
+        (
+            "BROWN_CONRADY 32 24 30 16 12 0.1 0.2 0.05 0.03 0.04",
+            (30.0, 30.0),
+            ("plumb_bob", 0.1, 0.2, 0.03, 0.04, 0.05),
+        ),
+        ("SIMPLE_FISHEYE 32 24 30 16 12", (30.0, 30.0), ("equidistant", 0, 0, 0, 0)),
+        ("FISHEYE 32 24 30 29 16 12", (30.0, 29.0), ("equidistant", 0, 0, 0, 0)),
         ("SIMPLE_RADIAL_FISHEYE 32 24 30 16 12 0", (30.0, 30.0), ("equidistant", 0, 0, 0, 0)),
         ("RADIAL_FISHEYE 32 24 30 16 12 0.1 0.2", (30.0, 30.0), ("equidistant", 0.1, 0.2, 0, 0)),
         ("OPENCV_FISHEYE 32 24 30 29 16 12 0.1 0.2 0.3 0.4", (30.0, 29.0), ("equidistant", 0.1, 0.2, 0.3, 0.4)),
@@ -92,7 +103,7 @@ def test_colmap_camera_models(
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("1 FOV 32 24 30 29 16 12 0.9", "camera model 'FOV', expected one of SIMPLE_PINHOLE.*image_undistorter"),
+        ("1 NEWEST 32 24 30 29 16 12", "camera model 'NEWEST' is unknown, expected one of COLMAP's"),
         ("1 PINHOLE 32 24 30 16 12", "3 parameters, expected the 4 of PINHOLE"),
         ("1 PINHOLE 32", "3 columns, expected `CAMERA_ID MODEL WIDTH HEIGHT PARAMS"),
         ("1 PINHOLE 32 24 30 x 16 12", "'x' is no number"),
@@ -105,6 +116,35 @@ def test_a_colmap_camera_that_is_wrong_is_named(line: str, said: str, tmp_path: 
     root = make_colmap(tmp_path / "scene", "sparse/0", "images")
     (root / "sparse" / "0" / "cameras.txt").write_text(f"# cameras\n2 SIMPLE_PINHOLE 32 24 30 16 12\n{line}\n")
     with pytest.raises(SequenceError, match=rf"cameras\.txt:3: .*{said}"):
+        list_images(root)
+
+
+REFUSED = {
+    7: "FOV",
+    10: "THIN_PRISM_FISHEYE",
+    11: "RAD_TAN_THIN_PRISM_FISHEYE",
+    12: "SIMPLE_DIVISION",
+    13: "DIVISION",
+    16: "EUCM",
+    17: "EQUIRECTANGULAR",
+    18: "SKEWED_PINHOLE",
+}
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".bin"])
+@pytest.mark.parametrize("number", REFUSED)
+def test_a_colmap_camera_that_cannot_be_undistorted_is_refused_by_name_with_a_way_out(
+    number: int, suffix: str, tmp_path: Path
+) -> None:
+    root, name = make_colmap(tmp_path / "scene", "sparse/0", "images"), REFUSED[number]
+    file = root / "sparse" / "0" / f"cameras{suffix}"
+    parameters = [0.5] * NUM_PARAMETERS[name]
+    file.write_text(f"1 {name} 32 24 {' '.join(map(str, parameters))}\n")
+    if suffix == ".bin":
+        (root / "sparse" / "0" / "images.bin").write_bytes(struct.pack("<Q", 0))
+        file.write_bytes(struct.pack(f"<QiiQQ{len(parameters)}d", 1, 1, number, 32, 24, *parameters))
+    way_out = "panorama_sfm" if name == "EQUIRECTANGULAR" else "colmap image_undistorter .* --output_type COLMAP"
+    with pytest.raises(SequenceError, match=rf"cameras\{suffix}:1: camera model {name} .*{way_out}"):
         list_images(root)
 
 
@@ -128,6 +168,29 @@ def test_a_colmap_image_that_is_wrong_is_named(rows: list[str], said: str, tmp_p
     (root / "sparse" / "0" / "images.txt").write_text("\n".join(rows))
     with pytest.raises(SequenceError, match=rf"images\.txt:{said}"):
         list_images(root)
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("1 0 0 0 0 0 0 0 1 a/frame9.png", "images.txt:1: quaternion of length 0"),
+        ("1 0 0 0 0 0 0 1 a/frame9.png", "images.txt:1: 9 columns, expected the 10 of `id qw"),
+    ],
+)
+def test_an_image_of_a_colmap_model_that_cannot_be_used_is_left_out_and_named(
+    row: str, said: str, tmp_path: Path
+) -> None:
+    root = make_colmap(tmp_path / "scene", "sparse/0", "images")
+    rows = [
+        row,
+        "",
+        colmap_row(2, true_pose(1), 1, "a/frame10.png"),
+        "",
+        colmap_row(3, true_pose(2), 2, COLMAP_NAMES[2]),
+    ]
+    (root / "sparse" / "0" / "images.txt").write_text("\n".join(rows))
+    check(root, [1, 2])
+    assert leaves_out(root, 3, said).skipped[UNUSABLE] == 1
 
 
 def test_what_a_colmap_model_leaves_out_is_counted(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def test_a_binary_colmap_model_gives_what_it_says(tmp_path: Path) -> None:
         (
             "cameras.bin",
             lambda data: data[:12] + b"\x63" + data[13:],
-            "cameras.bin:1: camera model 99, expected one of",
+            "cameras.bin:1: camera model 99 is unknown, expected 0 to 19 (BROWN_CONRADY); PINHOLE cameras are made by",
         ),
         ("cameras.bin", lambda data: data[:-8], "cameras.bin: ends at byte"),
         ("cameras.bin", lambda data: data[:8] + b"\x08" + data[9:], "camera '7', expected one of those in cameras.bin"),

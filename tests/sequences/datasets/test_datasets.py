@@ -1,6 +1,7 @@
 """Data sets as they lie on disk -> posed frames, and -> MCAP."""
 
 import json
+import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +14,7 @@ from sequences.datasets.convert import convert
 from sequences.datasets.frames import count_frames, posed_frames
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
+from sequences.files.rows import UNUSABLE
 from sequences.frame import Trajectory
 from sequences.odometry import OdometryNoise
 from sequences.options import SequenceOptions
@@ -115,11 +117,15 @@ def test_7_scenes_frames_without_a_pose_or_of_lost_tracking_are_left_out(tmp_pat
     ("content", "said"),
     [("1 0 0\n0 1 0\n", r"shape \(2, 3\)"), ("x 0 0 0\n", "1: 'x' is no number"), ("2 0 0 0\n" * 4, "no rotation")],
 )
-def test_a_7_scenes_pose_that_is_none_is_named(content: str, said: str, tmp_path: Path) -> None:
+def test_a_7_scenes_pose_that_is_none_is_left_out_and_named(content: str, said: str, tmp_path: Path) -> None:
     scene = make_7scenes(tmp_path / "scene", num_images=2)
     (scene / "seq-01" / "frame-000001.pose.txt").write_text(content)
-    with pytest.raises(SequenceError, match=rf"frame-000001\.pose\.txt:.*{said}"):
-        list(posed_frames(scene))
+    frames = posed_frames(scene)
+    assert len(list(frames)) == 1
+    assert frames.skipped == {UNUSABLE: 1}
+    (notice,) = frames.notices
+    assert re.search(rf"frame-000001\.pose\.txt:.*{said}", notice)
+    assert convert(scene, tmp_path / "out.mcap").notices == (notice,)
 
 
 def test_an_unknown_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
@@ -130,7 +136,7 @@ def test_an_unknown_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
         count_frames(tmp_path / "nowhere")
 
 
-def test_damaged_intrinsics_and_lists_are_named(tmp_path: Path) -> None:
+def test_damaged_intrinsics_are_refused_and_damaged_rows_of_a_list_left_out_and_named(tmp_path: Path) -> None:
     folder = make_tum(tmp_path / "tum")
     (folder / "intrinsics.json").write_text('{"width": 3}')
     with pytest.raises(SequenceError, match=r"intrinsics\.json: no height, .* expected JSON with width"):
@@ -138,16 +144,36 @@ def test_damaged_intrinsics_and_lists_are_named(tmp_path: Path) -> None:
     (folder / "intrinsics.json").unlink()
     with open(folder / "rgb.txt", "a") as file:
         file.write("1800000000.0\n")
-    with pytest.raises(SequenceError, match=r"rgb\.txt:13: '1800000000\.0', expected `time file`"):
-        list(posed_frames(folder))
+    truth = (folder / "groundtruth.txt").read_text().splitlines()
+    truth[4] = truth[4].replace(" ", " nan ", 1).rsplit(" ", 1)[0]
+    truth[9] = " ".join([*truth[9].split()[:4], "0", "0", "0", "0"])
+    truth[11:11] = ["1 2 3", truth[2]]
+    (folder / "groundtruth.txt").write_text("\n".join(truth))
+    frames = posed_frames(folder)
+    assert len(list(frames)) == 10
+    assert frames.skipped == {UNUSABLE: 1}
+    true_poses, images = frames.notices
+    assert re.match(r"4 of 42 true poses left out, the first: .*groundtruth\.txt:5: pose is not finite", true_poses)
+    assert re.match(r"1 of 11 images left out, .*rgb\.txt:13: '1800000000\.0', expected `time file`", images)
+    (folder / "groundtruth.txt").write_text("\n".join([*truth, *["1 2 3"] * 60]))
+    with pytest.raises(SequenceError, match=r"groundtruth\.txt:5: .*; 64 of 102 true poses cannot be used"):
+        list_images(folder)
 
 
-def test_with_no_readable_image_the_first_problem_is_told(tmp_path: Path) -> None:
-    scene = make_7scenes(tmp_path / "scene", num_images=2)
-    for file in (scene / "seq-01").glob("*.png"):
-        file.write_bytes(b"no image")
-    with pytest.raises(SequenceError, match=r"no image left: .*frame-000000\.color\.png: 8 bytes are no image"):
+def test_images_of_which_more_than_half_are_none_are_refused_by_the_first(tmp_path: Path) -> None:
+    scene = make_7scenes(tmp_path / "scene", num_images=3)
+    files = sorted((scene / "seq-01").glob("*.png"))
+    files[0].write_bytes(b"no image")
+    frames = posed_frames(scene)
+    assert len(list(frames)) == 2
+    assert re.match(r"1 of 3 images left out, the first: .*frame-000000\.color\.png: 8 bytes are no", frames.notices[0])
+    files[2].write_bytes(files[2].read_bytes()[:-20])
+    said = r"frame-000000\.color\.png: 8 bytes are no image .*; 2 of 3 images cannot be used, expected at most one"
+    with pytest.raises(SequenceError, match=said):
         list(posed_frames(scene))
+    with pytest.raises(SequenceError, match=said):
+        convert(scene, tmp_path / "out.mcap")
+    assert not (tmp_path / "out.mcap").exists()
 
 
 # --- conversion ------------------------------------------------------------------------------------
@@ -223,7 +249,7 @@ def test_what_a_conversion_leaves_out_is_counted(tmp_path: Path) -> None:
     write_tum(odometry, truth_at([BEGIN_NS + 50_000_000 + 10_000_000 * i for i in range(40)]))
     summary = convert(folder, tmp_path / "out.mcap", odometry=odometry)
     # 0 and 1 come before the odometry, 9 after the true poses, 4 is broken.
-    assert summary.skipped == {"true pose does not cover": 1, "odometry does not cover": 2, "undecodable image": 1}
+    assert summary.skipped == {"true pose does not cover": 1, "before odometry begins": 2, "undecodable image": 1}
     assert summary.num_images == 6
     reader = SequenceReader(tmp_path / "out.mcap")
     assert len(list(reader)) == 6
@@ -238,7 +264,7 @@ def test_a_conversion_that_fails_leaves_no_file(tmp_path: Path) -> None:
         convert(folder, tmp_path / "out.mcap", odometry=odometry)
     for file in (folder / "rgb").iterdir():
         file.write_bytes(b"no image")
-    with pytest.raises(SequenceError, match="no image left"):
+    with pytest.raises(SequenceError, match="10 of 10 images cannot be used"):
         convert(folder, tmp_path / "out.mcap")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["odometry.tum", "tum"]
 

@@ -12,7 +12,7 @@ from sequences.datasets.listing import list_images
 from sequences.frame import Frame
 from sequences.images.undistortion import Lens
 from tests.helpers import dot_scene
-from tests.helpers.dot_checks import check, check_conversion, edit, refuse
+from tests.helpers.dot_checks import check, check_conversion, edit, leaves_out, refuse
 from tests.helpers.dot_scene import FX, drawn, misses, opencv, opencv_pixels
 from tests.helpers.phone_data_sets import BEGIN_NS, EUROC_DISTORTION, GT_HEADER, NUM, make_euroc, sensor_yaml
 
@@ -83,8 +83,6 @@ def test_euroc_truth_of_another_sensor_is_brought_to_the_body(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("file", "change", "said"),
     [
-        ("cam0/data.csv", lambda text: text + "1,2,3\n", "data.csv:7: '1,2,3', expected `timestamp [ns],filename`"),
-        ("cam0/data.csv", lambda text: text + "1.5,a.png\n", "data.csv:7: nanoseconds: '1.5', expected a whole number"),
         ("cam0/sensor.yaml", lambda text: text.replace("pinhole", "omni"), "camera_model 'omni', expected pinhole"),
         ("cam0/sensor.yaml", lambda text: text.replace("0.999557249008", ".nan"), "T_BS is not finite"),
         (
@@ -105,20 +103,36 @@ def test_euroc_truth_of_another_sensor_is_brought_to_the_body(tmp_path: Path) ->
             lambda text: text.replace("radial-tangential", "fov").replace("[0.0, 0.0,", "[0.9, 0.0,"),
             "distortion_model 'fov', expected one of radial-tangential",
         ),
-        ("state_groundtruth_estimate0/data.csv", lambda text: text.replace(",0.1", ",nan"), "no finite position"),
+        ("state_groundtruth_estimate0/data.csv", lambda text: text.replace(",", ",nan,"), "no finite position"),
     ],
 )
 def test_what_is_wrong_with_a_euroc_sequence_is_said(
     file: str, change: Callable[[str], str], said: str, tmp_path: Path
 ) -> None:
     folder = make_euroc(tmp_path / "MH_01")
-    if file.startswith("state"):
-
-        def change(text: str) -> str:
-            return text.replace(text.splitlines()[1].split(",")[2], "nan")
-
     edit(folder / "mav0" / file, change)
     refuse(folder, said)
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "num_rows", "said"),
+    [
+        ("cam0/data.csv", lambda rows: [*rows, "1,2,3"], 6, "data.csv:7: '1,2,3', expected `timestamp [ns],filename`"),
+        ("cam0/data.csv", lambda rows: [*rows, "1.5,a.png"], 6, "data.csv:7: nanoseconds: '1.5', expected a whole"),
+        (
+            "state_groundtruth_estimate0/data.csv",
+            lambda rows: [*rows[:3], rows[3].replace(",", ",nan,"), *rows[4:]],
+            40,
+            "data.csv:4: [nan, ",
+        ),
+    ],
+)
+def test_a_row_of_a_euroc_list_that_cannot_be_used_is_left_out_and_named(
+    file: str, change: Callable[[list[str]], list[str]], num_rows: int, said: str, tmp_path: Path
+) -> None:
+    folder = make_euroc(tmp_path / "MH_01")
+    edit(folder / "mav0" / file, lambda text: "\n".join(change(text.splitlines())))
+    assert len(leaves_out(folder, num_rows, said)) == NUM - 1
 
 
 def test_what_a_euroc_sequence_leaves_out_is_counted(tmp_path: Path) -> None:

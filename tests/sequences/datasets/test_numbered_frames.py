@@ -11,6 +11,7 @@ from sequences.datasets.convert import convert
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
+from sequences.files.rows import UNUSABLE
 from tests.helpers.data_sets import (
     INTRINSICS,
     make_7scenes,
@@ -18,6 +19,7 @@ from tests.helpers.data_sets import (
     make_ceiling,
     write_image,
 )
+from tests.helpers.dot_checks import leaves_out
 from tests.helpers.layout_checks import THIRTIETH_NS, check
 
 NUMBERED = pytest.mark.parametrize(
@@ -69,17 +71,11 @@ def test_numbered_frames_without_an_image_or_a_usable_pose_are_counted(
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda fields: fields[:-1], "8 columns, expected the 9 of `seq "),
-        (lambda fields: [*fields, "1"], "10 columns, expected the 9 of `seq "),
-        (lambda fields: [*fields[:2], "x", *fields[3:]], "'x' is no number, expected those"),
-        (lambda fields: [*fields[:2], *["0"] * 7], "quaternion of length 0, expected a unit quaternion"),
-        (lambda fields: [*fields[:2], *["3"] * 7], "quaternion of length 6, expected a unit quaternion"),
-        (lambda fields: [fields[0], "4.5", *fields[2:]], "number of a frame: '4.5', expected a whole number"),
         (lambda fields: [fields[0], "17", *fields[2:]], "frame 17 is on line 1 too, expected it once"),
         (lambda fields: ["6", *fields[1:]], "sequence 6 after sequence 0, expected one a file"),
     ],
 )
-def test_a_row_of_numbered_frames_that_is_wrong_is_named(
+def test_rows_of_numbered_frames_that_contradict_each_other_are_refused(
     make: Callable[[Path], Path],
     folder: str,
     poses: str,
@@ -89,13 +85,51 @@ def test_a_row_of_numbered_frames_that_is_wrong_is_named(
     tmp_path: Path,
 ) -> None:
     sequence = make(tmp_path / "scene") / "train" / folder
-    rows = (sequence / poses).read_text().splitlines()
-    separator = ", " if "," in rows[1] else " "
-    rows[1] = separator.join(change(rows[1].split(separator)))
-    (sequence / poses).write_text("\n".join(rows))
+    change_row(sequence / poses, change)
     with pytest.raises(SequenceError) as error:
         list_images(sequence)
     assert str(error.value).startswith(f"{sequence / poses}:2: {said}")
+
+
+def change_row(file: Path, change: Callable[[list[str]], list[str]]) -> None:
+    """Change the second row, of frame 4."""
+    rows = file.read_text().splitlines()
+    separator = ", " if "," in rows[1] else " "
+    rows[1] = separator.join(change(rows[1].split(separator)))
+    file.write_text("\n".join(rows))
+
+
+@NUMBERED
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda fields: fields[:-1], "8 columns, expected the 9 of `seq "),
+        (lambda fields: [*fields, "1"], "10 columns, expected the 9 of `seq "),
+        (lambda fields: [*fields[:2], "x", *fields[3:]], "'x' is no number, expected those"),
+        (lambda fields: [*fields[:2], *["0"] * 7], "quaternion of length 0, expected a unit quaternion"),
+        (lambda fields: [*fields[:2], *["3"] * 7], "quaternion of length 6, expected a unit quaternion"),
+        (lambda fields: [fields[0], "4.5", *fields[2:]], "number of a frame: '4.5', expected a whole number"),
+        (lambda fields: [], "columns, expected the numbers of a sequence and a frame first"),
+    ],
+)
+def test_a_row_of_numbered_frames_that_cannot_be_used_is_left_out_and_named(
+    make: Callable[[Path], Path],
+    folder: str,
+    poses: str,
+    image: str,
+    change: Callable[[list[str]], list[str]],
+    said: str,
+    tmp_path: Path,
+) -> None:
+    sequence = make(tmp_path / "scene") / "train" / folder
+    change_row(sequence / poses, lambda fields: change(fields) or ["none"])
+    listed = leaves_out(sequence, 3, f"{sequence / poses}:2: ", said)
+    assert listed.skipped[UNUSABLE] == 1
+    check(sequence, [0, 2])
+    rows = (sequence / poses).read_text().splitlines()
+    (sequence / poses).write_text(rows[1])
+    with pytest.raises(SequenceError, match=r":1: .*; 1 of 1 rows cannot be used, expected at most one in two"):
+        list_images(sequence)
 
 
 @NUMBERED

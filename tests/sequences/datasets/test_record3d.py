@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from sequences.datasets.listing import list_images
-from tests.helpers.dot_checks import check, check_conversion, refuse
+from sequences.files.rows import UNUSABLE
+from tests.helpers.dot_checks import check, check_conversion, leaves_out, refuse
 from tests.helpers.phone_data_sets import (
     NUM,
     R3D_SECONDS,
@@ -54,9 +55,6 @@ def test_what_a_record3d_recording_leaves_out_is_counted(tmp_path: Path) -> None
     ("change", "said"),
     [
         (lambda m: m.pop("poses"), "no list of poses"),
-        (lambda m: m["poses"][2].pop(), "poses[2]: 6 columns, expected the 7 of `qx qy qz qw tx ty tz`"),
-        (lambda m: m["poses"].__setitem__(2, "x"), "poses[2]: 'x', expected a row"),
-        (lambda m: m["poses"].__setitem__(2, [0] * 7), "poses[2]: quaternion of length 0"),
         (lambda m: m["frameTimestamps"].pop(), "frameTimestamps of shape (4,), expected 5 numbers"),
         (lambda m: m.update(frameTimestamps=True), "frameTimestamps of shape (), expected 5 numbers"),
         (lambda m: m.update(frameTimestamps=None, fps=0), "fps is 0, expected a number between 0.1 and 1000"),
@@ -72,6 +70,23 @@ def test_what_is_wrong_with_a_record3d_recording_is_said(
     metadata = r3d_metadata()
     change(metadata)
     refuse(make_r3d(tmp_path / "a.r3d", metadata), "a.r3d:metadata", said)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda m: m["poses"][2].pop(), "poses[2]: 6 columns, expected the 7 of `qx qy qz qw tx ty tz`"),
+        (lambda m: m["poses"].__setitem__(2, "x"), "poses[2]: 'x', expected a row"),
+        (lambda m: m["poses"].__setitem__(2, [0] * 7), "poses[2]: quaternion of length 0"),
+    ],
+)
+def test_a_pose_of_record3d_that_cannot_be_used_is_left_out_and_named(
+    change: Callable[[dict], object], said: str, tmp_path: Path
+) -> None:
+    metadata = r3d_metadata()
+    change(metadata)
+    listed = leaves_out(make_r3d(tmp_path / "a.r3d", metadata), NUM, "a.r3d:metadata", said)
+    assert (len(listed), listed.skipped) == (NUM - 1, {UNUSABLE: 1})
 
 
 def test_a_record3d_file_that_is_cut_off_is_said(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """7-Scenes by split."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from sequences.datasets.frames import count_frames, posed_frames
 from sequences.datasets.listing import list_images
 from sequences.errors import SequenceError
+from sequences.files.rows import UNUSABLE
 from tests.helpers.data_sets import make_7scenes
 
 
@@ -56,10 +58,14 @@ def test_7_scenes_poses_and_images_without_each_other_are_counted(tmp_path: Path
         (np.eye(4) + np.outer([0, 0, 0, 1.0], [2, 3, 4, 0]), r"last row \[2\.0, 3\.0, 4\.0, 1\.0\], expected 0 0 0 1"),
     ],
 )
-def test_a_7_scenes_pose_left_handed_stretched_or_transposed_is_refused(
+def test_a_7_scenes_pose_left_handed_stretched_or_transposed_is_left_out_and_more_than_half_of_them_refused(
     matrix: np.ndarray, said: str, tmp_path: Path
 ) -> None:
-    scene = make_7scenes(tmp_path / "scene", num_images=2)
+    scene = make_7scenes(tmp_path / "scene", num_images=3)
     np.savetxt(scene / "seq-01" / "frame-000001.pose.txt", matrix)
-    with pytest.raises(SequenceError, match=rf"frame-000001\.pose\.txt: .*{said}"):
+    images = list_images(scene)
+    assert (len(images), images.skipped) == (2, {UNUSABLE: 1})
+    assert re.match(rf"1 of 3 poses left out, the first: .*frame-000001\.pose\.txt: .*{said}", images.notices[0])
+    np.savetxt(scene / "seq-01" / "frame-000000.pose.txt", matrix)
+    with pytest.raises(SequenceError, match=rf"frame-000000\.pose\.txt: .*{said}.*; 2 of 3 poses cannot be used"):
         list_images(scene)

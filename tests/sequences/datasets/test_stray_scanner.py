@@ -8,7 +8,8 @@ import pytest
 
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import list_images
-from tests.helpers.dot_checks import check, check_conversion, edit, refuse
+from sequences.files.rows import UNUSABLE
+from tests.helpers.dot_checks import check, check_conversion, edit, leaves_out, refuse
 from tests.helpers.dot_scene import CX, CY, FX, FY, misses
 from tests.helpers.phone_data_sets import NUM, STRAY_TIMES, make_stray
 
@@ -71,15 +72,7 @@ def test_rows_with_intrinsics_of_their_own_give_the_medians(tmp_path: Path) -> N
     ("file", "change", "said"),
     [
         ("odometry.csv", lambda text: text.split("\n", 1)[1], "odometry.csv:1: '25841.123456789, 000000"),
-        ("odometry.csv", lambda text: text + ", 1", "odometry.csv:6: 10 columns, expected the 9 of the header"),
-        (
-            "odometry.csv",
-            lambda text: text.replace("000002", "two"),
-            "odometry.csv:4: number of a frame: 'two', expected a whole number",
-        ),
         ("odometry.csv", lambda text: text.replace("000002", "000001"), "odometry.csv:4: frame 1 is on line 3 too"),
-        ("odometry.csv", lambda text: text.replace("25841.1234", "yesterday"), "odometry.csv:2: time 'yesterday"),
-        ("odometry.csv", lambda text: text.rsplit(", ", 1)[0] + ", 7", "odometry.csv:6: quaternion of length 7"),
         ("odometry.csv", lambda text: "", "odometry.csv: empty, expected the header"),
         ("camera_matrix.csv", lambda text: text.split("\n", 1)[1], "rows of [3, 3] columns, expected a 3 x 3"),
         ("camera_matrix.csv", lambda text: text.replace("83.0", "9e9"), "camera_matrix.csv: fx 110, fy 104, cx inf"),
@@ -92,6 +85,24 @@ def test_what_is_wrong_with_a_stray_scanner_recording_is_said(
     folder = make_stray(tmp_path / "scan")
     edit(folder / file, change)
     refuse(folder, said)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text + ", 1", "odometry.csv:6: 10 columns, expected the 9 of the header"),
+        (lambda text: text.replace("000002", "two"), "odometry.csv:4: number of a frame: 'two', expected a whole"),
+        (lambda text: text.replace("25841.1234", "yesterday"), "odometry.csv:2: time 'yesterday"),
+        (lambda text: text.rsplit(", ", 1)[0] + ", 7", "odometry.csv:6: quaternion of length 7"),
+    ],
+)
+def test_a_row_of_stray_scanner_that_cannot_be_used_is_left_out_and_named(
+    change: Callable[[str], str], said: str, tmp_path: Path
+) -> None:
+    folder = make_stray(tmp_path / "scan")
+    edit(folder / "odometry.csv", change)
+    listed = leaves_out(folder, NUM, said)
+    assert (len(listed), listed.skipped[UNUSABLE]) == (NUM - 1, 1)
 
 
 def test_a_video_that_is_cut_off_or_missing_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -11,6 +11,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.pose_files import FrameName, natural_order, read_poses
+from sequences.files.text import read_text
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
 from tests.helpers.pose_text import walk, write_named
@@ -81,7 +82,7 @@ def test_a_tum_trajectory_is_camera_to_world(tmp_path: Path):
         (f"{GOOD}\n# again\n{GOOD}\n", r"p\.txt:3: 'seq-01/frame-000001.color.png' names the same frame as line 1"),
         (f"{GOOD}\nseq-01/frame-1.png 1 0 0 0 0 0 0\n", r"p\.txt:2: .* names the same frame as line 1"),
         ("first.png 1 0 0 0 0 0 0\n", r"p\.txt:1: name 'first.png', expected a frame number"),
-        ("1403636579763555584.png 1 0 0 0 0 0 0\n", r"p\.txt:1: number of a frame: .* expected a whole number"),
+        ("1403636579763555584.png 1 0 0 0 0 0 0\nx1.png 1 0 0 0 0 0 0\n", r"p\.txt:2: name 'x1.png' is no stamp"),
         ("0.5 1 0 0 0 0 0\n", r"p\.txt:1: 7 columns, expected the eight of `time"),
     ],
 )
@@ -213,3 +214,10 @@ def test_real_estimates_have_the_published_errors(shared_data: Path):
     error_m, _ = hloc.poses.distance(truth.poses)
     assert np.median(error_m) == pytest.approx(0.051, abs=5e-4)
     assert np.mean(error_m > 0.5) == pytest.approx(0.014)
+
+
+def test_a_byte_order_mark_before_the_text_is_skipped(tmp_path: Path):
+    text = "1.5 0 0 0 0 0 0 1\n2.5 1 0 0 0 0 0 1\n"
+    (tmp_path / "p.tum").write_text(text, encoding="utf-8-sig")
+    assert [frame.number for frame in read_poses(tmp_path / "p.tum").frames] == [1_500_000_000, 2_500_000_000]
+    assert read_text(tmp_path / "p.tum") == text

@@ -20,7 +20,7 @@ from sequences.recordings.bag import Bag
 from sequences.recordings.message_definitions import decoder, schema_name, schema_text
 from sequences.writer import SequenceWriter
 from tests.helpers.lens_images import taken_by
-from tests.helpers.sequence_files import BASE_FROM_CAMERA, Walk, rewrite, world_from_camera
+from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, rewrite, world_from_camera
 
 CAMERA = Camera(160, 120, 110.0, 108.0, 77.0, 62.0)
 LENSES = {
@@ -180,13 +180,13 @@ def test_zero_coefficients_are_no_distortion(changes: dict[str, object], plain: 
     camera = camera_of(plain, tmp_path, changes)
     assert camera.camera == CAMERA
     image = taken_by(CAMERA)
-    assert camera.seen(image) == (image, CAMERA)
+    assert camera.seen(image, BEGIN_NS) == (image, CAMERA)
 
 
 def test_zero_intrinsics_are_an_uncalibrated_camera(plain: Path, tmp_path: Path) -> None:
     camera = camera_of(plain, tmp_path, {"k": [0.0] * 9})
     image = taken_by(CAMERA)
-    assert (camera.camera, camera.notices, camera.seen(image)) == (None, [], (image, None))
+    assert (camera.camera, camera.notices, camera.seen(image, BEGIN_NS)) == (None, [], (image, None))
 
 
 def test_binned_and_cropped_images_have_intrinsics_of_their_own(plain: Path, tmp_path: Path) -> None:
@@ -213,11 +213,37 @@ def test_an_unknown_distortion_is_said_and_left(plain: Path, tmp_path: Path) -> 
 def test_images_of_another_aspect_than_their_camera_are_said_once_and_left(plain: Path, tmp_path: Path) -> None:
     camera = camera_of(plain, tmp_path, {})
     for _ in range(3):
-        assert camera.seen(np.zeros((90, 160, 3), np.uint8))[1] is None
+        assert camera.seen(np.zeros((90, 160, 3), np.uint8), BEGIN_NS)[1] is None
     assert camera.notices == [
         "images are 160 x 90 pixels, but their camera is said to have 160 x 120: what is said of it is not used, and"
         " images are not undistorted"
     ]
+
+
+def test_a_camera_that_zooms_or_changes_its_mode_is_followed_image_by_image(tmp_path: Path) -> None:
+    said: list[float] = []
+
+    def zoomed(message: SimpleNamespace) -> None:
+        said.append(80.0 if 3 <= len(said) < 8 else 60.0)
+        message.k = matrix(said[-1], said[-1], 79.5)
+        message.d = []
+
+    path = write_walk(tmp_path / "a.mcap", CAMERA, num_images=12)
+    frames = list(SequenceReader(with_info(path, tmp_path / "zoom.mcap", zoomed)))
+    assert [frame.camera.fx for frame in frames if frame.camera is not None] == [60.0] * 3 + [80.0] * 5 + [60.0] * 4
+
+
+def test_intrinsics_that_are_of_no_camera_are_left_out_and_those_before_kept(tmp_path: Path) -> None:
+    said: list[float] = []
+
+    def broken(message: SimpleNamespace) -> None:
+        said.append(float("nan") if len(said) in (4, 7) else 60.0)
+        message.k = matrix(said[-1], 60.0, 79.5)
+
+    path = write_walk(tmp_path / "a.mcap", CAMERA, num_images=12)
+    reader = SequenceReader(with_info(path, tmp_path / "broken.mcap", broken))
+    assert [frame.camera.fx for frame in reader if frame.camera is not None] == [60.0] * 12
+    assert reader.skipped == {"unusable intrinsics": 2}
 
 
 def matrix(fx: float, fy: float, cx: float) -> list[float]:

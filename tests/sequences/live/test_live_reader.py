@@ -15,7 +15,7 @@ from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Frame
 from sequences.live.heard import Heard
 from sequences.live.reader import LiveReader
-from sequences.options import ReadingOptions
+from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.message_definitions import encoder
 from sequences.recordings.source import TF, TF_STATIC, RawMessage
@@ -35,7 +35,7 @@ from tests.helpers.sequence_files import (
 
 INFO = "/camera/camera_info"
 SECOND = 10**9
-OVERTAKEN, UNCOVERED, LATE = "a newer image was there", "odometry does not cover", "time stamp not increasing"
+OVERTAKEN, LATE = "a newer image was there", "time stamp not increasing"
 ODD = "time stamp unlike those before"
 
 
@@ -45,7 +45,7 @@ class Robot:
     def __init__(self, transport: FakeTransport, options: ReadingOptions | None = None) -> None:
         self.transport, self.options = transport, options or ReadingOptions()
         self.events: queue.SimpleQueue[RawMessage] = queue.SimpleQueue()
-        self.heard = Heard(transport, self.events, stamps=self.options.stamps)
+        self.heard = Heard(transport, self.events, options=self.options)
         self.opened: LiveReader | None = None
         self.frames: list[tuple[int, Frame]] = []  # with the number of the reading
         self.wanting: list[str] = []  # what was not there yet
@@ -199,7 +199,7 @@ def test_where_the_newest_image_cannot_be_used_the_one_before_it_is_given(tmp_pa
 
 
 def test_images_that_nobody_asks_for_do_not_pile_up(long_raws: list[RawMessage]) -> None:
-    for with_odometry, reason in ((True, OVERTAKEN), (False, UNCOVERED)):
+    for with_odometry, reason in ((True, OVERTAKEN), (False, "odometry had not come yet")):
         robot = Robot(offering(long_raws))
         robot.live_through([raw for raw in long_raws if at_ms(raw) < 250])
         after = [raw for raw in long_raws if at_ms(raw) > 250 and (with_odometry or raw.topic != ODOMETRY)]
@@ -231,7 +231,7 @@ def test_odometry_that_comes_twice_or_late_is_left_out(raws: list[RawMessage], w
     robot = lived(sorted(said, key=lambda raw: raw.log_time_ns))
     require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
     left_out = robot.reader.messages_left_out
-    assert set(left_out) == {"odometry time stamp not increasing"}
+    assert set(left_out) == {"poses of odometry: time stamp not increasing"}
     assert left_out.total() >= len(odometry) - 12
 
 
@@ -294,7 +294,7 @@ def test_across_a_pause_of_half_a_second_the_motion_is_not_known(
     assert len(rest) >= 12
     assert all(frame.odometry is not None for frame in rest)
     assert robot.reader.readings == 1
-    assert robot.reader.counts.skipped == ({OVERTAKEN: 3} if is_whole else {UNCOVERED: 6})
+    assert robot.reader.counts.skipped == ({OVERTAKEN: 3} if is_whole else {"in a gap of odometry over 0.5 s": 6})
 
 
 # --- damage ---------------------------------------------------------------------------------------
@@ -348,7 +348,7 @@ def test_damaged_messages_are_counted_and_frames_stay_what_they_are(
 
 
 def test_damaged_messages_of_tf_are_counted_where_odometry_is_told_there(tmp_path: Path) -> None:
-    path = tf_record(tmp_path)
+    path = tf_record(tmp_path / "tf.mcap")
     said, number = with_damage(messages_of(path), TF)
     robot = lived(said)
     require_same([frame for _, frame in robot.frames], SequenceReader(path))
@@ -374,7 +374,7 @@ def test_poses_that_are_none_are_counted(raws: list[RawMessage], walk_file: Path
     bad = first._replace(data=encoder("nav_msgs/Odometry")(fields))
     robot = lived([each for raw in raws for each in ([raw, bad] if raw is first else [raw])])
     require_same([frame for _, frame in robot.frames], SequenceReader(walk_file))
-    assert robot.reader.messages_left_out == {f"unusable message on {ODOMETRY}": 1}
+    assert robot.reader.messages_left_out == {"unusable poses of odometry": 1}
     assert any("not finite" in said for said in robot.reader.problems.values())
 
 
@@ -418,7 +418,7 @@ def test_single_odd_stamps_are_left_out_and_the_reading_goes_on(
     robot = lived([said(raw) for raw in long_raws])
     assert robot.reader.readings == 1
     assert robot.reader.counts.skipped == {ODD: 5}
-    assert robot.reader.messages_left_out == {ODD: 6}
+    assert robot.reader.messages_left_out == {f"{ODD} on {ODOMETRY}": 6}
     assert len(robot.frames) == 25
     assert all(frame.odometry is not None for _, frame in robot.frames[1:])
     expected = {frame.time_ns: frame for frame in SequenceReader(long_walk)}
@@ -581,20 +581,23 @@ def test_topics_of_no_use_are_not_listened_to(raws: list[RawMessage]) -> None:
     assert len(robot.frames) == 12
     assert {offer.topic for offer in transport.subscribed} == {IMAGES, ODOMETRY, INFO, TF_STATIC}
     assert "/tf" not in robot.heard
-    assert robot.reader.streamed == [IMAGES, ODOMETRY, TF_STATIC]
+    assert robot.reader.streamed == [IMAGES, ODOMETRY, INFO, TF_STATIC]
 
 
 # --- odometry by tf -------------------------------------------------------------------------------
 
 
-def tf_record(folder: Path, *, num_images: int = 12) -> Path:
-    """A walk whose odometry is on /tf only."""
-    odometry = tf_files.tf("odom", "base_link", tf_files.stamps(num_images), tf_files.body)
-    return tf_files.record(folder / "tf.mcap", tf_files.images(num_images), tf_files.mounted(), odometry)
+def tf_record(path: Path, *, num_images: int = 12, tf_topics: Iterable[str] = ("/tf",)) -> Path:
+    """A walk whose odometry is on tf only: of one robot or several."""
+    parts = [tf_files.images(num_images)]
+    for topic in tf_topics:
+        parts.append(tf_files.mounted(topic=f"{topic}_static"))
+        parts.append(tf_files.tf("odom", "base_link", tf_files.stamps(num_images), tf_files.body, topic))
+    return tf_files.record(path, *parts)
 
 
 def test_odometry_of_tf_says_what_a_topic_would(tmp_path: Path) -> None:
-    path = tf_record(tmp_path, num_images=20)
+    path = tf_record(tmp_path / "tf.mcap", num_images=20)
     by_tf = lived(messages_of(path))
     require_same([frame for _, frame in by_tf.frames], SequenceReader(path))
     topic = tf_files.odometry(tf_files.stamps(20))
@@ -615,8 +618,24 @@ def test_odometry_of_tf_says_what_a_topic_would(tmp_path: Path) -> None:
     assert close(pose, tf_files.body(last), 1e-9)
 
 
+def test_tf_of_one_robot_among_several_is_taken_by_its_name(tmp_path: Path) -> None:
+    plain = SequenceReader(tf_record(tmp_path / "tf.mcap"))
+    named = tf_record(tmp_path / "robot1.mcap", tf_topics=["/robot1/tf"])
+    require_same(list(SequenceReader(named)), plain)  # the only one
+    require_same([frame for _, frame in lived(messages_of(named)).frames], plain)
+    two = tf_record(tmp_path / "two.mcap", tf_topics=["/robot1/tf", "/robot2/tf"])
+    with pytest.raises(SequenceError, match=r"no odometry topic.*; tf is of 2 robots, name one by --tf-topic"):
+        SequenceReader(two)
+    chosen = SequenceOptions(tf_topic="/robot1/tf")
+    require_same(list(SequenceReader(two, chosen)), plain)
+    require_same([frame for _, frame in lived(messages_of(two), chosen).frames], plain)
+    said = r"no tf on '/robot3/tf' \(--tf-topic\), found: /robot1/tf, /robot2/tf; expected one of these"
+    with pytest.raises(NotFoundError, match=said):
+        SequenceReader(two, SequenceOptions(tf_topic="/robot3/tf"))
+
+
 def test_a_clock_of_tf_that_is_set_begins_a_new_reading(tmp_path: Path) -> None:
-    raws = messages_of(tf_record(tmp_path, num_images=20))
+    raws = messages_of(tf_record(tmp_path / "tf.mcap", num_images=20))
     by_ns = -5 * SECOND
 
     def said(raw: RawMessage) -> RawMessage:

@@ -1,5 +1,8 @@
 """Images and messages that cannot be used: they are counted, or end the reading."""
 
+import re
+from collections.abc import Callable, Collection
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +12,8 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.options import OdometryUse
 from sequences.reader import SequenceReader
+from sequences.reading.counts import AFTER, BEFORE, IN_GAP
+from sequences.reading.left_out import ODD
 from tests.helpers.other_recordings import close
 from tests.helpers.sequence_files import BEGIN_NS, IMAGES, Walk, rewrite, world_from_camera
 
@@ -67,33 +72,59 @@ def test_images_that_odometry_does_not_cover_are_skipped(tmp_path: Path) -> None
     reader = SequenceReader(walk.write(tmp_path / "walk.mcap"))
     indices = [(frame.time_ns - BEGIN_NS) // (100 * ms) for frame in reader]
     assert indices == [2, 3, 4]
-    assert reader.skipped == {"odometry does not cover": 9}
+    assert reader.skipped == {BEFORE: 2, IN_GAP: 6, AFTER: 1}
 
 
-def test_odometry_that_is_not_finite_ends_the_reading_with_topic_and_time(tmp_path: Path) -> None:
-    walk = Walk()
-    nan = walk.odometry[12][0]
-    walk.odometry[12] = (nan, Poses(np.eye(3), np.array([np.nan, 0.0, 0.0])))
-    path = walk.write(tmp_path / "in.mcap")
-    with pytest.raises(SequenceError, match=rf"in\.mcap: /odom at {nan} ns: odometry: .*not finite"):
-        list(SequenceReader(path))
+def flattened(times_ns: Collection[int]) -> Callable[[str, int, bytes], bytes]:
+    """Odometry of some times gets a quaternion of zeros."""
 
-
-def test_odometry_without_a_rotation_ends_the_reading_with_topic_and_time(tmp_path: Path) -> None:
-    walk = Walk()
-    flat = walk.odometry[30][0]
-    path = walk.write(tmp_path / "in.mcap")
-
-    def flattened(topic: str, time_ns: int, data: bytes) -> bytes:
-        if topic != "/odom" or time_ns != flat:
+    def rewritten(topic: str, time_ns: int, data: bytes) -> bytes:
+        if topic != "/odom" or time_ns not in times_ns:
             return data
         # header (8 + 4 + "odom\0"), child frame (4 + "base_link\0"), then aligned to 8 from byte 4 on: the pose.
         start = data.index(b"base_link\0") + len(b"base_link\0")
         start += -(start - 4) % 8 + 24
         return data[:start] + bytes(32) + data[start + 32 :]
 
-    with pytest.raises(SequenceError, match=rf"out\.mcap: /odom at {flat} ns: odometry: .*quaternion of length 0"):
-        list(SequenceReader(rewrite(path, tmp_path / "out.mcap", data=flattened)))
+    return rewritten
+
+
+NOWHERE = Poses(np.eye(3), np.array([np.nan, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("kind", ["not finite", "quaternion of length 0"])
+def test_odometry_that_is_no_pose_is_left_out_and_the_rest_used(kind: str, tmp_path: Path) -> None:
+    walk, bad = Walk(), (12, 30)
+    if kind == "not finite":
+        for index in bad:
+            walk.odometry[index] = (walk.odometry[index][0], NOWHERE)
+    path = walk.write(tmp_path / "in.mcap")
+    if kind != "not finite":
+        path = rewrite(path, tmp_path / "out.mcap", data=flattened([walk.odometry[index][0] for index in bad]))
+    reader = SequenceReader(path)
+    frames = list(reader)
+    assert len(frames) == 12
+    for before, frame in pairwise(frames):
+        assert frame.odometry is not None
+        truth = world_from_camera(before.time_ns).inverse() @ world_from_camera(frame.time_ns)
+        assert close(frame.odometry.previous_from_current, truth, 1e-2)
+    assert reader.skipped == {"unusable poses of odometry": 2}
+    (said,) = [notice for notice in reader.notices if "cannot be used" in notice]
+    assert re.match(
+        rf"/odom: 2 of \d+ poses of odometry cannot be used \(first at {walk.odometry[12][0]} ns: .*{kind}", said
+    )
+
+
+@pytest.mark.parametrize("what", ["odometry", "truth"])
+def test_where_more_poses_than_not_are_none_the_recording_is_refused(what: str, tmp_path: Path) -> None:
+    walk = Walk()
+    poses = getattr(walk, what)
+    setattr(walk, what, [(t, pose if n % 3 == 0 else NOWHERE) for n, (t, pose) in enumerate(poses)])
+    topic = {"odometry": "/odom", "truth": "/ground_truth/pose"}[what]
+    reader = SequenceReader(walk.write(tmp_path / "in.mcap"), true_poses="required")
+    said = rf"in\.mcap: {topic}: \d+ of \d+ .*not finite.*expected at most one in two"
+    with pytest.raises(SequenceError, match=said):
+        list(reader)
 
 
 def test_odometry_stamps_that_stand_or_run_backwards_are_skipped(tmp_path: Path) -> None:
@@ -104,15 +135,18 @@ def test_odometry_stamps_that_stand_or_run_backwards_are_skipped(tmp_path: Path)
 
     reader = SequenceReader(rewrite(Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap", data=stalled))
     assert len(list(reader)) == 12
-    assert reader.skipped.keys() == {"odometry time stamp not increasing"}
+    assert reader.skipped.keys() == {f"{ODD} on /odom"}
 
 
-def test_a_true_pose_that_is_not_finite_ends_the_reading_with_topic_and_time(tmp_path: Path) -> None:
+def test_a_true_pose_that_is_not_finite_is_left_out(tmp_path: Path) -> None:
     walk = Walk()
     walk.truth[4] = (walk.truth[4][0], Poses(np.eye(3), np.array([np.inf, 0.0, 0.0])))
-    path = walk.write(tmp_path / "walk.mcap")
-    with pytest.raises(SequenceError, match=rf"/ground_truth/pose at {walk.truth[4][0]} ns: true pose: .*not finite"):
-        list(SequenceReader(path))
+    reader = SequenceReader(walk.write(tmp_path / "walk.mcap"), true_poses="required")
+    frames = list(reader)
+    assert [n for n, frame in enumerate(frames) if frame.world_from_camera is not None] == [
+        n for n in range(12) if n != 4
+    ]
+    assert reader.skipped == {"unusable true poses": 1}
 
 
 def far_ahead(of_topic: str, walk: Path, target: Path) -> Path:
@@ -132,22 +166,18 @@ def test_a_stamp_far_in_the_future_costs_one_image_only(odometry: OdometryUse, t
     path = far_ahead(IMAGES, Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap")
     reader = SequenceReader(path, odometry=odometry)
     assert [f.time_ns for f in reader] == [BEGIN_NS + 100_000_000 * i for i in range(12) if i != 5]
-    assert reader.skipped == {"time stamp far ahead": 1}
+    assert reader.skipped == {ODD: 1}
 
 
-@pytest.mark.parametrize(
-    ("topic", "what", "num_true_poses"), [("/odom", "odometry", 12), ("/ground_truth/pose", "true pose", 11)]
-)
-def test_a_stamp_far_in_the_future_costs_one_pose_only(
-    topic: str, what: str, num_true_poses: int, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize(("topic", "num_true_poses"), [("/odom", 12), ("/ground_truth/pose", 11)])
+def test_a_stamp_far_in_the_future_costs_one_pose_only(topic: str, num_true_poses: int, tmp_path: Path) -> None:
     path = far_ahead(topic, Walk().write(tmp_path / "in.mcap"), tmp_path / "out.mcap")
     reader = SequenceReader(path)
     frames = list(reader)
     assert len(frames) == 12
     assert all(frame.odometry is not None for frame in frames[1:])
     assert sum(frame.world_from_camera is not None for frame in frames) == num_true_poses
-    assert reader.skipped == {f"{what} time stamp far ahead": 1}
+    assert reader.skipped == {f"{ODD} on {topic}": 1}
 
 
 def test_with_no_image_left_the_error_says_why(tmp_path: Path) -> None:

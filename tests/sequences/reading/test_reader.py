@@ -163,13 +163,14 @@ def test_raw_images_are_read_and_beside_compressed_ones_must_be_named(tmp_path: 
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("with_index", [True, False])
-def test_memory_does_not_grow_with_the_file(with_index: bool, tmp_path: Path) -> None:
+def test_memory_does_not_grow_with_the_file(with_index: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sequences.recordings.recording_file._MAX_KEPT_BYTES", 0)
     rng = np.random.default_rng(0)
     peaks, sizes = [], []
     for num_images in (50, 200):
         walk = Walk(num_images)
-        # PNG files with 50 kB of rubbish behind their end: large on disk, quick to decode.
-        walk.images = [(t, data + rng.bytes(50_000)) for t, data in walk.images]
+        # PNG files with 100 kB of rubbish behind their end: large on disk, quick to decode.
+        walk.images = [(t, data + rng.bytes(100_000)) for t, data in walk.images]
         walk.odometry = walk.odometry[::4]
         path = walk.write(tmp_path / f"{num_images}.mcap")
         reader = SequenceReader(path if with_index else as_file_without_index(path, tmp_path))

@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
-from sequences.reading.counts import OUTSIDE
+from sequences.reading.counts import IN_GAP, OUTSIDE
 from tests.helpers.other_recordings import MS, close, relogged, stamped
 from tests.helpers.sequence_files import (
     BEGIN_NS,
@@ -46,18 +46,30 @@ def test_neighbours_logged_in_swapped_order_are_used_in_the_order_of_their_stamp
     assert reader.skipped == {}
 
 
-def test_images_logged_later_than_the_window_are_counted(tmp_path: Path) -> None:
-    def late(name: str, time_ns: int) -> int:
-        return 900 * MS if name == IMAGES and time_ns == BEGIN_NS + 1000 * MS else 0
+@pytest.mark.parametrize("topic", ["/odom", "/ground_truth/pose", IMAGES])
+@pytest.mark.parametrize("late_s", [2.5, 3600.0, -3600.0])
+def test_however_late_a_topic_is_logged_all_images_are_used(topic: str, late_s: float, tmp_path: Path) -> None:
+    source = Walk(30).write(tmp_path / "in.mcap")
+    path = relogged(source, tmp_path / "out.mcap", lambda name, _: round(late_s * 1e9) if name == topic else 0)
+    reader = SequenceReader(path)
+    for frame, expected in zip(reader, SequenceReader(source), strict=True):
+        assert frame.time_ns == expected.time_ns
+        assert close(frame.world_from_camera, world_from_camera(frame.time_ns), 1e-3)
+        if expected.odometry is not None:
+            assert frame.odometry is not None
+            moved = frame.odometry.previous_from_current
+            assert close(moved, expected.odometry.previous_from_current, 1e-12)
+    assert reader.skipped == {}
 
-    reader = SequenceReader(relogged(Walk(30).write(tmp_path / "in.mcap"), tmp_path / "out.mcap", late))
-    assert len(list(reader)) == 29
-    assert reader.counts.as_json() == {
-        "stated": 30,
-        "read": 30,
-        "used": 29,
-        "skipped": {"time stamp not increasing": 1},
-    }
+
+def test_odometry_that_is_too_sparse_is_told_from_one_that_ends(tmp_path: Path) -> None:
+    walk = Walk(40)
+    walk.odometry = walk.odometry[::50]  # one in a second
+    reader = SequenceReader(walk.write(tmp_path / "walk.mcap"))
+    limit = r"in a gap of odometry over 0\.5 s"
+    said = r"odometry of /odom comes every 1 s: no motion is known over gaps of more than 0\.5 s, expected a topic"
+    with pytest.raises(SequenceError, match=rf"no image left of 40 .*{limit}.*{said}"):
+        list(reader)
 
 
 @pytest.mark.parametrize("moment", [0, 5 * 10**9])
@@ -113,7 +125,7 @@ def test_every_image_is_used_or_skipped_for_a_reason(tmp_path: Path) -> None:
     )
     reader = SequenceReader(path, SequenceOptions(start_s=1.0, duration_s=8.0))
     used = len(list(reader))
-    lost = {"undecodable image": 1, "time stamp not increasing": 1, "odometry does not cover": 11}
+    lost = {"undecodable image": 1, "time stamp not increasing": 1, IN_GAP: 11}
     assert reader.counts.skipped == {**lost, OUTSIDE: 200 - 81}
     assert reader.counts.read < 200  # reading ended early
     assert (reader.counts.stated, reader.counts.used) == (200, used)
@@ -128,7 +140,7 @@ def test_where_fewer_than_half_of_the_images_were_used_a_sentence_says_why(tmp_p
     path = walk.write(tmp_path / "walk.mcap")
     reader = SequenceReader(path)
     assert len(list(reader)) == 9
-    assert reader.counts.warning == "Only 9 of 40 images were used: 30 were skipped, odometry does not cover."
+    assert reader.counts.warning == "Only 9 of 40 images were used: 30 were skipped: after odometry ends."
     assert not reader.counts.are_very_few
     next(iter(reader))
     assert reader.counts.warning is None  # who takes no more than that knows

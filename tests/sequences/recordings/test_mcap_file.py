@@ -1,8 +1,10 @@
 """MCAP files that lie about themselves: what they lost is told, and no size is believed before it was checked."""
 
+import heapq
 import struct
 import tracemalloc
 import zlib
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,14 +12,17 @@ import lz4.frame
 import pytest
 import zstandard
 from mcap.opcode import Opcode
-from mcap.writer import CompressionType, IndexType
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
 
 from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
+from sequences.recordings import mcap_file, recording_file
 from sequences.recordings.bag import Bag
+from sequences.recordings.mcap_records import unpack_chunk
 from tests.helpers.lossy_mcap import chunks, damaged, id_of, records, without_ten_images
-from tests.helpers.sequence_files import IMAGES, as_file_without_index, rewrite
+from tests.helpers.sequence_files import BEGIN_NS, IMAGES, as_file_without_index, rewrite
 
 
 def with_forged_checksums(data: bytearray) -> None:
@@ -143,16 +148,65 @@ def test_a_footer_that_hides_what_the_file_states_is_refused(walk_file: Path, tm
         Bag(path)
 
 
-def test_chunks_that_all_claim_the_same_time_are_not_held_without_limit(
+# --- in which order, and how often a chunk is unpacked --------------------------------------------
+
+
+def topic_after_topic(source: Path, target: Path, **options: object) -> Path:
+    """A file as of one writer for each topic, whose clock is set back halfway."""
+    half_ns = BEGIN_NS + 500_000_000
+    with open(target, "wb") as stream, open(source, "rb") as whole:
+        writer = Writer(stream, chunk_size=1000, **options)  # pyright: ignore[reportArgumentType]
+        writer.start()
+        for topic in ("/odom", IMAGES):
+            whole.seek(0)
+            messages = [*make_reader(whole).iter_messages(topics=[topic])]
+            schema, channel, _ = messages[0]
+            assert schema is not None
+            schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+            channel_id = writer.register_channel(topic, channel.message_encoding, schema_id)
+            for _, _, message in messages:
+                time_ns = message.log_time - (10**12 if message.log_time > half_ns else 0)
+                writer.add_message(channel_id, time_ns, message.data, time_ns)
+        writer.finish()
+    return target
+
+
+FORMS_OF_FILES = [{}, {"use_chunking": False}, {"index_types": IndexType.NONE}]
+
+
+@pytest.mark.parametrize("options", FORMS_OF_FILES)
+def test_messages_come_as_they_lie_in_the_file_whatever_clocks_said(
+    options: dict[str, object], walk_file: Path, tmp_path: Path
+) -> None:
+    whole = [(raw.topic, raw.data) for raw in Bag(walk_file).messages(["/odom", IMAGES])]
+    bag = Bag(topic_after_topic(walk_file, tmp_path / "a.mcap", **options))
+    found = [(raw.topic, raw.data) for raw in bag.messages(["/odom", IMAGES])]
+    assert found == sorted(whole, key=lambda each: each[0] != "/odom")
+
+
+@pytest.mark.parametrize("options", FORMS_OF_FILES)
+def test_that_one_topic_is_over_says_nothing_of_another(
+    options: dict[str, object], walk_file: Path, tmp_path: Path
+) -> None:
+    bag = Bag(topic_after_topic(walk_file, tmp_path / "a.mcap", **options))
+    raws = [*bag.messages(["/odom", IMAGES], until=lambda time_ns: time_ns >= BEGIN_NS + 200_000_000)]
+    assert [raw.topic for raw in raws] == ["/odom"] * 12 + [IMAGES] * 2
+
+
+def test_iterators_side_by_side_unpack_each_chunk_once(
     walk_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def at_once(data: bytearray) -> None:
-        for opcode, place, _ in records(data):
-            if opcode == Opcode.CHUNK_INDEX:
-                data[place : place + 8] = bytes(8)
-
-    path = damaged(walk_file, tmp_path / "heap.mcap", at_once, chunk_size=1000)
-    assert len(list(Bag(path).messages([IMAGES]))) == 12
-    monkeypatch.setattr("sequences.recordings.mcap_file._MAX_HELD_BYTES", 3000)
-    with pytest.raises(SequenceError, match=r"chunks overlap in time by more than 3000 bytes"):
-        list(Bag(path).messages([IMAGES]))
+    bag = Bag(rewrite(walk_file, tmp_path / "a.mcap", chunk_size=1000, compression=CompressionType.ZSTD))
+    unpacked = []
+    monkeypatch.setattr(mcap_file, "unpack_chunk", lambda data: unpacked.append(data) or unpack_chunk(data))
+    names = [*bag.topics]
+    alone = {name: [*bag.messages([name])] for name in names}
+    bag = Bag(tmp_path / "a.mcap")
+    unpacked.clear()
+    side_by_side = heapq.merge(*(bag.messages([name]) for name in names), key=lambda raw: raw.log_time_ns)
+    assert Counter(raw.topic for raw in side_by_side) == {name: len(raws) for name, raws in alone.items()}
+    assert len(unpacked) == len(set(unpacked)) > 5
+    unpacked.clear()
+    monkeypatch.setattr(recording_file, "_MAX_KEPT_BYTES", 3000)
+    assert [*bag.messages(names)] == [*Bag(tmp_path / "a.mcap").messages(names)]
+    assert sum(map(len, bag._latest._kept.values())) <= 3000

@@ -35,9 +35,14 @@ LAYOUTS = {
     "bgra8": (np.concatenate([RGB[..., ::-1], ALPHA], 2), RGB),
     "mono8": (RGB[..., 0], GREY),
     "8UC1": (RGB[..., 0], GREY),
+    "8UC4": (np.concatenate([RGB[..., ::-1], ALPHA], 2), RGB),
     "mono16": (RGB[..., 0].astype(np.uint16) * 256 + 99, GREY),
     "rgb16": (RGB.astype(np.uint16) * 256 + 99, RGB),
     "bgr16": (RGB[..., ::-1].astype(np.uint16) * 256 + 99, RGB),
+    "16UC3": (RGB[..., ::-1].astype(np.uint16) * 256 + 99, RGB),
+    "rgba16": (np.concatenate([RGB, ALPHA], 2).astype(np.uint16) * 256 + 99, RGB),
+    "bgra16": (np.concatenate([RGB[..., ::-1], ALPHA], 2).astype(np.uint16) * 256 + 99, RGB),
+    "16UC4": (np.concatenate([RGB[..., ::-1], ALPHA], 2).astype(np.uint16) * 256 + 99, RGB),
 }
 
 
@@ -71,21 +76,45 @@ def test_a_mosaic_made_by_hand_gets_its_colour_back(pattern: str, bits: int) -> 
     np.testing.assert_array_equal(image[2:-2, 2:-2], np.broadcast_to(colour, (12, 12, 3)))
 
 
-@pytest.mark.parametrize(("encoding", "order"), [("yuv422", [1, 0, 2, 0]), ("yuv422_yuy2", [0, 1, 0, 2])])
-def test_yuv_images_get_their_colour_back(encoding: str, order: list[int]) -> None:
-    colour = np.array([180, 60, 90], np.uint8)
+def narrow_yuv(colour: np.ndarray) -> np.ndarray:
+    """BT.601 in the narrow range of video."""
     y, v, u = cv2.cvtColor(colour[None, None], cv2.COLOR_RGB2YCrCb)[0, 0].astype(float)
-    # BT.601 in the narrow range of video.
-    yuv = np.array([16 + y * 219 / 255, 128 + (u - 128) * 224 / 255, 128 + (v - 128) * 224 / 255])
-    pixels = np.tile(np.round(yuv[order]).astype(np.uint8).reshape(2, 2), (4, 4, 1))
-    image = decode_image(image_message(pixels, encoding))
+    yuv = [16 + y * 219 / 255, 128 + (u - 128) * 224 / 255, 128 + (v - 128) * 224 / 255]
+    return np.round(yuv).astype(np.uint8)
+
+
+@pytest.mark.parametrize("padding", [0, 4])
+@pytest.mark.parametrize(
+    ("encoding", "order"), [("yuv422", "uyvy"), ("uyvy", "uyvy"), ("yuv422_yuy2", "yuyv"), ("yuyv", "yuyv")]
+)
+def test_yuv_images_get_their_colour_back(encoding: str, order: str, padding: int) -> None:
+    colour = np.array([180, 60, 90], np.uint8)
+    values = narrow_yuv(colour)[["yuv".index(letter) for letter in order]].reshape(2, 2)
+    image = decode_image(image_message(np.tile(values, (4, 4, 1)), encoding, padding=padding))
     np.testing.assert_allclose(image.reshape(-1, 3), np.broadcast_to(colour, (32, 3)), atol=6)
+
+
+@pytest.mark.parametrize(("encoding", "order", "cell"), [("nv12", "uv", 2), ("nv21", "vu", 2), ("nv24", "uv", 1)])
+def test_yuv_images_in_planes_get_their_colours_back(encoding: str, order: str, cell: int) -> None:
+    colours = np.random.default_rng(2).integers(60, 200, (3, 4, 3), dtype=np.uint8)
+    yuv = np.array([[narrow_yuv(colour) for colour in row] for row in colours])
+    luma = yuv[..., 0].repeat(cell, axis=0).repeat(cell, axis=1)
+    chroma = yuv[..., ["yuv".index(letter) for letter in order]].reshape(-1, luma.shape[1])
+    message = image_message(np.concatenate([luma, chroma]), encoding)
+    message.height = len(luma)
+    found = decode_image(message)
+    np.testing.assert_allclose(found, colours.repeat(cell, axis=0).repeat(cell, axis=1), atol=6)
+    message.data = message.data[:-1]
+    with pytest.raises(SequenceError, match=rf"{encoding} has {len(message.data)} bytes"):
+        decode_image(message)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"encoding": "32FC1"}, "encoding '32FC1'"),
+        ({"encoding": "mono12"}, "encoding 'mono12' is not known, expected one of rgb8"),
+        ({"encoding": "32FC1"}, "encoding '32FC1' is of depth .*--image-topic.* mono8 or mono16"),
+        ({"encoding": "16UC1"}, "encoding '16UC1' is of depth"),
         ({"data": b"123"}, "3 bytes"),
         ({"step": 5}, "rows of 5"),
         ({"height": 0}, "8 x 0"),
@@ -106,6 +135,76 @@ def test_png_and_jpeg_become_rgb() -> None:
     jpeg = cv2.imencode(".jpg", np.ascontiguousarray(flat[..., ::-1]))[1].tobytes()
     image = decode_compressed_image(SimpleNamespace(data=jpeg, format="jpeg"))
     np.testing.assert_allclose(image, flat, atol=3)
+
+
+SMOOTH = cv2.GaussianBlur(cv2.resize(RGB, (32, 24), interpolation=cv2.INTER_LINEAR), (0, 0), 3)
+
+
+def mosaic_of(rgb: np.ndarray, pattern: str) -> np.ndarray:
+    """What a sensor behind a colour filter sees."""
+    rows, columns = np.indices(rgb.shape[:2])
+    return np.take_along_axis(rgb, np.array(MOSAICS[pattern])[rows % 2 * 2 + columns % 2][..., None], axis=2)[..., 0]
+
+
+@pytest.mark.parametrize("pattern", MOSAICS)
+@pytest.mark.parametrize(
+    ("image_format", "bits", "within"),
+    [
+        ("{pattern}8; png compressed ", 8, 4),
+        ("{pattern}8; png", 8, 4),
+        ("{pattern}16; png compressed ", 16, 4),
+        ("{pattern}8; jpeg compressed ", 8, 12),
+        ("{pattern}8; jpeg compressed {pattern}8", 8, 12),
+    ],
+)
+def test_a_mosaic_that_a_format_names_gets_its_colour_back(
+    pattern: str, image_format: str, bits: int, within: float
+) -> None:
+    mosaic = mosaic_of(SMOOTH, pattern)
+    pixels = mosaic if bits == 8 else mosaic.astype(np.uint16) * 256 + 99
+    data = cv2.imencode(".jpg" if "jpeg" in image_format else ".png", pixels)[1].tobytes()
+    image = decode_compressed_image(SimpleNamespace(data=data, format=image_format.format(pattern=pattern)))
+    off = np.abs(image.astype(int) - SMOOTH)[2:-2, 2:-2]
+    assert off.mean() < within
+    raw = decode_image(image_message(pixels, f"{pattern}{bits}"))
+    assert "jpeg" in image_format or np.array_equal(image, raw)
+
+
+@pytest.mark.parametrize(
+    ("image_format", "pixels", "expected"),
+    [
+        ("bayer_rggb8; jpeg compressed mono8", SMOOTH[..., 0], np.repeat(SMOOTH[..., :1], 3, axis=2)),  # grey by then
+        ("bayer_rggb8; png compressed bgr8", SMOOTH[..., ::-1], SMOOTH),
+        ("bayer_rggb8; png compressed ", SMOOTH[..., ::-1], SMOOTH),  # in colour, whatever is said
+        ("rgb8; jpeg compressed bgr8", SMOOTH[..., ::-1], SMOOTH),
+        ("bgr8; png compressed rgb8", SMOOTH[..., ::-1], SMOOTH),
+        ("rgba8; png compressed bgra8", cv2.cvtColor(SMOOTH, cv2.COLOR_RGB2BGRA), SMOOTH),
+        ("rgb16; png compressed bgr16", SMOOTH[..., ::-1].astype(np.uint16) * 256 + 9, SMOOTH),
+        ("8UC3; png", SMOOTH[..., ::-1], SMOOTH),
+        ("mono16; png", RGB[..., 0].astype(np.uint16) * 256 + 99, GREY),
+        ("", RGB[..., 0], GREY),
+    ],
+)
+def test_colours_of_compressed_images_are_those_of_the_file(
+    image_format: str, pixels: np.ndarray, expected: np.ndarray
+) -> None:
+    suffix = ".jpg" if "jpeg" in image_format else ".png"
+    message = SimpleNamespace(data=cv2.imencode(suffix, pixels)[1].tobytes(), format=image_format)
+    within = 12 if suffix == ".jpg" else 0
+    np.testing.assert_allclose(decode_compressed_image(message).astype(int), expected, atol=within)
+
+
+@pytest.mark.parametrize("image_format", ["16UC1; png compressed ", "32FC1; compressedDepth png", "16uc1; png"])
+def test_depth_is_no_picture_and_its_encoding_is_named(image_format: str) -> None:
+    data = cv2.imencode(".png", RGB[..., 0].astype(np.uint16))[1].tobytes()
+    with pytest.raises(SequenceError, match=f"'{image_format[:5]}' is of depth .* expected a topic of images"):
+        decode_compressed_image(SimpleNamespace(data=data, format=image_format))
+
+
+def test_a_compressed_image_of_another_kind_is_refused_with_its_format() -> None:
+    tiff = cv2.imencode(".tiff", RGB)[1].tobytes()
+    with pytest.raises(SequenceError, match=r"expected JPEG, PNG, WebP or BMP; its format is 'rgb8; tiff compressed '"):
+        decode_compressed_image(SimpleNamespace(data=tiff, format="rgb8; tiff compressed "))
 
 
 def jpeg_of_noise(options: Sequence[int] = ()) -> bytes:

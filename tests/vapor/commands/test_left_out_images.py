@@ -22,21 +22,21 @@ def test_what_is_left_out_is_counted_in_the_report_and_told(tiny_model, tmp_path
     def logged(topic: str, time_ns: int) -> int:
         return time_ns + 7 * second // 10 * (
             topic == IMAGES and time_ns == BEGIN_NS + 2 * second
-        )  # after its successors
+        )  # after its successors, and yet used
 
     path = rewrite(walk.write(tmp_path / "in.mcap"), tmp_path / "walk.mcap", log_time=logged)
     frames, skipped = skipped_in_run(path, tiny_model, tmp_path / "out")
     assert skipped == {
-        "odometry does not cover": 3,
-        "time stamp not increasing": 2,
+        "before odometry begins": 3,
+        "time stamp not increasing": 1,
         "undecodable image": 1,
         "damaged image": 1,  # it is cut
     }
-    assert frames == 30 + 1 - 3 - 2 - 2
+    assert frames == 30 + 1 - 3 - 1 - 2
     images = json.loads((tmp_path / "out" / "report.json").read_text())["images"]
-    assert images == {"stated": 31, "read": 31, "used": 24, "skipped": skipped}
+    assert images == {"stated": 31, "read": 31, "used": 25, "skipped": skipped}
     out, err = capsys.readouterr()
-    assert "images     31 stated, 31 read, 24 used, 7 skipped" in out
+    assert "images     31 stated, 31 read, 25 used, 6 skipped" in out
     assert all(f"skipped {count}: {reason}" in out for reason, count in skipped.items())
     assert re.fullmatch(r"(localizing: .*\n)+", err)
     assert read_tum(tmp_path / "out" / "trajectory.tum").poses.is_finite().all()
@@ -51,7 +51,7 @@ def test_a_run_that_used_few_of_its_images_says_so_last_and_one_that_used_hardly
     walk.odometry = [(t, pose) for t, pose in walk.odometry if t < BEGIN_NS + 10**9]
     path = walk.write(earlier.parent / "walk.mcap")
     assert main(words_of_run(path, tiny_model, tmp_path / "few")) == 0
-    last = "Only 10 of 40 images were used: 30 were skipped, odometry does not cover."
+    last = "Only 10 of 40 images were used: 30 were skipped: after odometry ends."
     assert capsys.readouterr().out.splitlines()[-1] == last
 
     before = contents(earlier)
@@ -64,5 +64,5 @@ def test_a_run_that_used_few_of_its_images_says_so_last_and_one_that_used_hardly
         "stated": 40,
         "read": 40,
         "used": 2,
-        "skipped": {"odometry does not cover": 30, "outside the stretch asked for": 8},
+        "skipped": {"after odometry ends": 30, "outside the stretch asked for": 8},
     }

@@ -73,6 +73,22 @@ def test_help_and_version_load_no_network_library(tmp_path):
 
 
 @pytest.mark.usefixtures("unchecked", "no_pictures")
+def test_a_signal_that_comes_when_the_results_are_complete_takes_nothing_away(
+    walk_of_25, tiny_model, tmp_path, monkeypatch, capsys
+):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vapor.commands.run.show_files", interrupted)
+    words = [*words_of_run(walk_of_25, tiny_model, tmp_path / "run"), "--duration-s", "0.5"]
+    assert main(words) == 0
+    assert "interrupted" not in capsys.readouterr().err
+    assert (tmp_path / "run" / "manifest.json").exists()
+    monkeypatch.setattr("vapor.commands.run.run", interrupted)
+    assert main([*words, "--overwrite"]) == 130
+
+
+@pytest.mark.usefixtures("unchecked", "no_pictures")
 def test_the_process_ends_with_the_status_of_the_command_and_gives_the_same_bytes(walk_of_25, tiny_model, tmp_path):
     wrong = process(["-m", "vapor.track", "localise"], tmp_path)
     assert (wrong.returncode, wrong.stdout) == (2, "")

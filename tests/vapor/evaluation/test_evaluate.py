@@ -270,7 +270,7 @@ def test_a_run_directory_is_evaluated_from_its_files(tmp_path):
     write_tum(tmp_path / "ground_truth.tum", truth)
     write_tum(tmp_path / "trajectory.tum", shifted(truth, np.r_[np.full(30, 3.0), np.full(70, 0.05)], np.zeros(100)))
     write_tum(tmp_path / "single_image.tum", shifted(truth, np.full(100, 0.25), np.zeros(100)))
-    report = evaluate_directory(tmp_path)
+    report, _ = evaluate_directory(tmp_path)
     assert list(report) == ["frames", "frames_with_true_pose", "single_image", "filter"]
     assert report["filter"]["converged_at_s"] == pytest.approx(3.0)
     assert report["filter"]["recall"]["0.1m/10deg"] == pytest.approx(0.7)
@@ -281,7 +281,7 @@ def test_another_ground_truth_may_be_given(tmp_path):
     (tmp_path / "run").mkdir()
     write_tum(tmp_path / "run" / "trajectory.tum", walk())
     write_tum(tmp_path / "truth.tum", Trajectory(walk().times_ns[:80], walk().poses[:80]))
-    report = evaluate_directory(tmp_path / "run", tmp_path / "truth.tum")
+    report, _ = evaluate_directory(tmp_path / "run", tmp_path / "truth.tum")
     assert (report["frames"], report["frames_with_true_pose"]) == (100, 80)
 
 
@@ -298,3 +298,19 @@ def test_missing_files_and_foreign_truth_are_refused_by_name(tmp_path):
     write_tum(tmp_path / "ground_truth.tum", walk(start_ns=1000 * S))
     with pytest.raises(VaporTrackError, match=r"against .*ground_truth\.tum: no estimate has a true pose"):
         evaluate_directory(tmp_path)
+
+
+def test_true_poses_by_another_clock_and_as_euroc_has_them(tmp_path):
+    turns = 0.03 * np.random.default_rng(0).standard_normal((40, 3)).repeat(10, axis=0)
+    poses = Poses.exp(np.cumsum(np.concatenate([np.full((400, 3), 0.01), turns], axis=1), axis=0))
+    times_ns = 10**18 + np.arange(400) * 50_000_000
+    write_tum(tmp_path / "trajectory.tum", Trajectory(times_ns, poses))
+    rows = zip(times_ns - 300_000_000, poses.translation, poses.as_quat_xyzw(), strict=True)
+    lines = [",".join(map(str, [t, *v.tolist(), q[3], *q[:3].tolist()])) for t, v, q in rows]
+    (tmp_path / "data.csv").write_text("\n".join(lines))
+    report, notices = evaluate_directory(tmp_path, tmp_path / "data.csv")
+    assert "0.30 s are to be added" in notices[0]
+    found, notices = evaluate_directory(tmp_path, tmp_path / "data.csv", "auto")
+    key = "median_translation_m"
+    assert found["filter"][key] < 0.01 < report["filter"][key]
+    assert "time offset 0.300" in notices[0]

@@ -204,7 +204,7 @@ def test_a_sequence_that_used_hardly_any_of_its_images_fails_unless_it_may(tiny_
     Walk(6).write(bags / "hall.mcap")
     assert run([bags], tiny_model, tmp_path / "out") == 1
     printed = capsys.readouterr()
-    assert "attic.mcap: Only 2 of 30 images were used: 28 were skipped, odometry does not cover. Exp" in printed.out
+    assert "attic.mcap: Only 2 of 30 images were used: 28 were skipped: after odometry ends. Exp" in printed.out
     assert printed.err.splitlines()[-1] == "vapor-track run: 1 of 2 sequences failed: attic"
     assert names(tmp_path / "out") == {"hall", "summary.json"}
     assert run([bags], tiny_model, tmp_path / "out", "--allow-few-images") == 0
@@ -214,7 +214,7 @@ def test_a_sequence_that_used_hardly_any_of_its_images_fails_unless_it_may(tiny_
 
 
 def test_sequences_that_used_few_of_their_images_are_named_last(tmp_path, capsys):
-    few = "Only 9 of 40 images were used: 30 were skipped, odometry does not cover."
+    few = "Only 9 of 40 images were used: 30 were skipped: after odometry ends."
     status = {"converged": 1.0, "ambiguous": 0.0, "lost": 0.0}
     whole = Outcome("hall", "hall.mcap", images=30, status=status, final_status="converged")
     show_outcomes([whole, replace(whole, name="attic", images=9, few_images=few)], tmp_path)

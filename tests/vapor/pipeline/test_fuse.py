@@ -78,7 +78,7 @@ def test_frames_that_odometry_does_not_cover_are_counted(tmp_path, truth):
     short = file_of(tmp_path / "short.txt", {name: walk()[name] for name in list(walk())[:20]})
     sequence = EstimateSequence([truth], odometry=short, ground_truth=truth, options=BACK)
     assert len(list(sequence)) == 20
-    assert sequence.skipped == {"odometry does not cover": 2 * FRAMES - 20}
+    assert sequence.skipped == {"after odometry ends": FRAMES - 20, "no odometry of its sequence": FRAMES}
     assert sequence.odometry_description == "recorded: short.txt"
 
 
@@ -109,6 +109,31 @@ def test_what_contradicts_itself_is_refused(tmp_path, truth):
         EstimateOptions(rate_hz=0.0)
     with pytest.raises(SequenceError, match="unit_m is 0"):
         EstimateOptions(unit_m=0.0)
+
+
+def test_names_that_do_not_match_are_told_of_both_files(tmp_path, truth):
+    other = file_of(tmp_path / "other.txt", {f"walk/{i}.png": pose for i, pose in enumerate(walk().values())})
+    with pytest.raises(SequenceError, match=r"other.txt has 120 names such as 'walk/0', .*truth.txt has 120 names"):
+        EstimateSequence([truth, other], odometry=truth, options=BACK)
+
+
+@pytest.mark.parametrize("form", ["cam0/{0}{1:09d}.png", "rgb/{0}.{1:09d}.png"])
+def test_clocks_that_differ_are_told_and_the_offset_is_found_also_of_stamps_as_names(tmp_path, form):
+    turns = 0.03 * np.random.default_rng(0).standard_normal((40, 3)).repeat(10, axis=0)
+    poses = Poses.exp(np.cumsum(np.concatenate([np.full((400, 3), 0.01), turns], axis=1), axis=0))
+    times_ns = 1_500_000_000 * 10**9 + np.arange(400) * 50_000_000
+    write_tum(tmp_path / "odometry.tum", Trajectory(times_ns, poses))
+    names = [form.format(*divmod(int(time) - 300_000_000, 10**9)) for time in times_ns]
+    named = file_of(tmp_path / "named.txt", dict(zip(names, (poses[i] for i in range(400)), strict=True)))
+
+    def sequence(offset):
+        options = replace(BACK, time_offset_s=offset)
+        return EstimateSequence([named], odometry=tmp_path / "odometry.tum", options=options)
+
+    assert "its clock differs: 0.30 s are to be added" in sequence(0.0).notices[0]
+    assert not sequence(0.3).notices
+    assert "time offset 0.300" in (found := sequence("auto")).notices[0]
+    assert abs(next(iter(found)).time_ns - times_ns[0]) < 60_000_000
 
 
 # --- the observation model -----------------------------------------------------------------------------
@@ -254,7 +279,7 @@ def test_estimates_that_odometry_does_not_cover_count_and_frames_without_an_esti
     assert fused(names[:100], names[:20]) == 0
     out = capsys.readouterr().out
     assert "images     120 stated, 120 read, 20 used, 100 skipped" in out
-    assert out.splitlines()[-1] == "Only 20 of 100 images were used: 80 were skipped, odometry does not cover."
+    assert out.splitlines()[-1] == "Only 20 of 100 images were used: 40 were skipped: after odometry ends."
 
     before = (output / "report.json").read_bytes()
     assert fused(names[:100], names[:8]) == 1
@@ -267,7 +292,7 @@ def test_estimates_that_odometry_does_not_cover_count_and_frames_without_an_esti
         "stated": 120,
         "read": 120,
         "used": 8,
-        "skipped": {"no estimate": 20, "odometry does not cover": 92},
+        "skipped": {"no estimate": 20, "after odometry ends": 52, "no odometry of its sequence": 40},
     }
 
 
@@ -281,7 +306,7 @@ def test_tum_trajectories_with_recorded_odometry_and_no_true_poses(tmp_path, cap
     words = ["fuse", str(tmp_path / "estimate.tum"), "--odometry", str(tmp_path / "odometry.tum")]
     assert main([*words, "--output", str(tmp_path / "result"), *SMALL[:2]]) == 0  # with a recording, without images
     report = json.loads((tmp_path / "result" / "report.json").read_text())
-    assert report["skipped"] == {"odometry does not cover": 5}
+    assert report["skipped"] == {"before odometry begins": 5}
     assert report["frames_with_true_pose"] == 0
     assert "filter" not in report
     assert (tmp_path / "result" / "recording.rrd").stat().st_size > 0

@@ -57,6 +57,17 @@ def test_a_stated_height_is_kept():
     np.testing.assert_allclose(as_ros_has_it(camera, covariance), expected, rtol=0.05, atol=5e-4)
 
 
+def test_a_covariance_is_positive_definite_for_whoever_reads_it():
+    covariance = np.diag([1e12, 1e10, 1e8, 1e-3, 1e-4, 1e-5])
+    told = fields(pose_message("pose", "map", 1, Poses.exp(np.array([0, 0, 0, 0.4, -1.0, 0.7])), covariance))
+    told = np.reshape(told.pose.covariance, (6, 6))
+    np.testing.assert_array_equal(told, told.T)
+    assert np.linalg.eigvalsh(told).min() > 0.0
+    for wrong in (-np.eye(6), np.full((6, 6), np.inf)):
+        with pytest.raises(VaporTrackError, match="covariance to write"):
+            pose_message("pose", "map", 1, Poses.identity(), wrong)
+
+
 def test_a_variance_of_zero_is_no_certainty():
     priors = Poses.identity(2)
     _, covariance = camera_of_initial_pose(initial(BASE, np.zeros(6)), MOUNT, priors)

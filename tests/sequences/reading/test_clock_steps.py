@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sequences.live.clock_steps import ClockOfStream, Told
+from sequences.reading.clock_steps import ClockOfStream, Told
 from tests.helpers.checks import no_checks
 
 BEGIN_S = 1_700_000_000.0

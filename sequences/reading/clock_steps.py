@@ -8,6 +8,8 @@ from typing import Literal
 
 STEP_S = 1.0
 """What stamps must differ by from those before for their clock to have been set."""
+SET_AHEAD_S = 86_400.0
+"""A log that jumps ahead by more was set: by less it may have been paused."""
 _AGREE_S, _AGREE = 0.5, 3  # so many messages in a row that say the same of the clock
 _REMEMBERED_NS = 30 * 10**9  # clocks drift apart slowly
 
@@ -18,9 +20,9 @@ Told = Literal["usual", "odd", "stepped"]
 class ClockOfStream:
     """The clock behind the stamps of one topic.
 
-    A stamp that is more than a second before the latest one, or runs as much further ahead of its arrival than any of
-    the last half minute, is odd. Three odd ones in a row that agree say that the clock was set. Messages that were held
-    up on the way are late, but not odd: they come in their order, and their stamps run no further ahead.
+    A stamp is odd that is more than a second before the latest one, or as much behind it while it also runs as much
+    further ahead of its arrival than any of the last half minute. Three odd ones in a row that agree say that the clock
+    was set. Messages that were held up on the way are late, but not odd: each follows the one before.
     """
 
     _end_ns: int | None = None
@@ -50,7 +52,8 @@ class ClockOfStream:
     def _is_odd(self, time_ns: int, offset_ns: int) -> bool:
         if self._end_ns is None:
             return False
-        return self._end_ns - time_ns > STEP_S * 1e9 or offset_ns - self._ahead_ns[0][1] > STEP_S * 1e9
+        since_ns, further_ahead_ns = time_ns - self._end_ns, offset_ns - self._ahead_ns[0][1]
+        return since_ns < -STEP_S * 1e9 or min(since_ns, further_ahead_ns) > STEP_S * 1e9
 
     def _remember(self, arrived_ns: int, offset_ns: int) -> None:
         """Keep the largest offset of the last half minute at hand: a queue that falls."""

@@ -1,0 +1,52 @@
+"""What is said of images that a model does not recognise."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from vapor.pipeline.unrecognised import SomeImages, are_unrecognised, why_unrecognised
+
+SCENE = np.random.default_rng(3).integers(60, 180, (12, 12, 3)).astype(np.uint8)
+SCENE[..., 0] += 60  # reddish
+
+
+def unlike_the_scene(image: np.ndarray, camera: object) -> float:
+    """Stands for a network to which an image is the less familiar the more it differs from one scene."""
+    return 0.3 + float(np.abs(image / 255.0 - SCENE / 255.0).mean()) * 10.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (lambda image: image[..., ::-1], "only when with red and blue swapped"),
+        (lambda image: np.rot90(image, 2), "only when turned by 180° (a camera mounted upside down)"),
+        (lambda image: np.rot90(image, 1), "only when turned by 90° to the right"),
+        (lambda image: np.rot90(image, -1), "only when turned by 90° to the left"),
+        (lambda image: image[:, ::-1], "only when mirrored"),
+        (lambda image: 255 - image, "only when with brightness inverted"),
+        (lambda image: image // 4, "only when brightened"),
+        (lambda image: np.repeat(image[..., 1:2], 3, axis=2), "images are grey"),
+        (lambda image: np.roll(image, 5, axis=0), "unlike all that the model learned from"),
+        (lambda image: image, "`vapor-track inspect`"),
+    ],
+)
+def test_the_change_that_makes_images_familiar_is_named(fault: Callable[[np.ndarray], np.ndarray], said: str):
+    some = SomeImages()
+    for _ in range(3):
+        some.add(np.ascontiguousarray(fault(SCENE)), None)
+    assert said in why_unrecognised(some, unlike_the_scene)
+
+
+def test_images_are_kept_evenly_whatever_their_number():
+    some = SomeImages()
+    for number in range(100):
+        some.add(np.full((1, 1, 3), number, np.uint8), None)
+    kept = [int(image[0, 0, 0]) for image, _ in some.images]
+    assert kept == list(range(0, 100, 8))
+
+
+def test_images_are_unrecognised_where_many_are_lost_and_few_converge():
+    assert are_unrecognised(("lost",) * 6 + ("ambiguous",) * 14)
+    assert not are_unrecognised(("lost",) * 5 + ("ambiguous",) * 15)
+    assert not are_unrecognised(("lost",) * 18 + ("converged",) * 2)
