@@ -14,6 +14,7 @@ from sequences.datasets.layout import INTRINSICS_LEVELS, Layout
 from sequences.datasets.layout_helpers.packed import PackedImage
 from sequences.datasets.posed_images import PosedImages
 from sequences.errors import SequenceError
+from sequences.recordings.recording_file import SUFFIXES
 
 
 @cache
@@ -82,6 +83,6 @@ def is_recording(path: Path) -> bool:
     """Whether a path is taken for an MCAP file or rosbag2 folder, rather than images on disk or the list of a split."""
     if not path.is_file():
         return (path / "metadata.yaml").is_file()
-    if path.suffix == ".mcap":  # no layout needs to be asked
+    if path.suffix in SUFFIXES:  # no layout needs to be asked
         return True
     return not any(path.suffix in (*layout.list_suffixes, *layout.archive_suffixes) for layout in find_layouts())

@@ -221,7 +221,7 @@ class Timeline:
 
 def _peeked(raw: RawMessage) -> int | None:
     """The stamp of a message whose bytes begin with it, without decoding it; None for another one."""
-    if raw.restamped or raw.encoding != "cdr" or len(raw.data) < 12 or not begins_with_stamp(raw.type):
+    if raw.problem or raw.restamped or raw.encoding != "cdr" or len(raw.data) < 12 or not begins_with_stamp(raw.type):
         return None
     sec, nanosec = _STAMP[raw.data[1] & 1].unpack_from(raw.data, 4)
     return sec * 1_000_000_000 + nanosec

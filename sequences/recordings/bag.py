@@ -1,4 +1,4 @@
-"""MCAP files and rosbag2 folders: their topics, and a stream of raw messages in bounded memory."""
+"""Recordings of ROS and Foxglove: their topics, and a stream of raw messages in bounded memory."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ from pathlib import Path
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
+from sequences.recordings import ros1_file, sqlite_file
 from sequences.recordings.mcap_file import McapFile
+from sequences.recordings.plain_cdr import encoding_of, plain
 from sequences.recordings.recording_file import Channel, LatestChunks, RecordingFile
+from sequences.recordings.ros1_file import Ros1File
 from sequences.recordings.rosbag2 import read_listing
 from sequences.recordings.source import TF, RawMessage, Stamps, Topic, fixed_links_of, namespaced_tf, stands_for
+from sequences.recordings.sqlite_file import SqliteFile
 
 METADATA_NAME = "vapor-track"
 """Of the metadata record in which a file says where its odometry comes from."""
 
 
 class Bag:
-    """One MCAP file, or a rosbag2 folder of one or several: opened, checked and listed.
+    """One recording: an MCAP file, a ROS 1 bag, or a rosbag2, whose files are MCAP or SQLite: opened, checked and listed.
 
     Attributes:
         path: What was opened.
@@ -43,16 +47,25 @@ class Bag:
         self._fixed_links: frozenset[tuple[str, str]] | None = None
         self._listing = None if self.path.is_file() else read_listing(self.path)
         self._latest = LatestChunks()
-        self._files = [McapFile(file, self._latest) for file in (self._listing.files if self._listing else [self.path])]
+        self._files = [self._opened(file) for file in (self._listing.files if self._listing else [self.path])]
         for file in self._files:
             self.metadata |= file.metadata
             for id, channel in file.channels.items():
                 known = self.topics.get(channel.topic)
                 count = file.counts[id] + (known.num_messages if known else 0)
-                topic = Topic(channel.topic, channel.type, count, channel.encoding)
+                topic = Topic(channel.topic, channel.type, count, encoding_of(channel.type, channel.encoding))
                 if not topic.is_misnamed:
                     self.topics[topic.name] = topic
         self._tf = namespaced_tf(self.topics, tf_topic, self.path)
+
+    def _opened(self, file: Path) -> RecordingFile:
+        with open(file, "rb") as stream:
+            head = stream.read(16)
+        if head.startswith(sqlite_file.MAGIC):
+            return SqliteFile(file)
+        if head.startswith(ros1_file.MAGIC):
+            return Ros1File(file)
+        return McapFile(file, self._latest)
 
     @property
     def is_running(self) -> bool:
@@ -126,16 +139,26 @@ class Bag:
                 if record.channel_id not in known:
                     self._require_one_type(file, channel)
                     known.add(record.channel_id)
+                kind, encoding, definition = channel[1:]
+                data, problem = record.data, ""
+                try:
+                    data = plain(kind, encoding, data)
+                except Exception as error:  # the libraries let struct, index and assertion errors through
+                    problem = f"{type(error).__name__}: {error}"
+                encoding = encoding_of(kind, encoding)
                 for name in asked[channel.topic]:
-                    yield RawMessage(name, record.log_time_ns, record.data, *channel[1:], self._restamped)
+                    yield RawMessage(
+                        name, record.log_time_ns, data, kind, encoding, definition, self._restamped, problem
+                    )
 
     def _require_one_type(self, file: RecordingFile, channel: Channel) -> None:
         """Raises SequenceError where the topic of a channel has another type or encoding elsewhere."""
         topic = self.topics[channel.topic]
-        if (channel.type, channel.encoding) != (topic.type, topic.encoding):
+        encoding = encoding_of(channel.type, channel.encoding)
+        if (channel.type, encoding) != (topic.type, topic.encoding):
             raise SequenceError(
                 f"{file.path}: {quoted(topic.name)} has messages of {quoted(channel.type)}"
-                f" ({quoted(channel.encoding)}) and of {quoted(topic.type)} ({quoted(topic.encoding)}),"
+                f" ({quoted(encoding)}) and of {quoted(topic.type)} ({quoted(topic.encoding)}),"
                 " expected one type a topic"
             )
 
@@ -147,5 +170,5 @@ class Bag:
 
 
 def bag_files(path: Path) -> list[Path]:
-    """The MCAP files of a file or rosbag2 folder, in their order. Raises SequenceError as `Bag` does."""
+    """The files of a recording, in their order. Raises SequenceError as `Bag` does."""
     return [path] if path.is_file() else read_listing(path).files

@@ -24,10 +24,6 @@ from mcap.records import Chunk, McapRecord
 from sequences.errors import SequenceError
 
 _MAGIC = b"\x89MCAP0\r\n"
-_FOREIGN = {
-    b"#ROSBAG V": "a ROS 1 bag; convert it first, for example with `rosbags-convert --src IN.bag --dst OUT`",
-    b"SQLite format 3": "a rosbag2 of SQLite storage; convert it first with `ros2 bag convert` to storage mcap",
-}
 _HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _MAX_CHUNK_BYTES = 1 << 28  # of one chunk, uncompressed
 _PIECE = 1 << 20
@@ -131,11 +127,8 @@ def check_ends(file: Path) -> None:
         size = stream.seek(0, os.SEEK_END)
         stream.seek(max(0, size - len(_MAGIC)))
         tail = stream.read()
-    for start, what in _FOREIGN.items():
-        if head.startswith(start):
-            raise SequenceError(f"{file}: is {what}; expected an MCAP file")
     if not head.startswith(_MAGIC):
-        raise SequenceError(f"{file}: starts with {head[:8]!r}, expected the MCAP magic {_MAGIC!r}")
+        raise SequenceError(f"{file}: starts with {head[:8]!r}, expected the MCAP magic {_MAGIC!r}, SQLite or a ROS 1 bag")
     if tail != _MAGIC or size < 2 * len(_MAGIC):
         raise SequenceError(
             f"{file}: truncated: byte {size - len(_MAGIC)} of {size} is {tail!r}, expected the closing MCAP magic"

@@ -19,7 +19,7 @@ from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 
 _MAX_DISTANCE_M = 1e8  # further than from any frame on Earth
-_MAX_VARIANCE = 1e12
+_MAX_COVARIANCE = 1e12
 # (3.2 m/s)², (3.2 rad/s)²: who knows no more about how a camera moves has not measured it. Drivers write 100, 500, 999,
 # 99999 or 1e6 for such axes; what wheels, inertia or vision do measure is known a hundred times better.
 _UNKNOWN_VARIANCE = 10.0
@@ -94,13 +94,12 @@ def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
 @lru_cache(maxsize=64)  # many drivers state the same one always
 def _twist_covariance(values: tuple[float, ...]) -> Float64[np.ndarray, "6 6"]:
     covariance = np.array(values, np.float64).reshape(6, 6)
-    if not np.abs(covariance).max() < _MAX_VARIANCE:  # NaN compares as false
-        raise VaporTrackError(f"twist covariance is not finite or above {_MAX_VARIANCE:g}: {covariance.tolist()}")
     if covariance[0, 0] == -1.0:
         covariance = np.zeros((6, 6))
-    unmeasured = np.flatnonzero(covariance.diagonal() >= _UNKNOWN_VARIANCE)
-    if len(unmeasured):
-        covariance[unmeasured] = covariance[:, unmeasured] = 0.0
+    unmeasured = np.flatnonzero(covariance.diagonal() >= _UNKNOWN_VARIANCE)  # an infinite one, too; NaN is none
+    covariance[unmeasured] = covariance[:, unmeasured] = 0.0
+    if not np.isfinite(covariance).all() or np.abs(covariance).max() > _MAX_COVARIANCE:
+        raise VaporTrackError(f"twist covariance is not finite or above {_MAX_COVARIANCE:g}: {covariance.tolist()}")
     if covariance.any():
         covariance = (covariance + covariance.T) / 2
         eigenvalue = float(np.linalg.eigvalsh(covariance)[0])

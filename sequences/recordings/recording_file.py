@@ -16,6 +16,9 @@ from typing import Any, ClassVar, NamedTuple
 
 from sequences.errors import SequenceError
 
+SUFFIXES = (".mcap", ".db3", ".bag")
+"""Of the names of recordings' files."""
+
 _MAX_KEPT_BYTES = 1 << 26
 
 

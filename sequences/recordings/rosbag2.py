@@ -18,6 +18,8 @@ from sequences.files.structured import read_yaml
 from sequences.values import parse_whole
 
 _MOST_MESSAGES = 10**18
+_SUFFIXES = (".mcap", ".db3")
+_PACKED = ".zstd"
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,8 @@ class Listing:
 
     Attributes:
         path: The metadata.yaml.
-        files: The MCAP files that it lists, in order; all of them are there.
-        unlisted: Names of MCAP files that lie beside it, and that it does not list.
+        files: The files that it lists, in order, MCAP or SQLite; all of them are there.
+        unlisted: Names of such files that lie beside it, and that it does not list.
         num_messages: How many messages all topics have together; None where it states none, as after a crash.
         of_topics: How many each topic has, by name; empty where it states none.
     """
@@ -56,27 +58,31 @@ def read_listing(folder: Path) -> Listing:
     """Read the metadata.yaml of a rosbag2 folder.
 
     Raises:
-        SequenceError: there is none, it is no YAML, lists no file, or one that is not there, is no MCAP file or lies
-            outside the folder, lists files in one place and not in the other, or a number in it is none.
+        SequenceError: there is none, it is no YAML, lists no file, or one that is not there, is of no known format or
+            lies outside the folder, lists files in one place and not in the other, or a number in it is none.
     """
     if not folder.is_dir():
-        raise SequenceError(f"{folder}: no such file or folder, expected an .mcap file or a rosbag2 folder")
+        raise SequenceError(f"{folder}: no such file or folder, expected an .mcap file, a rosbag2 folder or a ROS 1 bag")
     path = folder / "metadata.yaml"
     if not path.is_file():
-        helps = ", or its .mcap files one by one (`ros2 bag reindex` writes one)" if _mcap_files(folder) else ""
+        helps = ", or its files one by one (`ros2 bag reindex` writes one)" if _bag_files(folder) else ""
         raise SequenceError(f"{folder}: folder has no metadata.yaml, expected an .mcap file or a rosbag2 folder{helps}")
     content = read_yaml(path)
     content = content.get("rosbag2_bagfile_information", content)
     names = list(dict.fromkeys(str(name) for name in _list(content, "relative_file_paths", path)))
     if not names:
-        raise SequenceError(f"{path}: names no files, expected `relative_file_paths:` with one or more .mcap files")
+        raise SequenceError(f"{path}: names no files, expected `relative_file_paths:` with one or more files")
+    names = [name.removesuffix(_PACKED) if (folder / name.removesuffix(_PACKED)).is_file() else name for name in names]
     for name in names:
-        if not name.endswith(".mcap"):
-            raise SequenceError(f"{path}: names {quoted(name)}, expected .mcap files (see `ros2 bag convert`)")
+        if name.endswith(_PACKED):
+            raise SequenceError(f"{path}: names {quoted(name)}, a file packed as a whole; unpack it first: `zstd -d`")
+        if not name.endswith(_SUFFIXES):
+            raise SequenceError(f"{path}: names {quoted(name)}, expected .mcap or .db3 files")
     listed = {Path(name).name for name in names}
     for item in _list(content, "files", path):
         name = Path(str(item.get("path", ""))).name if isinstance(item, dict) else ""
-        if name.endswith(".mcap") and name not in listed:
+        name = name.removesuffix(_PACKED) if name.removesuffix(_PACKED) in listed else name
+        if name.endswith(_SUFFIXES) and name not in listed:
             raise SequenceError(
                 f"{path}: `files` has {quoted(name)} and `relative_file_paths` has not, expected it in both"
             )
@@ -86,12 +92,12 @@ def read_listing(folder: Path) -> Listing:
         if not file.is_file():
             raise SequenceError(f"{path}: names {quoted(name)}, which is not in the folder")
     read = {file.resolve() for file in files}
-    unlisted = [file.name for file in _mcap_files(folder) if file.resolve() not in read]
+    unlisted = [file.name for file in _bag_files(folder) if file.resolve() not in read]
     return Listing(path, files, unlisted, _count(content, path) or None, _counts_of_topics(content, path))
 
 
-def _mcap_files(folder: Path) -> list[Path]:
-    return sorted(file for file in folder.glob("*.mcap") if file.is_file())
+def _bag_files(folder: Path) -> list[Path]:
+    return sorted(file for file in folder.iterdir() if file.suffix in _SUFFIXES and file.is_file())
 
 
 def _counts_of_topics(content: Any, path: Path) -> Counter[str]:

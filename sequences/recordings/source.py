@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 from filtering.errors import quoted
-from sequences.errors import NotFoundError
+from sequences.errors import NotFoundError, SequenceError
 from sequences.recordings import foxglove, serializations
 from sequences.recordings.messages import frame_name
 
@@ -72,6 +72,7 @@ class RawMessage(NamedTuple):
         encoding: How it is serialized.
         definition: What the file says of its type.
         restamped: Whether its headers get the time it was logged, in place of their own stamps.
+        problem: Why its bytes could not be unpacked; empty where they could.
     """
 
     topic: str
@@ -81,9 +82,12 @@ class RawMessage(NamedTuple):
     encoding: str
     definition: bytes
     restamped: bool = False
+    problem: str = ""
 
     def decode(self) -> SimpleNamespace:
         """Its fields, named as in ROS 2. What it raises where it is damaged depends on the encoding."""
+        if self.problem:
+            raise SequenceError(self.problem)
         message = serializations.decoder(self.type, self.encoding, self.definition)(self.data)
         if self.restamped:
             sec, nanosec = divmod(self.log_time_ns, 1_000_000_000)

@@ -31,7 +31,17 @@ from tests.fuzz.model_files import (
 )
 from tests.fuzz.reading import NUM_IMAGES, Content, Reader, Reading, of_frames, require
 from tests.helpers import data_sets, foxglove_files, phone_data_sets, pose_table_files, pose_text, tf_files
-from tests.helpers.sequence_files import BEGIN_NS, CAMERA, Walk, as_split_folder, picture, rewrite
+from tests.helpers.sequence_files import (
+    BEGIN_NS,
+    CAMERA,
+    Walk,
+    as_packed_messages,
+    as_ros1_bag,
+    as_split_folder,
+    as_sqlite_folder,
+    picture,
+    rewrite,
+)
 
 _WALK_TOPIC, _ROBOT_TOPIC = "/camera/image/compressed", "/image/compressed"
 
@@ -206,6 +216,13 @@ def _read_estimates(folder: Path, *, named: bool, weighted: bool = False) -> Rea
 # --- all ------------------------------------------------------------------------------------------
 
 
+def _of_other_recorder(folder: Path, form: Callable[[Path, Path], Path]) -> Path:
+    source = Walk(NUM_IMAGES).write(folder / "source", {"odometry": "exact, for tests"})
+    target = form(source, folder)
+    source.unlink()
+    return target
+
+
 def _mcap(make: Callable[[Path], Path], topic: str = _WALK_TOPIC, odometry: OdometryUse = "required") -> Reader:
     return Reader(make, partial(_recording, odometry=odometry), topic, counts_images=True)
 
@@ -235,6 +252,9 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "mcap-video": _mcap(partial(_video, of_ros=False), "/camera/image", "unread"),
         "mcap-ffmpeg": _mcap(partial(_video, of_ros=True), "/camera/image/ffmpeg", "unread"),
         "rosbag2": _mcap(_split),
+        "rosbag2-sqlite": _mcap(partial(_of_other_recorder, form=as_sqlite_folder)),
+        "rosbag2-packed": _mcap(partial(_of_other_recorder, form=as_packed_messages)),
+        "ros1": _mcap(partial(_of_other_recorder, form=as_ros1_bag)),
         "tum-rgbd": _layout(lambda folder: data_sets.make_tum(folder / "rgbd_dataset_freiburg1_x", num_images=5)),
         "seven-scenes": _layout(lambda folder: data_sets.make_7scenes(folder / "scene", num_images=5)),
         "ambiguous": _layout(lambda folder: data_sets.make_ambiguous(folder / "scene") / "train"),

@@ -1,14 +1,18 @@
 """A short walk with known poses, and the forms in which it can lie on disk."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
+from rosbags import rosbag1, rosbag2
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
@@ -167,4 +171,58 @@ def as_file_without_chunks(source: Path, folder: Path) -> Path:
     return rewrite(source, folder / "without_chunks.mcap", use_chunking=False)
 
 
-FORMS = [as_file, as_split_folder, as_file_without_index, as_file_without_chunks]
+def as_sqlite_folder(source: Path, folder: Path) -> Path:
+    """A rosbag2 folder of SQLite storage, written by another library."""
+    return _as_rosbag2(source, folder / "sqlite_bag", StoragePlugin.SQLITE3)
+
+
+def as_packed_messages(source: Path, folder: Path) -> Path:
+    """A rosbag2 folder of SQLite storage with every message packed by itself, written by another library."""
+    return _as_rosbag2(source, folder / "packed_bag", StoragePlugin.SQLITE3, packed=True)
+
+
+def _as_rosbag2(source: Path, target: Path, storage: StoragePlugin, *, packed: bool = False) -> Path:
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    out = rosbag2.Writer(target, version=8, storage_plugin=storage)
+    if packed:
+        out.set_compression(rosbag2.CompressionMode.MESSAGE, rosbag2.CompressionFormat.ZSTD)
+    with out:
+        connections: dict[str, Any] = {}
+        for schema, channel, message in _messages(source):
+            if channel.topic not in connections:
+                connections[channel.topic] = out.add_connection(channel.topic, schema.name, typestore=types)
+            out.write(connections[channel.topic], message.log_time, message.data)
+    return target
+
+
+def as_ros1_bag(source: Path, folder: Path) -> Path:
+    """A ROS 1 bag in chunks packed by LZ4, written by another library."""
+    types, types_of_ros1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
+    types_of_ros1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+    target = folder / "one.bag"
+    out = rosbag1.Writer(target)
+    out.set_compression(rosbag1.Writer.CompressionFormat.LZ4)
+    with out:
+        connections: dict[str, Any] = {}
+        for schema, channel, message in _messages(source):
+            if channel.topic not in connections:
+                connections[channel.topic] = out.add_connection(channel.topic, schema.name, typestore=types_of_ros1)
+            data = types.cdr_to_ros1(message.data, schema.name)
+            out.write(connections[channel.topic], message.log_time, data)
+    return target
+
+
+def _messages(source: Path) -> Iterator[tuple[Any, Any, Any]]:
+    with open(source, "rb") as stream:
+        yield from make_reader(stream).iter_messages()
+
+
+FORMS = [
+    as_file,
+    as_split_folder,
+    as_file_without_index,
+    as_file_without_chunks,
+    as_sqlite_folder,
+    as_packed_messages,
+    as_ros1_bag,
+]

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from sequences.recordings.recording_file import SUFFIXES
 from vapor.storage import listed, url_of
 
 SUMMARY = "summary.json"
@@ -46,7 +47,7 @@ def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
             not entry.is_symlink() or (entry / "metadata.yaml").is_file()
         ):  # links may run in circles
             sequences += _found_in(entry, leave_out)
-        elif entry.suffix == ".mcap" and entry.is_file() and not _is_result(entry):
+        elif entry.suffix in SUFFIXES and entry.is_file() and not _is_result(entry):
             sequences.append(entry)
     return sequences
 
@@ -60,7 +61,7 @@ def _found_in_storage(path: Path) -> list[Path]:
     single = (
         file
         for file in files
-        if file.suffix == ".mcap"
+        if file.suffix in SUFFIXES
         and bags.isdisjoint(file.parents)
         and not (file.name == "estimate.mcap" and file.parent in reports)
     )
@@ -73,7 +74,7 @@ def _is_result(file: Path) -> bool:
 
 def unique_names(sequences: Sequence[Path]) -> list[str]:
     """The shortest names that tell sequences apart; numbered where whole paths do not, as with `a.mcap` and `a/`."""
-    parts = [(*path.parent.parts[1:], path.stem if path.suffix == ".mcap" else path.name) for path in sequences]
+    parts = [(*path.parent.parts[1:], path.stem if path.suffix in SUFFIXES else path.name) for path in sequences]
     lengths = [1] * len(parts)
     while True:
         names = ["-".join(part[-length:]) for part, length in zip(parts, lengths, strict=True)]

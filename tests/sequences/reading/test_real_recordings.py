@@ -24,9 +24,15 @@ def test_recordings_without_images_are_refused_with_a_list_of_topics(name: str, 
         SequenceReader(shared_data / "ros_bags" / name)
 
 
-def test_a_ros_1_bag_is_told_how_to_become_one_of_ros_2(shared_data: Path) -> None:
-    with pytest.raises(SequenceError, match=r"ROS 1 bag.*rosbags-convert"):
-        SequenceReader(shared_data / "ros_bags" / "t265_trimmed_locoffice.bag")
+def test_images_and_odometry_of_a_real_ros_1_bag_are_read(shared_data: Path) -> None:
+    bag = Bag(shared_data / "ros_bags" / "t265_trimmed_locoffice.bag")
+    images = [raw.decode() for raw in bag.messages(["/camera/fisheye1/image_raw"])]
+    assert [(image.height, image.width, image.encoding) for image in images] == [(800, 848, "mono8")] * 3
+    assert all(40 < np.frombuffer(image.data, np.uint8).mean() < 200 for image in images)
+    samples = [odometry_from_message(raw.decode()) for raw in bag.messages(["/camera/odom/sample"])]
+    assert len(samples) == bag.topics["/camera/odom/sample"].num_messages == 19
+    assert all(later.time_ns > earlier.time_ns for earlier, later in pairwise(samples))
+    assert 0.0 < np.linalg.norm(np.ptp([s.odom_from_base.translation for s in samples], axis=0)) < 0.5
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -347,6 +347,13 @@ def test_a_covariance_marked_as_unknown_becomes_zero() -> None:
     assert not sample.twist_covariance.any()
 
 
+@pytest.mark.parametrize("variance", [np.inf, 1e300])
+def test_axes_whose_variance_is_endless_are_not_measured(variance: float) -> None:
+    """So writes the driver of Intel's T265 for all."""
+    sample = odometry_from_message(odometry_message(covariance=np.diag([variance] * 6).ravel().tolist()))
+    np.testing.assert_array_equal(sample.twist_covariance, np.diag([np.inf] * 6))
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -355,7 +362,7 @@ def test_a_covariance_marked_as_unknown_becomes_zero() -> None:
         {"quat": [0.0] * 4},
         {"quat": [0.0, 0.0, 0.0, 1e300]},
         {"position": [1e300, 0.0, 0.0]},
-        {"covariance": [1e300] * 36},
+        {"covariance": [1.0, 1e300] + [0.0] * 34},
         {"covariance": [np.nan] * 36},
         {"covariance": (-np.eye(6) * 2).ravel().tolist()},
     ],

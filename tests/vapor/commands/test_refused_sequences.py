@@ -36,9 +36,9 @@ def test_recordings_of_real_robots_without_images_are_refused(name, shared_data,
     refuse_run(path, tiny_model, earlier, capsys, path, "no image topic, expected one of type sensor_msgs/Image")
 
 
-def test_a_real_ros_1_bag_is_refused_with_advice(shared_data, tiny_model, earlier, capsys):
+def test_of_two_cameras_of_a_real_ros_1_bag_one_must_be_named(shared_data, tiny_model, earlier, capsys):
     path = shared_data / "ros_bags" / "t265_trimmed_locoffice.bag"
-    refuse_run(path, tiny_model, earlier, capsys, path, "ROS 1 bag; convert it first", "expected an MCAP file")
+    refuse_run(path, tiny_model, earlier, capsys, "2 image topics", "/camera/fisheye1/image_raw", "--image-topic")
 
 
 @pytest.mark.parametrize(
@@ -46,8 +46,8 @@ def test_a_real_ros_1_bag_is_refused_with_advice(shared_data, tiny_model, earlie
     [
         (b"", "expected the MCAP magic"),
         (b"hello, world" * 50, "starts with b'hello, w', expected the MCAP magic"),
-        (b"#ROSBAG V2.0\n" + bytes(99), "ROS 1 bag; convert it first"),
-        (b"SQLite format 3\0" + bytes(99), "SQLite"),
+        (b"#ROSBAG V2.0\n" + bytes(99), "damaged or unfinished ROS 1 bag"),
+        (b"SQLite format 3\0" + bytes(99), "damaged SQLite"),
     ],
 )
 def test_garbage_is_refused(content, said, tiny_model, earlier, capsys):
