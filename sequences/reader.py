@@ -23,7 +23,7 @@ from sequences.recordings.bag import METADATA_NAME, Bag
 
 
 class SequenceReader:
-    """Frames of an MCAP file or rosbag2 folder, read as a stream; every iteration reads it anew.
+    """Frames of an MCAP file, rosbag2 folder or ROS 1 bag, read as a stream; every iteration reads it anew.
 
     Attributes:
         path: The file or folder.
@@ -48,7 +48,7 @@ class SequenceReader:
         """Open a sequence, find its topics, extrinsics and true poses.
 
         Args:
-            path: MCAP file or rosbag2 folder.
+            path: MCAP file, rosbag2 folder or ROS 1 bag.
             options: What to read; None for all of it, as found.
             odometry: "required" reads it, and skips the images that it does not cover. "optional" gives images it where
                 it can be found, without a choice to make, and skips none for lack of it. "unread" leaves it alone.

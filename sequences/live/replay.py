@@ -69,7 +69,7 @@ def replay(
     """Publish all messages of a recording when they were logged; gives what was published so far, after each.
 
     Args:
-        path: MCAP file or rosbag2 folder.
+        path: MCAP file, rosbag2 folder or ROS 1 bag.
         transport: The system to publish in.
         options: How.
         tell: Told which topics are not published (not of ROS 2's encoding, Foxglove's transforms, a clock beside the

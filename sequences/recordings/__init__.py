@@ -1,1 +1,1 @@
-"""MCAP files and rosbag2 folders: their topics, their messages and the frames of tf, read and written."""
+"""MCAP files, rosbag2 folders and ROS 1 bags: their topics, their messages and the frames of tf, read and written."""

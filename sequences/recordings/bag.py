@@ -21,7 +21,7 @@ METADATA_NAME = "vapor-track"
 
 
 class Bag:
-    """One recording: an MCAP file, a ROS 1 bag, or a rosbag2, whose files are MCAP or SQLite: opened, checked and listed.
+    """One recording: an MCAP file, a ROS 1 bag, or a rosbag2 of MCAP or SQLite files: opened, checked and listed.
 
     Attributes:
         path: What was opened.

@@ -128,7 +128,9 @@ def check_ends(file: Path) -> None:
         stream.seek(max(0, size - len(_MAGIC)))
         tail = stream.read()
     if not head.startswith(_MAGIC):
-        raise SequenceError(f"{file}: starts with {head[:8]!r}, expected the MCAP magic {_MAGIC!r}, SQLite or a ROS 1 bag")
+        raise SequenceError(
+            f"{file}: starts with {head[:8]!r}, expected the MCAP magic {_MAGIC!r}, SQLite or a ROS 1 bag"
+        )
     if tail != _MAGIC or size < 2 * len(_MAGIC):
         raise SequenceError(
             f"{file}: truncated: byte {size - len(_MAGIC)} of {size} is {tail!r}, expected the closing MCAP magic"

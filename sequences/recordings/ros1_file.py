@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from collections import Counter
 from collections.abc import Iterator, Set
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from sequences.errors import SequenceError
 from sequences.recordings.recording_file import Channel, Piece, RawRecord, RecordingFile
@@ -16,6 +17,24 @@ if TYPE_CHECKING:
     from rosbags.rosbag1 import Reader
 
 MAGIC = b"#ROSBAG V"
+
+
+class _BoundedFile(io.BufferedReader):
+    """A file of which no more is asked than it has: what is asked gets memory, and damage may ask for any size."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._size = path.stat().st_size
+
+    def read(self, size: int | None = -1) -> bytes:
+        return super().read(size if size is None else min(size, max(0, self._size - self.tell())))
+
+
+class _BoundedPath(type(Path())):
+    """A path whose file is bounded."""
+
+    def open(self, *_: Any, **__: Any) -> BinaryIO:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return cast(BinaryIO, _BoundedFile(self))
 
 
 class Ros1File(RecordingFile):
@@ -39,7 +58,8 @@ class Ros1File(RecordingFile):
         from rosbags.rosbag1 import Reader  # few recordings need it, and every command would pay for it
 
         try:
-            with Reader(self.path) as reader:
+            reader = Reader(cast(Any, _BoundedPath(self.path)))
+            with reader:
                 yield reader
         except SequenceError:
             raise

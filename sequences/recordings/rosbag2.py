@@ -62,7 +62,9 @@ def read_listing(folder: Path) -> Listing:
             lies outside the folder, lists files in one place and not in the other, or a number in it is none.
     """
     if not folder.is_dir():
-        raise SequenceError(f"{folder}: no such file or folder, expected an .mcap file, a rosbag2 folder or a ROS 1 bag")
+        raise SequenceError(
+            f"{folder}: no such file or folder, expected an .mcap file, a rosbag2 folder or a ROS 1 bag"
+        )
     path = folder / "metadata.yaml"
     if not path.is_file():
         helps = ", or its files one by one (`ros2 bag reindex` writes one)" if _bag_files(folder) else ""
@@ -72,7 +74,8 @@ def read_listing(folder: Path) -> Listing:
     names = list(dict.fromkeys(str(name) for name in _list(content, "relative_file_paths", path)))
     if not names:
         raise SequenceError(f"{path}: names no files, expected `relative_file_paths:` with one or more files")
-    names = [name.removesuffix(_PACKED) if (folder / name.removesuffix(_PACKED)).is_file() else name for name in names]
+    beside = {file.name for file in _bag_files(folder)}
+    names = [name.removesuffix(_PACKED) if name.removesuffix(_PACKED) in beside else name for name in names]
     for name in names:
         if name.endswith(_PACKED):
             raise SequenceError(f"{path}: names {quoted(name)}, a file packed as a whole; unpack it first: `zstd -d`")

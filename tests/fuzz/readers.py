@@ -227,6 +227,10 @@ def _mcap(make: Callable[[Path], Path], topic: str = _WALK_TOPIC, odometry: Odom
     return Reader(make, partial(_recording, odometry=odometry), topic, counts_images=True)
 
 
+def _other(form: Callable[[Path, Path], Path]) -> Reader:
+    return Reader(partial(_of_other_recorder, form=form), _recording, counts_images=True)
+
+
 def _layout(make: Callable[[Path], Path]) -> Reader:
     return Reader(make, _data_set, counts_images=True)
 
@@ -252,9 +256,9 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "mcap-video": _mcap(partial(_video, of_ros=False), "/camera/image", "unread"),
         "mcap-ffmpeg": _mcap(partial(_video, of_ros=True), "/camera/image/ffmpeg", "unread"),
         "rosbag2": _mcap(_split),
-        "rosbag2-sqlite": _mcap(partial(_of_other_recorder, form=as_sqlite_folder)),
-        "rosbag2-packed": _mcap(partial(_of_other_recorder, form=as_packed_messages)),
-        "ros1": _mcap(partial(_of_other_recorder, form=as_ros1_bag)),
+        "rosbag2-sqlite": _other(as_sqlite_folder),
+        "rosbag2-packed": _other(as_packed_messages),
+        "ros1": _other(as_ros1_bag),
         "tum-rgbd": _layout(lambda folder: data_sets.make_tum(folder / "rgbd_dataset_freiburg1_x", num_images=5)),
         "seven-scenes": _layout(lambda folder: data_sets.make_7scenes(folder / "scene", num_images=5)),
         "ambiguous": _layout(lambda folder: data_sets.make_ambiguous(folder / "scene") / "train"),

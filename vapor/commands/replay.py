@@ -20,7 +20,7 @@ class Options:
     """Publish a recording as ROS 2 topics, in real time."""
 
     sequence: Annotated[tyro.conf.Positional[InputPath], tyro.conf.arg(metavar="SEQUENCE")]
-    """MCAP file or rosbag2 folder."""
+    """MCAP file, rosbag2 folder or ROS 1 bag."""
     system: Annotated[DdsOptions, tyro.conf.arg(name="")] = field(default_factory=DdsOptions)
     pace: Annotated[ReplayOptions, tyro.conf.arg(name="")] = field(default_factory=ReplayOptions)
 

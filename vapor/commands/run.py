@@ -41,8 +41,8 @@ class Options:
     """Localize the camera of recorded sequences; write trajectories, report, pictures and recordings of each."""
 
     sequences: Annotated[tyro.conf.Positional[tuple[InputPath, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
-    """MCAP files or rosbag2 folders with images and odometry, or their URLs; any other folder stands for all that are
-    in it."""
+    """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry, or their URLs; any other folder
+    stands for all that are in it."""
     model: str
     """Model file, or name of a model that ships with the package: staircase, ceiling."""
     output: OutputPath

@@ -36,7 +36,7 @@ def run(
     """Localize a recorded sequence and write everything about it into a directory.
 
     Args:
-        sequence: MCAP file or rosbag2 folder.
+        sequence: MCAP file, rosbag2 folder or ROS 1 bag.
         model: Model file, name of a model that ships with the package, or what `load_model` made of one with these
             settings.
         output: Directory for the results, which appear when the run is complete, or not at all: absent, empty, or
