@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mcap.opcode import Opcode
 
+from filtering.errors import MAX_MESSAGE
 from sequences.errors import SequenceError
 from tests.fuzz import __main__ as command
 from tests.fuzz import cases
@@ -28,9 +29,9 @@ def misbehave(path: Path) -> Reading:
     if word == "key":
         raise KeyError(word)
     if word == "long":
-        raise type("Long", (SequenceError,), {"__str__": lambda self: "x" * 301})()
+        raise type("Long", (SequenceError,), {"__str__": lambda self: "x" * (MAX_MESSAGE + 1)})()
     if word == "refused":
-        raise SequenceError("x" * 300)
+        raise SequenceError("x" * MAX_MESSAGE)
     if word == "unsound":
         raise UnsoundError("camera of negative focal length")
     if word == "hang":
