@@ -21,9 +21,10 @@ def is_fleet(paths: Sequence[Path]) -> bool:
 def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
     """The sequences that are meant, by the names of their results, in order.
 
-    A file or a rosbag2 folder is a sequence. Any other folder stands for all recordings in it and deeper, but for results of earlier runs; where it holds none it stands for itself, and fails when it is opened. What
-    is found twice is localized once. A name is that of the file or folder, with those of folders above it where others
-    have it too. Copies of what is in storage are found there, and not made.
+    A file or a rosbag2 folder is a sequence. Any other folder stands for all recordings in it and deeper, but for
+    results of earlier runs; where it holds none it stands for itself, and fails when it is opened. What is found twice
+    is localized once. A name is that of the file or folder, with those of folders above it where others have it too.
+    Copies of what is in storage are found there, and not made.
     """
     found: dict[Path, Path] = {}
     for path in paths:
