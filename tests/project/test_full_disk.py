@@ -3,7 +3,6 @@
 With `FULL=1` it is full at every call in turn; in the suite at one of each command.
 """
 
-import os
 import random
 import shutil
 
@@ -14,13 +13,13 @@ from filtering.errors import MAX_MESSAGE
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
+from tests.helpers.full import FULL, some
 from tests.helpers.full_disk import ENOUGH, filling
 from tests.helpers.killed_commands import CALLS, Call, Killing
 from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_model import SMALL, write_tiny_model
 from vapor.track import main
 
-EVERY = bool(os.environ.get("FULL"))
 MORE = {
     "synthesize": Call(
         ("synthesize", "ceiling", "out/result.mcap", "--frames", "6", "--width", "32", "--height", "24"),
@@ -49,7 +48,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", some(7, sorted(ALL, key=["benchmark", "experiment"].__contains__)))
 def test_a_command_whose_disk_is_full_says_so_in_a_line_and_leaves_what_was_there(name, folder, capfd):
     call, old = ALL[name], folder / "old"
     found = Killing(call, folder, None)
@@ -63,7 +62,7 @@ def test_a_command_whose_disk_is_full_says_so_in_a_line_and_leaves_what_was_ther
     calls, known = ENOUGH - disk.room, before + found.found()
     names = {each for each, _ in known}
 
-    rooms, full = range(calls) if EVERY else [random.Random(name).randrange(calls)], 0
+    rooms, full = range(calls) if FULL else [random.Random(name).randrange(calls)], 0
     for room in rooms:
         found.put_back(old)
         capfd.readouterr()

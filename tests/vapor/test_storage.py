@@ -10,6 +10,7 @@ from pathlib import Path
 import fsspec
 import pytest
 
+from tests.helpers.full import full
 from tests.helpers.tiny_experiments import TINY_TRAIN
 from tests.helpers.tiny_model import SMALL
 from vapor.benchmark.recordings import record as record_module
@@ -89,6 +90,7 @@ def test_storage_that_cannot_be_used_is_told_in_one_line(machine, capsys):
     assert "only experiment and benchmark write to URLs" in capsys.readouterr().err
 
 
+@full
 @pytest.mark.usefixtures("unchecked")
 def test_a_benchmark_under_a_url_goes_on_from_any_machine(machine, tiny_model, monkeypatch, capsys):
     fsspec.filesystem("memory").put(str(tiny_model), "/models/tiny.safetensors")

@@ -8,6 +8,7 @@ import pytest
 
 from filtering.localizer import ParticleLocalizer
 from tests.helpers.checks import no_checks
+from tests.helpers.full import full
 from tests.helpers.pages import ReadPage
 from vapor.benchmark.localization.summary import failed
 from vapor.benchmark.recordings import record
@@ -236,6 +237,7 @@ def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, mon
     assert calls == {"localize": 1}
 
 
+@full
 def test_processes_give_the_results_of_one(folder, tiny_model, tmp_path):
     asked = ("--kinds", "cue", "no-cue")
     assert run(folder, tiny_model, *asked) == 0

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import TRUE, fit, posteriors, walk
+from tests.helpers.full import some
 from vapor.calibration.image_errors import fit_errors
 from vapor.calibration.lasting_errors import LastingErrors, lasting_errors
 from vapor.calibration.observations import Observations
@@ -107,7 +108,7 @@ def found_lasting(normal: np.ndarray, truth: Poses, passes: int = 1, extent: flo
     return lasting_errors(normal, np.ones(len(normal), bool), travel, extent)
 
 
-@pytest.mark.parametrize(("fraction", "taken"), [(1.0, 0.7), (0.3, 0.5)])
+@pytest.mark.parametrize(("fraction", "taken"), some(1, [(1.0, 0.7), (0.3, 0.5)]))
 def test_of_errors_that_last_wholly_or_hardly_the_sum_of_the_correlations_is_kept(fraction, taken):
     rng = np.random.default_rng(7)
     truth = walk(1000, STEP, rng=rng)
@@ -120,7 +121,7 @@ def test_what_lasts_long_beside_what_fades_soon_is_seen():
     rng = np.random.default_rng(0)
     truth = walk(1000, STEP, rng=rng)
     worth = []
-    for _ in range(9):
+    for _ in range(5):
         soon, long = (lasting(1000, length_m, 1.0, rng=rng) for length_m in (0.2, 2.0))
         found = found_lasting(np.sqrt(0.6) * soon + np.sqrt(0.4) * long, truth)
         worth.append(found.fraction * found.length_m)

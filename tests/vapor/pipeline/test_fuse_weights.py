@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from filtering.se3 import Poses
 from sequences.trajectories.tum import read_tum
+from tests.helpers.full import full
 from tests.helpers.pose_text import file_of, hypotheses, moved, noisy, walk
 from tests.helpers.simulation import ERRORS
 from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, mixture_weights
@@ -135,6 +136,7 @@ def test_weights_that_are_missing_are_said_with_the_file_and_the_line(tmp_path, 
     assert not output.exists()
 
 
+@full
 @pytest.mark.usefixtures("unchecked", "no_pictures")
 def test_six_real_methods_in_one_weighted_file_are_fused_as_six_files_are(shared_data: Path, tmp_path: Path):
     """150 frames of 7-Scenes stairs; the weights are one vote each, as the published files state no inliers."""

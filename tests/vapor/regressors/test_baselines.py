@@ -10,6 +10,7 @@ from scipy.stats import ks_2samp
 from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
+from tests.helpers.full import some
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.observation import VaporObservationModel
@@ -233,7 +234,7 @@ def test_no_method_is_forgotten_here():
 
 
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize(("method", "images", "batch", "epochs", "repeats", "rate"), LEARNED)
+@pytest.mark.parametrize(("method", "images", "batch", "epochs", "repeats", "rate"), some(5, [*LEARNED]))
 def test_methods_of_every_kind_learn_where_images_are_and_drive_a_posterior(
     method, images, batch, epochs, repeats, rate, tmp_path
 ):

@@ -10,6 +10,7 @@ import torch
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.helpers.checks import no_checks
+from tests.helpers.full import full
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import predict
@@ -280,6 +281,7 @@ def _interrupt_in(stage: str):
     return progress
 
 
+@full
 @pytest.mark.usefixtures("unchecked")
 def test_a_training_that_is_interrupted_twice_ends_with_the_same_weights_and_memory(whole, tmp_path):
     output = tmp_path / "m.safetensors"

@@ -16,6 +16,7 @@ from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.reading.counts import ImageCounts
+from tests.helpers.full import some
 from tests.helpers.rerun_files import entities_of
 from tests.helpers.simulated_run import simulated_steps
 from tests.helpers.simulation import seen_at
@@ -144,7 +145,7 @@ with outputs_beside(Path(sys.argv[1]), LocalizerConfig(), **settings) as outputs
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("number", some(1, [signal.SIGKILL, signal.SIGINT]))
 def test_when_the_process_that_it_writes_for_dies_it_ends_and_leaves_nothing(number, tmp_path):
     """A script without a guard of `__main__`, in a group of its own as of a terminal, which gets the signal."""
     script, out = tmp_path / "script.py", tmp_path / "out"
