@@ -14,6 +14,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+from sequences.trajectories.columns import Columns
 from sequences.trajectories.pose_tables import times_beside
 
 OdometryUse = Literal["required", "optional", "unread"]
@@ -82,6 +83,9 @@ class SequenceOptions(ReadingOptions):
     """Take true poses from tf instead: the frame that they are in, such as map."""
     poses: Path | None = None
     """Take true poses from a file instead: TUM text, EuRoC's data.csv, or KITTI's with a file of times beside it."""
+    poses_columns: str | None = None
+    """Names of the columns of a file of poses in another format, as one word in quotation marks, such as "time tx ty tz
+    qw qx qy qz _": name in place of time for frames named by their stamps, _ for what is ignored."""
     poses_times: Path | None = None
     """Times of KITTI's poses, seconds, one a line. Default: times.txt beside the poses."""
     time_offset_s: float | Literal["auto"] = 0.0
@@ -124,10 +128,14 @@ class SequenceOptions(ReadingOptions):
         ]
         if len(given) > 1:
             raise SequenceError(f"{' and '.join(given)} all say where true poses are, expected one of them")
-        if self.poses is None and (self.time_offset_s != 0.0 or self.poses_times is not None):
+        about = self.time_offset_s != 0.0 or self.poses_times is not None or self.poses_columns is not None
+        if self.poses is None and about:
             raise SequenceError(
-                "--time-offset-s and --poses-times are about a file of poses, expected --poses with them"
+                "--time-offset-s, --poses-columns and --poses-times are about a file of poses, expected --poses with"
+                " them"
             )
+        if self.poses_columns is not None:
+            Columns(self.poses_columns)
         if self.time_offset_s != "auto" and not abs(self.time_offset_s) <= _MAX_OFFSET_S:
             raise SequenceError(f"time_offset_s is {self.time_offset_s}, expected at most {_MAX_OFFSET_S:g} or auto")
         origin = self.ground_truth_origin

@@ -1,5 +1,6 @@
 """Shapes and types in annotations are executed while the tests run."""
 
+import gc
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
@@ -21,6 +22,13 @@ checks.install(["filtering", "sequences", "vapor"])
 # How long an example takes says how busy the machine is; and whoever runs the tests runs the same ones.
 settings.register_profile("unhurried", deadline=None, derandomize=True)
 settings.load_profile("unhurried")
+
+
+def pytest_collection_finish() -> None:
+    """What thousands of collected tests are made of stays: looking through it for garbage takes 5 % of the suite."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 50, 100)
 
 
 @pytest.fixture(scope="session")

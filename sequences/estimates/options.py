@@ -7,9 +7,10 @@ from typing import Literal
 
 from filtering.motion import MotionNoise
 from sequences.errors import SequenceError
-from sequences.estimates.pose_files import Direction, require_columns
+from sequences.estimates.pose_files import Direction
 from sequences.frame import ASSUMED_HZ
 from sequences.odometry import OdometryNoise
+from sequences.trajectories.columns import Columns
 
 _MAX_OFFSET_S = 1e10  # between two clocks, one of which began in 1970
 
@@ -24,6 +25,10 @@ class EstimateOptions:
     """Names of the columns of the files of estimates, as one word in quotation marks, such as "name qw qx qy qz tx ty
     tz _ _ weight": time in place of name for stamps in seconds, _ for what is ignored. With a weight, such as the
     number of inliers, a frame may have several lines, which are its hypotheses. Default: as above."""
+    odometry_columns: str | None = None
+    """The same of odometry, or of the true poses that it is simulated from. Default: as above, or EuRoC's data.csv."""
+    ground_truth_columns: str | None = None
+    """The same of the true poses to compare with."""
     time_offset_s: float | Literal["auto"] = 0.0
     """Seconds to add to the stamps of estimates; auto finds them, file by file, by comparing their rotation with
     odometry's."""
@@ -39,8 +44,9 @@ class EstimateOptions:
     """Localize also where odometry covers fewer than one in ten of the estimated frames."""
 
     def __post_init__(self) -> None:
-        if self.columns is not None:
-            require_columns(self.columns)
+        for columns in (self.columns, self.odometry_columns, self.ground_truth_columns):
+            if columns is not None:
+                Columns(columns)
         if self.time_offset_s != "auto" and not abs(self.time_offset_s) <= _MAX_OFFSET_S:
             raise SequenceError(f"time_offset_s is {self.time_offset_s}, expected at most {_MAX_OFFSET_S:g} or auto")
         if not 1e-3 <= self.rate_hz <= 1e6:

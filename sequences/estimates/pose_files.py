@@ -13,9 +13,11 @@ from jaxtyping import Float64
 from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
+from sequences.files.rows import Rows
 from sequences.files.text import read_rows
-from sequences.trajectories.tum import poses_of_rows, read_tum
-from sequences.values import is_number, natural, parse_frame_number, parse_number, parse_numbers, parse_time_ns
+from sequences.trajectories.columns import Columns, fields_of, stamp_ns, stamp_of
+from sequences.trajectories.pose_tables import read_pose_table
+from sequences.values import is_number, natural, parse_frame_number, parse_number
 
 Direction = Literal["world-to-camera", "camera-to-world"]
 """Which way the poses of a file map points."""
@@ -25,9 +27,6 @@ FramesBy = Literal["names", "stamped names", "stamps"]
 
 COLUMNS = "name qw qx qy qz tx ty tz"
 """Columns of named frames where no others are stated."""
-
-_POSE = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
-_IGNORED = "_"
 
 
 class FrameName(NamedTuple):
@@ -62,38 +61,27 @@ class PoseFile:
     weights: Float64[np.ndarray, " n"] | None = None
 
 
-def require_columns(columns: str) -> None:
-    """Raise SequenceError if columns are not such as `read_poses` takes."""
-    names = columns.split()
-    expected = f"name or time, {' '.join(_POSE)}, and perhaps weight, each once; {_IGNORED} for what is ignored"
-    stated = [name for name in names if name != _IGNORED]
-    for name in stated:
-        if name not in ("name", "time", *_POSE, "weight"):
-            raise SequenceError(f"columns: {quoted(name)} in {quoted(columns)}, expected {expected}")
-    missing = [name for name in _POSE if name not in stated]
-    if missing or len(set(stated)) < len(stated) or ("name" in stated) == ("time" in stated):
-        raise SequenceError(f"columns are {quoted(columns)}, expected {expected}")
-
-
-def read_poses(path: Path, direction: Direction | None = None, columns: str | None = None) -> PoseFile:
-    """Read poses of named frames, or a TUM trajectory.
+def read_poses(
+    path: Path, direction: Direction | None = None, columns: str | None = None, rows: Rows | None = None
+) -> PoseFile:
+    """Read poses of named frames, or a table of poses by time.
 
     Lines are `name qw qx qy qz tx ty tz`, in any order, with further columns ignored: the format of published 7-Scenes
     estimates. The last number before the first dot of a name's last part is the frame's; what stands before it names
     the sequence. Names that are stamps, as EuRoC's (`cam0/1403636579763555584.png`, nanoseconds) and TUM's
-    (`rgb/1305031102.175304.png`, seconds), are read as such. Where the first line
-    begins with a number the file is a TUM trajectory, `time tx ty tz qx qy qz qw`,
-    camera-to-world. Lines that start with # are comments.
+    (`rgb/1305031102.175304.png`, seconds), are read as such. Where the first line begins with a number, the file is a
+    table of camera-to-world poses by time, as `read_pose_table` takes it. Lines that start with # are comments.
 
-    Other columns are stated by their names, such as `name qw qx qy qz tx ty tz _ _ weight`: `time`, in seconds, in
-    place of `name` for frames that are camera-to-world and named by their stamps; `_` for a column that is ignored.
-    With a `weight`, such as the number of inliers, a frame may have several lines: they are its hypotheses. Lines with
-    a weight of 0 are left out.
+    Other columns are stated by their names, as `Columns` has them, such as `name qw qx qy qz tx ty tz _ _ weight`:
+    `time` in place of `name` for frames that are camera-to-world and named by their stamps. With a `weight`, such as
+    the number of inliers, a frame may have several lines: they are its hypotheses. Lines with a weight of 0 are left
+    out.
 
     Args:
         path: The file.
         direction: Which way the poses of named frames map; without it only frames with stamps can be read.
-        columns: Names of the columns; None for those of named frames or of a TUM trajectory, as the first line has it.
+        columns: Names of the columns; None for those of named frames or of a table, as the first line has it.
+        rows: Counts the lines that cannot be used, which are left out; None where one of them is an error.
 
     Raises:
         SequenceError: the columns are none; the file is missing or empty, a line has too few columns or others than the
@@ -101,64 +89,74 @@ def read_poses(path: Path, direction: Direction | None = None, columns: str | No
             weight, or names the same frame as an earlier one without having a weight; or the direction is missing, or
             contradicts stamps.
     """
-    path = Path(path)
-    if columns is not None:
-        require_columns(columns)
-    first = next(read_rows(path), None)
-    if first is None:
-        expected = f"`{COLUMNS}` or of a TUM trajectory" if columns is None else f"`{columns}`"
-        raise SequenceError(f"{path}: no poses, expected lines of {expected}")
-    if columns is None and is_number(first[1].split()[0]):
-        _require_camera_to_world(path, direction, "a TUM trajectory")
-        trajectory = read_tum(path)
+    path, rows = Path(path), rows or Rows(tolerant=False)
+    names = Columns(COLUMNS if columns is None else columns)
+    first = _first_row(path, columns)
+    if columns is None and is_number(fields_of(first[1])[0]):
+        _require_camera_to_world(path, direction, "poses by time")
+        trajectory = read_pose_table(path, rows=rows)
         return PoseFile(path, True, tuple(FrameName("", int(time)) for time in trajectory.times_ns), trajectory.poses)
-    columns = columns or COLUMNS
-    at = {name: i for i, name in enumerate(columns.split()) if name != _IGNORED}
-    timed, weighted = "time" in at, "weight" in at
-    stamped = not timed and frames_by(path, columns)[0] == "stamped names"
-    if timed:
+    stamped = names.timed or frames_by(path, columns)[0] == "stamped names"
+    if names.timed:
         _require_camera_to_world(path, direction, "frames by stamps")
     elif direction is None:
         raise SequenceError(
             f"{path}: poses of named frames, expected their direction with them: world-to-camera or camera-to-world"
         )
     seen: dict[FrameName, int] = {}
-    frames: list[FrameName] = []
-    lines: list[int] = []
-    rows: list[list[float]] = []
-    weights: list[float] = []
-    for number, line in read_rows(path):
-        where, fields = f"{path}:{number}", line.split()
-        if len(fields) < len(columns.split()):
-            raise SequenceError(f"{where}: {len(fields)} columns, expected the {len(columns.split())} of `{columns}`")
-        if len(fields) != len(first[1].split()):
-            raise SequenceError(f"{where}: {len(fields)} columns, expected as many as on line {first[0]}")
-        name = fields[at["time" if timed else "name"]]
-        frame = FrameName("", parse_time_ns(name, where)) if timed else _frame_name(name, where, stamped)
-        if seen.setdefault(frame, number) != number and not weighted:
+    found: list[_Row] = []
+    for number, line in rows.each(read_rows(path)):
+        where = f"{path}:{number}"
+        row = rows.use(_read_row, line, where, names, stamped, first)
+        if isinstance(row, str):
+            continue
+        if seen.setdefault(row.frame, number) != number and not names.weighted:
             raise SequenceError(
-                f"{where}: {quoted(name)} names the same frame as line {seen[frame]}, expected it once; of several"
-                " hypotheses each has a weight (--columns)"
+                f"{where}: {quoted(fields_of(line)[names.frame])} names the same frame as line {seen[row.frame]},"
+                " expected it once; of several hypotheses each has a weight (--columns)"
             )
-        row = parse_numbers([fields[at[each]] for each in _POSE], where, f"those of `{columns}`")
-        weight = parse_number(fields[at["weight"]], f"{where}: weight", 0.0) if weighted else 1.0
-        if weight > 0.0:
-            frames.append(frame)
-            lines.append(number)
-            rows.append(row)
-            weights.append(weight)
-    if not rows:
+        if row.weight > 0.0:
+            found.append(row)
+    if not found:
         raise SequenceError(f"{path}: all weights are 0, expected a pose with another")
-    order = sorted(range(len(frames)), key=lambda i: natural_order(frames[i]))  # of a frame as they come
-    table = np.array(rows)
-    poses = poses_of_rows(path, lines, table[:, :3], table[:, 3:], columns)[order]
+    found.sort(key=lambda row: natural_order(row.frame))  # of a frame as they come
+    table = np.array([row.pose for row in found])
+    poses = Poses.from_quat_xyzw(table[:, :3], table[:, 3:])
     return PoseFile(
         path,
-        timed or stamped,
-        tuple(frames[i] for i in order),
+        stamped,
+        tuple(row.frame for row in found),
         poses.inverse() if direction == "world-to-camera" else poses,
-        np.array(weights)[order] if weighted else None,
+        np.array([row.weight for row in found]) if names.weighted else None,
     )
+
+
+class _Row(NamedTuple):
+    frame: FrameName
+    pose: list[float]
+    weight: float
+
+
+def _read_row(line: str, where: str, columns: Columns, stamped: bool, first: tuple[int, str]) -> _Row:
+    """What a line says of a frame, which has as many columns as the first line; no pose where its weight is 0."""
+    fields, num_columns = columns.read(line, where), len(fields_of(line))
+    if num_columns != len(fields_of(first[1])):
+        raise SequenceError(f"{where}: {num_columns} columns, expected as many as on line {first[0]}")
+    if columns.timed:
+        frame = FrameName("", stamp_ns(fields["time"], where))
+    else:
+        frame = _frame_name(fields["name"], where, stamped)
+    weight = parse_number(fields["weight"], f"{where}: weight", 0.0) if columns.weighted else 1.0
+    return _Row(frame, columns.pose(fields, where) if weight > 0.0 else [], weight)
+
+
+def _first_row(path: Path, columns: str | None) -> tuple[int, str]:
+    """Number and text of the first line. Raises SequenceError where there is none, or the file cannot be read."""
+    first = next(read_rows(path), None)
+    if first is None:
+        expected = f"`{COLUMNS}`, or of a trajectory" if columns is None else f"`{columns}`"
+        raise SequenceError(f"{path}: no poses, expected lines of {expected}")
+    return first
 
 
 def frames_by(path: Path, columns: str | None = None) -> tuple[FramesBy, str]:
@@ -167,17 +165,15 @@ def frames_by(path: Path, columns: str | None = None) -> tuple[FramesBy, str]:
     Raises:
         SequenceError: the file cannot be read, or holds no poses.
     """
-    first = next(read_rows(path), None)
-    if first is None:
-        raise SequenceError(f"{path}: no poses, expected at least one line of them")
-    fields, names = first[1].split(), (columns or COLUMNS).split()
+    line = _first_row(path, columns)[1]
+    fields = fields_of(line)
     if columns is None and is_number(fields[0]):
         return "stamps", fields[0]
-    at = names.index("time" if "time" in names else "name")
-    name = fields[at] if at < len(fields) else ""
-    if "time" in names:
+    names = Columns(COLUMNS if columns is None else columns)
+    name = fields[names.frame] if names.frame < len(fields) else ""
+    if names.timed:
         return "stamps", name
-    return ("stamped names" if _stamp_of(name) is not None else "names"), name
+    return ("stamped names" if stamp_of(name) is not None else "names"), name
 
 
 def natural_order(frame: FrameName) -> tuple[list[tuple[int, str]], int]:
@@ -190,21 +186,11 @@ def _require_camera_to_world(path: Path, direction: Direction | None, what: str)
         raise SequenceError(f"{path}: {what}, which is camera-to-world, expected no world-to-camera with it")
 
 
-def _stamp_of(name: str) -> str | None:
-    """Seconds that a name states, as EuRoC's images are named, or TUM's; None where it states none."""
-    file = name.rpartition("/")[2]
-    if match := re.fullmatch(r"(\d{9,10})(\d{9})(\.[A-Za-z]\w*)?", file, flags=re.ASCII):
-        return f"{match[1]}.{match[2]}"
-    match = re.fullmatch(r"(\d{9,10}\.\d{1,9})(\.[A-Za-z]\w*)?", file, flags=re.ASCII)
-    return match[1] if match else None
-
-
 def _frame_name(name: str, where: str, stamped: bool) -> FrameName:
     if stamped:
-        stamp = _stamp_of(name)
-        if stamp is None:
+        if stamp_of(name) is None:
             raise SequenceError(f"{where}: name {quoted(name)} is no stamp, expected one as on the first line")
-        return FrameName("", parse_time_ns(stamp, where))
+        return FrameName("", stamp_ns(name, where))
     folder, slash, file = name.rpartition("/")
     match = re.fullmatch(r"(.*?)(\d+)\D*", file.split(".")[0], flags=re.ASCII)
     if match is None:

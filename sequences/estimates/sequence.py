@@ -16,6 +16,7 @@ from sequences.errors import SequenceError
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.pose_files import FrameName, PoseFile, frames_by, natural_order, read_poses
 from sequences.estimates.tracks import OdometryTrack, frame_stamps
+from sequences.files.rows import Rows
 from sequences.frame import BASE_FROM_CAMERA, Frame, Trajectory
 from sequences.odometry import simulate_odometry
 from sequences.reading.counts import NO_ESTIMATE, ImageCounts
@@ -76,14 +77,19 @@ class EstimateSequence:
                 "a filter needs odometry: expected either a file of it, or true poses to simulate it from"
             )
         self._options = options or EstimateOptions()
+        source_path = simulate_odometry_from or odometry or Path()
         asked = [(path, self._options.columns) for path in estimates]
-        asked += [(path, None) for path in (odometry, simulate_odometry_from, ground_truth) if path is not None]
+        asked.append((source_path, self._options.odometry_columns))
+        if ground_truth is not None:
+            asked.append((ground_truth, self._options.ground_truth_columns))
         self._has_names = _have_names(asked)
+        self.notices: list[str] = []
         self.files = [self._read(path, self._options.columns) for path in estimates]
-        source = self._read(simulate_odometry_from or odometry or Path())
-        truth_path = ground_truth or simulate_odometry_from
-        truth = None if truth_path is None else self._read(truth_path)
-        self.path, self.notices = self.files[0].path, []
+        source = self._read(source_path, self._options.odometry_columns)
+        truth = source if simulate_odometry_from is not None else None
+        if ground_truth is not None:
+            truth = self._read(ground_truth, self._options.ground_truth_columns)
+        self.path = self.files[0].path
         for file in [*self.files, *([] if truth is None else [truth])]:
             _require_common(file, source)
         self._set_clocks(source, truth)
@@ -146,10 +152,12 @@ class EstimateSequence:
         ]
         return float(np.median(np.concatenate(speeds))) if speeds else 0.0
 
-    def _read(self, path: Path, columns: str | None = None) -> PoseFile:
+    def _read(self, path: Path, columns: str | None) -> PoseFile:
         # The direction is that of named frames: beside them, files of stamps are camera-to-world as ever.
         beside = self._has_names and frames_by(path, columns)[0] == "stamps"
-        file = read_poses(path, None if beside else self._options.direction, columns)
+        rows = Rows("poses")
+        file = read_poses(path, None if beside else self._options.direction, columns, rows)
+        self.notices += rows.notices
         return replace(file, poses=Poses(file.poses.rotation, file.poses.translation * self._options.unit_m))
 
     def _set_clocks(self, source: PoseFile, truth: PoseFile | None) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
+from sequences.files.rows import Rows
 from sequences.frame import Trajectory
 from sequences.options import SequenceOptions
 from sequences.reading.extrinsics import Extrinsics, read_tree
@@ -134,9 +135,10 @@ def route_of_file(
         SequenceError: the file cannot be used, nothing says where the camera sits, or the rotation tells no offset.
     """
     file = Path(options.poses or "")
-    trajectory = read_pose_table(file, options.poses_times)
+    rows = Rows("poses")
+    trajectory = read_pose_table(file, options.poses_times, rows, options.poses_columns)
     extrinsics = rig.on(bag, frame_name(options.ground_truth_child_frame or ""), " (--ground-truth-child-frame)")
-    offset_s, notices = options.time_offset_s, []
+    offset_s, notices = options.time_offset_s, rows.notices
     if offset_s == "auto":
         from sequences.trajectories.time_offset import offset_of_clocks  # loads SciPy's signals, which takes a while
 
@@ -144,7 +146,8 @@ def route_of_file(
             track = odometry()
         except VaporTrackError as error:
             raise SequenceError(f"{file}: {error}") from error
-        offset_s, notices = offset_of_clocks("auto", track, trajectory, str(file))
+        offset_s, found = offset_of_clocks("auto", track, trajectory, str(file))
+        notices += found
     table = TabledPoses(
         replace(trajectory, times_ns=trajectory.times_ns + round(offset_s * 1e9)), extrinsics.body_from_camera
     )

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float64
 
 from filtering.errors import quoted
 from filtering.se3 import Poses, nearest_rotation
@@ -12,6 +15,7 @@ from sequences.errors import SequenceError
 from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Trajectory
+from sequences.trajectories.columns import Columns, stamp_ns
 from sequences.trajectories.tum import read_tum
 from sequences.values import LARGEST, MAX_TIME_NS, parse_numbers, parse_time_ns, parse_whole
 
@@ -20,40 +24,45 @@ _KITTI = "twelve numbers, the upper three rows of a matrix"
 _MAX_ERROR = 0.01  # of a unit quaternion's length, and of a rotation's elements; beyond, these are other numbers
 
 
-def read_pose_table(path: Path, times: Path | None = None, rows: Rows | None = None) -> Trajectory:
-    """Read poses of a body over time, in whichever of three formats the first line is.
+def read_pose_table(
+    path: Path, times: Path | None = None, rows: Rows | None = None, columns: str | None = None
+) -> Trajectory:
+    """Read poses of a body over time, in whichever of three formats the first line is, or by the names of its columns.
 
     TUM: `time tx ty tz qx qy qz qw`, seconds. EuRoC: with commas, nanoseconds, position, quaternion with w first,
     further columns ignored. KITTI: the upper three rows of a matrix in one line; their times, in seconds, are lines of
-    a file of its own. Lines that start with # are comments.
+    a file of its own. Others: as `Columns` states them, frames by time or by names that are stamps. Lines that start
+    with # are comments.
 
     Args:
         path: The file.
         times: Times of KITTI's poses; None for `times.txt` in the same folder.
-        rows: Counts the lines of TUM text or EuRoC's that cannot be used, which are left out; None where one of them is
-            an error.
+        rows: Counts the lines that cannot be used, which are left out; None where one of them is an error.
+        columns: Names of the columns; None for one of the three formats.
 
     Raises:
         SequenceError: a file is missing, empty or in none of these formats, a value is not finite or no rotation, times
             do not increase, or there are not as many times as poses.
     """
-    path = Path(path)
+    path, rows = Path(path), rows or Rows(tolerant=False)
     lines = list(read_rows(path))
     if not lines:
         raise SequenceError(f"{path}: no poses, expected TUM text, EuRoC's data.csv or KITTI's poses")
     number, line = lines[0]
-    columns = len(line.split())
-    if times is not None and ("," in line or columns != 12):
+    found = len(line.split())
+    if times is not None and (columns is not None or "," in line or found != 12):
         raise SequenceError(f"{path}:{number}: not KITTI's poses, expected {_KITTI}, or no --poses-times with them")
+    if columns is not None:
+        return _trajectory(path, lines, rows, partial(_read_columns_row, Columns(columns)))
     if "," in line:
-        return _read_euroc(path, lines, rows or Rows(tolerant=False))
-    if columns == 12:
-        return _read_kitti(path, lines, Path(times) if times is not None else times_beside(path))
-    if columns == 8:
+        return _trajectory(path, lines, rows, _read_euroc_row)
+    if found == 12:
+        return _read_kitti(path, lines, Path(times) if times is not None else times_beside(path), rows)
+    if found == 8:
         return read_tum(path, rows)
     raise SequenceError(
-        f"{path}:{number}: {columns} columns, expected TUM text (8), EuRoC's data.csv (with commas) or KITTI's poses"
-        " (12)"
+        f"{path}:{number}: {found} columns, expected TUM text (8), EuRoC's data.csv (with commas), KITTI's poses (12)"
+        f" or the names of its columns"
     )
 
 
@@ -62,21 +71,29 @@ def times_beside(poses: Path) -> Path:
     return poses.parent / "times.txt"
 
 
-def _read_euroc(path: Path, lines: list[tuple[int, str]], rows: Rows) -> Trajectory:
+def _trajectory(
+    path: Path, lines: list[tuple[int, str]], rows: Rows, read: Callable[[str, str], tuple[int, list[float]]]
+) -> Trajectory:
+    """Of each line its stamp and `tx ty tz qx qy qz qw`, as a function reads it; stamps increase."""
     times_ns: list[int] = []
     values: list[list[float]] = []
+
+    def read_next(line: str, where: str) -> tuple[int, list[float]]:
+        time_ns, row = read(line, where)
+        if times_ns and time_ns <= times_ns[-1]:
+            raise SequenceError(f"{where}: time {time_ns} ns is not after the line before, expected increasing times")
+        return time_ns, row
+
     for number, line in rows.each(lines):
-        row = rows.use(_read_euroc_row, line, f"{path}:{number}", times_ns[-1] if times_ns else None)
+        row = rows.use(read_next, line, f"{path}:{number}")
         if not isinstance(row, str):
             times_ns.append(row[0])
             values.append(row[1])
     table = np.array(values)
-    poses = Poses.from_quat_xyzw(table[:, :3], table[:, [4, 5, 6, 3]])
-    return Trajectory(np.array(times_ns, np.int64), poses)
+    return Trajectory(np.array(times_ns, np.int64), Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
 
 
-def _read_euroc_row(line: str, where: str, before_ns: int | None) -> tuple[int, list[float]]:
-    """Stamp and pose of a line."""
+def _read_euroc_row(line: str, where: str) -> tuple[int, list[float]]:
     fields = line.split(",")
     if len(fields) < 8:
         raise SequenceError(f"{where}: {len(fields)} columns, expected at least the eight of `{_EUROC}`")
@@ -84,40 +101,43 @@ def _read_euroc_row(line: str, where: str, before_ns: int | None) -> tuple[int, 
     row = parse_numbers(fields[1:8], where, f"those of `{_EUROC}`")
     if not (np.abs(row) <= LARGEST).all() or abs(np.hypot.reduce(row[3:]) - 1) > _MAX_ERROR:
         raise SequenceError(f"{where}: {quoted(row)} is no finite position and unit quaternion, expected `{_EUROC}`")
-    if before_ns is not None and time_ns <= before_ns:
-        raise SequenceError(f"{where}: time {time_ns} ns is not after the line before, expected increasing times")
-    return time_ns, row
+    return time_ns, [*row[:3], *row[4:], row[3]]
 
 
-def _read_kitti(path: Path, rows: list[tuple[int, str]], times: Path) -> Trajectory:
-    matrices = np.empty((len(rows), 3, 4))
-    for i, (number, line) in enumerate(rows):
-        row = parse_numbers(line.split(), f"{path}:{number}", _KITTI)
-        if len(row) != 12:
-            raise SequenceError(f"{path}:{number}: {len(row)} columns, expected {_KITTI}")
-        matrices[i] = np.reshape(row, (3, 4))
-        turn = matrices[i, :, :3]
-        if not (np.abs(matrices[i]) <= LARGEST).all() or np.abs(turn @ turn.T - np.eye(3)).max() > _MAX_ERROR:
-            raise SequenceError(f"{path}:{number}: no finite rotation and translation, expected {_KITTI}")
-        if np.linalg.det(turn) < 0:
-            raise SequenceError(f"{path}:{number}: a mirroring, no rotation, expected {_KITTI}")
+def _read_columns_row(columns: Columns, line: str, where: str) -> tuple[int, list[float]]:
+    fields = columns.read(line, where)
+    return stamp_ns(fields["time" if columns.timed else "name"], where), columns.pose(fields, where)
+
+
+def _read_kitti(path: Path, lines: list[tuple[int, str]], times: Path, rows: Rows) -> Trajectory:
+    matrices = [rows.use(_read_kitti_row, line, f"{path}:{number}") for number, line in rows.each(lines)]
     if not times.is_file():
         raise SequenceError(
             f"{times}: no such file, expected the times of {path.name}, or --poses-times that names them"
         )
     stamped = list(read_rows(times))
-    if len(stamped) != len(rows):
-        raise SequenceError(f"{times}: {len(stamped)} times, expected {len(rows)} as there are poses in {path.name}")
+    if len(stamped) != len(lines):
+        raise SequenceError(f"{times}: {len(stamped)} times, expected {len(lines)} as there are poses in {path.name}")
     times_ns = [parse_time_ns(line, f"{times}:{number}") for number, line in stamped]
-    _require_increasing(times, stamped, times_ns)
-    poses = Poses(nearest_rotation(matrices[:, :, :3].copy()), matrices[:, :, 3].copy())
-    return Trajectory(np.array(times_ns, np.int64), poses)
+    for (number, _), before, after in zip(stamped[1:], times_ns, times_ns[1:], strict=False):
+        if after <= before:
+            raise SequenceError(
+                f"{times}:{number}: time {after} ns is not after the line before, expected increasing times"
+            )
+    kept = [(time_ns, row) for time_ns, row in zip(times_ns, matrices, strict=True) if not isinstance(row, str)]
+    table = np.array([row for _, row in kept])
+    poses = Poses(nearest_rotation(table[:, :, :3].copy()), table[:, :, 3].copy())
+    return Trajectory(np.array([time_ns for time_ns, _ in kept], np.int64), poses)
 
 
-def _require_increasing(path: Path, rows: list[tuple[int, str]], times_ns: list[int]) -> None:
-    (stalled,) = np.nonzero(np.diff(np.array(times_ns, np.int64)) <= 0)
-    if len(stalled):
-        raise SequenceError(
-            f"{path}:{rows[stalled[0] + 1][0]}: time {times_ns[stalled[0] + 1]} ns is not after the line before,"
-            " expected increasing times"
-        )
+def _read_kitti_row(line: str, where: str) -> Float64[np.ndarray, "3 4"]:
+    row = parse_numbers(line.split(), where, _KITTI)
+    if len(row) != 12:
+        raise SequenceError(f"{where}: {len(row)} columns, expected {_KITTI}")
+    matrix = np.reshape(row, (3, 4))
+    turn = matrix[:, :3]
+    if not (np.abs(matrix) <= LARGEST).all() or np.abs(turn @ turn.T - np.eye(3)).max() > _MAX_ERROR:
+        raise SequenceError(f"{where}: no finite rotation and translation, expected {_KITTI}")
+    if np.linalg.det(turn) < 0:
+        raise SequenceError(f"{where}: a mirroring, no rotation, expected {_KITTI}")
+    return matrix

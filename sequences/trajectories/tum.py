@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
-from math import hypot, isnan
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
-from filtering.errors import quoted
 from filtering.moments import require_sound
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
@@ -18,10 +14,10 @@ from sequences.errors import SequenceError
 from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Trajectory
-from sequences.values import LARGEST, parse_numbers, parse_time_ns
+from sequences.trajectories.columns import usable_pose
+from sequences.values import parse_numbers, parse_time_ns
 
 _COLUMNS = "time tx ty tz qx qy qz qw"
-_SHORTEST = 1e-6  # of a quaternion that says how a pose is turned
 
 
 def read_tum(path: Path, rows: Rows | None = None) -> Trajectory:
@@ -59,34 +55,7 @@ def _read_row(path: Path, number: int, line: str, before_ns: int | None) -> tupl
     if before_ns is not None and found_ns <= before_ns:
         raise SequenceError(f"{where}: time {fields[0]} is not after the line before, expected increasing times")
     values = parse_numbers(fields[1:], where, f"those of `{_COLUMNS}`")
-    if not max(map(abs, values)) <= LARGEST or hypot(*values[3:]) < _SHORTEST or isnan(sum(values)):
-        table = np.array([values])
-        poses_of_rows(path, [number], table[:, :3], table[:, 3:], _COLUMNS)  # says what is wrong
-    return found_ns, values
-
-
-def poses_of_rows(
-    path: Path,
-    lines: Sequence[int],
-    translation: Float64[np.ndarray, "n 3"],
-    quat_xyzw: Float64[np.ndarray, "n 4"],
-    columns: str,
-) -> Poses:
-    """Poses (n,) of the rows of a file, quaternions of any length.
-
-    Raises:
-        SequenceError: one is not finite or beyond what a pose has, or has no rotation; names the first such line.
-    """
-    rows = np.concatenate([translation, quat_xyzw], axis=1)
-    usable = np.all(np.abs(rows) <= LARGEST, axis=1)
-    turned = np.linalg.norm(np.where(usable[:, None], quat_xyzw, 1.0), axis=1) >= _SHORTEST
-    if not (usable & turned).all():
-        first = int(np.argmin(usable & turned))
-        wrong = f"quaternion {quoted(rows[first, 3:].tolist())} has zero length"
-        if not usable[first]:
-            wrong = f"pose is not finite, or beyond {LARGEST:g}: {quoted(rows[first].tolist())}"
-        raise SequenceError(f"{path}:{lines[first]}: {wrong}, expected numbers `{columns}`")
-    return Poses.from_quat_xyzw(translation, quat_xyzw)
+    return found_ns, usable_pose(values, where, _COLUMNS)
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:

@@ -28,6 +28,9 @@ class Options:
     ground_truth: Path | None = None
     """True poses: TUM text, EuRoC's data.csv, or KITTI's with times.txt beside it. Default:
     ground_truth.tum in the directory."""
+    columns: str | None = None
+    """Names of the columns of true poses in another format, as one word in quotation marks, such as "time tx ty tz qw
+    qx qy qz _": name in place of time for frames named by their stamps, _ for what is ignored."""
     time_offset_s: float | Literal["auto"] = 0.0
     """Seconds to add to the stamps of true poses; auto finds them by comparing rotations."""
     output: OutputPath | None = None
@@ -44,7 +47,9 @@ def main(arguments: Sequence[str]) -> None:
         refuse_other(options.output, kind, _is_evaluation, reads=reads, overwrite=options.overwrite)
         page = options.output.with_suffix(".html")
         refuse_other(page, "page of vapor-track", is_page, reads=reads, overwrite=options.overwrite)
-    report, notices = evaluate_directory(options.directory, options.ground_truth, options.time_offset_s)
+    report, notices = evaluate_directory(
+        options.directory, options.ground_truth, options.time_offset_s, options.columns
+    )
     if options.output is not None:
         write_report(options.output, report)
         write_page(options.output.with_suffix(".html"), _page(options, report, command_line("evaluate", arguments)))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from filtering.errors import VaporTrackError
+from sequences.files.rows import Rows
 from sequences.outputs.manifest import MANIFEST, verify
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.trajectories.tum import read_tum
@@ -23,7 +24,10 @@ def files_read(directory: Path, ground_truth: Path | None = None) -> list[Path]:
 
 
 def evaluate_directory(
-    directory: Path, ground_truth: Path | None = None, time_offset_s: float | Literal["auto"] = 0.0
+    directory: Path,
+    ground_truth: Path | None = None,
+    time_offset_s: float | Literal["auto"] = 0.0,
+    columns: str | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
     """Recompute the metrics of a run from the trajectories that it wrote.
 
@@ -32,10 +36,11 @@ def evaluate_directory(
         ground_truth: True poses as TUM text, EuRoC's data.csv or KITTI's; None for
             `ground_truth.tum` in the directory.
         time_offset_s: Seconds to add to the stamps of true poses; auto finds them by the rotation of the filter's.
+        columns: Names of the columns of the true poses, as `read_pose_table` takes them.
 
     Returns:
         `frames`, `frames_with_true_pose`, and for each method found its metrics, as in `report.json`; and what
-        a person should know of the clocks.
+        a person should know of the true poses and of the clocks.
 
     Raises:
         VaporTrackError: a file is missing, malformed or not as its manifest lists it, or nothing overlaps.
@@ -51,7 +56,8 @@ def evaluate_directory(
     if not truth_path.is_file():
         hint = "; give the true poses with --ground-truth FILE" if ground_truth is None else ""
         raise VaporTrackError(f"{truth_path}: no such file, expected true poses as TUM text{hint}")
-    truth = read_pose_table(truth_path)
+    rows = Rows("true poses")
+    truth = read_pose_table(truth_path, rows=rows, columns=columns)
     methods = {name: read_tum(directory / file) for name, file in FILES.items() if (directory / file).is_file()}
     from sequences.trajectories.time_offset import offset_of_clocks  # loads SciPy's signals, which takes a while
 
@@ -62,4 +68,5 @@ def evaluate_directory(
     except VaporTrackError as error:
         raise VaporTrackError(f"{directory} against {truth_path}: {error}") from error
     found, _ = associate(methods["filter"].times_ns, truth)
-    return {"frames": len(found), "frames_with_true_pose": int(found.sum()), **metrics}, notices
+    report = {"frames": len(found), "frames_with_true_pose": int(found.sum()), **metrics}
+    return report, [*rows.notices, *notices]

@@ -11,9 +11,11 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.estimates.options import EstimateOptions
 from sequences.estimates.pose_files import FrameName, natural_order, read_poses
+from sequences.files.rows import Rows
 from sequences.files.text import read_text
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
+from tests.helpers.pose_table_files import TIMES_NS, TRACK, as_euroc
 from tests.helpers.pose_text import walk, write_named
 
 GOOD = "seq-01/frame-000001.color.png 1 0 0 0 0 0 0"
@@ -64,8 +66,26 @@ def test_a_tum_trajectory_is_camera_to_world(tmp_path: Path):
     assert read.timed
     assert read.frames[1] == FrameName("", 10**18 + 33_333_333)
     np.testing.assert_allclose(read.poses.as_matrix(), poses.as_matrix(), atol=5e-9)
-    with pytest.raises(SequenceError, match=r"t\.tum: a TUM trajectory, which is camera-to-world"):
+    with pytest.raises(SequenceError, match=r"t\.tum: poses by time, which is camera-to-world"):
         read_poses(tmp_path / "t.tum", "world-to-camera")
+
+
+def test_rows_that_cannot_be_used_are_left_out_and_counted(tmp_path: Path):
+    path = tmp_path / "p.txt"
+    lines = [f"seq-01/frame-{i}.png 1 0 0 0 {i} 0 0" for i in range(8)]
+    lines[2], lines[4] = "seq-01/frame-2.png 0 0 0 0 2 0 0", "seq-01/frame-4.png 1 0 0"  # no rotation; cut short
+    path.write_text("\n".join(lines))
+    read = read_poses(path, "camera-to-world", rows=(rows := Rows("poses")))
+    assert [frame.number for frame in read.frames] == [0, 1, 3, 5, 6, 7]
+    assert read.poses.translation[:, 0].tolist() == [0, 1, 3, 5, 6, 7]
+    assert f"2 of 8 poses left out, the first: {path}:3: quaternion [0.0, 0.0, 0.0, 0.0] has zero" in rows.notices[0]
+
+
+def test_a_table_of_euroc_is_poses_by_time(tmp_path: Path):
+    read = read_poses(as_euroc(tmp_path))
+    assert read.timed
+    assert [frame.number for frame in read.frames] == TIMES_NS.tolist()
+    np.testing.assert_allclose(read.poses.as_matrix(), TRACK.poses.as_matrix(), atol=2e-9)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +103,7 @@ def test_a_tum_trajectory_is_camera_to_world(tmp_path: Path):
         (f"{GOOD}\nseq-01/frame-1.png 1 0 0 0 0 0 0\n", r"p\.txt:2: .* names the same frame as line 1"),
         ("first.png 1 0 0 0 0 0 0\n", r"p\.txt:1: name 'first.png', expected a frame number"),
         ("1403636579763555584.png 1 0 0 0 0 0 0\nx1.png 1 0 0 0 0 0 0\n", r"p\.txt:2: name 'x1.png' is no stamp"),
-        ("0.5 1 0 0 0 0 0\n", r"p\.txt:1: 7 columns, expected the eight of `time"),
+        ("0.5 1 0 0 0 0 0\n", r"p\.txt:1: 7 columns, expected TUM text \(8\)"),
     ],
 )
 def test_lines_that_cannot_be_used_are_refused_with_their_number(tmp_path: Path, lines: str, said: str):

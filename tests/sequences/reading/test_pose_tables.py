@@ -1,5 +1,6 @@
 """True poses in files beside a recording: three formats, their clocks, and what is wrong with them."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.errors import SequenceError
+from sequences.files.rows import Rows
 from sequences.frame import Trajectory
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
@@ -32,6 +34,31 @@ def test_every_format_gives_times_and_poses(write, tmp_path: Path) -> None:
     np.testing.assert_allclose(found.poses.as_matrix(), TRACK.poses.as_matrix(), atol=2e-9)
 
 
+@pytest.mark.parametrize("by", ["{0}.{1:09d}", "{0}{1:09d}", "rgb/{0}.{1:09d}.png", "cam0/{0}{1:09d}.png"])
+@pytest.mark.parametrize("between", [" ", ", "])
+def test_columns_may_be_in_any_order_and_stamps_may_be_names(by: str, between: str, tmp_path: Path) -> None:
+    rows = zip(TIMES_NS.tolist(), TRACK.poses.translation, TRACK.poses.as_quat_xyzw(), strict=True)
+    lines = [[9, *turned, by.format(*divmod(time_ns, 10**9)), *at[::-1]] for time_ns, at, turned in rows]
+    (tmp_path / "a.txt").write_text("\n".join(between.join(map(str, line)) for line in lines))
+    found = read_pose_table(tmp_path / "a.txt", columns=f"_ qx qy qz qw {'name' if '/' in by else 'time'} tz ty tx")
+    np.testing.assert_array_equal(found.times_ns, TIMES_NS)
+    np.testing.assert_allclose(found.poses.as_matrix(), TRACK.poses.as_matrix(), atol=2e-9)
+
+
+@pytest.mark.parametrize("write", FORMATS)
+def test_rows_that_cannot_be_used_are_left_out_and_counted(write, tmp_path: Path) -> None:
+    lines = write(tmp_path).read_text().splitlines()
+    first = int(lines[0].startswith("#"))
+    without = sorted(set(range(len(TIMES_NS))) - {3, 7})
+    for i in (3, 7):
+        lines[first + i] = re.sub(r"[ ,]-?\d+\.\d+(e-\d+)?", lambda found: f"{found[0][0]}nan", lines[first + i])
+    file = write(tmp_path)
+    file.write_text("\n".join(lines))
+    found = read_pose_table(file, rows=(rows := Rows("poses")))
+    np.testing.assert_array_equal(found.times_ns, TIMES_NS[without])
+    assert f"2 of {len(TIMES_NS)} poses left out, the first: {file}:{first + 4}: " in rows.notices[0]
+
+
 @pytest.mark.parametrize("write", FORMATS)
 def test_a_file_gives_a_recording_its_true_poses(write, walk: Path, tmp_path: Path) -> None:
     options = SequenceOptions(poses=write(tmp_path), ground_truth_child_frame="base_link")
@@ -52,6 +79,22 @@ def test_a_file_goes_before_a_topic_and_is_of_the_camera_by_default(tmp_path: Pa
         np.testing.assert_allclose(
             frame.world_from_camera.translation, body(frame.time_ns).translation + np.array([0, 0, 9]), atol=1e-3
         )
+
+
+def test_a_file_in_any_order_of_columns_with_unusable_rows_is_told_of(walk: Path, tmp_path: Path) -> None:
+    lines = [" ".join(line.split()[::-1]) for line in as_tum(tmp_path).read_text().splitlines()]
+    lines[-1] = lines[-1].replace(lines[-1].split()[3], "nan", 1)
+    (tmp_path / "a.txt").write_text("\n".join(lines))
+    options = SequenceOptions(
+        poses=tmp_path / "a.txt", poses_columns="qw qz qy qx tz ty tx time", ground_truth_child_frame="base_link"
+    )
+    frames = posed_frames(walk, options=options)
+    for frame in frames:
+        assert frame.world_from_camera is not None
+        assert max(frame.world_from_camera.distance(body(frame.time_ns) @ BASE_FROM_CAMERA)) < 1e-3
+    assert f"1 of {len(TIMES_NS)} poses left out" in frames.notices[0]
+    with pytest.raises(SequenceError, match="columns: 'x' in 'time x', expected"):
+        SequenceOptions(poses=tmp_path / "a.txt", poses_columns="time x")
 
 
 def test_an_offset_is_added_to_the_stamps(walk: Path, tmp_path: Path) -> None:
