@@ -18,9 +18,9 @@ demo: $(INSTALLED)
 
 test: $(INSTALLED)
 	-@$(MAKE) --no-print-directory ros  # where there are no such packages, the tests with ROS nodes skip, saying so
-	# Two workers: BLAS threads would only spin. Compiled modules are kept, even where the environment forbids it:
-	# else each process of the tests compiles them anew, and collection takes twice as long.
-	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+	# BLAS threads would only spin. Three workers on two cores: tests also wait, for processes and files. Compiled
+	# modules are kept, even where the environment forbids it: else each process compiles them anew.
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist worksteal
 
 check: $(INSTALLED)
 	$(BIN)/ruff check .

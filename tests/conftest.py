@@ -96,6 +96,18 @@ def _roughly_lit(scene: "Scene") -> "Scene":
 @pytest.fixture
 def rough_light(monkeypatch: pytest.MonkeyPatch) -> None:
     """Scenes other than buildings are lit roughly, where a test does not look at light: it takes seconds a scene."""
+    _light_roughly(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def rough_light_in_module() -> Iterator[None]:
+    """The same for all tests of a module, and for what they share."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        _light_roughly(monkeypatch)
+        yield
+
+
+def _light_roughly(monkeypatch: pytest.MonkeyPatch) -> None:
     from sequences.scenes.scene import Scene  # after the hook
 
     build = Scene.build

@@ -48,7 +48,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("name", some(7, sorted(ALL, key=["benchmark", "experiment"].__contains__)))
+@pytest.mark.parametrize("name", some(5, sorted(ALL, key=["train", "benchmark", "experiment"].__contains__)))
 def test_a_command_whose_disk_is_full_says_so_in_a_line_and_leaves_what_was_there(name, folder, capfd):
     call, old = ALL[name], folder / "old"
     found = Killing(call, folder, None)

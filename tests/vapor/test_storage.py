@@ -128,6 +128,7 @@ def test_a_walk_is_rendered_on_a_machine_that_has_no_copy_of_anything(machine):
     assert len(listed(local_path("memory://new"))) == 1
 
 
+@full
 @pytest.mark.usefixtures("unchecked")
 def test_a_training_that_was_killed_goes_on_on_another_machine_to_the_same_result(machine, tmp_path, monkeypatch):
     config = AlphaConfig(

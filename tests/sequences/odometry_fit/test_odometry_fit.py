@@ -16,6 +16,7 @@ from sequences.odometry_fit.result import OdometryFit
 from sequences.odometry_fit.segment import OdometrySegment
 from sequences.trajectories.interpolation import interpolate
 from sequences.trajectories.tum import read_tum
+from tests.helpers.full import full
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -122,6 +123,7 @@ def test_white_noise_that_grows_with_distance_is_told_from_that_which_grows_with
     assert (np.sqrt(at_rest) < 0.008).all()
 
 
+@full
 def test_scale_errors_are_not_blurred_by_true_poses_that_jitter() -> None:
     """Errors and true motion share the noise of the true poses: plain regression finds 1.5 % too little here."""
     scaled = OdometryNoise(0.0, 0.0, 0.0, 30.0, 0.001, 0.001)

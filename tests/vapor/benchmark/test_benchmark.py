@@ -18,7 +18,7 @@ from vapor.checkpoints.file_format import load_checkpoint
 from vapor.track import main
 from vapor.tracking.methods import METHODS
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = pytest.mark.usefixtures("unchecked", "rough_light_in_module")
 
 OPTIONS = [
     "--runs", "1", "--frames", "50", "--width", "32", "--height", "24", "--num-samples", "20", "--workers", "1",
@@ -29,7 +29,7 @@ KINDS = ["cue", "no-cue", "kidnap"]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory, tiny_model):
+def folder(tmp_path_factory, tiny_model, rough_light_in_module):
     """Of a benchmark that is done: the tests go on from there, each on its own and in any order."""
     folder = tmp_path_factory.mktemp("benchmark")
     with no_checks():
@@ -63,7 +63,6 @@ def run(folder, tiny_model, *more: str) -> int:
     return main([*words, *OPTIONS, *more])
 
 
-@pytest.mark.usefixtures("rough_light")
 def test_an_interrupted_benchmark_goes_on_and_a_finished_one_computes_nothing(tmp_path, tiny_model, calls, capsys):
     asked = ["--kinds", "cue", "no-cue"]
     calls.interrupt_at.update(record_synthetic=2)
@@ -154,7 +153,7 @@ def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_m
     assert "outlier_probability is 2" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("rough_light")
+@full
 def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, calls, capsys):
     assert run(tmp_path, tiny_model, "--kinds", "rate-3", "rate-10", "rate-30") == 0
     assert calls == {"record_synthetic": 1, "localize": 3}
@@ -163,7 +162,6 @@ def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, 
     assert {each["kind"]: each["images"] for each in runs} == {"rate-3": 15, "rate-10": 50, "rate-30": 150}
 
 
-@pytest.mark.usefixtures("rough_light")
 def test_walks_where_floors_look_alike_are_evaluated_but_for_the_floor_and_once_on_it(tiny_model, tmp_path, capsys):
     words = ["benchmark", "localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
     assert main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "0.02"]) == 0
@@ -183,7 +181,6 @@ def test_walks_where_floors_look_alike_are_evaluated_but_for_the_floor_and_once_
     assert "odometry_scale is -2" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("rough_light")
 def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(kinds, "STAND_S", 1.0)
     monkeypatch.setattr(kinds, "STAND_AFTER", 10)

@@ -11,6 +11,7 @@ from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.reader import SequenceReader
 from sequences.trajectories.tum import write_tum
+from tests.helpers.full import full
 from vapor.benchmark.faults import benchmark as fault_benchmark
 from vapor.benchmark.faults import recorded_walks, timing
 from vapor.benchmark.faults.recorded_walks import RecordedWalk
@@ -19,7 +20,7 @@ from vapor.benchmark.faults.walks import SyntheticWalk
 from vapor.benchmark.trials.replay import Replay
 from vapor.track import main
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = pytest.mark.usefixtures("unchecked", "rough_light_in_module")
 
 OPTIONS = [
     "--walks", "1", "--frames", "50", "--width", "32", "--height", "24", "--num-samples", "20", "--workers", "1",
@@ -115,6 +116,7 @@ def run_recorded(folder, tiny_model, *recordings: Path, more: tuple[str, ...] = 
     return main([*words, *ALWAYS_SURE, *more])
 
 
+@full
 @pytest.mark.usefixtures("short")
 def test_faults_befall_recordings_as_they_do_synthetic_walks(recording, tiny_model, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(recorded_walks, "_OTHER_IMAGES", 3)

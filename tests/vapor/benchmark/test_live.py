@@ -16,6 +16,7 @@ from sequences.recordings.mcap_writer import ros_header
 from sequences.recordings.message_definitions import decoder, encoder
 from sequences.recordings.messages import odometry_from_message
 from tests.helpers.fake_transport import FakeTransport
+from tests.helpers.full import full
 from tests.helpers.tiny_model import SMALL
 from vapor.benchmark.live.measure import first_and_last, latency_of, require_alone
 from vapor.benchmark.live.traffic import (
@@ -128,6 +129,7 @@ def test_nobody_else_may_be_in_the_domain():
         require_alone(transport)
 
 
+@full
 def test_the_command_measures_live(
     walk_of_25: Path, tiny_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

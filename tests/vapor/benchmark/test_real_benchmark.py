@@ -9,6 +9,7 @@ from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from sequences.odometry import OdometryNoise
 from tests.helpers.data_sets import make_7scenes
+from tests.helpers.full import full
 from tests.helpers.pose_text import noisy, walk, write_named
 from vapor.benchmark.real import benchmark as real_benchmark
 from vapor.benchmark.real import trained_network
@@ -103,6 +104,7 @@ def test_what_is_done_is_not_done_again_but_where_settings_or_code_changed(stair
     assert len(done) == 2
 
 
+@full
 @pytest.mark.usefixtures("unchecked")
 def test_a_network_is_trained_once_and_calibrated_anew_where_that_code_changed(tmp_path, monkeypatch):
     make_7scenes(tmp_path / "scene", num_images=10)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from tests.helpers.erring_posteriors import TRUE, fit, posteriors, walk
-from tests.helpers.full import some
+from tests.helpers.full import full, some
 from vapor.calibration.image_errors import fit_errors
 from vapor.calibration.lasting_errors import LastingErrors, lasting_errors
 from vapor.calibration.observations import Observations
@@ -75,6 +75,7 @@ def mistaking(
     return fit_errors(Observations(samples, truth, None), travel, scene, before, same_conditions=same_conditions).errors
 
 
+@full
 def test_how_long_a_place_is_mistaken_for_another_is_found_apart_from_how_long_errors_last():
     by_chance, one, four = mistaking(0.0), mistaking(1.0), mistaking(4.0)
     assert by_chance.mistaken_lengths == pytest.approx(4.0, abs=0.5)  # one length more is taken to be, three times

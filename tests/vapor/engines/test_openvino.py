@@ -15,6 +15,7 @@ from filtering.errors import VaporTrackError
 from sequences.atomic import CACHE
 from tests.helpers.checkout import CHECKOUT
 from tests.helpers.engines import an_image, any_checkpoint, noise
+from tests.helpers.full import full
 from tests.helpers.tiny_model import SMALL
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.engines import compiled_cache, openvino_engine, start
@@ -120,6 +121,7 @@ def test_where_nothing_can_be_written_beside_the_model_it_is_kept_in_the_users_c
     assert len(list((tmp_path / "cache" / "vapor-track").glob("*/model.safetensors-*"))) == 1
 
 
+@full
 def test_a_run_by_openvino_loads_no_torch(model: Path, walk_of_25: Path, tmp_path: Path) -> None:
     words = ["run", str(walk_of_25), "--model", str(model), "--output", str(tmp_path / "out"), "--duration-s", "0.5"]
     words += [*SMALL[2:], "--engine", "openvino", "--no-recording"]

@@ -100,6 +100,7 @@ def test_summary_tells_when_each_is_as_good_as_the_default_at_its_best():
     assert not summary({**courses, PAPER: courses[PAPER][:1]})[PAPER]["reached"]
 
 
+@pytest.mark.usefixtures("rough_light")
 def test_both_are_trained_once_and_told_side_by_side(tmp_path, capsys, monkeypatch):
     network = ("--train.network.image-width", "32", "--train.network.image-height", "32")
     network += ("--train.network.shortest-edge", "34", "--train.network.feature-dim", "16")

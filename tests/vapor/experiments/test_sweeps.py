@@ -8,6 +8,7 @@ import cv2
 import pytest
 
 from filtering.errors import VaporTrackError
+from tests.helpers.full import full
 from tests.helpers.pages import ReadPage
 from tests.helpers.tiny_experiments import TINY_TRAIN
 from vapor.checkpoints.calibration import Calibration
@@ -172,6 +173,7 @@ def test_a_decay_that_cannot_be_is_refused(change, message):
         DecayConfig(**change)
 
 
+@full
 def test_the_decay_experiment_judges_test_and_training_images_and_goes_on(tmp_path, monkeypatch, capfd):
     words = ["experiment", "decay", *WORDS, "--decays", "0", "1e3", "--training-images", "8", "--output", str(tmp_path)]
     assert main(words) == 0

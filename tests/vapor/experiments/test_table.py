@@ -8,6 +8,7 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from tests.helpers.data_sets import make_7scenes
+from tests.helpers.full import full
 from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_experiments import TINY_TRAIN
 from vapor.commands import experiment as experiment_command
@@ -34,6 +35,7 @@ TINY_TABLE = TableConfig(
 )
 
 
+@full
 def test_methods_are_trained_and_drive_the_filter(tmp_path):
     experiment = TableExperiment([parse_scene("staircase")], tmp_path, TINY_TABLE)
     assert list(experiment.render())[-1] == (2, 2)

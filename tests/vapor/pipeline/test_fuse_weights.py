@@ -75,6 +75,7 @@ def weighted_file(path: Path, *methods: tuple[dict[str, Poses], float]) -> Path:
     return path
 
 
+@full
 @pytest.mark.usefixtures("unchecked", "no_pictures")
 def test_equal_weights_in_one_file_are_files_of_one_hypothesis_each(tmp_path, truth):
     """Bit by bit, whatever the unit of the weights."""

@@ -234,7 +234,7 @@ def test_no_method_is_forgotten_here():
 
 
 @pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize(("method", "images", "batch", "epochs", "repeats", "rate"), some(5, [*LEARNED]))
+@pytest.mark.parametrize(("method", "images", "batch", "epochs", "repeats", "rate"), some(3, [*LEARNED]))
 def test_methods_of_every_kind_learn_where_images_are_and_drive_a_posterior(
     method, images, batch, epochs, repeats, rate, tmp_path
 ):

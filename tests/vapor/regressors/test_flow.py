@@ -11,6 +11,7 @@ from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from tests.helpers.full import full
 from tests.helpers.tiny_training import STILL, TINY, make_frames
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
@@ -186,6 +187,7 @@ def test_axes_are_taken_that_no_camera_of_the_training_brings_together():
 # --- learning --------------------------------------------------------------------------------------
 
 
+@full
 def test_a_posterior_of_two_places_is_learned_with_both_and_as_sharp_as_it_is():
     network = network_with("flow")
     network.extract_features = lambda images: FEATURE.expand(len(images), -1)

@@ -16,7 +16,7 @@ from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.reading.counts import ImageCounts
-from tests.helpers.full import some
+from tests.helpers.full import full, some
 from tests.helpers.rerun_files import entities_of
 from tests.helpers.simulated_run import simulated_steps
 from tests.helpers.simulation import seen_at
@@ -57,6 +57,7 @@ def write(directory: Path, steps, error: Exception | None = None, *, kill: int |
         outputs.finish(skipped={}, images=ImageCounts(len(steps)))
 
 
+@full
 def test_the_same_is_written_and_recorded_as_in_this_process(tmp_path, steps):
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()

@@ -8,6 +8,7 @@ import pytest
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.helpers.checks import no_checks
+from tests.helpers.full import full
 from tests.helpers.short_training import Interrupted, same_weights, train_on_most
 from tests.helpers.tiny_training import TINY, make_frames
 from vapor.training.presets import PRESETS
@@ -68,6 +69,7 @@ def test_interrupted_before_and_after_it_was_judged_a_training_ends_with_the_sam
     assert same_weights(train_on(walks(), tmp_path / "m.safetensors", EVERYTHING).checkpoint, finished[0].checkpoint)
 
 
+@full
 @pytest.mark.usefixtures("unchecked")
 def test_epochs_that_are_not_given_fit_into_the_hours(tmp_path, monkeypatch):
     now = iter(np.arange(0.0, 1e6, 0.1))  # as if every step took so long, and nothing else any time

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from filtering.se3 import Poses
+from tests.helpers.full import full
 from tests.helpers.short_training import Interrupted, interrupt_at
 from tests.helpers.tiny_training import TINY, make_frames
 from vapor.training import processes
@@ -47,6 +48,7 @@ def second(variables: Mapping[str, str], output: Path) -> None:
             train_in_passes(output)
 
 
+@full
 @pytest.mark.usefixtures("unchecked")
 def test_two_processes_go_on_with_a_training_as_one_would_and_only_the_first_writes(tmp_path, monkeypatch):
     alone = losses_of(tmp_path / "alone.safetensors")

@@ -10,6 +10,7 @@ import torch
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
+from tests.helpers.full import full
 from tests.helpers.short_training import same_weights, train_on_most
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.evaluation.validation import validate
@@ -90,6 +91,7 @@ def test_a_model_without_a_shortcut_goes_on_with_one_and_one_with_it_does_not_go
             train_on({"a": make_frames(24)}, first, replace(still, initial_model=last, network=plain))
 
 
+@full
 def test_images_read_before_train_the_same_network(tmp_path):
     frames, config = {"a": make_frames(24)}, replace(TINY, epochs=1)
     read = train_on(frames, tmp_path / "read.safetensors", config).checkpoint

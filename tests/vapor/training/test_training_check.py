@@ -8,6 +8,7 @@ import pytest
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from tests.helpers.climbing_frames import frames_of
+from tests.helpers.full import full, some
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.calibration import Calibration
 from vapor.training import check as training_check
@@ -65,7 +66,9 @@ def test_where_errors_are_as_found_the_filter_is_better_and_nothing_is_changed(i
     assert "Beware" not in found.verdict
 
 
-@pytest.mark.parametrize(("times", "share"), [(1.0, 1 / 16), (4.5, 1 / 4)])  # with the larger one hardly any is right
+@pytest.mark.parametrize(
+    ("times", "share"), some(1, [(1.0, 1 / 16), (4.5, 1 / 4)])
+)  # with the larger one hardly any is right
 def test_errors_found_too_small_are_taken_larger_and_that_is_said(times, share, images, monkeypatch):
     small, judged = HONEST.inflated(share * times**2), np.arange(180) % 90 >= 45
     found, kept = checked(images, small, network_that_errs(times * STD, lasting=0.9), monkeypatch, judged)
@@ -76,6 +79,7 @@ def test_errors_found_too_small_are_taken_larger_and_that_is_said(times, share, 
     assert "as large as they were found" in found.verdict or "is assumed" in found.verdict
 
 
+@full
 def test_a_network_that_knows_nothing_is_told(images, monkeypatch):
     def anywhere(network, images, num_samples, seed):
         rng = np.random.default_rng(0)
