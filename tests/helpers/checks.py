@@ -5,6 +5,7 @@ import inspect
 import typing
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import is_dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,7 @@ from jaxtyping import TypeCheckError, jaxtyped
 _CONFIGURED = BeartypeConf(violation_type=TypeCheckError)
 # What a function is given is alike from call to call: all of its first calls are checked, and one in so many after.
 _ALL_OF, _ONE_IN = 100, 50
+_every_call: ContextVar[bool] = ContextVar("every call", default=False)
 
 
 def install(packages: list[str]) -> None:
@@ -45,7 +47,7 @@ def checked(what: Any = None, *, typechecker: Any = None) -> Any:
             return what(*arguments, **named)
         nonlocal ready, calls
         calls += 1
-        if calls > _ALL_OF and calls % _ONE_IN:
+        if calls > _ALL_OF and calls % _ONE_IN and not _every_call.get():
             return what(*arguments, **named)
         if ready is None:
             ready = _with_checks(what)
@@ -70,6 +72,16 @@ def _known(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
             yield name, typing.get_type_hints(with_hint, function.__globals__, include_extras=True)[name]
         except NameError:
             continue
+
+
+@contextmanager
+def every_call_checked() -> Iterator[None]:
+    """For what looks at the checks themselves."""
+    token = _every_call.set(True)
+    try:
+        yield
+    finally:
+        _every_call.reset(token)
 
 
 @contextmanager

@@ -5,7 +5,7 @@ import pytest
 from jaxtyping import Float64, TypeCheckError
 
 from filtering.se3 import Poses
-from tests.helpers.checks import checked, no_checks
+from tests.helpers.checks import checked, every_call_checked, no_checks
 from vapor.benchmark.recordings.storage import from_rows
 from vapor.evaluation.consistency import longest_s
 
@@ -21,7 +21,7 @@ WRONG = {
 
 @pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
 def test_arguments_that_do_not_fit_are_refused(wrong):
-    with pytest.raises(TypeCheckError, match="parameter"):
+    with every_call_checked(), pytest.raises(TypeCheckError, match="parameter"):
         wrong()
 
 
