@@ -29,6 +29,22 @@ def detailed(index: int) -> np.ndarray:
     return np.roll(coarse // 2 + np.tile(SCENERY, (5, 5, 1)) // 2, index, axis=1)
 
 
+SKY = np.zeros((180, 360), np.float32)
+for _size in (6, 15, 45, 180):
+    _noise = np.random.default_rng(_size).uniform(0.0, 255.0 / 4, (_size, 2 * _size)).astype(np.float32)
+    SKY += cv2.resize(_noise, (360, 180), interpolation=cv2.INTER_CUBIC)
+
+
+def panorama(pose: Poses) -> np.ndarray:
+    """What a camera sees that is far away: bright or dark by the direction, coarse and fine."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1) @ pose.rotation.T
+    around = 180 + np.degrees(np.arctan2(rays[..., 1], rays[..., 0]))
+    down = 90 - np.degrees(np.arctan2(rays[..., 2], np.hypot(rays[..., 0], rays[..., 1])))
+    seen = cv2.remap(SKY, around.astype(np.float32), down.astype(np.float32), cv2.INTER_LINEAR, None, cv2.BORDER_WRAP)
+    return np.repeat(np.asarray(seen).clip(0, 255).astype(np.uint8)[..., None], 3, axis=-1)
+
+
 def write(
     path: Path,
     poses: Poses | None,

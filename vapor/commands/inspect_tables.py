@@ -47,6 +47,8 @@ def parts(found: Inspection) -> Iterator[Part]:
     if found.coverage is not None:
         yield Part("What they show", [*_coverage_lines(found, found.coverage)])
     yield Part("Odometry", [*_odometry_lines(found), *_clock_lines(found.clocks)])
+    if views := [*_view_lines(found.walks)]:
+        yield Part("Images against poses", views)
     if found.predictions is not None:
         yield Part("The model", [*_model_lines(found.predictions, found.coverage)])
     yield Part("Verdict", [f"{number}. {sentence}" for number, sentence in enumerate(found.verdict, 1)])
@@ -143,11 +145,18 @@ def _odometry_lines(found: Inspection) -> Iterator[str]:
     yield from _check_lines(check)
 
 
+def _view_lines(walks: Sequence[Walk]) -> Iterator[str]:
+    for walk in walks[:_NAMED]:
+        for check in walk.views:
+            agree = f"agree to {np.degrees(check.residual):.1f}°" if check.is_right else "do not agree"
+            yield f"{walk.name}: what images show and {check.by} {agree}, in {check.pairs} pairs of images"
+
+
 def _clock_lines(clocks: Sequence[ImageClock]) -> Iterator[str]:
     known = [clock for clock in clocks if clock.late_ms is not None]
     if known:
         late = ", ".join(f"{clock.late_ms:+.0f} ms ({clock.name}, {clock.against})" for clock in known[:_NAMED])
-        yield f"clock of the images, later than others by: {late}{', ...' if len(known) > _NAMED else ''}"
+        yield f"clock of the images, late by: {late}{', ...' if len(known) > _NAMED else ''}"
 
 
 def _check_lines(check: OdometryCheck) -> Iterator[str]:
@@ -159,6 +168,11 @@ def _check_lines(check: OdometryCheck) -> Iterator[str]:
             f"axes: {axes.said()}: extrinsics? (correlation of motions {axes.correlation:.2f}, so turned"
             f" {axes.correlation_turned:.2f}; the figures below are with axes so turned)"
         )
+    elif axes.mirrored:
+        yield (
+            f"axes: motions are each other's mirror images (correlation {axes.correlation:.2f}, mirrored"
+            f" {axes.correlation_mirrored:.2f}): one is left-handed"
+        )
     else:
         off = f", best when turned by {np.degrees(axes.off_rad):.0f}°: extrinsics?" if axes.tilted else ""
         yield f"axes: motions are alike (correlation {axes.correlation:.2f}){off}"
@@ -168,7 +182,7 @@ def _check_lines(check: OdometryCheck) -> Iterator[str]:
     for reason in dict.fromkeys(check.unknown_late.values()):
         names = [name for name, own in check.unknown_late.items() if own == reason]
         yield f"clock of {', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''} unknown: {reason}"
-    yield f"errors unknown: {check.no_fit}" if check.fit is None else str(check.fit).replace("\n", "\n  ")
+    yield from [f"errors unknown: {check.no_fit}"] if check.fit is None else str(check.fit).splitlines()
 
 
 def _model_lines(predictions: Predictions, coverage: Coverage | None) -> Iterator[str]:

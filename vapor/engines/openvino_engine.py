@@ -145,7 +145,11 @@ def compile_exported(model: ModelDescription, precision: Precision, threads: int
 
 
 def compile_network(model: openvino.Model | Path, precision: Precision, threads: int) -> openvino.CompiledModel:
-    """A network compiled for this processor, from OpenVINO's own form or from an ONNX file."""
+    """A network compiled for this processor, from OpenVINO's own form or from an ONNX file.
+
+    Raises:
+        RuntimeError: the file cannot be used, or the processor has not what the precision needs.
+    """
     return imported().Core().compile_model(model, "CPU", _settings(precision, threads))
 
 

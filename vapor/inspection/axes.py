@@ -15,6 +15,9 @@ from sequences.frame import Trajectory
 _WINDOW_S = 1.0  # over which motions are compared: noise of single images counts little
 _LEAST_WINDOWS = 20
 _AGREES, _BETTER = 0.7, 0.2  # correlation of motions, and by how much another way must be better
+_MIRRORED_BETTER = 0.1  # correlation
+_UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37, "feet": 3.281}
+_SAME_UNIT, _UNIT_WITHIN, _LEAST_M = 2.5, 0.25, 1e-6  # of the ratio of lengths, of its logarithm, and in either's unit
 _TURNED_RAD = float(np.deg2rad(10.0))
 _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))  # of a camera's axes: there and back
 
@@ -29,6 +32,8 @@ class Axes:
         correlation_turned: Of the motions with it.
         off_rad: Of the best turn of all, how far it is from none.
         correlation_best: Of the motions with that.
+        correlation_mirrored: Of the motions of which one is mirrored, by the best mirroring along an axis.
+        length_ratio: How far odometry moves for each metre of the true poses.
     """
 
     correlation: float
@@ -36,22 +41,42 @@ class Axes:
     correlation_turned: float
     off_rad: float
     correlation_best: float
+    correlation_mirrored: float
+    length_ratio: float
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether one of the two is left-handed: a mirroring explains the motions, and no turn does as well."""
+        turned = max(self.correlation, self.correlation_turned, self.correlation_best)
+        return self.correlation_mirrored >= _AGREES and self.correlation_mirrored > turned + _MIRRORED_BETTER
+
+    @property
+    def unit(self) -> str | None:
+        """What the longer of the two is likely in, where it is no metres; None where both may be."""
+        ratio = max(self.length_ratio, 1 / self.length_ratio)
+        if ratio < _SAME_UNIT:
+            return None
+        near = min(_UNITS, key=lambda name: abs(np.log(ratio / _UNITS[name])))
+        return near if abs(np.log(ratio / _UNITS[near])) < _UNIT_WITHIN else "another unit"
 
     @property
     def swapped(self) -> bool:
         """Whether quarter turns explain the motions much better than none."""
-        return self.correlation_turned >= _AGREES and self.correlation_turned > self.correlation + _BETTER
+        better = self.correlation_turned > self.correlation + _BETTER
+        return not self.mirrored and self.correlation_turned >= _AGREES and better
 
     @property
     def tilted(self) -> bool:
         """Whether another turn does, of 10° and more."""
         better = 1.0 - self.correlation_best < 0.8 * (1.0 - self.correlation)
-        return not self.swapped and self.correlation_best >= _AGREES and better and self.off_rad > _TURNED_RAD
+        if self.mirrored or self.swapped:
+            return False
+        return self.correlation_best >= _AGREES and better and self.off_rad > _TURNED_RAD
 
     @property
     def unlike(self) -> bool:
-        """Whether no turn makes the motions alike."""
-        return max(self.correlation, self.correlation_turned, self.correlation_best) < _AGREES
+        """Whether neither a turn nor a mirroring makes the motions alike."""
+        return not self.mirrored and max(self.correlation, self.correlation_turned, self.correlation_best) < _AGREES
 
     def said(self) -> str:
         """What looks like what, of the swapped axes."""
@@ -79,8 +104,8 @@ def compare_axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None
     odometry, truth = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
     if len(odometry) < _LEAST_WINDOWS:
         return None
-    products, sizes = np.zeros((3, 3)), 0.0
-    for part in (slice(0, 3), slice(3, 6)):
+    moved, turns, sizes = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
+    for products, part in ((moved, slice(0, 3)), (turns, slice(3, 6))):
         size = float(np.linalg.norm(odometry[:, part]) * np.linalg.norm(truth[:, part]))
         if size > 1e-9:
             products += truth[:, part].T @ odometry[:, part] / size
@@ -89,13 +114,16 @@ def compare_axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None
         return None
 
     def correlation(turn: np.ndarray) -> float:
-        return float(np.sum(turn * products)) / sizes
+        return float(np.sum(turn * (moved + np.linalg.det(turn) * turns))) / sizes  # mirrored turns go the other way
 
     quarters = [np.eye(3), *(turn for turn in _quarter_turns() if not np.allclose(turn, np.eye(3)))]
     turned = max(quarters, key=lambda turn: round(correlation(turn), 3))  # the first of equals
-    best = nearest_rotation(products)
+    best = nearest_rotation(moved + turns)
     _, off_rad = Poses(best, np.zeros(3)).distance(Poses.identity())
-    return Axes(correlation(np.eye(3)), turned, correlation(turned), float(off_rad), correlation(best))
+    mirrored = max(correlation(turn @ np.diag([1.0, -1.0, 1.0])) for turn in quarters)
+    lengths = [float(np.linalg.norm(each[:, :3], axis=1).sum()) for each in (odometry, truth)]
+    ratio = lengths[0] / lengths[1] if min(lengths) > _LEAST_M else 1.0
+    return Axes(correlation(np.eye(3)), turned, correlation(turned), float(off_rad), correlation(best), mirrored, ratio)
 
 
 def _motions(odometry: Trajectory, truth: Trajectory) -> tuple[np.ndarray, np.ndarray]:

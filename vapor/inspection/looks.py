@@ -69,6 +69,7 @@ class Looks:
 
     Attributes:
         sharpness: Variance of the Laplacian, (n,).
+        brightness: Mean of the grey image, 0 to 255, (n,).
         blurred: Much blurrier than the recording's median, and not only as there is less to see, (n,).
         dark: Nearly black, (n,).
         blown: With a large part blown out, (n,).
@@ -77,6 +78,7 @@ class Looks:
     """
 
     sharpness: Float64[np.ndarray, " n"]
+    brightness: Float64[np.ndarray, " n"]
     blurred: Bool[np.ndarray, " n"]
     dark: Bool[np.ndarray, " n"]
     blown: Bool[np.ndarray, " n"]
@@ -96,6 +98,7 @@ class Looks:
         digests = np.array([look.digest for look in looks], np.int64)
         return Looks(
             sharpness,
+            brightness,
             blurred,
             dark >= _NEARLY_ALL,
             bright >= _MUCH,

@@ -34,7 +34,8 @@ class OdometryCheck:
         axes: Which way its axes point; None where it moves too little to say.
         late_ms: By recording: how much later odometry's stamps are than those of the true poses, of the same moment.
         unknown_late: By recording: why that cannot be said.
-        fit: How wrong it is, with its axes turned as they should be; None where that cannot be said.
+        fit: How wrong it is, with its axes turned as they should be and in the unit of the true poses; None where that
+            cannot be said.
         no_fit: Why not.
     """
 
@@ -64,6 +65,8 @@ class OdometryCheck:
                 "swapped": axes.swapped,
                 "off_deg": float(np.degrees(axes.off_rad)),
                 "tilted": axes.tilted,
+                "mirrored": axes.mirrored,
+                "length_ratio": axes.length_ratio,
             },
             "late_ms": dict(self.late_ms),
             "unknown_late": dict(self.unknown_late),
@@ -78,6 +81,8 @@ def check_odometry(images: TrainingSet) -> OdometryCheck | None:
     if not segments:
         return None
     axes = compare_axes([_track(segment) for segment in segments])
+    if axes is not None and axes.unit is not None:
+        segments = [_scaled(segment, 1 / axes.length_ratio) for segment in segments]
     if axes is not None and axes.swapped:
         segments = [_turned(segment, axes.turned) for segment in segments]
     fit, no_fit = None, ""
@@ -119,6 +124,20 @@ def _track(segment: OdometrySegment) -> tuple[Trajectory, Trajectory]:
 def chained(steps: Sequence[Poses]) -> Poses:
     """Where n motions lead, one after the other, from the identity on, (n + 1,)."""
     return Poses.stack(list(accumulate(steps, Poses.__matmul__, initial=Poses.identity())))
+
+
+def _scaled(segment: OdometrySegment, factor: float) -> OdometrySegment:
+    """The same with odometry in another unit."""
+    each = np.diag([factor] * 3 + [1.0] * 3)
+    steps = [
+        Odometry(
+            Poses(step.previous_from_current.rotation, factor * step.previous_from_current.translation),
+            each @ step.covariance @ each,
+            step.duration_s,
+        )
+        for step in segment.odometry
+    ]
+    return OdometrySegment(steps, segment.truth, segment.recording)
 
 
 def _turned(segment: OdometrySegment, turn: Float64[np.ndarray, "3 3"]) -> OdometrySegment:

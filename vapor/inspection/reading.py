@@ -19,10 +19,11 @@ from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
 from sequences.reading.counts import ImageCounts
 from vapor.inspection.looks import Look, Looks, look_at
-from vapor.inspection.turns import outline, turn_between
 from vapor.inspection.walk import Walk
+from vapor.training_data.colours import Colours
 from vapor.training_data.entries import name_entries
 from vapor.training_data.training_set import TrainingError, TrainingSet
+from vapor.training_data.views import Views
 
 See = Callable[[Frame], None]
 
@@ -126,23 +127,22 @@ class _Source:
 
 @dataclass
 class _Part:
-    """Frames of one recording as they come, without their pixels but for the outline of the last."""
+    """Frames of one recording as they come, without their pixels."""
 
     times_ns: list[int] = field(default_factory=list)
     looks: list[Look] = field(default_factory=list)
-    turns: list[np.ndarray] = field(default_factory=list)
-    last: np.ndarray | None = None
     poses: list[Poses | None] = field(default_factory=list)
     odometry: list[Odometry | None] = field(default_factory=list)
+    views: Views = field(default_factory=Views)
+    colours: Colours = field(default_factory=Colours)
 
     def take(self, frame: Frame) -> None:
         self.times_ns.append(frame.time_ns)
         self.looks.append(look_at(frame.image))
-        seen = outline(frame.image)
-        self.turns.append(turn_between(seen if self.last is None else self.last, seen))
-        self.last = seen
         self.poses.append(frame.world_from_camera)
         self.odometry.append(frame.odometry)
+        self.views.take(frame)
+        self.colours.take(frame.image)
 
     def walk(self, name: str, source: _Source) -> Walk:
         known = [pose for pose in self.poses if pose is not None]
@@ -151,7 +151,6 @@ class _Part:
             np.array(self.times_ns, np.int64),
             Counter((look.width, look.height) for look in self.looks),
             Looks.of(self.looks),
-            np.stack(self.turns),
             np.array([pose is not None for pose in self.poses]),
             Poses.stack(known) if known else Poses.identity(0),
             tuple(self.odometry),
@@ -161,6 +160,9 @@ class _Part:
             source.assumed_hz,
             source.lacks,
             source.recorded,
+            tuple(self.views.pairs),
+            tuple(self.views.checks()),
+            self.colours,
         )
 
 

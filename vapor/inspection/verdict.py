@@ -12,6 +12,8 @@ from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
 from vapor.inspection.regions import Floor, height
 from vapor.inspection.walk import Walk
+from vapor.training_data.colours import said_of_colours
+from vapor.training_data.views import said_of_views
 
 GOOD_ENOUGH = "good enough: nothing found that another recording would mend"
 
@@ -20,8 +22,10 @@ _STANDS_M, _STANDS_RAD = 0.05, float(np.deg2rad(5.0))
 _BLURRED, _BADLY_EXPOSED, _FROZEN, _LOST, _JUMPS = 0.1, 0.05, 0.02, 0.05, 0.01  # fractions of a recording
 _LONG_GAP_S = 2.0
 _ALONE = 0.1  # of all images
-_LATE_MS, _IMAGES_LATE_MS = 20.0, 100.0  # of the images: these are five times less exact
+_LATE_MS, _IMAGES_LATE_MS = 20.0, 40.0
 _SCALE, _CERTAIN = 0.05, 3.0  # the last in standard errors
+_TOO_FAST_M_PER_S = 50.0  # for what carries a camera
+_DIM = 30.0  # mean of the grey image, of 255
 _UNKNOWN = 0.05  # of the images
 _SCARCE = 0.5  # of what a floor would have if all had as many images
 _NAMED = 3
@@ -35,7 +39,7 @@ def verdict(
     predictions: Predictions | None,
 ) -> tuple[str, ...]:
     """Sentences, each with what to do; one that says that it is good enough where there is nothing."""
-    found = [*_useless(walks, coverage), *_clocks(odometry, clocks)]
+    found = [*_useless(walks, coverage), *_views(walks), *_clocks(odometry, clocks)]
     if odometry is not None:
         found += _odometry(odometry)
     if coverage is not None:
@@ -69,6 +73,18 @@ def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
         )
 
 
+def _views(walks: Sequence[Walk]) -> Iterator[str]:
+    """Images and poses that contradict each other, and colours that do."""
+    for walk in walks:
+        yield from said_of_views(walk.name, walk.views)
+        if (speed := walk.speed_m_per_s) is not None and speed > _TOO_FAST_M_PER_S:
+            yield (
+                f"check the unit of the poses of {walk.name}: the camera moves at {speed:.3g} m/s in the median; are"
+                " they in millimetres?"
+            )
+    yield from said_of_colours({walk.name: walk.colours for walk in walks})
+
+
 def _clocks(odometry: OdometryCheck | None, clocks: Sequence[ImageClock]) -> Iterator[str]:
     """Clocks that are off, before what else is wrong: that may come of it."""
     late_ms = None if odometry is None else odometry.typical_late_ms
@@ -80,8 +96,8 @@ def _clocks(odometry: OdometryCheck | None, clocks: Sequence[ImageClock]) -> Ite
     for clock in clocks:
         if clock.late_ms is not None and abs(clock.late_ms) >= _IMAGES_LATE_MS:
             yield (
-                f"the images of {clock.name} are {_late_said(clock.late_ms)} against the {clock.against}, as their view"
-                " shifts: correct the stamps, or see whether --stamps log has one clock for all"
+                f"the images of {clock.name} are {_late_said(clock.late_ms)} against the {clock.against}, as what"
+                " they show moves: correct the stamps, or see whether --stamps log has one clock for all"
             )
 
 
@@ -91,7 +107,12 @@ def _late_said(late_ms: float) -> str:
 
 def _odometry(check: OdometryCheck) -> Iterator[str]:
     axes, fit = check.axes, check.fit
-    if axes is not None and axes.swapped:
+    if axes is not None and axes.mirrored:
+        yield (
+            "check odometry and true poses: one of them is left-handed, their motions are each other's mirror images"
+            f" (correlation {axes.correlation_mirrored:.2f}, as they are {axes.correlation:.2f})"
+        )
+    elif axes is not None and axes.swapped:
         yield f"check the extrinsics (tf, --base-from-camera): {axes.said()}"
     elif axes is not None and axes.tilted:
         yield (
@@ -102,6 +123,13 @@ def _odometry(check: OdometryCheck) -> Iterator[str]:
         yield (
             f"check odometry and true poses: their motions have little in common (correlation {axes.correlation:.2f}),"
             " whichever way the axes are turned"
+        )
+    if axes is not None and axes.unit is not None:
+        longer, other = ("odometry", "true poses") if axes.length_ratio > 1 else ("true poses", "odometry")
+        unit = f"in {axes.unit}" if axes.unit != "another unit" else "in another unit"
+        yield (
+            f"check units: by {longer} the camera moves {max(axes.length_ratio, 1 / axes.length_ratio):.4g} times as"
+            f" far as by {other}, as if {longer} were {unit} instead of metres"
         )
     if fit is not None and abs(fit.scale) > max(_SCALE, _CERTAIN * fit.scale_error):
         far = "long" if fit.scale > 0 else "short"
@@ -162,6 +190,8 @@ def _images(walk: Walk) -> Iterator[str]:
     dark, blown, jumps = (float(each.mean()) for each in (looks.dark, looks.blown, looks.jumps))
     if dark > _BADLY_EXPOSED:
         yield f"make light, or expose for longer: {100 * dark:.0f} % of the images of {name} are nearly black"
+    elif (brightness := float(np.median(looks.brightness))) < _DIM:
+        yield f"make light, or expose for longer: the images of {name} are dark, {brightness:.0f} of 255 in the median"
     if blown > _BADLY_EXPOSED:
         yield f"expose for less long: {100 * blown:.0f} % of the images of {name} are blown out"
     if jumps > _JUMPS and looks.jumps.sum() > 1:

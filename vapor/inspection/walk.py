@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.reading.counts import ImageCounts
 from vapor.inspection.looks import Looks
+from vapor.training_data.colours import Colours
+from vapor.training_data.views import Pair, ViewCheck
 
 _GAP_STEPS, _GAP_S = 3.0, 0.25  # longer than so many usual steps, and than so long
 _LEAST_RUN = 3  # images that are one and the same
@@ -28,7 +30,6 @@ class Walk:
         times_ns: Stamps, (n,).
         sizes: Width and height of images, pixels, and how many have them.
         looks: How its images look.
-        turns: How far the view turned since the image before, rotation vectors (see `turn_between`), (n, 3).
         posed: Which of them have a true pose, (n,).
         poses: These k poses, world_from_camera.
         odometry: Motion since the image before, n of them; None where it is not known.
@@ -39,13 +40,15 @@ class Walk:
         assumed_hz: The rate that was assumed for want of stamps; None where they were recorded.
         lacks: What was not found, "true poses" and "odometry", and why.
         recorded: Whether it is a recording, rather than images on disk.
+        pairs: Images that show the same, spread over the recording.
+        views: How what its images show compares with how true poses and odometry say that it moved.
+        colours: Which colours it has.
     """
 
     name: str
     times_ns: Int64[np.ndarray, " n"]
     sizes: Mapping[tuple[int, int], int]
     looks: Looks
-    turns: Float64[np.ndarray, "n 3"]
     posed: Bool[np.ndarray, " n"]
     poses: Poses
     odometry: tuple[Odometry | None, ...]
@@ -55,6 +58,9 @@ class Walk:
     assumed_hz: int | None
     lacks: Mapping[str, str]
     recorded: bool
+    pairs: tuple[Pair, ...]
+    views: tuple[ViewCheck, ...]
+    colours: Colours
 
     def __len__(self) -> int:
         return len(self.times_ns)
@@ -94,6 +100,14 @@ class Walk:
         return float(np.sum(moved)) if moved else None
 
     @property
+    def speed_m_per_s(self) -> float | None:
+        """Median speed of the camera by true poses; None where it is not known."""
+        if len(self.poses) < 2 or self.assumed_hz is not None:
+            return None
+        seconds = np.maximum(np.diff(self.seconds[self.posed]), 1e-9)
+        return float(np.median(np.linalg.norm(np.diff(self.poses.translation, axis=0), axis=1) / seconds))
+
+    @property
     def blur_comes_with(self) -> str | None:
         """ "turns" or "speed", by which of the two is larger in blurred images; None where that cannot be said."""
         known = np.array([step is not None and step.duration_s > 0 for step in self.odometry])
@@ -130,6 +144,7 @@ class Walk:
             "sizes": {f"{w} x {h}": count for (w, h), count in self.sizes.items()},
             "path_m": self.path_m,
             "sharpness": float(np.median(looks.sharpness)),
+            "brightness": float(np.median(looks.brightness)),
             "blurred": float(looks.blurred.mean()),
             "blur_comes_with": self.blur_comes_with,
             "dark": float(looks.dark.mean()),
@@ -141,4 +156,5 @@ class Walk:
             "skipped": dict(self.skipped),
             "notices": list(self.notices),
             "lacks": dict(self.lacks),
+            "views": [asdict(check) for check in self.views],
         }

@@ -15,7 +15,9 @@ from sequences.frame import Camera, Frame
 from vapor.cameras import AsTakenBy, described
 from vapor.images import centre_crop, scale_to_cover
 from vapor.training_data.checks import too_far
+from vapor.training_data.colours import Colours, said_of_colours
 from vapor.training_data.training_set import TrainingError, TrainingSet
+from vapor.training_data.views import Views, said_of_views
 
 _MOST_CAMERAS = 3  # that are named
 
@@ -47,6 +49,7 @@ def load_training_set(
     notices: list[str] = []
     times_ns: list[int] = []
     odometry: list[Odometry | None] = []
+    colours: dict[str, Colours] = {}
     shape: tuple[int, ...] | None = None
     camera = camera or _commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
@@ -54,8 +57,10 @@ def load_training_set(
     with tempfile.TemporaryFile() as file:
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
-            num_before = len(sources)
+            num_before, views = len(sources), Views()
+            colours[name] = Colours()
             for frame in frames:
+                views.take(frame)
                 if frame.world_from_camera is None:
                     follows = False
                     continue
@@ -74,6 +79,7 @@ def load_training_set(
                     )
                 if not frame.world_from_camera.is_finite():
                     raise TrainingError(f"{name}: true pose at {frame.time_ns} ns is not finite")
+                colours[name].take(frame.image)
                 file.write(np.ascontiguousarray(image).data)
                 matrices.append(frame.world_from_camera.as_matrix())
                 sources.append((index, frame.sequence))
@@ -86,11 +92,13 @@ def load_training_set(
             if isinstance(frames, PosedFrames):
                 skipped += frames.skipped
                 notices += frames.notices
+            notices += said_of_views(name, views.checks())
         if shape is None or camera_size is None or as_taken is None:
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
     poses = Poses.from_matrix(np.stack(matrices))
+    notices += said_of_colours(colours)
     notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
     begins = np.any(np.diff(np.array(sources), axis=0, prepend=[sources[0]]) != 0, axis=1)
     return TrainingSet(

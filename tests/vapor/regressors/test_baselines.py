@@ -219,8 +219,8 @@ def test_pairs_are_of_one_sequence_and_near_each_other():
 
 LEARNED = (
     ("variational", 2, 8, 6, 24, 6e-3),
-    ("no-sampling", 2, 8, 6, 24, 6e-3),
-    ("bayesian-posenet", 2, 8, 8, 30, 6e-3),
+    ("no-sampling", 2, 8, 9, 24, 6e-3),  # with 6 epochs one seed in ten learns nothing
+    ("bayesian-posenet", 2, 8, 10, 30, 6e-3),
     ("mapnet", 3, 12, 6, 45, 6e-3),  # from pairs it learns more slowly
     ("mixture-10", 3, 12, 12, 80, 2e-3),  # which image it is makes little of a density's loss, and is learned last
     ("flow", 3, 12, 12, 80, 2e-3),

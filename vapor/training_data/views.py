@@ -1,0 +1,302 @@
+"""Whether what images show moves as poses say: upright, not mirrored, and through a lens of that focal length."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from filtering.se3 import Poses
+from sequences.frame import BASE_FROM_CAMERA, Camera, Frame
+
+By = Literal["true poses", "odometry"]
+
+_WIDTH_PX = 320  # at which images are compared
+_FEATURES, _RATIO, _LEAST_MATCHES = 400, 0.75, 25
+_TURNS_RAD, _TURNS_TOO_FAR_RAD, _MOVES_M, _WITHIN_S = 0.12, 0.4, 0.3, 2.0  # from one image of a pair to the other
+_MOST_PAIRS, _LEAST_PAIRS = 40, 8
+_NEAREST_M = 0.3  # that anything is from the camera
+_CAP = 0.1  # of a residual, focal lengths
+_FOCAL = np.geomspace(0.5, 2.0, 29)
+_USUAL_FOCAL = 0.8  # of the width, where it is not known
+_BETTER, _AS_GOOD, _GOOD = 0.5, 1.25, 0.03  # of the residual as it is; of the best one; and focal lengths
+_OTHER_FOCAL, _FOCAL_BETTER, _CERTAIN = 0.08, 0.85, 3.0  # of its logarithm; of the residual; and standard errors
+
+AS_STATED = "as stated"
+_IMAGES = {
+    AS_STATED: [[1, 0], [0, 1]],
+    "the images are upside down": [[-1, 0], [0, -1]],
+    "the images are turned by 90° to the right": [[0, 1], [-1, 0]],
+    "the images are turned by 90° to the left": [[0, -1], [1, 0]],
+    "the images are mirrored": [[-1, 0], [0, 1]],
+    "the images are mirrored and upside down": [[1, 0], [0, -1]],
+    "the images are mirrored and turned by 90° to the right": [[0, -1], [-1, 0]],
+    "the images are mirrored and turned by 90° to the left": [[0, 1], [1, 0]],
+}
+_POSES = {
+    "the poses have OpenGL's axes (y up, z back) instead of the camera's": np.diag([1.0, -1.0, -1.0]),
+    "the poses are of a body that looks along its x instead of the camera": BASE_FROM_CAMERA.rotation,
+    "the camera looks back where the poses look ahead": np.diag([-1.0, 1.0, -1.0]),
+}
+ORIENTATIONS: Final[Mapping[str, Float64[np.ndarray, "3 3"]]] = {
+    **{name: np.block([[np.array(turn, float), np.zeros((2, 1))], [0.0, 0.0, 1.0]]) for name, turn in _IMAGES.items()},
+    **_POSES,
+}
+"""What may be wrong, and what carries directions that an image shows to the axes whose motion the poses tell."""
+
+
+@dataclass(frozen=True)
+class ViewCheck:
+    """How what images show compares with how poses say that the camera moved.
+
+    Attributes:
+        by: Whose poses.
+        pairs: How many pairs of images were compared.
+        residual: Median distance of what is seen from where it should be, in focal lengths.
+        orientations: Keys of `ORIENTATIONS` with which the images fit the poses about equally well: one of them is how
+            it is. `AS_STATED` among them says that nothing is wrong.
+        residual_turned: With the best of these.
+        focal: The focal length over the stated one, where that is clearly another; None where it is not, or none is
+            stated.
+    """
+
+    by: By
+    pairs: int
+    residual: float
+    orientations: tuple[str, ...]
+    residual_turned: float
+    focal: float | None
+
+    @property
+    def is_right(self) -> bool:
+        """Whether images are as the poses say."""
+        return AS_STATED in self.orientations
+
+
+class Views:
+    """Features that pairs of images of one recording share, as its frames come.
+
+    Attributes:
+        pairs: Those kept, spread over the recording.
+    """
+
+    def __init__(self) -> None:
+        self.pairs: list[Pair] = []
+        self._every_s, self._earliest_s, self._sequence = 0.0, -np.inf, 0
+        self._first: _View | None = None
+        self._by_odometry = Poses.identity()
+        self._sift: cv2.SIFT = cv2.SIFT.create(_FEATURES)
+
+    def take(self, frame: Frame) -> None:
+        """The next frame."""
+        first, step = self._first, frame.odometry
+        if first is not None and frame.sequence != self._sequence:
+            first, step = None, None
+        if step is None:  # what is before and what is after are not connected by odometry
+            self._by_odometry, first = Poses.identity(), None if first is None else first._replace(odometry=None)
+        else:
+            self._by_odometry = self._by_odometry @ step.previous_from_current
+        view = _View(frame.time_ns, frame.image, frame.camera, frame.world_from_camera, self._by_odometry, [])
+        self._first, self._sequence = view, frame.sequence
+        motions = {} if first is None else first.motions_to(view)
+        if first is None or not motions or not 0 <= (view.time_ns - first.time_ns) * 1e-9 <= _WITHIN_S:
+            return
+        moved = next(iter(motions.values()))
+        metres, radians = np.linalg.norm(moved.translation[:2]), moved.distance(Poses.identity())[1]
+        if max(radians / _TURNS_RAD, metres / _MOVES_M) < 1:
+            self._first = first
+        elif radians < _TURNS_TOO_FAR_RAD and view.time_ns * 1e-9 >= self._earliest_s:
+            self._add(self._pair(first, view, motions), view.time_ns * 1e-9)
+
+    def checks(self) -> list[ViewCheck]:
+        """By true poses and by odometry, where there are enough pairs of images to say."""
+        found = []
+        by: By
+        for by in ("true poses", "odometry"):
+            pairs = [(pair, pair.motions[by]) for pair in self.pairs if by in pair.motions]
+            if len(pairs) >= _LEAST_PAIRS:
+                found.append(_check(by, pairs))
+        return found
+
+    def _add(self, pair: Pair | None, second: float) -> None:
+        if pair is None:
+            return
+        self.pairs.append(pair)
+        if len(self.pairs) == 2 * _MOST_PAIRS:
+            self.pairs, self._every_s = self.pairs[::2], 2 * max(self._every_s, 0.5)
+        self._earliest_s = second + self._every_s
+
+    def _pair(self, first: _View, second: _View, motions: Mapping[By, Poses]) -> Pair | None:
+        features = [view.features(self._sift) for view in (first, second)]
+        (_, one), (_, other) = features
+        if min(len(one), len(other)) < _LEAST_MATCHES:
+            return None
+        matcher = cv2.BFMatcher(cv2.NORM_L2)
+        there, back = (
+            {
+                near.queryIdx: near.trainIdx
+                for near, *others in matcher.knnMatch(a, b, 2)
+                if others and near.distance < _RATIO * others[0].distance
+            }
+            for a, b in ((one, other), (other, one))
+        )
+        matches = np.array([(i, j) for i, j in there.items() if back.get(j) == i]).reshape(-1, 2)
+        if len(matches) < _LEAST_MATCHES:
+            return None
+        return Pair(
+            (first.time_ns, second.time_ns),
+            features[0][0][matches[:, 0]],
+            features[1][0][matches[:, 1]],
+            motions,
+            first.camera is not None,
+        )
+
+
+class _View(NamedTuple):
+    """An image that may become one of a pair."""
+
+    time_ns: int
+    image: UInt8[np.ndarray, "h w 3"]
+    camera: Camera | None
+    truth: Poses | None
+    odometry: Poses | None
+    kept: list[tuple[np.ndarray, np.ndarray]]
+
+    def motions_to(self, other: _View) -> dict[By, Poses]:
+        """second_from_first by all whose poses both have."""
+        found: dict[By, Poses] = {}
+        if self.truth is not None and other.truth is not None:
+            found["true poses"] = other.truth.inverse() @ self.truth
+        if self.odometry is not None and other.odometry is not None:
+            found["odometry"] = other.odometry.inverse() @ self.odometry
+        return found
+
+    def features(self, sift: cv2.SIFT) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (n, 2), in focal lengths from the middle, and descriptors (n, 128)."""
+        if not self.kept:
+            height, width = self.image.shape[:2]
+            small = _WIDTH_PX, max(round(height * _WIDTH_PX / width), 1)
+            grey = cv2.cvtColor(cv2.resize(self.image, small, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
+            focal = _USUAL_FOCAL * small[0]
+            camera = self.camera or Camera(*small, focal, focal, (small[0] - 1) / 2, (small[1] - 1) / 2)
+            if (camera.width < camera.height) != (width < height):  # it was turned, and its intrinsics were not
+                camera = Camera(camera.height, camera.width, camera.fy, camera.fx, camera.cy, camera.cx)
+            camera = camera.scaled(*small)
+            points, descriptors = sift.detectAndCompute(np.asarray(grey), None)  # pyright: ignore[reportCallIssue, reportArgumentType]
+            at = np.array([point.pt for point in points]).reshape(-1, 2)
+            self.kept.append(
+                (
+                    (at - (camera.cx, camera.cy)) / (camera.fx, camera.fy),
+                    np.zeros((0, 128), np.float32) if descriptors is None else descriptors,
+                )
+            )
+        return self.kept[0]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What two images share.
+
+    Attributes:
+        times_ns: Stamps of both.
+        first: Directions of it in the first image, in focal lengths from the middle, (m, 2).
+        second: The same in the second image.
+        motions: second_from_first by each who says.
+        known_focal: Whether the focal length is known.
+    """
+
+    times_ns: tuple[int, int]
+    first: Float64[np.ndarray, "m 2"]
+    second: Float64[np.ndarray, "m 2"]
+    motions: Mapping[By, Poses]
+    known_focal: bool
+
+    def residual(self, motion: Poses, turn: Float64[np.ndarray, "3 3"], focal: float) -> float:
+        """Median distance of what the second image shows from where it should be, however far away it is."""
+        first, second = self.first / focal, self.second / focal
+        rays = np.concatenate([first, np.ones((len(first), 1))], axis=1) @ (turn.T @ motion.rotation @ turn).T
+        far, near = _projected(rays), _projected(rays + turn.T @ motion.translation / _NEAREST_M)
+        along = near - far
+        fraction = np.sum((second - far) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-12)
+        apart = np.linalg.norm(second - far - np.clip(fraction, 0.0, 1.0)[:, None] * along, axis=1)
+        return min(float(np.median(apart)), _CAP)
+
+
+def _projected(rays: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 2"]:
+    return rays[:, :2] / np.maximum(rays[:, 2:], 0.1)
+
+
+def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
+    """What a person should know of a recording's images and poses; nothing where they agree.
+
+    Args:
+        name: Of the recording.
+        checks: Of `Views.checks`.
+    """
+    said = []
+    wrong = [check for check in checks if not check.is_right]
+    if wrong:
+        worst, who = wrong[0], " and ".join(check.by for check in wrong)
+        shared = [o for o in worst.orientations if all(o in check.orientations for check in wrong)]
+        other = next((check.by for check in checks if check.is_right), None)
+        left_handed = f"the {worst.by} {'are' if worst.by == 'true poses' else 'is'} left-handed"
+        phrases: dict[str, None] = {}
+        for orientation in shared or worst.orientations:
+            if np.linalg.det(ORIENTATIONS[orientation]) > 0 or len(wrong) > 1:
+                phrases[orientation] = None
+            elif other is not None:
+                phrases[left_handed] = None
+            else:
+                phrases |= {orientation: None, left_handed: None}
+        likely = " or ".join(phrases)
+        fine = f", while {other} and images agree" if other is not None else ""
+        said.append(
+            f"{name}: {likely}, as images move against {who}{fine} ({np.degrees(worst.residual_turned):.1f}° off so,"
+            f" {np.degrees(worst.residual):.1f}° as stated): correct images, poses or where the camera sits (tf,"
+            " --base-from-camera)"
+        )
+    focal = next((check.focal for check in checks if check.focal is not None), None)
+    if focal is not None:
+        said.append(
+            f"{name}: the intrinsics are wrong: what images show moves as through a focal length {focal:.2f} times the"
+            " stated one: check camera_info, and whether images were scaled or cropped"
+        )
+    return said
+
+
+def _check(by: By, pairs: Sequence[tuple[Pair, Poses]]) -> ViewCheck:
+    def residuals(orientation: str, focal: float) -> np.ndarray:
+        return np.array([pair.residual(motion, ORIENTATIONS[orientation], focal) for pair, motion in pairs])
+
+    known = all(pair.known_focal for pair, _ in pairs)
+    scales = [1.0] if known else _FOCAL[::4].tolist()
+    means = {name: min(float(residuals(name, focal).mean()) for focal in scales) for name in ORIENTATIONS}
+    best, as_stated = min(means.values()), means[AS_STATED]
+    fits = tuple(sorted((name for name in means if means[name] <= _AS_GOOD * best), key=means.__getitem__))
+    if best > _GOOD or best > _BETTER * as_stated:  # nothing fits clearly better
+        fits = (AS_STATED,)
+    focal = _focal([residuals(fits[0], focal) for focal in _FOCAL]) if known else None
+    return ViewCheck(by, len(pairs), as_stated, fits, means[fits[0]], focal)
+
+
+def _focal(residuals: Sequence[np.ndarray]) -> float | None:
+    """The focal length over the stated one by residuals of pairs with each of `_FOCAL`; None where that is as good."""
+    table, rng = np.array(residuals), np.random.default_rng(0)  # of each focal length and pair
+    count = table.shape[1]
+    drawn = [_lowest(table[:, rng.integers(count, size=count)].mean(axis=1)) for _ in range(100)]
+    means = table.mean(axis=1)
+    best, error = _lowest(means), float(np.std(drawn))
+    fits = means.min() < min(_GOOD / 2, _FOCAL_BETTER * means[_FOCAL == 1.0].item())
+    return float(np.exp(best)) if fits and abs(best) > max(_OTHER_FOCAL, _CERTAIN * error) else None
+
+
+def _lowest(means: np.ndarray) -> float:
+    """Logarithm of the focal length where a parabola through the lowest mean and its neighbours is lowest."""
+    i, step = int(np.clip(means.argmin(), 1, len(means) - 2)), float(np.log(_FOCAL[1] / _FOCAL[0]))
+    left, middle, right = means[i - 1 : i + 2].tolist()
+    bend = left - 2 * middle + right
+    return float(np.log(_FOCAL[i])) + (0.5 * step * (left - right) / bend if bend > 0 else 0.0)
