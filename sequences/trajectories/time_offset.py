@@ -26,17 +26,15 @@ _MAX_STEPS = 1 << 21  # half a day
 _LEAST_CORRELATION = 0.6
 _RIVAL_FRACTION = 0.9  # another offset must correlate by less than this fraction of the best
 _LEAST_TURN_RAD_PER_S = 0.02  # standard deviation of how fast it turns
-_WARN_WITHIN_S, _WARN_CERTAIN_S, _WARN_FROM_S = 5.0, 0.01, 0.05
+_FASTEST = 1.5  # of the 95th percentile of turn rates
+_AUTO_CERTAIN_S = 0.02  # standard deviation, at most
+_WARN_WITHIN_S, _WARN_CERTAIN_S, _WARN_FROM_S, _WARN_DEVIATIONS = 5.0, 0.05, 0.05, 4.0
 
 
 def find_time_offset(
     odometry: Trajectory, poses: Trajectory, *, within_s: float = np.inf, certain_s: float = 0.004
 ) -> float:
     """Seconds to add to the stamps of poses for those of odometry, to a fraction of their intervals.
-
-    Turn rates, over 0.4 s, are correlated at every offset with ten seconds
-    and half of the shorter recording in common; a parabola through the largest correlation and its neighbours tells
-    more than the grid of 20 ms.
 
     Args:
         odometry: One recording of the motion.
@@ -47,15 +45,29 @@ def find_time_offset(
     Raises:
         SequenceError: too short, too little or too regular a rotation, or rotations that do not agree.
     """
+    return _find(odometry, poses, within_s, certain_s)[0]
+
+
+def _find(odometry: Trajectory, poses: Trajectory, within_s: float, certain_s: float) -> tuple[float, float]:
+    """The offset and its standard deviation, seconds.
+
+    Turn rates, over 0.4 s, are correlated at every offset with ten seconds
+    and half of the shorter recording in common; a parabola through the largest correlation and its neighbours tells
+    more than the grid of 20 ms.
+    """
     rates, covered = _turn_rate(odometry, "odometry")
     its_rates, its_covered = _turn_rate(poses, "poses")
-    for rate, known, what in ((rates, covered, "odometry"), (its_rates, its_covered, "poses")):
+    both = (rates, covered), (its_rates, its_covered)
+    for (rate, known), what in zip(both, ("odometry", "poses"), strict=True):
         spread = float(np.std(rate[known])) if known.any() else 0.0
         if spread < _LEAST_TURN_RAD_PER_S:
             raise SequenceError(
                 f"rotation says too little about the time offset: that of the {what} varies by {spread:.2g} rad/s,"
                 f" expected at least {_LEAST_TURN_RAD_PER_S:g}; give --time-offset-s a number"
             )
+    # What turns much faster than the slower of the two is an outlier, as of an estimate of another place.
+    fastest = _FASTEST * min(float(np.quantile(rate[known], 0.95)) for rate, known in both)
+    covered, its_covered = (known & (rate < fastest) for rate, known in both)
     correlation, seconds = _correlation(rates, covered, its_rates, its_covered)
     begin_s = (int(odometry.times_ns[0]) - int(poses.times_ns[0])) * 1e-9
     offsets_s = begin_s + (np.arange(len(correlation)) - (len(its_rates) - 1)) * _STEP_S
@@ -75,7 +87,7 @@ def find_time_offset(
             f" best, to {1e3 * deviation_s:.1f} ms, and by {rival:.2f} at another offset, expected at least"
             f" {_LEAST_CORRELATION:g}, {1e3 * certain_s:g} ms and a clear best; give --time-offset-s a number"
         )
-    return float(offsets_s[best]) + 0.5 * (right - left) / bend * _STEP_S
+    return float(offsets_s[best]) + 0.5 * (right - left) / bend * _STEP_S, float(deviation_s)
 
 
 def offset_of_clocks(
@@ -94,16 +106,16 @@ def offset_of_clocks(
     """
     if asked == "auto":
         try:
-            found_s = find_time_offset(odometry, poses)
+            found_s, deviation_s = _find(odometry, poses, np.inf, _AUTO_CERTAIN_S)
         except VaporTrackError as error:
             raise SequenceError(f"{said}: {error}") from error
-        return found_s, [f"{said}: time offset {found_s:.4f} s found by rotation"]
+        return found_s, [f"{said}: time offset {found_s:.4f} s found by rotation (± {1e3 * deviation_s:.1f} ms)"]
     shifted = Trajectory(poses.times_ns + round(asked * 1e9), poses.poses)
     try:
-        left_s = find_time_offset(odometry, shifted, within_s=_WARN_WITHIN_S, certain_s=_WARN_CERTAIN_S)
+        left_s, deviation_s = _find(odometry, shifted, _WARN_WITHIN_S, _WARN_CERTAIN_S)
     except VaporTrackError:
         return asked, []  # rotations tell nothing either way
-    if abs(left_s) < _WARN_FROM_S:
+    if abs(left_s) < max(_WARN_FROM_S, _WARN_DEVIATIONS * deviation_s):
         return asked, []
     return asked, [
         f"{said}: rotations say that its clock differs: {asked + left_s:.2f} s are to be added to its stamps, not"
