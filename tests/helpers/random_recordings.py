@@ -1,0 +1,186 @@
+"""Recordings of one walk with faults as they come from the field, drawn at random, some together."""
+
+import copy
+import random
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from mcap_ros2.writer import Writer
+
+from sequences.recordings.message_definitions import schema_name, schema_text
+from tests.helpers.sequence_files import BEGIN_NS
+from tests.helpers.tf_files import MS, Event, images, mounted, odometry, stamps, told_by
+
+NUM_IMAGES = 24
+SECOND = 10**9
+END_NS = BEGIN_NS + NUM_IMAGES * 100 * MS
+TOPICS = ("/image/compressed", "/odom", "/truth")
+
+Change = Callable[[list[Event], random.Random], list[Event]]
+
+
+def write_random(path: Path, seed: int) -> list[str]:
+    """Write the walk with one to four faults; returns their names."""
+    rng = random.Random(seed)
+    events = [
+        *mounted(),
+        *images(NUM_IMAGES),
+        *odometry(stamps(NUM_IMAGES)),
+        *told_by("geometry_msgs/PoseStamped", stamps(NUM_IMAGES, every_ms=50), child="camera"),
+    ]
+    names = rng.choices([*FAULTS], k=rng.randint(1, 4))
+    events = sorted(copy.deepcopy(events), key=lambda event: event.time_ns)
+    for name in names:
+        events = FAULTS[name](events, rng)
+    with open(path, "wb") as file, Writer(file, chunk_size=20_000) as writer:
+        schemas: dict[str, Any] = {}
+        for event in events:
+            if event.type not in schemas:
+                schemas[event.type] = writer.register_msgdef(schema_name(event.type), schema_text(event.type))
+            writer.write_message(event.topic, schemas[event.type], event.message, log_time=max(event.time_ns, 0))
+    return names
+
+
+def _topic(rng: random.Random) -> tuple[str, ...]:
+    """One of the topics, or all."""
+    return rng.choice([*((topic,) for topic in TOPICS), TOPICS])
+
+
+def _drop(events: list[Event], rng: random.Random) -> list[Event]:
+    """Single messages are lost."""
+    topics, share = _topic(rng), rng.choice([0.1, 0.5, 0.9])
+    return [event for event in events if event.topic not in topics or rng.random() >= share]
+
+
+def _gap(events: list[Event], rng: random.Random) -> list[Event]:
+    """Nothing comes for some time, or not any more."""
+    topics, begin = _topic(rng), rng.randint(BEGIN_NS - SECOND, END_NS)
+    end = begin + rng.choice([SECOND // 4, SECOND, 10 * SECOND])
+    return [event for event in events if event.topic not in topics or not begin <= event.time_ns < end]
+
+
+def _jump(events: list[Event], rng: random.Random) -> list[Event]:
+    """A clock is set: of stamps, and perhaps of the recorder too."""
+    topics, at_ns = _topic(rng), rng.randint(BEGIN_NS, END_NS)
+    by_ns = round(rng.choice([-1, 1]) * 10 ** rng.uniform(-0.5, 9) * SECOND)
+    before, log_too = rng.random() < 0.5, rng.random() < 0.5
+    found = []
+    for event in events:
+        if event.topic in topics and (event.time_ns < at_ns) == before:
+            event = event._replace(message=_shifted(event.message, by_ns))
+            event = event._replace(time_ns=event.time_ns + by_ns * log_too)
+        found.append(event)
+    return found
+
+
+def _odd_stamp(events: list[Event], rng: random.Random) -> list[Event]:
+    """Single stamps are anything."""
+    chosen = {rng.randrange(len(events)) for _ in range(rng.randint(1, 4))}
+    return [
+        event._replace(message=_shifted(event.message, rng.randint(-(10**19), 10**19))) if i in chosen else event
+        for i, event in enumerate(events)
+    ]
+
+
+def _not_a_number(events: list[Event], rng: random.Random) -> list[Event]:
+    """Numbers of some poses are NaN, infinite or too large; or the quaternion is zero."""
+    chosen = {rng.randrange(len(events)) for _ in range(rng.choice([1, 3, len(events) // 2]))}
+    value = rng.choice([float("nan"), float("inf"), 1e300, None])
+    for i in chosen:
+        for numbers in _numbers(events[i].message):
+            if value is None and "w" in numbers:
+                numbers.update(dict.fromkeys("xyzw", 0.0))
+            elif value is not None:
+                numbers[rng.choice([*numbers])] = value
+    return events
+
+
+def _late(events: list[Event], rng: random.Random) -> list[Event]:
+    """One topic is logged later, or earlier, than it was stamped."""
+    topics, by_ns = _topic(rng), round(rng.uniform(-3, 3) * SECOND)
+    moved = [event._replace(time_ns=event.time_ns + by_ns * (event.topic in topics)) for event in events]
+    return sorted(moved, key=lambda event: event.time_ns)
+
+
+def _twice(events: list[Event], rng: random.Random) -> list[Event]:
+    """Messages come twice, at once or much later."""
+    again = [event for event in events if rng.random() < 0.3]
+    if rng.random() < 0.5:
+        return [each for event in events for each in ([event, event] if event in again else [event])]
+    return [*events, *again]
+
+
+def _reordered(events: list[Event], rng: random.Random) -> list[Event]:
+    """Messages are written in another order than they were logged in."""
+    window_ns = rng.choice([SECOND // 10, SECOND, 100 * SECOND])
+    return sorted(events, key=lambda event: event.time_ns + rng.randint(0, window_ns))
+
+
+def _renamed(events: list[Event], rng: random.Random) -> list[Event]:
+    """A topic or a frame has another name, or is shared by two."""
+    if rng.random() < 0.5:
+        old = rng.choice([*TOPICS, "/tf_static"])
+        new = rng.choice(["/other", "", "/tf", old.upper(), rng.choice(TOPICS)])
+        return [event._replace(topic=new) if event.topic == old else event for event in events]
+    old, new = rng.choice(["camera", "base_link", "odom", "map"]), rng.choice(["", "x" * 300, "camera", "odom"])
+    return [event._replace(message=_named(event.message, old, new)) for event in events]
+
+
+def _broken_image(events: list[Event], rng: random.Random) -> list[Event]:
+    """Pictures are empty, cut off or anything."""
+    found = []
+    for event in events:
+        if event.topic == "/image/compressed" and rng.random() < 0.4:
+            data = event.message["data"]
+            other = rng.choice([b"", data[: len(data) // 2], rng.randbytes(100)])
+            event = event._replace(message={**event.message, "data": other})
+        found.append(event)
+    return found
+
+
+FAULTS: dict[str, Change] = {
+    "drops": _drop,
+    "gap": _gap,
+    "clock set": _jump,
+    "odd stamps": _odd_stamp,
+    "NaN": _not_a_number,
+    "late": _late,
+    "duplicated": _twice,
+    "reordered": _reordered,
+    "renamed": _renamed,
+    "broken images": _broken_image,
+}
+
+
+def _shifted(message: Any, by_ns: int) -> Any:
+    """All stamps of a message, by so much; kept within what a stamp can say."""
+    if isinstance(message, list):
+        return [_shifted(each, by_ns) for each in message]
+    if not isinstance(message, dict):
+        return message
+    if message.keys() == {"sec", "nanosec"}:
+        sec, nanosec = divmod(message["sec"] * SECOND + message["nanosec"] + by_ns, SECOND)
+        return {"sec": min(max(sec, -(2**31)), 2**31 - 1), "nanosec": nanosec}
+    return {name: _shifted(value, by_ns) for name, value in message.items()}
+
+
+def _named(message: Any, old: str, new: str) -> Any:
+    if isinstance(message, list):
+        return [_named(each, old, new) for each in message]
+    if isinstance(message, dict):
+        return {name: _named(value, old, new) for name, value in message.items()}
+    return new if message == old else message
+
+
+def _numbers(message: Any) -> Iterator[dict[str, float]]:
+    """Vectors and quaternions in a message."""
+    if isinstance(message, list):
+        for each in message:
+            yield from _numbers(each)
+    elif isinstance(message, dict):
+        if message.keys() in ({"x", "y", "z"}, {"x", "y", "z", "w"}):
+            yield message
+        else:
+            for value in message.values():
+                yield from _numbers(value)
