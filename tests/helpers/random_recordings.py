@@ -9,8 +9,8 @@ from typing import Any
 from mcap_ros2.writer import Writer
 
 from sequences.recordings.message_definitions import schema_name, schema_text
-from tests.helpers.sequence_files import BEGIN_NS
-from tests.helpers.tf_files import MS, Event, images, mounted, odometry, stamps, told_by
+from tests.helpers.sequence_files import BEGIN_NS, CAMERA
+from tests.helpers.tf_files import MS, Event, camera_infos, images, mounted, odometry, stamps, told_by
 
 NUM_IMAGES = 24
 SECOND = 10**9
@@ -26,6 +26,7 @@ def write_random(path: Path, seed: int) -> list[str]:
     events = [
         *mounted(),
         *images(NUM_IMAGES),
+        *camera_infos((BEGIN_NS + 100 * MS * i, CAMERA) for i in range(NUM_IMAGES)),
         *odometry(stamps(NUM_IMAGES)),
         *told_by("geometry_msgs/PoseStamped", stamps(NUM_IMAGES, every_ms=50), child="camera"),
     ]
@@ -139,6 +140,17 @@ def _broken_image(events: list[Event], rng: random.Random) -> list[Event]:
     return found
 
 
+def _other_camera(events: list[Event], rng: random.Random) -> list[Event]:
+    """The camera zooms; or its intrinsics are none."""
+    at_ns, focal = rng.randint(BEGIN_NS, END_NS), rng.choice([0.0, 1.0, 2 * CAMERA.fx, float("nan"), -CAMERA.fx])
+    found = []
+    for event in events:
+        if event.type == "sensor_msgs/CameraInfo" and event.time_ns >= at_ns:
+            event = event._replace(message={**event.message, "k": [focal, *event.message["k"][1:]]})
+        found.append(event)
+    return found
+
+
 FAULTS: dict[str, Change] = {
     "drops": _drop,
     "gap": _gap,
@@ -150,6 +162,7 @@ FAULTS: dict[str, Change] = {
     "reordered": _reordered,
     "renamed": _renamed,
     "broken images": _broken_image,
+    "another camera": _other_camera,
 }
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from mcap_ros2.writer import Writer
 
 from filtering.se3 import Poses
+from sequences.frame import Camera
 from sequences.recordings.message_definitions import schema_name, schema_text
 from tests.helpers.sequence_files import BASE_FROM_CAMERA, BEGIN_NS, Walk, world_from_base
 
@@ -62,6 +63,18 @@ def images(num_images: int = 12, frame: str = "camera") -> list[Event]:
         Event(t, "/image/compressed", "sensor_msgs/CompressedImage", {"header": header(t, frame), "data": data})
         for t, data in Walk(num_images).images
     ]
+
+
+def camera_infos(cameras: Iterable[tuple[int, Camera]], topic: str = "/image/camera_info") -> list[Event]:
+    """Intrinsics of a camera without distortion, as they are from some stamp on."""
+    events = []
+    for t, c in cameras:
+        k = [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0]
+        p = [c.fx, 0.0, c.cx, 0.0, 0.0, c.fy, c.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+        message = {"header": header(t, "camera"), "width": c.width, "height": c.height, "k": k, "p": p}
+        message |= {"r": np.eye(3).ravel().tolist(), "distortion_model": "plumb_bob", "d": [0.0] * 5}
+        events.append(Event(t, topic, "sensor_msgs/CameraInfo", message))
+    return events
 
 
 def tf(parent: str, child: str, times_ns: Iterable[int], at: Callable[[int], Poses], topic: str = "/tf") -> list[Event]:
