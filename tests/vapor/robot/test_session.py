@@ -1,6 +1,7 @@
 """Live localization of a walk in a made-up system."""
 
 import asyncio
+import struct
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +21,7 @@ from sequences.recordings.source import RawMessage
 from tests.helpers.fake_transport import messages_of, offering
 from tests.helpers.live_session import ELSEWHERE, KnowingModel, Running, hurry, knowing, running
 from tests.helpers.live_system import stamp
-from tests.helpers.sequence_files import BEGIN_NS, IMAGES, ODOMETRY, Walk, world_from_base, world_from_camera
+from tests.helpers.sequence_files import BEGIN_NS, IMAGES, ODOMETRY, Walk, rewrite, world_from_base, world_from_camera
 from vapor.robot.config import LiveConfig
 from vapor.robot.live import Live
 
@@ -199,6 +200,23 @@ def test_what_comes_is_recorded_so_that_a_reader_finds_the_same_frames(walk: Pat
         assert one.odometry is not None
         assert other.odometry is not None
         assert np.array_equal(one.odometry.covariance, other.odometry.covariance)
+
+
+def test_what_is_recorded_of_odometry_with_nan_is_read(walk: Path, tmp_path: Path) -> None:
+    at_ns = BEGIN_NS + 300_000_000
+
+    def spoilt(topic: str, time_ns: int, data: bytes) -> bytes:
+        if topic != ODOMETRY or not at_ns <= time_ns < at_ns + 40_000_000:
+            return data
+        x = data.index(struct.pack("<d", float(world_from_base(np.array(time_ns)).translation[0])))
+        return data[:x] + struct.pack("<d", np.nan) + data[x + 8 :]
+
+    broken = rewrite(walk, tmp_path / "broken.mcap", data=spoilt)
+    with running(broken, record=tmp_path / "drive.mcap") as run:
+        replayed(run, broken)
+    reader = SequenceReader(tmp_path / "drive.mcap")
+    assert len(list(reader)) == len(list(SequenceReader(walk)))
+    assert any("2 of " in notice and "cannot be used" in notice for notice in reader.notices), reader.notices
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_localization(
