@@ -75,6 +75,12 @@ def no_odometry_fit(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def no_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Images are not compared with poses, where a test does not look at that: it takes some milliseconds an image."""
+    monkeypatch.setattr("vapor.training_data.views.Views.take", lambda views, frame: None)
+
+
+@pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs draw no pictures, where a test does not look at them: they take a second a run."""
     monkeypatch.setattr("vapor.pipeline.results.write_pictures", lambda *_, **__: [])

@@ -134,16 +134,27 @@ def _openvino(
     else:
         checkpoint = _with_weights(model)
         network = openvino_engine.converted_network(checkpoint)
-        compiled, torch = (
-            openvino_engine.compile_network(network, precision, threads),
-            _torch(checkpoint, "float32", "cpu"),
-        )
+        torch = _torch(checkpoint, "float32", "cpu")
+        try:
+            compiled = openvino_engine.compile_network(network, precision, threads)
+        except RuntimeError as error:  # as on a processor without what the precision needs
+            if not must:
+                return torch
+            raise VaporTrackError(
+                f"engine openvino: this processor cannot run the network in {precision} ({_last_line(error)}), expected"
+                " --engine torch, or another --precision"
+            ) from error
     engine = openvino_engine.OpenVINOEngine(compiled)
     faster = None if torch is None else _is_faster(engine, torch, described, threads)
     is_kept = file is not None and write_compiled(file, variant, Compiled(compiled.export_model().getvalue(), faster))
     if torch is not None and not must and not (faster and is_kept):
         return torch
     return engine
+
+
+def _last_line(error: RuntimeError) -> str:
+    """Of many lines the one that says most."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[-1]
 
 
 def _is_faster(engine: Engine, than: Engine, described: ModelDescription, threads: int) -> bool:

@@ -14,7 +14,7 @@ from sequences.trajectories.interpolation import interpolate
 from vapor.inspection.odometry import chained
 from vapor.inspection.walk import Walk
 from vapor.training_data.ground import runs
-from vapor.training_data.views import ORIENTATIONS, By, Pair
+from vapor.training_data.views import ORIENTATIONS, By, Pair, Residuals
 
 _MOST_S, _COARSE_S, _FINE_S = 3.0, 0.05, 0.01  # offsets that are tried
 _MAX_GAP_S = 1.0  # between poses
@@ -58,8 +58,10 @@ class ImageClock:
 
 def _late_s(pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, "3 3"]) -> float | None:
     """Seconds by which images are late: what two of them share is seen where it should be, so much earlier."""
+    if len(pairs) < _LEAST_PAIRS:
+        return None
     late_s = np.arange(-_MOST_S, _MOST_S + _COARSE_S / 2, _COARSE_S)
-    table = np.array([_residuals(pairs, track, turn, each) for each in late_s])
+    table = _residuals(pairs, track, turn, late_s)
     covered = np.isfinite(table).mean(axis=0) > _MOST_LACKING  # of each pair
     if covered.sum() < _LEAST_PAIRS:
         return None
@@ -70,25 +72,24 @@ def _late_s(pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, 
         return None
     pairs = [pair for pair, kept in zip(pairs, covered, strict=True) if kept]
     fine_s = best + np.arange(-3 * _COARSE_S, 3 * _COARSE_S + _FINE_S / 2, _FINE_S)
-    table = np.array([_residuals(pairs, track, turn, each) for each in fine_s])
+    table = _residuals(pairs, track, turn, fine_s)
     rng = np.random.default_rng(0)
     drawn = [_lowest(fine_s, table[:, rng.integers(len(pairs), size=len(pairs))]) for _ in range(_DRAWS)]
     return _lowest(fine_s, table) if float(np.std(drawn)) < _CERTAIN_S else None
 
 
 def _residuals(
-    pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, "3 3"], late_s: float
-) -> Float64[np.ndarray, " p"]:
+    pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, "3 3"], offsets_s: Float64[np.ndarray, " o"]
+) -> Float64[np.ndarray, "o p"]:
     """Of each pair, were its images so late; NaN where no pose covers it then."""
-    at_ns = np.array([pair.times_ns for pair in pairs], np.int64) - round(late_s * 1e9)
-    poses, known = interpolate(track.times_ns, track.poses, at_ns.ravel(), max_gap_s=_MAX_GAP_S)
-    motions = poses[1::2].inverse() @ poses[::2]
-    return np.array(
-        [
-            pair.residual(motions[i], turn, 1.0) if known[2 * i] and known[2 * i + 1] else np.nan
-            for i, pair in enumerate(pairs)
-        ]
-    )
+    residuals, stamps_ns = Residuals(pairs), np.array([pair.times_ns for pair in pairs], np.int64)
+    found = []
+    for late_s in offsets_s.tolist():
+        at_ns = (stamps_ns - round(late_s * 1e9)).ravel()
+        poses, known = interpolate(track.times_ns, track.poses, at_ns, max_gap_s=_MAX_GAP_S)
+        motions = poses[1::2].inverse() @ poses[::2]
+        found.append(np.where(known[::2] & known[1::2], residuals.of(motions, turn), np.nan))
+    return np.array(found)
 
 
 def _means(table: Float64[np.ndarray, "o p"]) -> Float64[np.ndarray, " o"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,11 @@ from vapor.inspection.predictions import Predictions, Said
 from vapor.inspection.reading import posed_images, read_walks
 from vapor.inspection.verdict import verdict
 from vapor.inspection.walk import Walk
+from vapor.observation import VaporObservationModel
+from vapor.pipeline.unrecognised import SomeImages, why_unrecognised
 from vapor.training_data.checks import too_far
+
+_MOST = 0.5  # of the images
 
 
 @dataclass(frozen=True)
@@ -81,11 +85,13 @@ def inspect(
         SequenceError: data that cannot be read.
     """
     said: list[Said] = []
+    some = SomeImages()
     rng = np.random.default_rng(seed)
 
     def take(frame: Frame) -> None:
         see(frame)
         if model is not None:
+            some.add(frame.image, frame.camera)
             said.append(Said.of(model.observe(frame.image, rng=rng)))
 
     walks = read_walks(data, reading, see=take, progress=lambda done: progress("reading images", done, None))
@@ -101,6 +107,8 @@ def inspect(
     if model is not None:
         posed = np.concatenate([walk.posed for walk in walks])
         predictions = Predictions.of(said, images.poses if images is not None else walks[0].poses, posed)
+        if predictions.foreign > _MOST and isinstance(model, VaporObservationModel):
+            predictions = replace(predictions, why_foreign=why_unrecognised(some, model.unfamiliarity))
     clocks = tuple(ImageClock.of(walk) for walk in walks)
     found = verdict(walks, coverage, odometry, clocks, predictions)
     return Inspection(tuple(walks), coverage, odometry, clocks, predictions, notices, found)

@@ -86,6 +86,7 @@ class Predictions:
         right: Within 0.3 m and 20°, (k,).
         posed: Which images have a true pose, (n,).
         best: world_from_camera of the best place of those k; NaN without a place.
+        why_foreign: Why most images look unlike all that the model was trained on; empty where they do not.
     """
 
     places: Int64[np.ndarray, " n"]
@@ -95,6 +96,7 @@ class Predictions:
     right: Bool[np.ndarray, " k"]
     posed: Bool[np.ndarray, " n"]
     best: Poses
+    why_foreign: str = ""
 
     @staticmethod
     def of(said: Sequence[Said], truth: Poses, posed: Bool[np.ndarray, " n"]) -> Predictions:
@@ -163,6 +165,7 @@ class Predictions:
             "images": len(self.places),
             "ambiguous": self.ambiguous,
             "foreign": self.foreign,
+            "why_foreign": self.why_foreign,
             "median_spread_m": float(np.median(self.spread_m)),
             "median_unfamiliarity": float(np.median(self.unfamiliarity)),
             "median_error_m": float(np.median(known)) if len(known) else None,

@@ -231,10 +231,8 @@ def _model(coverage: Coverage, predictions: Predictions) -> Iterator[str]:
         more = f"; and {len(weak) - _NAMED} more" if len(weak) > _NAMED else ""
         yield f"another walk should show, as the model errs there: {'; '.join(map(str, weak[:_NAMED]))}{more}"
     if predictions.foreign > _UNKNOWN:
-        yield (
-            f"train on more of this: {100 * predictions.foreign:.0f} % of the images look unlike all that the model was"
-            " trained on"
-        )
+        unlike = f"{100 * predictions.foreign:.0f} % of the images look unlike all that the model was trained on"
+        yield f"{unlike}: {predictions.why_foreign}" if predictions.why_foreign else f"train on more of this: {unlike}"
 
 
 def _images_said(count: int) -> str:

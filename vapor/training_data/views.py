@@ -16,9 +16,9 @@ from sequences.frame import BASE_FROM_CAMERA, Camera, Frame
 By = Literal["true poses", "odometry"]
 
 _WIDTH_PX = 320  # at which images are compared
-_FEATURES, _RATIO, _LEAST_MATCHES = 400, 0.75, 25
+_FEATURES, _RATIO, _LEAST_MATCHES, _MOST_MATCHES = 400, 0.75, 25, 100
 _TURNS_RAD, _TURNS_TOO_FAR_RAD, _MOVES_M, _WITHIN_S = 0.12, 0.4, 0.3, 2.0  # from one image of a pair to the other
-_MOST_PAIRS, _LEAST_PAIRS = 40, 8
+_MOST_PAIRS, _LEAST_PAIRS = 25, 8
 _NEAREST_M = 0.3  # that anything is from the camera
 _CAP = 0.1  # of a residual, focal lengths
 _FOCAL = np.geomspace(0.5, 2.0, 29)
@@ -117,7 +117,7 @@ class Views:
         found = []
         by: By
         for by in ("true poses", "odometry"):
-            pairs = [(pair, pair.motions[by]) for pair in self.pairs if by in pair.motions]
+            pairs = [pair for pair in self.pairs if by in pair.motions]
             if len(pairs) >= _LEAST_PAIRS:
                 found.append(_check(by, pairs))
         return found
@@ -215,19 +215,60 @@ class Pair:
     motions: Mapping[By, Poses]
     known_focal: bool
 
-    def residual(self, motion: Poses, turn: Float64[np.ndarray, "3 3"], focal: float) -> float:
-        """Median distance of what the second image shows from where it should be, however far away it is."""
-        first, second = self.first / focal, self.second / focal
-        rays = np.concatenate([first, np.ones((len(first), 1))], axis=1) @ (turn.T @ motion.rotation @ turn).T
-        far, near = _projected(rays), _projected(rays + turn.T @ motion.translation / _NEAREST_M)
+
+class Residuals:
+    """How far what pairs of images share is from where it should be, for all pairs at once."""
+
+    def __init__(self, pairs: Sequence[Pair]) -> None:
+        """Take up to 100 directions of each of p pairs."""
+        counts = np.array([min(len(pair.first), _MOST_MATCHES) for pair in pairs])
+        self._seen = np.full((2, len(pairs), counts.max(initial=1), 2), np.nan)
+        for i, (pair, count) in enumerate(zip(pairs, counts, strict=True)):
+            self._seen[0, i, :count], self._seen[1, i, :count] = pair.first[:count], pair.second[:count]
+        self._middle = (counts - 1) // 2  # of those in order
+
+    def of(
+        self, motions: Poses, turn: Float64[np.ndarray, "3 3"] | None = None, focal: float = 1.0
+    ) -> Float64[np.ndarray, " p"]:
+        """Median distance of what each second image shows from where it should be, however far away it is.
+
+        Args:
+            motions: second_from_first, (p,).
+            turn: Carries directions that an image shows to the axes of these; None for none.
+            focal: The focal length over that by which directions were found.
+        """
+        turn = np.eye(3) if turn is None else turn
+        first, second = self._seen / focal
+        rotations = turn.T @ motions.rotation @ turn
+        rays = np.concatenate([first, np.ones((*first.shape[:2], 1))], axis=2) @ np.swapaxes(rotations, 1, 2)
+        moved = motions.translation @ turn / _NEAREST_M
+        far, near = _projected(rays), _projected(rays + moved[:, None])
         along = near - far
-        fraction = np.sum((second - far) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-12)
-        apart = np.linalg.norm(second - far - np.clip(fraction, 0.0, 1.0)[:, None] * along, axis=1)
-        return min(float(np.median(apart)), _CAP)
+        fraction = np.sum((second - far) * along, axis=2) / np.maximum(np.sum(along**2, axis=2), 1e-12)
+        apart = np.linalg.norm(second - far - np.clip(fraction, 0.0, 1.0)[..., None] * along, axis=2)
+        medians = np.sort(apart, axis=1)[np.arange(len(apart)), self._middle]  # NaN comes last
+        return np.minimum(medians, _CAP)
 
 
-def _projected(rays: Float64[np.ndarray, "m 3"]) -> Float64[np.ndarray, "m 2"]:
-    return rays[:, :2] / np.maximum(rays[:, 2:], 0.1)
+def _projected(rays: Float64[np.ndarray, "p m 3"]) -> Float64[np.ndarray, "p m 2"]:
+    return rays[..., :2] / np.maximum(rays[..., 2:], 0.1)
+
+
+def _check(by: By, pairs: Sequence[Pair]) -> ViewCheck:
+    residuals, motions = Residuals(pairs), Poses.stack([pair.motions[by] for pair in pairs])
+    known = all(pair.known_focal for pair in pairs)
+    scales = [1.0] if known else _FOCAL[::4].tolist()
+    means = {
+        name: min(float(residuals.of(motions, turn, focal).mean()) for focal in scales)
+        for name, turn in ORIENTATIONS.items()
+    }
+    best, as_stated = min(means.values()), means[AS_STATED]
+    fits = tuple(sorted((name for name in means if means[name] <= _AS_GOOD * best), key=means.__getitem__))
+    if best > _GOOD or best > _BETTER * as_stated:  # nothing fits clearly better
+        fits = (AS_STATED,)
+    turn = ORIENTATIONS[fits[0]]
+    focal = _focal([residuals.of(motions, turn, focal) for focal in _FOCAL]) if known else None
+    return ViewCheck(by, len(pairs), as_stated, fits, means[fits[0]], focal)
 
 
 def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
@@ -266,21 +307,6 @@ def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
             " stated one: check camera_info, and whether images were scaled or cropped"
         )
     return said
-
-
-def _check(by: By, pairs: Sequence[tuple[Pair, Poses]]) -> ViewCheck:
-    def residuals(orientation: str, focal: float) -> np.ndarray:
-        return np.array([pair.residual(motion, ORIENTATIONS[orientation], focal) for pair, motion in pairs])
-
-    known = all(pair.known_focal for pair, _ in pairs)
-    scales = [1.0] if known else _FOCAL[::4].tolist()
-    means = {name: min(float(residuals(name, focal).mean()) for focal in scales) for name in ORIENTATIONS}
-    best, as_stated = min(means.values()), means[AS_STATED]
-    fits = tuple(sorted((name for name in means if means[name] <= _AS_GOOD * best), key=means.__getitem__))
-    if best > _GOOD or best > _BETTER * as_stated:  # nothing fits clearly better
-        fits = (AS_STATED,)
-    focal = _focal([residuals(fits[0], focal) for focal in _FOCAL]) if known else None
-    return ViewCheck(by, len(pairs), as_stated, fits, means[fits[0]], focal)
 
 
 def _focal(residuals: Sequence[np.ndarray]) -> float | None:

@@ -1,6 +1,7 @@
 """Recordings inspected as a whole: what is said of good and bad ones."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from tests.helpers.rerun_files import entities_of
 from tests.helpers.sequence_files import BEGIN_NS, rewrite
 from vapor.inspection.inspect import inspect
 from vapor.inspection.reading import posed_images, read_walks
-from vapor.inspection.verdict import GOOD_ENOUGH
+from vapor.inspection.verdict import GOOD_ENOUGH, verdict
 from vapor.track import main
 
 pytestmark = pytest.mark.usefixtures("no_odometry_fit")
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("no_odometry_fit")
 # --- images --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "no_views")
 @pytest.mark.parametrize("blur_px", [1.5, 6.0])
 def test_a_gap_a_blurred_segment_and_dark_images_are_counted_where_they_are(blur_px, tmp_path):
     def image(index: int) -> np.ndarray:
@@ -58,7 +59,7 @@ def test_a_dull_view_is_not_taken_for_blur(tmp_path):
     assert not walk.looks.blurred.any()
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "no_views")
 def test_images_all_alike_and_frozen_ones_are_said(tmp_path):
     same = inspect([write(tmp_path / "same.mcap", walked(), image=lambda _: scenery(0))])
     assert same.verdict[0] == "record same.mcap again: its 120 images are all one and the same"
@@ -101,7 +102,7 @@ def test_a_camera_that_stands_is_told_to_walk(tmp_path):
     assert found.odometry.axes is None
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "no_views")
 def test_poses_far_from_zero_give_the_same_figures(tmp_path):
     near, far = (
         inspect([write(tmp_path / f"{name}.mcap", walked(at=at))])
@@ -177,6 +178,29 @@ def test_where_a_model_errs_is_said_with_place_direction_and_passes(tmp_path):
     assert "of one pass only" in sentence
     x = float(sentence.split("near (")[1].split(",")[0])
     assert 4.0 <= x <= 5.0
+    foreign = replace(found.predictions, unfamiliarity=np.full(120, 2.0))
+    said = verdict(found.walks, found.coverage, None, (), foreign)
+    assert said[-1] == "train on more of this: 100 % of the images look unlike all that the model was trained on"
+    said = verdict(found.walks, found.coverage, None, (), replace(foreign, why_foreign="they are dark"))
+    assert said[-1] == "100 % of the images look unlike all that the model was trained on: they are dark"
+
+
+@pytest.mark.usefixtures("unchecked", "no_views")
+def test_dim_images_poses_in_millimetres_and_swapped_colours_are_said(tmp_path):
+    coloured = scenery(0) // 2 + np.array([60, 30, 0], np.uint8)
+    changes = {
+        "good": lambda i: np.roll(coloured, i, axis=1),
+        "dim": lambda i: np.roll(coloured, i, axis=1) // 4,
+        "swapped": lambda i: np.ascontiguousarray(np.roll(coloured, i, axis=1)[..., ::-1]),
+    }
+    paths = [write(tmp_path / f"{name}.mcap", walked(), image=image) for name, image in changes.items()]
+    far = Poses(walked().rotation, 1e3 * walked().translation)
+    paths.append(write(tmp_path / "mm.mcap", far, image=changes["good"]))
+    found = inspect(paths)
+    only(found, "make light, or expose for longer: the images of dim.mcap are dark, ")
+    only(found, "swapped.mcap: red and blue are swapped, beside the other recordings")
+    only(found, "check the unit of the poses of mm.mcap: the camera moves at", "are they in millimetres?")
+    assert not any("good.mcap" in sentence and "record" not in sentence for sentence in found.verdict)
 
 
 # --- the command ---------------------------------------------------------------------------------------
