@@ -13,6 +13,7 @@ from hypothesis import settings
 from tests.helpers import checks
 from tests.helpers.checkout import SHARED_DATA
 from tests.helpers.checks import no_checks
+from tests.helpers.full import FULL
 
 if TYPE_CHECKING:
     from sequences.rendering.surface import LitScene
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 checks.install(["filtering", "sequences", "vapor"])
 # How long an example takes says how busy the machine is; and whoever runs the tests runs the same ones.
-settings.register_profile("unhurried", deadline=None, derandomize=True)
+settings.register_profile("unhurried", deadline=None, derandomize=True, max_examples=100 if FULL else 30)
 settings.load_profile("unhurried")
 
 

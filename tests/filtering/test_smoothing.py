@@ -47,7 +47,7 @@ def test_a_standing_camera_is_worth_little_more_than_one_image(lasting_fraction)
     np.testing.assert_allclose(worth, 1 / (1 + (n - 1) * lasting_fraction), rtol=0.05)
 
 
-@pytest.mark.parametrize("step", some(3, [0.01, 0.5, 20.0, 0.1, 2.0]))
+@pytest.mark.parametrize("step", some(2, [0.5, 20.0, 0.01, 0.1, 2.0]))
 def test_on_a_long_way_an_image_is_worth_what_the_inverse_of_the_correlations_says(step):
     n, lasting_fraction = 2000, 0.8
     worth = independence(np.full(n, step), lasting_fraction)

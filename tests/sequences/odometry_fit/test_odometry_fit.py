@@ -105,6 +105,7 @@ def test_true_poses_that_jitter_do_not_pass_for_white_noise() -> None:
     np.testing.assert_allclose(fit.pose_noise, np.repeat(MOCAP, 3), rtol=0.35)
 
 
+@full
 def test_white_noise_that_grows_with_distance_is_told_from_that_which_grows_with_time() -> None:
     rng, per_sqrt_m = np.random.default_rng(0), np.array([0.03, 0.03, 0.02, 0.02, 0.02, 0.01])
     times_ns = 100_000_000 * np.arange(601)

@@ -181,6 +181,7 @@ def test_walks_where_floors_look_alike_are_evaluated_but_for_the_floor_and_once_
     assert "odometry_scale is -2" in capsys.readouterr().err
 
 
+@full
 def test_a_run_of_a_standing_camera_is_as_long_as_it_stands(tiny_model, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(kinds, "STAND_S", 1.0)
     monkeypatch.setattr(kinds, "STAND_AFTER", 10)

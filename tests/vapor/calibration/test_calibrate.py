@@ -11,6 +11,7 @@ from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from tests.helpers.climbing_frames import frames_of
 from tests.helpers.data_sets import make_7scenes
+from tests.helpers.full import full
 from tests.helpers.sequence_files import Walk, rewrite
 from vapor.calibration import calibrate as calibrate_module
 from vapor.calibration.calibrate import calibrate
@@ -82,6 +83,7 @@ def test_errors_are_fitted_on_images_and_odometry_on_what_leads_between_them():
     assert (result.odometry, odometry.increments, odometry.recordings) == ("held-out data", 132, 3)
 
 
+@full
 @pytest.mark.usefixtures("unchecked", "widest_places")
 def test_without_odometry_in_held_out_data_that_of_the_training_data_is_taken():
     bare = load_training_set({"a": frames_of(60, odometry=False)}, (36, 36))

@@ -109,6 +109,7 @@ def found_lasting(normal: np.ndarray, truth: Poses, passes: int = 1, extent: flo
     return lasting_errors(normal, np.ones(len(normal), bool), travel, extent)
 
 
+@full
 @pytest.mark.parametrize(("fraction", "taken"), some(1, [(1.0, 0.7), (0.3, 0.5)]))
 def test_of_errors_that_last_wholly_or_hardly_the_sum_of_the_correlations_is_kept(fraction, taken):
     rng = np.random.default_rng(7)

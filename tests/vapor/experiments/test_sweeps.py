@@ -57,6 +57,7 @@ WORDS = [
 ]
 
 
+@full
 def test_every_alpha_and_run_is_trained_once_and_kept(tmp_path, monkeypatch):
     first = Sweep(["round-table"], tmp_path, TINY)
     assert list(first.render())[-1] == (2, 2)

@@ -196,6 +196,7 @@ def test_a_file_changed_inside_a_data_set_makes_another_training(entry, tmp_path
     assert before[1] != after[1]
 
 
+@full
 def test_another_way_to_test_needs_no_other_training(tmp_path, monkeypatch):
     first = TableExperiment([parse_scene("round-table")], tmp_path, replace(TINY_TABLE, localize=False))
     list(first.render())

@@ -22,6 +22,7 @@ from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
 from sequences.trajectories.tum import read_tum, write_tum
 from tests.helpers.command_line import report_of
+from tests.helpers.full import full
 from tests.helpers.sequence_files import BEGIN_NS, Walk, as_split_folder, rewrite
 from tests.helpers.tf_files import robot, stamps
 from tests.helpers.tiny_model import SMALL
@@ -227,6 +228,7 @@ def test_evaluate_takes_other_true_poses(finished, tmp_path):
 # --- the same twice -------------------------------------------------------------------------------
 
 
+@full
 @pytest.mark.usefixtures("unchecked")
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(
     finished, tiny_model, walk_of_25, tmp_path, request

@@ -48,6 +48,7 @@ def test_a_model_that_was_judged_learns_from_what_was_held_out(finished, tmp_pat
     assert not same_weights(result.checkpoint, without.checkpoint)
 
 
+@full
 def test_held_out_data_that_were_given_are_never_learned_from(tmp_path):
     parts = walks()
     held_out = {"d": parts.pop("d")}
@@ -56,6 +57,7 @@ def test_held_out_data_that_were_given_are_never_learned_from(tmp_path):
     assert result.images_seen == 4 * 72
 
 
+@full
 @pytest.mark.usefixtures("unchecked")
 def test_interrupted_before_and_after_it_was_judged_a_training_ends_with_the_same_weights(finished, tmp_path):
     for step in (20, 50):

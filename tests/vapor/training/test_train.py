@@ -75,6 +75,7 @@ def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_hold
     assert on.training["config"]["initial_model"] == "first.safetensors"
 
 
+@full
 @pytest.mark.parametrize("head", ["variational", "point"])
 def test_a_model_without_a_shortcut_goes_on_with_one_and_one_with_it_does_not_go_on_without(head, tmp_path):
     first, last = tmp_path / "first.safetensors", tmp_path / "last.safetensors"

@@ -29,7 +29,7 @@ POSES_OF_ALL = "true poses and odometry"
 @pytest.fixture(scope="module")
 def frames() -> list[Frame]:
     """A walk of stairs at ten images a second, with exact odometry."""
-    poses = walk_stairs(14.0, rng=np.random.default_rng(3))[::5] @ Poses(LEVEL, np.zeros(3))
+    poses = walk_stairs(11.0, rng=np.random.default_rng(3))[::5] @ Poses(LEVEL, np.zeros(3))
     found = []
     for i in range(len(poses)):
         step = Odometry(poses[i - 1].inverse() @ poses[i], 1e-6 * np.eye(6), 0.1) if i else None
