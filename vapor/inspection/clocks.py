@@ -14,7 +14,7 @@ from sequences.trajectories.interpolation import interpolate
 from vapor.inspection.odometry import chained
 from vapor.inspection.walk import Walk
 from vapor.training_data.ground import runs
-from vapor.training_data.views import ORIENTATIONS, By, Pair, Residuals
+from vapor.training_data.views import ORIENTATIONS, By, Pair, Residuals, lowest
 
 _MOST_S, _COARSE_S, _FINE_S = 3.0, 0.05, 0.01  # offsets that are tried
 _MAX_GAP_S = 1.0  # between poses
@@ -74,8 +74,8 @@ def _late_s(pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, 
     fine_s = best + np.arange(-3 * _COARSE_S, 3 * _COARSE_S + _FINE_S / 2, _FINE_S)
     table = _residuals(pairs, track, turn, fine_s)
     rng = np.random.default_rng(0)
-    drawn = [_lowest(fine_s, table[:, rng.integers(len(pairs), size=len(pairs))]) for _ in range(_DRAWS)]
-    return _lowest(fine_s, table) if float(np.std(drawn)) < _CERTAIN_S else None
+    drawn = [lowest(fine_s, _means(table[:, rng.integers(len(pairs), size=len(pairs))])) for _ in range(_DRAWS)]
+    return lowest(fine_s, _means(table)) if float(np.std(drawn)) < _CERTAIN_S else None
 
 
 def _residuals(
@@ -98,15 +98,6 @@ def _means(table: Float64[np.ndarray, "o p"]) -> Float64[np.ndarray, " o"]:
     count = known.sum(axis=1)
     means = np.where(known, table, 0.0).sum(axis=1) / np.maximum(count, 1)
     return np.where(count >= np.maximum(_LEAST_PAIRS, _MOST_LACKING * table.shape[1]), means, np.nan)
-
-
-def _lowest(offsets_s: np.ndarray, table: np.ndarray) -> float:
-    """Where a parabola through the lowest mean and its neighbours is lowest."""
-    means = _means(table)
-    i = int(np.clip(np.nanargmin(means), 1, len(means) - 2))
-    left, middle, right = means[i - 1 : i + 2].tolist()
-    bend = left - 2 * middle + right
-    return float(offsets_s[i]) + (0.5 * _FINE_S * (left - right) / bend if bend > 0 else 0.0)
 
 
 def _by_odometry(walk: Walk) -> Trajectory:

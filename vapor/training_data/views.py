@@ -22,6 +22,7 @@ _MOST_PAIRS, _LEAST_PAIRS = 25, 8
 _NEAREST_M = 0.3  # that anything is from the camera
 _CAP = 0.1  # of a residual, focal lengths
 _FOCAL = np.geomspace(0.5, 2.0, 29)
+_LOG_FOCAL, _DRAWS = np.log(_FOCAL), 100
 _USUAL_FOCAL = 0.8  # of the width, where it is not known
 _BETTER, _AS_GOOD, _GOOD = 0.5, 1.25, 0.03  # of the residual as it is; of the best one; and focal lengths
 _OTHER_FOCAL, _FOCAL_BETTER, _CERTAIN = 0.08, 0.85, 3.0  # of its logarithm; of the residual; and standard errors
@@ -313,16 +314,16 @@ def _focal(residuals: Sequence[np.ndarray]) -> float | None:
     """The focal length over the stated one by residuals of pairs with each of `_FOCAL`; None where that is as good."""
     table, rng = np.array(residuals), np.random.default_rng(0)  # of each focal length and pair
     count = table.shape[1]
-    drawn = [_lowest(table[:, rng.integers(count, size=count)].mean(axis=1)) for _ in range(100)]
+    drawn = [lowest(_LOG_FOCAL, table[:, rng.integers(count, size=count)].mean(axis=1)) for _ in range(_DRAWS)]
     means = table.mean(axis=1)
-    best, error = _lowest(means), float(np.std(drawn))
+    best, error = lowest(_LOG_FOCAL, means), float(np.std(drawn))
     fits = means.min() < min(_GOOD / 2, _FOCAL_BETTER * means[_FOCAL == 1.0].item())
     return float(np.exp(best)) if fits and abs(best) > max(_OTHER_FOCAL, _CERTAIN * error) else None
 
 
-def _lowest(means: np.ndarray) -> float:
-    """Logarithm of the focal length where a parabola through the lowest mean and its neighbours is lowest."""
-    i, step = int(np.clip(means.argmin(), 1, len(means) - 2)), float(np.log(_FOCAL[1] / _FOCAL[0]))
+def lowest(places: Float64[np.ndarray, " n"], means: Float64[np.ndarray, " n"]) -> float:
+    """Where a parabola through the lowest mean and its neighbours is lowest; places lie equally far apart, n ≥ 3."""
+    i, step = int(np.clip(np.nanargmin(means), 1, len(means) - 2)), float(places[1] - places[0])
     left, middle, right = means[i - 1 : i + 2].tolist()
     bend = left - 2 * middle + right
-    return float(np.log(_FOCAL[i])) + (0.5 * step * (left - right) / bend if bend > 0 else 0.0)
+    return float(places[i]) + (0.5 * step * (left - right) / bend if bend > 0 else 0.0)
