@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from sequences.odometry_fit.likelihood import Likelihood, ScaleErrors
 from sequences.odometry_fit.pieces import cut_into_pieces, error_limits
@@ -34,6 +35,12 @@ def fit_odometry(segments: Sequence[OdometrySegment], *, max_increments: int = 1
         SequenceError: too few increments, or true poses that are not as many as increments and one.
         VaporTrackError: odometry that is none.
     """
+    # On a busy processor threads that wait for each other made this a hundred times slower.
+    with threadpool_limits(1, user_api="blas"):
+        return _fit(segments, max_increments)
+
+
+def _fit(segments: Sequence[OdometrySegment], max_increments: int) -> OdometryFit:
     pieces, increments = cut_into_pieces(segments, max_increments)
     limits = error_limits([piece.errors / np.sqrt(piece.dt)[:, None] for piece in pieces])
     clipped = 0
