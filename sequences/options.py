@@ -14,7 +14,7 @@ from filtering.errors import VaporTrackError, require_within
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.trajectories.columns import Columns
+from sequences.trajectories.columns import require_columns
 from sequences.trajectories.pose_tables import times_beside
 
 OdometryUse = Literal["required", "optional", "unread"]
@@ -134,8 +134,7 @@ class SequenceOptions(ReadingOptions):
                 "--time-offset-s, --poses-columns and --poses-times are about a file of poses, expected --poses with"
                 " them"
             )
-        if self.poses_columns is not None:
-            Columns(self.poses_columns)
+        require_columns("--poses-columns", self.poses_columns)
         if self.time_offset_s != "auto" and not abs(self.time_offset_s) <= _MAX_OFFSET_S:
             raise SequenceError(f"time_offset_s is {self.time_offset_s}, expected at most {_MAX_OFFSET_S:g} or auto")
         origin = self.ground_truth_origin

@@ -10,7 +10,7 @@ from sequences.errors import SequenceError
 from sequences.estimates.pose_files import Direction
 from sequences.frame import ASSUMED_HZ
 from sequences.odometry import OdometryNoise
-from sequences.trajectories.columns import Columns
+from sequences.trajectories.columns import require_columns
 
 _MAX_OFFSET_S = 1e10  # between two clocks, one of which began in 1970
 
@@ -26,9 +26,10 @@ class EstimateOptions:
     tz _ _ weight": time in place of name for stamps in seconds, _ for what is ignored. With a weight, such as the
     number of inliers, a frame may have several lines, which are its hypotheses. Default: as above."""
     odometry_columns: str | None = None
-    """The same of odometry, or of the true poses that it is simulated from. Default: as above, or EuRoC's data.csv."""
+    """Names of the columns of odometry, or of the true poses that it is simulated from, whatever --columns says.
+    Default: names, TUM text, or EuRoC's data.csv."""
     ground_truth_columns: str | None = None
-    """The same of the true poses to compare with."""
+    """Names of the columns of the true poses to compare with, likewise."""
     time_offset_s: float | Literal["auto"] = 0.0
     """Seconds to add to the stamps of estimates; auto finds them, file by file, by comparing their rotation with
     odometry's."""
@@ -44,9 +45,8 @@ class EstimateOptions:
     """Localize also where odometry covers fewer than one in ten of the estimated frames."""
 
     def __post_init__(self) -> None:
-        for columns in (self.columns, self.odometry_columns, self.ground_truth_columns):
-            if columns is not None:
-                Columns(columns)
+        for name in ("columns", "odometry_columns", "ground_truth_columns"):
+            require_columns(f"--{name.replace('_', '-')}", getattr(self, name))
         if self.time_offset_s != "auto" and not abs(self.time_offset_s) <= _MAX_OFFSET_S:
             raise SequenceError(f"time_offset_s is {self.time_offset_s}, expected at most {_MAX_OFFSET_S:g} or auto")
         if not 1e-3 <= self.rate_hz <= 1e6:

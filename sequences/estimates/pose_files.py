@@ -14,8 +14,7 @@ from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.files.rows import Rows
-from sequences.files.text import read_rows
-from sequences.trajectories.columns import Columns, fields_of, stamp_ns, stamp_of
+from sequences.trajectories.columns import Columns, fields_of, pose_rows, stamp_ns, stamp_of, typical
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.values import is_number, natural, parse_frame_number, parse_number
 
@@ -105,7 +104,7 @@ def read_poses(
         )
     seen: dict[FrameName, int] = {}
     found: list[_Row] = []
-    for number, line in rows.each(read_rows(path)):
+    for number, line in rows.each(pose_rows(path)):
         where = f"{path}:{number}"
         row = rows.use(_read_row, line, where, names, stamped, first)
         if isinstance(row, str):
@@ -151,12 +150,12 @@ def _read_row(line: str, where: str, columns: Columns, stamped: bool, first: tup
 
 
 def _first_row(path: Path, columns: str | None) -> tuple[int, str]:
-    """Number and text of the first line. Raises SequenceError where there is none, or the file cannot be read."""
-    first = next(read_rows(path), None)
-    if first is None:
+    """Number and text of the first usual line. Raises SequenceError where there is none, or the file cannot be read."""
+    lines = pose_rows(path)
+    if not lines:
         expected = f"`{COLUMNS}`, or of a trajectory" if columns is None else f"`{columns}`"
         raise SequenceError(f"{path}: no poses, expected lines of {expected}")
-    return first
+    return typical(lines)
 
 
 def frames_by(path: Path, columns: str | None = None) -> tuple[FramesBy, str]:

@@ -26,6 +26,7 @@ HYPOTHESIS = np.dtype([("file", np.int64), ("weight", np.float64), ("world_from_
 """What a file says of a frame: number of the file from 0, weight above 0 in any unit, homogeneous matrix."""
 
 NO_ODOMETRY = "no odometry of its sequence"
+_SAME_CLOCK_S = 0.05
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
@@ -77,6 +78,8 @@ class EstimateSequence:
                 "a filter needs odometry: expected either a file of it, or true poses to simulate it from"
             )
         self._options = options or EstimateOptions()
+        if ground_truth is None and self._options.ground_truth_columns is not None:
+            raise SequenceError("--ground-truth-columns without --ground-truth, expected a file that has them")
         source_path = simulate_odometry_from or odometry or Path()
         asked = [(path, self._options.columns) for path in estimates]
         asked.append((source_path, self._options.odometry_columns))
@@ -173,15 +176,19 @@ class EstimateSequence:
 
         track, offsets_s = _best(source), []
         for i, file in enumerate(self.files):
-            # Files that name the same frames have the same clock: each frame stays one.
-            same = (k for k in range(i) if not set(self.files[k].frames).isdisjoint(file.frames))
-            other = next(same, None)
-            if other is None:
+            stamps = set(file.frames)
+            others_s = [offsets_s[k] for k in range(i) if not stamps.isdisjoint(self.files[k].frames)]
+            try:
                 offset_s, notices = offset_of_clocks(asked, track, _best(file), str(file.path))
-                self.notices += notices
-                offsets_s.append(offset_s)
-            else:
-                offsets_s.append(offsets_s[other])
+            except SequenceError:
+                if not others_s:
+                    raise
+                offset_s, notices = others_s[0], []
+            # Files that name the same frames by the same clock: each frame stays one.
+            offsets_s.append(
+                next((other_s for other_s in others_s if abs(other_s - offset_s) < _SAME_CLOCK_S), offset_s)
+            )
+            self.notices += notices
         self.files = [_shifted(file, offset_s) for file, offset_s in zip(self.files, offsets_s, strict=True)]
         if truth is not None and truth is not source:
             self.notices += offset_of_clocks(0.0, track, _best(truth), str(truth.path))[1]

@@ -26,6 +26,7 @@ class Rows:
     Attributes:
         num_rows: How many were read so far.
         num_unusable: How many of them could not be used.
+        tolerant: Whether any may be left out.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class Rows:
         """
         self.num_rows = self.num_unusable = 0
         self._what, self._reason, self._first = what, reason, ""
-        self._tolerant = tolerant
+        self.tolerant = tolerant
 
     def each(self, rows: Iterable[Row]) -> Iterator[Row]:
         """The rows, one after the other.
@@ -64,7 +65,7 @@ class Rows:
         try:
             return read(*arguments, **keywords)
         except SequenceError as error:
-            if not self._tolerant:
+            if not self.tolerant:
                 raise
             self.num_unusable += 1
             self._first = self._first or str(error)

@@ -15,12 +15,13 @@ from sequences.errors import SequenceError
 from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Trajectory
-from sequences.trajectories.columns import Columns, stamp_ns
+from sequences.trajectories.columns import Columns, fields_of, pose_rows, read_increasing, stamp_ns, typical
 from sequences.trajectories.tum import read_tum
 from sequences.values import LARGEST, MAX_TIME_NS, parse_numbers, parse_time_ns, parse_whole
 
 _EUROC = "time_ns,px,py,pz,qw,qx,qy,qz"
 _KITTI = "twelve numbers, the upper three rows of a matrix"
+COLUMNS_OPTIONS = "--columns; --poses-columns of a recording; --odometry-columns, --ground-truth-columns of fuse"
 _MAX_ERROR = 0.01  # of a unit quaternion's length, and of a rotation's elements; beyond, these are other numbers
 
 
@@ -45,11 +46,11 @@ def read_pose_table(
             do not increase, or there are not as many times as poses.
     """
     path, rows = Path(path), rows or Rows(tolerant=False)
-    lines = list(read_rows(path))
+    lines = pose_rows(path)
     if not lines:
         raise SequenceError(f"{path}: no poses, expected TUM text, EuRoC's data.csv or KITTI's poses")
-    number, line = lines[0]
-    found = len(line.split())
+    number, line = typical(lines)
+    found = len(fields_of(line))
     if times is not None and (columns is not None or "," in line or found != 12):
         raise SequenceError(f"{path}:{number}: not KITTI's poses, expected {_KITTI}, or no --poses-times with them")
     if columns is not None:
@@ -58,11 +59,11 @@ def read_pose_table(
         return _trajectory(path, lines, rows, _read_euroc_row)
     if found == 12:
         return _read_kitti(path, lines, Path(times) if times is not None else times_beside(path), rows)
-    if found == 8:
+    if found == 8 and ";" not in line:
         return read_tum(path, rows)
     raise SequenceError(
-        f"{path}:{number}: {found} columns, expected TUM text (8), EuRoC's data.csv (with commas), KITTI's poses (12)"
-        f" or the names of its columns"
+        f"{path}:{number}: {found} columns, expected TUM text (8), EuRoC's data.csv (with commas), KITTI's poses (12),"
+        f" or the names of its columns ({COLUMNS_OPTIONS})"
     )
 
 
@@ -74,30 +75,18 @@ def times_beside(poses: Path) -> Path:
 def _trajectory(
     path: Path, lines: list[tuple[int, str]], rows: Rows, read: Callable[[str, str], tuple[int, list[float]]]
 ) -> Trajectory:
-    """Of each line its stamp and `tx ty tz qx qy qz qw`, as a function reads it; stamps increase."""
-    times_ns: list[int] = []
-    values: list[list[float]] = []
-
-    def read_next(line: str, where: str) -> tuple[int, list[float]]:
-        time_ns, row = read(line, where)
-        if times_ns and time_ns <= times_ns[-1]:
-            raise SequenceError(f"{where}: time {time_ns} ns is not after the line before, expected increasing times")
-        return time_ns, row
-
-    for number, line in rows.each(lines):
-        row = rows.use(read_next, line, f"{path}:{number}")
-        if not isinstance(row, str):
-            times_ns.append(row[0])
-            values.append(row[1])
-    table = np.array(values)
-    return Trajectory(np.array(times_ns, np.int64), Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
+    times_ns, table = read_increasing(path, lines, rows, read)
+    return Trajectory(times_ns, Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
 
 
 def _read_euroc_row(line: str, where: str) -> tuple[int, list[float]]:
     fields = line.split(",")
     if len(fields) < 8:
         raise SequenceError(f"{where}: {len(fields)} columns, expected at least the eight of `{_EUROC}`")
-    time_ns = parse_whole(fields[0].strip(), f"{where}: nanoseconds", -MAX_TIME_NS, MAX_TIME_NS)
+    try:
+        time_ns = parse_whole(fields[0].strip(), f"{where}: nanoseconds", -MAX_TIME_NS, MAX_TIME_NS)
+    except SequenceError as error:
+        raise SequenceError(f"{error}; of seconds the names of the columns are needed ({COLUMNS_OPTIONS})") from None
     row = parse_numbers(fields[1:8], where, f"those of `{_EUROC}`")
     if not (np.abs(row) <= LARGEST).all() or abs(np.hypot.reduce(row[3:]) - 1) > _MAX_ERROR:
         raise SequenceError(f"{where}: {quoted(row)} is no finite position and unit quaternion, expected `{_EUROC}`")

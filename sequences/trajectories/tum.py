@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from sequences.errors import SequenceError
 from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Trajectory
-from sequences.trajectories.columns import usable_pose
+from sequences.trajectories.columns import read_increasing, usable_pose
 from sequences.values import parse_numbers, parse_time_ns
 
 _COLUMNS = "time tx ty tz qx qy qz qw"
@@ -33,29 +32,19 @@ def read_tum(path: Path, rows: Rows | None = None) -> Trajectory:
     """
     path = Path(path)
     rows = rows or Rows(tolerant=False)
-    times_ns: list[int] = []
-    values: array[float] = array("d")
-    for number, line in rows.each(read_rows(path)):
-        row = rows.use(_read_row, path, number, line, times_ns[-1] if times_ns else None)
-        if not isinstance(row, str):
-            times_ns.append(row[0])
-            values.extend(row[1])
-    if not times_ns:
+    times_ns, table = read_increasing(path, read_rows(path), rows, _read_row)
+    if not len(times_ns):
         raise SequenceError(f"{path}: no poses, expected lines of `{_COLUMNS}`")
-    table = np.array(values).reshape(-1, 7)
-    return Trajectory(np.array(times_ns, np.int64), Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
+    return Trajectory(times_ns, Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
 
 
-def _read_row(path: Path, number: int, line: str, before_ns: int | None) -> tuple[int, list[float]]:
+def _read_row(line: str, where: str) -> tuple[int, list[float]]:
     """Stamp and pose of a line."""
-    where, fields = f"{path}:{number}", line.split()
+    fields = line.split()
     if len(fields) != 8:
         raise SequenceError(f"{where}: {len(fields)} columns, expected the eight of `{_COLUMNS}`")
-    found_ns = parse_time_ns(fields[0], where)
-    if before_ns is not None and found_ns <= before_ns:
-        raise SequenceError(f"{where}: time {fields[0]} is not after the line before, expected increasing times")
     values = parse_numbers(fields[1:], where, f"those of `{_COLUMNS}`")
-    return found_ns, usable_pose(values, where, _COLUMNS)
+    return parse_time_ns(fields[0], where), usable_pose(values, where, _COLUMNS)
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:

@@ -5,7 +5,7 @@ VENV/bin/python node.py SCRIPT.pickle HEARD.pickle
 The script says what to publish (topic, type, latched, at_s, data), which topics to hear (topic: type), and how long to
 listen on. With a `gate` the first image, and all else of the time, is published once those topics that it `needs` have
 subscribers; the others follow when something was heard on the gate. What is heard: (topic, monotonic seconds, bytes);
-what was sent: (index, monotonic seconds).
+what was sent: (index, monotonic seconds). With a gate an image is published when the one before was answered on it.
 """
 
 import importlib
@@ -21,6 +21,18 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 def class_of(name):
     package, _, kind = name.partition("/")
     return getattr(importlib.import_module(f"{package}.msg"), kind)
+
+
+def answered(script, sent, heard, spin_once):
+    """Wait until the image before is answered, however slow the machine is; returns how long that took, seconds."""
+    image = max((i for i, _ in sent if script["publish"][i]["topic"] == script["image"]), default=None)
+    begin_s = time.monotonic()
+    while image is not None and time.monotonic() < begin_s + 10.0:
+        stamp = script["publish"][image]["data"][4:12]  # of the header, behind what says how it is serialized
+        if any(topic == script["gate"] and data[4:12] == stamp for topic, _, data in heard):
+            break
+        spin_once()
+    return time.monotonic() - begin_s
 
 
 def main():
@@ -77,6 +89,8 @@ def main():
         if index in done:
             continue
         spin(begin_s + each["at_s"])
+        if script.get("gate") and each["topic"] == script["image"]:
+            begin_s += answered(script, sent, heard, lambda: rclpy.spin_once(node, timeout_sec=0.02))
         publish(index)
     spin(time.monotonic() + script.get("listen_on_s", 2.0))
     Path(sys.argv[2]).write_bytes(pickle.dumps({"heard": heard, "sent": sent}))

@@ -147,8 +147,10 @@ def _odometry_lines(found: Inspection) -> Iterator[str]:
 
 def _view_lines(walks: Sequence[Walk]) -> Iterator[str]:
     for walk in walks[:_NAMED]:
+        if not walk.views and (len(walk.poses) or any(step is not None for step in walk.odometry)):
+            yield f"{walk.name}: too few pairs of images between which the camera turns or moves: {len(walk.pairs)}"
         for check in walk.views:
-            agree = f"agree to {np.degrees(check.residual):.1f}°" if check.is_right else "do not agree"
+            agree = f"agree to {np.degrees(check.residual):.1f}°" if check.is_right else "do not agree as stated"
             yield f"{walk.name}: what images show and {check.by} {agree}, in {check.pairs} pairs of images"
 
 

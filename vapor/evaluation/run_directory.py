@@ -9,6 +9,7 @@ from typing import Any, Literal
 from filtering.errors import VaporTrackError
 from sequences.files.rows import Rows
 from sequences.outputs.manifest import MANIFEST, verify
+from sequences.trajectories.columns import require_columns
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.trajectories.tum import read_tum
 from vapor.evaluation.trajectory import associate, evaluate_methods
@@ -45,6 +46,9 @@ def evaluate_directory(
     Raises:
         VaporTrackError: a file is missing, malformed or not as its manifest lists it, or nothing overlaps.
     """
+    if columns is not None and ground_truth is None:
+        raise VaporTrackError("--columns without --ground-truth, expected a file that has them")
+    require_columns("--columns", columns)
     if not directory.is_dir():
         raise VaporTrackError(f"{directory}: no such directory, expected one that `vapor-track run` wrote")
     if not (directory / FILES["filter"]).is_file():

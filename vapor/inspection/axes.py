@@ -17,7 +17,7 @@ _LEAST_WINDOWS = 20
 _AGREES, _BETTER = 0.7, 0.2  # correlation of motions, and by how much another way must be better
 _MIRRORED_BETTER = 0.1  # correlation
 _UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37, "feet": 3.281}
-_SAME_UNIT, _UNIT_WITHIN, _LEAST_M = 2.5, 0.25, 1e-6  # of the ratio of lengths, of its logarithm, and in either's unit
+_SAME_UNIT, _UNIT_WITHIN = 2.5, 0.25  # of the ratio of lengths, and of its logarithm
 _TURNED_RAD = float(np.deg2rad(10.0))
 _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))  # of a camera's axes: there and back
 
@@ -33,7 +33,7 @@ class Axes:
         off_rad: Of the best turn of all, how far it is from none.
         correlation_best: Of the motions with that.
         correlation_mirrored: Of the motions of which one is mirrored, by the best mirroring along an axis.
-        length_ratio: How far odometry moves for each metre of the true poses.
+        length_ratio: How far odometry moves for each metre of the true poses; 1 where these have little in common.
     """
 
     correlation: float
@@ -122,7 +122,8 @@ def compare_axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None
     _, off_rad = Poses(best, np.zeros(3)).distance(Poses.identity())
     mirrored = max(correlation(turn @ np.diag([1.0, -1.0, 1.0])) for turn in quarters)
     lengths = [float(np.linalg.norm(each[:, :3], axis=1).sum()) for each in (odometry, truth)]
-    ratio = lengths[0] / lengths[1] if min(lengths) > _LEAST_M else 1.0
+    alike = float(np.linalg.svd(moved, compute_uv=False).sum()) >= _AGREES  # else it is noise that is compared
+    ratio = lengths[0] / lengths[1] if alike and min(lengths) > 0 else 1.0
     return Axes(correlation(np.eye(3)), turned, correlation(turned), float(off_rad), correlation(best), mirrored, ratio)
 
 

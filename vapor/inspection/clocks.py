@@ -14,13 +14,13 @@ from sequences.trajectories.interpolation import interpolate
 from vapor.inspection.odometry import chained
 from vapor.inspection.walk import Walk
 from vapor.training_data.ground import runs
-from vapor.training_data.views import ORIENTATIONS, By, Pair, Residuals, lowest
+from vapor.training_data.views import AS_STATED, ORIENTATIONS, By, Pair, Residuals, lowest
 
 _MOST_S, _COARSE_S, _FINE_S = 3.0, 0.05, 0.01  # offsets that are tried
 _MAX_GAP_S = 1.0  # between poses
 _LEAST_PAIRS, _MOST_LACKING = 8, 0.5
 _CERTAIN_S, _BETTER, _RIVAL_S = 0.02, 0.8, 0.3  # standard deviation at most; than any offset as far from the best one
-_DRAWS = 100
+_DRAWS, _GOOD = 100, 0.03  # and of the mean residual, focal lengths
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,13 @@ class ImageClock:
         name: Of the recording.
         against: What they are compared with: "odometry", or without any "true poses"; None where there is neither.
         late_ms: Milliseconds; None where that cannot be said, as where the camera hardly turns, or always alike.
+        as_stated: Whether images are as stated then, neither turned nor mirrored.
     """
 
     name: str
     against: str | None
     late_ms: float | None
+    as_stated: bool = True
 
     @staticmethod
     def of(walk: Walk) -> ImageClock:
@@ -44,12 +46,18 @@ class ImageClock:
             "odometry": _by_odometry(walk),
             "true poses": Trajectory(walk.times_ns[walk.posed], walk.poses),
         }
-        against: By | None = next((what for what, track in others.items() if len(track) > 1), None)
-        if against is None or walk.assumed_hz is not None:
-            return ImageClock(walk.name, None, None)
-        turn = next((check.orientations[0] for check in walk.views if check.by == against), None)
-        late_s = None if turn is None else _late_s(walk.pairs, others[against], ORIENTATIONS[turn])
-        return ImageClock(walk.name, against, None if late_s is None else 1e3 * late_s)
+        against: By | None = None
+        for by, track in others.items():
+            if len(track) < 2 or walk.assumed_hz is not None:
+                continue
+            against = against or by
+            turned = next((check.orientations for check in walk.views if check.by == by), ())
+            # As stated first: of a camera that pans to and fro, half a period late looks upside down.
+            for orientation in dict.fromkeys((AS_STATED, *turned[:1])):
+                late_s = _late_s(walk.pairs, track, ORIENTATIONS[orientation])
+                if late_s is not None:
+                    return ImageClock(walk.name, by, 1e3 * late_s, orientation == AS_STATED)
+        return ImageClock(walk.name, against, None)
 
     def as_json(self) -> dict[str, Any]:
         """For the report."""
@@ -61,21 +69,21 @@ def _late_s(pairs: Sequence[Pair], track: Trajectory, turn: Float64[np.ndarray, 
     if len(pairs) < _LEAST_PAIRS:
         return None
     late_s = np.arange(-_MOST_S, _MOST_S + _COARSE_S / 2, _COARSE_S)
-    table = _residuals(pairs, track, turn, late_s)
-    covered = np.isfinite(table).mean(axis=0) > _MOST_LACKING  # of each pair
-    if covered.sum() < _LEAST_PAIRS:
+    means = _means(_residuals(pairs, track, turn, late_s))
+    if not np.isfinite(means).any():
         return None
-    means = _means(table[:, covered])
     best = float(late_s[int(np.nanargmin(means))])
-    rivals = means[np.abs(late_s - best) > _RIVAL_S]
-    if not np.nanmin(means) < _BETTER * np.nanmin(rivals):
+    rivals = means[(np.abs(late_s - best) > _RIVAL_S) & np.isfinite(means)]
+    if not np.nanmin(means) < min(_GOOD, _BETTER * rivals.min(initial=np.inf)):
         return None
-    pairs = [pair for pair, kept in zip(pairs, covered, strict=True) if kept]
     fine_s = best + np.arange(-3 * _COARSE_S, 3 * _COARSE_S + _FINE_S / 2, _FINE_S)
     table = _residuals(pairs, track, turn, fine_s)
-    rng = np.random.default_rng(0)
-    drawn = [lowest(fine_s, _means(table[:, rng.integers(len(pairs), size=len(pairs))])) for _ in range(_DRAWS)]
-    return lowest(fine_s, _means(table)) if float(np.std(drawn)) < _CERTAIN_S else None
+    table = table[:, np.isfinite(table).all(axis=0)]  # the same pairs with every offset
+    if table.shape[1] < _LEAST_PAIRS:
+        return None
+    rng, count = np.random.default_rng(0), table.shape[1]
+    drawn = [lowest(fine_s, table[:, rng.integers(count, size=count)].mean(axis=1)) for _ in range(_DRAWS)]
+    return lowest(fine_s, table.mean(axis=1)) if float(np.std(drawn)) < _CERTAIN_S else None
 
 
 def _residuals(

@@ -39,9 +39,9 @@ def verdict(
     predictions: Predictions | None,
 ) -> tuple[str, ...]:
     """Sentences, each with what to do; one that says that it is good enough where there is nothing."""
-    found = [*_useless(walks, coverage), *_views(walks), *_clocks(odometry, clocks)]
+    found = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks)]
     if odometry is not None:
-        found += _odometry(odometry)
+        found += _odometry(odometry, any(_poses_are_named(walk) for walk in walks))
     if coverage is not None:
         found += _coverage(coverage)
     for walk in walks:
@@ -73,11 +73,18 @@ def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
         )
 
 
-def _views(walks: Sequence[Walk]) -> Iterator[str]:
+def _views(walks: Sequence[Walk], odometry: OdometryCheck | None, clocks: Sequence[ImageClock]) -> Iterator[str]:
     """Images and poses that contradict each other, and colours that do."""
+    explained = {clock.name for clock in clocks if clock.as_stated and abs(clock.late_ms or 0.0) >= _IMAGES_LATE_MS}
+    units_are_told = odometry is not None and odometry.axes is not None and odometry.axes.unit is not None
     for walk in walks:
-        yield from said_of_views(walk.name, walk.views)
-        if (speed := walk.speed_m_per_s) is not None and speed > _TOO_FAST_M_PER_S:
+        if walk.name in explained:
+            views = [check for check in walk.views if check.orientations]  # others agree once clocks do
+            yield from (f"or else, with clocks as they are: {each}" for each in said_of_views(walk.name, views))
+        else:
+            yield from said_of_views(walk.name, walk.views)
+        speed = walk.speed_m_per_s
+        if speed is not None and speed > _TOO_FAST_M_PER_S and not units_are_told:
             yield (
                 f"check the unit of the poses of {walk.name}: the camera moves at {speed:.3g} m/s in the median; are"
                 " they in millimetres?"
@@ -105,9 +112,16 @@ def _late_said(late_ms: float) -> str:
     return f"{abs(late_ms):.0f} ms {'late' if late_ms > 0 else 'early'}"
 
 
-def _odometry(check: OdometryCheck) -> Iterator[str]:
+def _poses_are_named(walk: Walk) -> bool:
+    """Whether images tell already which poses are turned or left-handed."""
+    return len({check.is_right for check in walk.views if check.orientations}) == 2
+
+
+def _odometry(check: OdometryCheck, is_named: bool) -> Iterator[str]:
     axes, fit = check.axes, check.fit
-    if axes is not None and axes.mirrored:
+    if is_named:
+        pass
+    elif axes is not None and axes.mirrored:
         yield (
             "check odometry and true poses: one of them is left-handed, their motions are each other's mirror images"
             f" (correlation {axes.correlation_mirrored:.2f}, as they are {axes.correlation:.2f})"
@@ -125,7 +139,7 @@ def _odometry(check: OdometryCheck) -> Iterator[str]:
             " whichever way the axes are turned"
         )
     if axes is not None and axes.unit is not None:
-        longer, other = ("odometry", "true poses") if axes.length_ratio > 1 else ("true poses", "odometry")
+        longer, other = ("odometry", "the true poses") if axes.length_ratio > 1 else ("the true poses", "odometry")
         unit = f"in {axes.unit}" if axes.unit != "another unit" else "in another unit"
         yield (
             f"check units: by {longer} the camera moves {max(axes.length_ratio, 1 / axes.length_ratio):.4g} times as"

@@ -62,10 +62,11 @@ def said_of_colours(recordings: Mapping[str, Colours]) -> list[str]:
     if 2 * len(found) >= len(shares):
         return [
             f"{_listed(shares)} do not have the same colours: red and blue of some are swapped (BGR that is said to be"
-            " RGB, or the reverse)"
+            " RGB, or the reverse), or their white balance is another"
         ]
     return [
-        f"{name}: red and blue are swapped, beside the other recordings (BGR that is said to be RGB, or the reverse)"
+        f"{name}: red and blue are swapped, beside the other recordings (BGR that is said to be RGB, or the reverse),"
+        " or its white balance is another"
         for name in found
     ]
 

@@ -58,9 +58,9 @@ class ViewCheck:
         by: Whose poses.
         pairs: How many pairs of images were compared.
         residual: Median distance of what is seen from where it should be, in focal lengths.
-        orientations: Keys of `ORIENTATIONS` with which the images fit the poses about equally well: one of them is how
-            it is. `AS_STATED` among them says that nothing is wrong.
-        residual_turned: With the best of these.
+        orientations: Keys of `ORIENTATIONS` with which the images fit the poses about equally well, the best first: one
+            of them is how it is. None where images and poses do not agree whichever way they are turned.
+        residual_turned: With the best of all orientations.
         focal: The focal length over the stated one, where that is clearly another; None where it is not, or none is
             stated.
     """
@@ -96,13 +96,16 @@ class Views:
         """The next frame."""
         first, step = self._first, frame.odometry
         if first is not None and frame.sequence != self._sequence:
-            first, step = None, None
+            first, step, self._earliest_s = None, None, -np.inf
         if step is None:  # what is before and what is after are not connected by odometry
             self._by_odometry, first = Poses.identity(), None if first is None else first._replace(odometry=None)
         else:
             self._by_odometry = self._by_odometry @ step.previous_from_current
         view = _View(frame.time_ns, frame.image, frame.camera, frame.world_from_camera, self._by_odometry, [])
         self._first, self._sequence = view, frame.sequence
+        if first is not None and first.truth is not None and step is None and view.truth is None:
+            self._first = first  # a later image may have a true pose again
+            return
         motions = {} if first is None else first.motions_to(view)
         if first is None or not motions or not 0 <= (view.time_ns - first.time_ns) * 1e-9 <= _WITHIN_S:
             return
@@ -258,18 +261,27 @@ def _projected(rays: Float64[np.ndarray, "p m 3"]) -> Float64[np.ndarray, "p m 2
 def _check(by: By, pairs: Sequence[Pair]) -> ViewCheck:
     residuals, motions = Residuals(pairs), Poses.stack([pair.motions[by] for pair in pairs])
     known = all(pair.known_focal for pair in pairs)
-    scales = [1.0] if known else _FOCAL[::4].tolist()
-    means = {
-        name: min(float(residuals.of(motions, turn, focal).mean()) for focal in scales)
-        for name, turn in ORIENTATIONS.items()
-    }
-    best, as_stated = min(means.values()), means[AS_STATED]
-    fits = tuple(sorted((name for name in means if means[name] <= _AS_GOOD * best), key=means.__getitem__))
-    if best > _GOOD or best > _BETTER * as_stated:  # nothing fits clearly better
+
+    def means(scales: Sequence[float]) -> dict[str, float]:
+        return {
+            name: min(float(residuals.of(motions, turn, focal).mean()) for focal in scales)
+            for name, turn in ORIENTATIONS.items()
+        }
+
+    coarse = _FOCAL[::4].tolist()
+    found = means([1.0] if known else coarse)
+    as_stated = found[AS_STATED]
+    if known and min(found.values()) > _GOOD:  # through another lens, something may fit
+        found = means(coarse)
+    best = min(found.values())
+    fits = tuple(sorted((name for name in found if found[name] <= _AS_GOOD * best), key=found.__getitem__))
+    if best > _GOOD:
+        return ViewCheck(by, len(pairs), as_stated, (), best, None)
+    if best > _BETTER * found[AS_STATED]:  # nothing fits clearly better
         fits = (AS_STATED,)
     turn = ORIENTATIONS[fits[0]]
     focal = _focal([residuals.of(motions, turn, focal) for focal in _FOCAL]) if known else None
-    return ViewCheck(by, len(pairs), as_stated, fits, means[fits[0]], focal)
+    return ViewCheck(by, len(pairs), as_stated, fits, found[fits[0]], focal)
 
 
 def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
@@ -279,35 +291,62 @@ def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
         name: Of the recording.
         checks: Of `Views.checks`.
     """
+    right = [check for check in checks if check.is_right]
+    turned = [check for check in checks if check.orientations and not check.is_right]
+    apart = [check for check in checks if not check.orientations]
     said = []
-    wrong = [check for check in checks if not check.is_right]
-    if wrong:
-        worst, who = wrong[0], " and ".join(check.by for check in wrong)
-        shared = [o for o in worst.orientations if all(o in check.orientations for check in wrong)]
-        other = next((check.by for check in checks if check.is_right), None)
-        left_handed = f"the {worst.by} {'are' if worst.by == 'true poses' else 'is'} left-handed"
-        phrases: dict[str, None] = {}
-        for orientation in shared or worst.orientations:
-            if np.linalg.det(ORIENTATIONS[orientation]) > 0 or len(wrong) > 1:
-                phrases[orientation] = None
-            elif other is not None:
-                phrases[left_handed] = None
-            else:
-                phrases |= {orientation: None, left_handed: None}
-        likely = " or ".join(phrases)
-        fine = f", while {other} and images agree" if other is not None else ""
+    if turned:
+        said.append(f"{name}: {_what_is_turned(turned, right)}")
+    if apart:
+        others = f", while {right[0].by} and images agree" if right else ""
         said.append(
-            f"{name}: {likely}, as images move against {who}{fine} ({np.degrees(worst.residual_turned):.1f}° off so,"
-            f" {np.degrees(worst.residual):.1f}° as stated): correct images, poses or where the camera sits (tf,"
-            " --base-from-camera)"
+            f"{name}: images do not move as {_by(apart)} say{'' if _plural(apart) else 's'}, whichever way they are"
+            f" turned ({np.degrees(apart[0].residual_turned):.1f}° off){others}: are these of one recording, by one"
+            " clock, and of this camera?"
         )
-    focal = next((check.focal for check in checks if check.focal is not None), None)
+    focals = {check.by: check.focal for check in checks if check.orientations}
+    focal = focals.get("true poses", focals.get("odometry"))
     if focal is not None:
+        other = " or odometry tells turns too large or too small" if "true poses" not in focals else ""
         said.append(
-            f"{name}: the intrinsics are wrong: what images show moves as through a focal length {focal:.2f} times the"
-            " stated one: check camera_info, and whether images were scaled or cropped"
+            f"{name}: the intrinsics are wrong{other}: what images show moves as through a focal length {focal:.2f}"
+            " times the stated one: check camera_info or intrinsics.json, and whether images were scaled or cropped"
+        )
+    elif (scale := focals.get("odometry")) is not None:
+        said.append(
+            f"{name}: odometry tells turns {'too large' if scale < 1 else 'too small'}: what images show fits true"
+            f" poses, and with odometry only a focal length {scale:.2f} times the stated one"
         )
     return said
+
+
+def _what_is_turned(turned: Sequence[ViewCheck], right: Sequence[ViewCheck]) -> str:
+    """How images or poses are turned, by whom, and what to correct."""
+    worst = turned[0]
+    shared = [o for o in worst.orientations if all(o in check.orientations for check in turned)]
+    poses = "the true poses" if worst.by == "true poses" else "the poses of odometry"
+    phrases: dict[str, None] = {}
+    for orientation in shared or worst.orientations:
+        mirrored = np.linalg.det(ORIENTATIONS[orientation]) < 0
+        if not mirrored or not right:
+            phrases[orientation if len(turned) > 1 else orientation.replace("the poses", poses)] = None
+        if mirrored and len(turned) == 1:
+            phrases[f"{poses} are left-handed"] = None
+    fine = f", while {right[0].by} and images agree" if right else ""
+    correct = f"{poses} or where the camera sits" if right else "images, poses or where the camera sits"
+    return (
+        f"{' or '.join(phrases)}, as images move against {_by(turned)}{fine}"
+        f" ({np.degrees(worst.residual_turned):.1f}° off so, {np.degrees(worst.residual):.1f}° as stated): correct"
+        f" {correct} (tf, --base-from-camera)"
+    )
+
+
+def _by(checks: Sequence[ViewCheck]) -> str:
+    return " and ".join(check.by for check in checks)
+
+
+def _plural(checks: Sequence[ViewCheck]) -> bool:
+    return len(checks) > 1 or checks[0].by == "true poses"
 
 
 def _focal(residuals: Sequence[np.ndarray]) -> float | None:

@@ -59,6 +59,38 @@ def test_rows_that_cannot_be_used_are_left_out_and_counted(write, tmp_path: Path
     assert f"2 of {len(TIMES_NS)} poses left out, the first: {file}:{first + 4}: " in rows.notices[0]
 
 
+@pytest.mark.parametrize("write", [as_tum, as_euroc])
+@pytest.mark.parametrize("row", [0, 5])
+def test_one_stamp_in_the_future_is_left_out_and_none_behind_it(write, row: int, tmp_path: Path) -> None:
+    file = write(tmp_path)
+    lines = file.read_text().splitlines()
+    at = row + int(lines[0].startswith("#"))
+    lines[at] = f"29{lines[at][2:]}"
+    file.write_text("\n".join(lines))
+    found = read_pose_table(file, rows=(rows := Rows("poses")))
+    np.testing.assert_array_equal(found.times_ns, np.delete(TIMES_NS, row))
+    assert f"1 of {len(TIMES_NS)} poses left out, the first: {file}:{at + 1}: time 29" in rows.notices[0]
+
+
+@pytest.mark.parametrize("first", ["time tx ty tz qx qy qz qw", "1.0 2.0 3.0"])
+def test_a_header_or_a_first_line_that_was_cut_is_passed_over(first: str, tmp_path: Path) -> None:
+    file = as_tum(tmp_path)
+    file.write_text(f"{first}\n{file.read_text()}")
+    found = read_pose_table(file, rows=Rows("poses"))
+    np.testing.assert_array_equal(found.times_ns, TIMES_NS)
+
+
+def test_a_table_between_semicolons_is_read_by_the_names_of_its_columns(tmp_path: Path) -> None:
+    file = as_tum(tmp_path)
+    file.write_text(file.read_text().replace(" ", "; "))
+    with pytest.raises(
+        SequenceError, match=r"poses\.tum:1: 8 columns, expected .* the names of its columns \(--columns;"
+    ):
+        read_pose_table(file)
+    found = read_pose_table(file, columns="time,tx,ty,tz,qx,qy,qz,qw")
+    np.testing.assert_allclose(found.poses.as_matrix(), TRACK.poses.as_matrix(), atol=2e-9)
+
+
 @pytest.mark.parametrize("write", FORMATS)
 def test_a_file_gives_a_recording_its_true_poses(write, walk: Path, tmp_path: Path) -> None:
     options = SequenceOptions(poses=write(tmp_path), ground_truth_child_frame="base_link")

@@ -14,7 +14,7 @@ from sequences.scenes.staircase.walk import walk_stairs
 from sequences.trajectories.interpolation import interpolate
 from sequences.writer import SequenceWriter
 from tests.helpers.full import some
-from tests.helpers.inspected import BEGIN_NS, CAMERA, LEVEL, SECOND, panorama, scenery
+from tests.helpers.inspected import BEGIN_NS, CAMERA, LEVEL, SECOND, panorama, scenery, write
 from vapor.inspection.inspect import inspect
 from vapor.inspection.odometry import OdometryCheck, check_odometry
 from vapor.inspection.verdict import verdict
@@ -113,9 +113,12 @@ def test_a_left_handed_frame_is_named_and_no_turn(across):
     [
         (
             1e-3,
-            "by odometry the camera moves (99.|1...).* times as far as by true poses, .* were in millimetres",
+            "by odometry the camera moves (99.|1...).* times as far as by the true poses, .* were in millimetres",
         ),
-        (1e3, "by true poses the camera moves (99.|1...).* times as far as by odometry, .* poses were in millimetres"),
+        (
+            1e3,
+            "by the true poses the camera moves (99.|1...).* times as far as by odometry, .* were in millimetres",
+        ),
         (1e-2, "in centimetres"),
         (0.3048, "in feet"),
         (1 / 7.3, "in another unit"),
@@ -210,4 +213,26 @@ OFF = (r"\d+ ms early", r"\d+ ms late")
 def test_images_whose_view_does_not_shift_as_the_camera_turns_tell_no_clock(tmp_path):
     found = inspect([clocked(tmp_path / "w.mcap", image=lambda _: scenery(0), images=0.5)])
     assert [clock.late_ms for clock in found.clocks] == [None]
-    assert not any("clock" in sentence or "against" in sentence for sentence in found.verdict)
+    assert not any("against" in sentence for sentence in found.verdict)
+    assert found.verdict[0].startswith(
+        "w.mcap: images do not move as true poses and odometry say, whichever way they are"
+    )
+
+
+@pytest.mark.usefixtures("unchecked", "no_odometry_fit")
+@pytest.mark.parametrize("seconds", [6.0, 9.0, 12.0])
+def test_few_pairs_of_images_tell_a_clock_or_nothing_and_no_warning(seconds, tmp_path):
+    found = inspect([clocked(tmp_path / "w.mcap", seconds=seconds, images=-0.4)])
+    (clock,) = found.clocks
+    assert clock.late_ms is None or clock.late_ms == pytest.approx(-400.0, abs=20.0)
+
+
+@pytest.mark.usefixtures("unchecked", "no_odometry_fit")
+def test_half_a_period_late_and_upside_down_are_both_named_of_a_camera_that_pans_to_and_fro(tmp_path):
+    turns = 0.6 * np.sin(np.arange(300) * 0.1 * np.pi / 2)  # 4 s
+    pans = Poses.exp(np.stack([0 * turns, 0 * turns, 0 * turns, 0 * turns, 0 * turns, turns], axis=1))
+    path = pans @ Poses(LEVEL, np.zeros(3))
+    late = inspect([write(tmp_path / "w.mcap", path, image=lambda i: panorama(path[max(i - 20, 0)]))])
+    assert re.match(r"the images of w\.mcap are \d+ ms (late|early) against the odometry", late.verdict[0])
+    assert late.verdict[1].startswith("or else, with clocks as they are: w.mcap: ")
+    assert "the images are upside down" in late.verdict[1]

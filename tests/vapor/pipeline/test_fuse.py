@@ -20,6 +20,7 @@ from sequences.odometry import OdometryNoise
 from sequences.trajectories.tum import read_tum, write_tum
 from tests.helpers.pose_text import FRAMES, file_of, hypotheses, moved, noisy, walk, write_named
 from tests.helpers.simulation import ERRORS
+from vapor.evaluation.run_directory import evaluate_directory
 from vapor.pipeline.estimate_model import EstimateConfig, EstimateModel, errors_of
 from vapor.track import main
 from vapor.tracking.methods import FILES
@@ -115,6 +116,33 @@ def test_names_that_do_not_match_are_told_of_both_files(tmp_path, truth):
     other = file_of(tmp_path / "other.txt", {f"walk/{i}.png": pose for i, pose in enumerate(walk().values())})
     with pytest.raises(SequenceError, match=r"other.txt has 120 names such as 'walk/0', .*truth.txt has 120 names"):
         EstimateSequence([truth, other], odometry=truth, options=BACK)
+
+
+def test_each_file_has_a_clock_of_its_own_though_some_stamps_coincide(tmp_path):
+    turns = 0.03 * np.random.default_rng(0).standard_normal((40, 3)).repeat(10, axis=0)
+    poses = Poses.exp(np.cumsum(np.concatenate([np.full((400, 3), 0.01), turns], axis=1), axis=0))
+    times_ns = 10**18 + np.arange(400) * 50_000_000
+    for name, late_ns in (("odometry", 0), ("exact", 0), ("late", 300_000_000)):  # of six frames
+        write_tum(tmp_path / f"{name}.tum", Trajectory(times_ns + late_ns, poses))
+    files = [tmp_path / "exact.tum", tmp_path / "late.tum"]
+    told = EstimateSequence(files, odometry=tmp_path / "odometry.tum", options=EstimateOptions())
+    (notice,) = told.notices
+    assert "late.tum: rotations say that its clock differs: -0.30 s" in notice
+    found = EstimateSequence(files, odometry=tmp_path / "odometry.tum", options=EstimateOptions(time_offset_s="auto"))
+    assert ["time offset -0.300" in each for each in found.notices] == [False, True]
+
+
+def test_columns_of_no_file_are_refused(tmp_path):
+    with pytest.raises(SequenceError, match="--ground-truth-columns without --ground-truth"):
+        EstimateSequence(
+            [tmp_path / "a.txt"],
+            odometry=tmp_path / "b.txt",
+            options=EstimateOptions(ground_truth_columns="time tx ty tz qx qy qz qw"),
+        )
+    with pytest.raises(SequenceError, match="--odometry-columns: columns: 'x' in 'x'"):
+        EstimateOptions(odometry_columns="x")
+    with pytest.raises(VaporTrackError, match="--columns without --ground-truth"):
+        evaluate_directory(tmp_path, columns="time tx ty tz qx qy qz qw")
 
 
 @pytest.mark.parametrize("form", ["cam0/{0}{1:09d}.png", "rgb/{0}.{1:09d}.png"])

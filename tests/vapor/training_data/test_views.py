@@ -67,10 +67,13 @@ IN_IMAGES = {
 OPENGL = Poses(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 IN_POSES = {
     "left-handed": (left_handed, "the true poses are left-handed"),
-    "of OpenGL": (lambda pose: pose @ OPENGL, "the poses have OpenGL's axes (y up, z back) instead of the camera's"),
+    "of OpenGL": (
+        lambda pose: pose @ OPENGL,
+        "the true poses have OpenGL's axes (y up, z back) instead of the camera's",
+    ),
     "of a body": (
         lambda pose: pose @ BASE_FROM_CAMERA.inverse(),
-        "the poses are of a body that looks along its x instead of the camera",
+        "the true poses are of a body that looks along its x instead of the camera",
     ),
 }
 
@@ -125,8 +128,47 @@ def test_images_that_show_nothing_of_the_motion_tell_nothing(frames):
     rng = np.random.default_rng(0)
     anything = [replace(f, image=rng.integers(0, 256, f.image.shape, np.uint8)) for f in frames]
     assert checked(anything) == []
-    assert said_of_views("w", checked([replace(frame, image=frames[0].image) for frame in frames])) == []
     assert checked([replace(frame, odometry=None, world_from_camera=None) for frame in frames]) == []
+
+
+@pytest.mark.parametrize("change", [lambda i, frames: frames[0].image, lambda i, frames: frames[-1 - i].image])
+def test_images_that_follow_no_pose_are_told(change, frames):
+    others = [replace(frame, image=change(i, frames)) for i, frame in enumerate(frames)]
+    (sentence,) = said_of_views("w", checked(others))
+    assert sentence.startswith("w: images do not move as true poses and odometry say, whichever way they are turned (")
+    alone = [replace(frame, odometry=None) for frame in others]
+    (sentence,) = said_of_views("w", checked(alone))
+    assert sentence.startswith("w: images do not move as true poses say, whichever")
+
+
+def test_odometry_that_turns_too_little_is_told_by_true_poses_and_is_no_lens(frames):
+    def slower(step: Odometry | None) -> Odometry | None:
+        if step is None:
+            return None
+        return replace(step, previous_from_current=Poses.exp(0.8 * step.previous_from_current.log()))
+
+    less = [replace(frame, odometry=slower(frame.odometry)) for frame in frames]
+    (sentence,) = said_of_views("w", checked(less))
+    assert sentence.startswith("w: odometry tells turns too small: what images show fits true poses, and with odometry")
+    (sentence,) = said_of_views("w", checked([replace(frame, world_from_camera=None) for frame in less]))
+    assert sentence.startswith("w: the intrinsics are wrong or odometry tells turns too large or too small: ")
+
+
+def test_upside_down_through_another_lens_is_told_as_both(frames):
+    lens = replace(CAMERA, fx=0.7 * CAMERA.fx, fy=0.7 * CAMERA.fy)
+    turned = [replace(shown(lambda image: image[::-1, ::-1])(frame), camera=lens) for frame in frames]
+    orientation, focal = said_of_views("w", checked(turned))
+    assert "the images are upside down" in orientation
+    assert "focal length 1.4" in focal
+
+
+def test_true_poses_of_every_other_image_are_enough(frames):
+    seldom = [
+        replace(frame, odometry=None, world_from_camera=frame.world_from_camera if i % 2 else None)
+        for i, frame in enumerate(frames)
+    ]
+    (check,) = checked(seldom)
+    assert check.is_right
 
 
 @pytest.mark.parametrize(
