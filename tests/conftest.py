@@ -3,7 +3,7 @@
 import gc
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -119,6 +119,7 @@ def _light_roughly(monkeypatch: pytest.MonkeyPatch) -> None:
 
     build = Scene.build
 
+    @wraps(build)
     def build_roughly(scene: Scene, split: str, seed: int) -> "LitScene":
         return build(scene if scene.changes else _roughly_lit(scene), split, seed)
 

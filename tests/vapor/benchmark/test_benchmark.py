@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from filtering.localizer import ParticleLocalizer
+from sequences.scenes.scene import Scene
 from tests.helpers.checks import no_checks
 from tests.helpers.full import full
 from tests.helpers.pages import ReadPage
@@ -236,12 +237,13 @@ def test_the_filter_that_was_changed_is_run_again(folder, tiny_model, calls, mon
 
 
 @full
-def test_processes_give_the_results_of_one(folder, tiny_model, tmp_path):
+def test_processes_give_the_results_of_one(tiny_model, tmp_path, monkeypatch):
+    monkeypatch.setattr(Scene, "build", Scene.build.__wrapped__)  # other processes know no rough light
     asked = ("--kinds", "cue", "no-cue")
-    assert run(folder, tiny_model, *asked) == 0
-    alone = json.loads((folder / "summary.json").read_text())["runs"]
-    assert run(tmp_path, tiny_model, *asked, "--workers", "2") == 0
-    together = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    assert run(tmp_path / "alone", tiny_model, *asked) == 0
+    alone = json.loads((tmp_path / "alone" / "summary.json").read_text())["runs"]
+    assert run(tmp_path / "together", tiny_model, *asked, "--workers", "2") == 0
+    together = json.loads((tmp_path / "together" / "summary.json").read_text())["runs"]
     assert len(together) == 2
     for ours, theirs in zip(alone, together, strict=True):
         assert ours | {"step_ms": 0} == theirs | {"step_ms": 0}
