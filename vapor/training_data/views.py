@@ -19,7 +19,7 @@ _WIDTH_PX = 320  # at which images are compared
 _FEATURES, _RATIO, _LEAST_MATCHES, _MOST_MATCHES = 400, 0.75, 25, 100
 _TURNS_RAD, _TURNS_TOO_FAR_RAD, _MOVES_M, _WITHIN_S = 0.12, 0.4, 0.3, 2.0  # from one image of a pair to the other
 _MOST_PAIRS, _LEAST_PAIRS = 25, 8
-_NEAREST_M = 0.3  # that anything is from the camera
+_NEAREST_M = 0.3  # that anything is from the camera, or the length of a long motion between two images if less
 _CAP = 0.1  # of a residual, focal lengths
 _FOCAL = np.geomspace(0.5, 2.0, 29)
 _LOG_FOCAL, _DRAWS = np.log(_FOCAL), 100
@@ -245,7 +245,9 @@ class Residuals:
         first, second = self._seen / focal
         rotations = turn.T @ motions.rotation @ turn
         rays = np.concatenate([first, np.ones((*first.shape[:2], 1))], axis=2) @ np.swapaxes(rotations, 1, 2)
-        moved = motions.translation @ turn / _NEAREST_M
+        lengths = np.linalg.norm(motions.translation, axis=1)
+        nearest = max(min(_NEAREST_M, float(np.quantile(lengths, 0.9))), 1e-9)  # of a small scene what moves say
+        moved = motions.translation @ turn / nearest
         far, near = _projected(rays), _projected(rays + moved[:, None])
         along = near - far
         fraction = np.sum((second - far) * along, axis=2) / np.maximum(np.sum(along**2, axis=2), 1e-12)

@@ -171,6 +171,14 @@ def test_true_poses_of_every_other_image_are_enough(frames):
     assert check.is_right
 
 
+@pytest.mark.parametrize("scale", [1 / 30, 30.0])
+def test_a_real_place_may_be_of_any_size(scale, shared_data: Path):
+    """The same images, as if of a desk of some centimetres, or as large as a square."""
+    real = list(posed_frames(shared_data / "tum_fr1" / "rgbd_dataset_freiburg1_xyz"))
+    scaled = [posed(lambda p: Poses(p.rotation, scale * p.translation))(frame) for frame in real]
+    assert said_of_views("w", checked(scaled)) == []
+
+
 @pytest.mark.parametrize(
     ("folder", "focal"),
     [("7scenes_redkitchen", 0.89), ("hololens_rooms", None), ("tum_fr1/rgbd_dataset_freiburg1_rpy", None)],
