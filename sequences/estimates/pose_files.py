@@ -14,7 +14,8 @@ from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.files.rows import Rows
-from sequences.trajectories.columns import Columns, fields_of, pose_rows, stamp_ns, stamp_of, typical
+from sequences.trajectories.columns import Columns, stamp_ns, stamp_of
+from sequences.trajectories.pose_lines import fields_of, pose_rows, typical
 from sequences.trajectories.pose_tables import read_pose_table
 from sequences.values import is_number, natural, parse_frame_number, parse_number
 
@@ -151,11 +152,11 @@ def _read_row(line: str, where: str, columns: Columns, stamped: bool, first: tup
 
 def _first_row(path: Path, columns: str | None) -> tuple[int, str]:
     """Number and text of the first usual line. Raises SequenceError where there is none, or the file cannot be read."""
-    lines = pose_rows(path)
-    if not lines:
+    found = typical(pose_rows(path))
+    if found is None:
         expected = f"`{COLUMNS}`, or of a trajectory" if columns is None else f"`{columns}`"
         raise SequenceError(f"{path}: no poses, expected lines of {expected}")
-    return typical(lines)
+    return found
 
 
 def frames_by(path: Path, columns: str | None = None) -> tuple[FramesBy, str]:

@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from math import hypot, isnan
-from pathlib import Path
-
-import numpy as np
-from jaxtyping import Float64, Int64
+from functools import cached_property
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.files.rows import Rows
-from sequences.files.text import read_rows
-from sequences.values import LARGEST, is_number, parse_numbers, parse_time_ns
+from sequences.trajectories.pose_lines import fields_of, usable_pose
+from sequences.values import parse_numbers, parse_time_ns
 
 _POSE = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _IGNORED = "_"
-_LEAST_FIELDS = 8  # of a row of a pose with its time or name
-_SHORTEST = 1e-6  # of a quaternion that says how a pose is turned
 _EXPECTED = f"name or time, {' '.join(_POSE)}, and perhaps weight, each once; {_IGNORED} for what is ignored"
 
 
@@ -40,8 +30,7 @@ class Columns:
     text: str
 
     def __post_init__(self) -> None:
-        names = fields_of(self.text)
-        stated = [name for name in names if name != _IGNORED]
+        stated = [name for name in self._names if name != _IGNORED]
         for name in stated:
             if name not in ("name", "time", *_POSE, "weight"):
                 raise SequenceError(f"columns: {quoted(name)} in {quoted(self.text)}, expected {_EXPECTED}")
@@ -49,27 +38,31 @@ class Columns:
         if missing or len(set(stated)) < len(stated) or ("name" in stated) == ("time" in stated):
             raise SequenceError(f"columns are {quoted(self.text)}, expected {_EXPECTED}")
 
+    @cached_property
+    def _names(self) -> list[str]:
+        return fields_of(self.text)
+
     @property
     def timed(self) -> bool:
         """Whether frames go by their time, not by a name."""
-        return "time" in fields_of(self.text)
+        return "time" in self._names
 
     @property
     def weighted(self) -> bool:
         """Whether poses have weights."""
-        return "weight" in fields_of(self.text)
+        return "weight" in self._names
 
     @property
     def frame(self) -> int:
         """Which column holds the name or the time."""
-        return fields_of(self.text).index("time" if self.timed else "name")
+        return self._names.index("time" if self.timed else "name")
 
     def read(self, line: str, where: str) -> dict[str, str]:
         """Fields of a line by their names. Raises SequenceError where it has too few; `where` begins the message."""
-        fields, names = fields_of(line), fields_of(self.text)
-        if len(fields) < len(names):
-            raise SequenceError(f"{where}: {len(fields)} columns, expected the {len(names)} of `{self.text}`")
-        return dict(zip(names, fields, strict=False))
+        fields = fields_of(line)
+        if len(fields) < len(self._names):
+            raise SequenceError(f"{where}: {len(fields)} columns, expected the {len(self._names)} of `{self.text}`")
+        return dict(zip(self._names, fields, strict=False))
 
     def pose(self, fields: dict[str, str], where: str) -> list[float]:
         """`tx ty tz qx qy qz qw` of a line, the quaternion of any length.
@@ -88,100 +81,6 @@ def require_columns(option: str, columns: str | None) -> None:
             Columns(columns)
     except SequenceError as error:
         raise SequenceError(f"{option}: {error}") from error
-
-
-def fields_of(line: str) -> list[str]:
-    """What stands between spaces, commas or semicolons."""
-    return line.replace(",", " ").replace(";", " ").split()
-
-
-def pose_rows(path: Path) -> list[tuple[int, str]]:
-    """Lines of a file of poses with their numbers, without comments and without a first line that is a header.
-
-    Raises:
-        SequenceError: as `read_lines`.
-    """
-    rows = list(read_rows(path))
-    if rows and len(fields_of(rows[0][1])) >= _LEAST_FIELDS and not any(map(is_number, fields_of(rows[0][1]))):
-        rows = rows[1:]
-    return rows
-
-
-def typical(rows: Sequence[tuple[int, str]]) -> tuple[int, str]:
-    """The first of a file's rows, at least one, that has as many fields as most of the first hundred."""
-    counts = Counter(len(fields_of(line)) for _, line in rows[:100])
-    most = max(counts, key=counts.__getitem__)
-    return next(row for row in rows if len(fields_of(row[1])) == most)
-
-
-def read_increasing(
-    path: Path,
-    lines: Iterable[tuple[int, str]],
-    rows: Rows,
-    read: Callable[[str, str], tuple[int, list[float]]],
-) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, "n 7"]]:
-    """Stamps that increase, and rows `tx ty tz qx qy qz qw`.
-
-    Args:
-        path: The file.
-        lines: Its lines, with their numbers.
-        rows: Counts those that cannot be used; of stamps that do not increase those that most others disagree with.
-        read: The stamp, ns, and the row of a line; it takes the line, and what messages of errors begin with.
-
-    Raises:
-        SequenceError: as `Rows`.
-    """
-    numbers: list[int] = []
-    times_ns: list[int] = []
-    values: list[list[float]] = []
-    for number, line in rows.each(lines):
-        row = rows.use(read, line, f"{path}:{number}")
-        if not isinstance(row, str):
-            numbers.append(number)
-            times_ns.append(row[0])
-            values.append(row[1])
-    kept = _in_order(times_ns) if rows.tolerant else []
-    odd = sorted({*range(len(times_ns))} - {*kept}) if rows.tolerant else range(len(times_ns))
-    for i in odd:
-        before_ns = None if i == 0 else times_ns[i - 1]
-        if rows.tolerant or (before_ns is not None and times_ns[i] <= before_ns):
-            rows.use(_refuse_time, times_ns[i], f"{path}:{numbers[i]}")
-    for _ in rows.each(()):  # looks once more whether too many are left out
-        pass
-    kept = kept if rows.tolerant else range(len(times_ns))
-    return np.array([times_ns[i] for i in kept], np.int64), np.array([values[i] for i in kept]).reshape(-1, 7)
-
-
-def _refuse_time(time_ns: int, where: str) -> None:
-    raise SequenceError(f"{where}: time {time_ns} ns is not after the line before, expected increasing times")
-
-
-def _in_order(times_ns: Sequence[int]) -> list[int]:
-    """Which of the times make the longest series that increases."""
-    ends: list[int] = []  # of the series of each length, the index where the last time is smallest
-    before: list[int] = []
-    for i, time_ns in enumerate(times_ns):
-        at = bisect_left(ends, time_ns, key=lambda k: times_ns[k])
-        before.append(ends[at - 1] if at else -1)
-        ends[at : at + 1] = [i]
-    found, i = [], ends[-1] if ends else -1
-    while i >= 0:
-        found.append(i)
-        i = before[i]
-    return found[::-1]
-
-
-def usable_pose(row: list[float], where: str, columns: str) -> list[float]:
-    """The same row `tx ty tz qx qy qz qw`. Raises SequenceError where it is no pose; `where` begins the message."""
-    if not max(map(abs, row)) <= LARGEST or isnan(sum(row)):
-        raise SequenceError(
-            f"{where}: pose is not finite, or beyond {LARGEST:g}: {quoted(row)}, expected numbers `{columns}`"
-        )
-    if hypot(*row[3:]) < _SHORTEST:
-        raise SequenceError(
-            f"{where}: quaternion {quoted(row[3:])} has zero length, expected one that turns in `{columns}`"
-        )
-    return row
 
 
 def stamp_of(name: str) -> str | None:

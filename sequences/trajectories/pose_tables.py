@@ -15,7 +15,8 @@ from sequences.errors import SequenceError
 from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Trajectory
-from sequences.trajectories.columns import Columns, fields_of, pose_rows, read_increasing, stamp_ns, typical
+from sequences.trajectories.columns import Columns, stamp_ns
+from sequences.trajectories.pose_lines import fields_of, pose_rows, read_increasing, typical
 from sequences.trajectories.tum import read_tum
 from sequences.values import LARGEST, MAX_TIME_NS, parse_numbers, parse_time_ns, parse_whole
 
@@ -46,10 +47,11 @@ def read_pose_table(
             do not increase, or there are not as many times as poses.
     """
     path, rows = Path(path), rows or Rows(tolerant=False)
-    lines = pose_rows(path)
-    if not lines:
+    lines = list(pose_rows(path))
+    usual = typical(lines)
+    if usual is None:
         raise SequenceError(f"{path}: no poses, expected TUM text, EuRoC's data.csv or KITTI's poses")
-    number, line = typical(lines)
+    number, line = usual
     found = len(fields_of(line))
     if times is not None and (columns is not None or "," in line or found != 12):
         raise SequenceError(f"{path}:{number}: not KITTI's poses, expected {_KITTI}, or no --poses-times with them")

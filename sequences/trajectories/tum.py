@@ -13,7 +13,7 @@ from sequences.errors import SequenceError
 from sequences.files.rows import Rows
 from sequences.files.text import read_rows
 from sequences.frame import Trajectory
-from sequences.trajectories.columns import read_increasing, usable_pose
+from sequences.trajectories.pose_lines import read_increasing, usable_pose
 from sequences.values import parse_numbers, parse_time_ns
 
 _COLUMNS = "time tx ty tz qx qy qz qw"
