@@ -131,10 +131,9 @@ def compile_exported(model: ModelDescription, precision: Precision, threads: int
             f"{port.get_any_name()} {port.element_type.to_string()} {port.partial_shape}"
             for port in (*compiled.inputs, *compiled.outputs)
         )
-    except RuntimeError as error:  # of many lines, of which the last one says most
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+    except RuntimeError as error:
         raise CheckpointError(
-            f"{model.file}: OpenVINO cannot compile its network ({reason}), expected the file as written"
+            f"{model.file}: OpenVINO cannot compile its network ({last_line(error)}), expected the file as written"
         ) from error
     size, known = model.network, model.familiarity
     expected = f"image u8 [{size.image_height},{size.image_width},3], noise f32 [?,d], {_POSES}"
@@ -142,6 +141,11 @@ def compile_exported(model: ModelDescription, precision: Precision, threads: int
     if _NOISE.sub("noise f32 [?,d]", found) != expected:
         raise CheckpointError(f"{model.file}: its network has {found or 'no inputs'}; expected {expected}")
     return compiled
+
+
+def last_line(error: RuntimeError) -> str:
+    """Of the many lines of an error of OpenVINO the one that says most."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[-1]
 
 
 def compile_network(model: openvino.Model | Path, precision: Precision, threads: int) -> openvino.CompiledModel:

@@ -140,8 +140,9 @@ def _openvino(
         except RuntimeError as error:  # as on a processor without what the precision needs
             if not must:
                 return torch
+            reason = openvino_engine.last_line(error)
             raise VaporTrackError(
-                f"engine openvino: this processor cannot run the network in {precision} ({_last_line(error)}), expected"
+                f"engine openvino: this processor cannot run the network in {precision} ({reason}), expected"
                 " --engine torch, or another --precision"
             ) from error
     engine = openvino_engine.OpenVINOEngine(compiled)
@@ -150,11 +151,6 @@ def _openvino(
     if torch is not None and not must and not (faster and is_kept):
         return torch
     return engine
-
-
-def _last_line(error: RuntimeError) -> str:
-    """Of many lines the one that says most."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[-1]
 
 
 def _is_faster(engine: Engine, than: Engine, described: ModelDescription, threads: int) -> bool:

@@ -140,10 +140,9 @@ def _odometry(check: OdometryCheck, is_named: bool) -> Iterator[str]:
         )
     if axes is not None and axes.unit is not None:
         longer, other = ("odometry", "the true poses") if axes.length_ratio > 1 else ("the true poses", "odometry")
-        unit = f"in {axes.unit}" if axes.unit != "another unit" else "in another unit"
         yield (
             f"check units: by {longer} the camera moves {max(axes.length_ratio, 1 / axes.length_ratio):.4g} times as"
-            f" far as by {other}, as if {longer} were {unit} instead of metres"
+            f" far as by {other}, as if {longer} were in {axes.unit} instead of metres"
         )
     if fit is not None and abs(fit.scale) > max(_SCALE, _CERTAIN * fit.scale_error):
         far = "long" if fit.scale > 0 else "short"
