@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.special import gammaln
 
+from filtering.error_model import ErrorModel
 from filtering.hypotheses import POSE, Hypotheses, bias, blocks, concatenate, corrected_poses
 from filtering.moments import settle
 from filtering.posterior import PosePosterior
@@ -44,9 +45,10 @@ class Association:
 
 
 class _Pairs(NamedTuple):
-    """p pairs of a hypothesis and a place that are near each other.
+    """p pairs of a hypothesis and a place that are near each other, the places of one source.
 
     Attributes:
+        bias: Where in a state the lasting error of that source is.
         hypothesis, place: Indices, (p,).
         difference: Of the place from the hypothesis, (p, 6).
         innovation: The same from what the hypothesis expects, (p, 6).
@@ -58,6 +60,7 @@ class _Pairs(NamedTuple):
         log_density: Of the place, as the hypothesis expects it, (p,).
     """
 
+    bias: slice
     hypothesis: Int64[np.ndarray, " p"]
     place: Int64[np.ndarray, " p"]
     difference: Float64[np.ndarray, "p 6"]
@@ -70,7 +73,15 @@ class _Pairs(NamedTuple):
     log_density: Float64[np.ndarray, " p"]
 
 
-def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, novelty: float, way: float) -> Association:
+def associate(
+    belief: Hypotheses,
+    posterior: PosePosterior,
+    camera: int,
+    *,
+    novelty: float,
+    way: float,
+    landmarks: tuple[int, float] | None = None,
+) -> Association:
     """Weigh and correct a belief by an image that says something.
 
     *Which place.* A hypothesis is as possible as the places near it are, where near leaves details aside; its weight
@@ -86,21 +97,31 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
     Args:
         belief: n hypotheses.
         posterior: Of the image.
-        camera: Which camera took it.
+        camera: Which camera took it, by the number of its lasting error in the state.
         novelty: How new the view is, in [0, 1].
         way: How far the camera came since its last image, in lengths over which the errors of its images change.
+        landmarks: The same two of the places that landmarks have verified; None where the posterior has none.
     """
     errors, count = posterior.errors, len(belief)
-    pairs = _near_pairs(belief, posterior, camera, way)
-    near = posterior.weights[pairs.place] * np.exp(-0.5 * pairs.squared / PLACE**2)
-    support = np.bincount(pairs.hypothesis, near, minlength=count)
+    of_sources = [(camera, way), landmarks or (camera, way)]
+    parts_of = [
+        _near_pairs(belief, posterior, source, *of_sources[source])
+        for source in (0, 1)
+        if source == 0 or len(posterior.sources[source])
+    ]
+    hypothesis, place, squared, log_density = (
+        np.concatenate([getattr(pairs, name) for pairs in parts_of])
+        for name in ("hypothesis", "place", "squared", "log_density")
+    )
+    near = posterior.weights[place] * np.exp(-0.5 * squared / PLACE**2)
+    support = np.bincount(hypothesis, near, minlength=count)
     possible = support / (support + errors.possible_fraction)
     log_evidence = np.log(errors.outlier_probability + (1.0 - errors.outlier_probability) * possible)
 
     log_place_weights = np.log(np.maximum(posterior.weights, 1e-300))
-    log_seen = np.log1p(-errors.outlier_probability) + log_place_weights[pairs.place] + pairs.log_density
+    log_seen = np.log1p(-errors.outlier_probability) + log_place_weights[place] + log_density
     log_unseen = np.log(errors.outlier_probability) + errors.flat_log_density
-    log_total = _log_total(log_seen, pairs.hypothesis, log_unseen, count)
+    log_total = _log_total(log_seen, hypothesis, log_unseen, count)
     log_weights = belief.log_weights + novelty * log_evidence
     unseen = np.exp(log_unseen - log_total)
     aside = np.flatnonzero(unseen > _LEAST)
@@ -113,47 +134,58 @@ def associate(belief: Hypotheses, posterior: PosePosterior, camera: int, *, nove
             log_weights[aside] + np.log(unseen[aside]),
         )
     ]
-    log_fraction = log_seen - log_total[pairs.hypothesis]
-    taken = np.flatnonzero(log_fraction > np.log(_LEAST))
-    if len(taken):
-        part = log_weights[pairs.hypothesis[taken]] + log_fraction[taken]
-        parts.append(_corrected(belief, posterior, pairs, taken, camera, part))
+    log_fraction = log_seen - log_total[hypothesis]
+    begin = 0
+    for pairs in parts_of:
+        own = slice(begin, begin + len(pairs.place))
+        begin = own.stop
+        taken = np.flatnonzero(log_fraction[own] > np.log(_LEAST))
+        if len(taken):
+            part = log_weights[pairs.hypothesis[taken]] + log_fraction[own][taken]
+            parts.append(_corrected(belief, posterior, pairs, taken, part))
     agreement = float(belief.weights @ possible)
     return Association(concatenate(parts), log_evidence, agreement)
 
 
-def _near_pairs(belief: Hypotheses, posterior: PosePosterior, camera: int, way: float) -> _Pairs:
-    apart = belief.poses.squared_distances(posterior.means)
-    metres, radians = zip(apart, belief.variances, posterior.variances, strict=True)
+def _near_pairs(belief: Hypotheses, posterior: PosePosterior, source: int, number: int, way: float) -> _Pairs:
+    places, errors = posterior.sources[source], posterior.errors_of(source)
+    means, variances = posterior.means[places], [each[places] for each in posterior.variances]
+    apart = belief.poses.squared_distances(means)
+    metres, radians = zip(apart, belief.variances, variances, strict=True)
     h, k = np.nonzero(_within_gate(*metres) & _within_gate(*radians))
-    pairs = [_paired(belief, posterior, camera, way, h[block], k[block]) for block in blocks(max(len(h), 1))]
-    return pairs[0] if len(pairs) == 1 else _Pairs(*(np.concatenate(parts) for parts in zip(*pairs, strict=True)))
+    k = places[k]
+    pairs = [
+        _paired(belief, posterior, errors, bias(number), way, h[block], k[block]) for block in blocks(max(len(h), 1))
+    ]
+    if len(pairs) == 1:
+        return pairs[0]
+    return _Pairs(bias(number), *(np.concatenate(parts) for parts in list(zip(*pairs, strict=True))[1:]))
 
 
 def _paired(
     belief: Hypotheses,
     posterior: PosePosterior,
-    camera: int,
+    errors: ErrorModel,
+    own: slice,
     way: float,
     h: Int64[np.ndarray, " p"],
     k: Int64[np.ndarray, " p"],
 ) -> _Pairs:
-    errors = posterior.errors
     difference = belief.poses[h].between(posterior.means[k]).log()
-    with_pose, with_bias = belief.covariance[:, :, POSE][h], belief.covariance[:, :, bias(camera)][h]
-    lasting = belief.mean[:, _without_pose(camera)][h]
+    with_pose, with_bias = belief.covariance[:, :, POSE][h], belief.covariance[:, :, own][h]
+    lasting = belief.mean[:, _without_pose(own)][h]
     factor = np.sqrt(errors.lasting_fraction) * posterior.factors[k]
     noise = (1.0 - errors.lasting_fraction) * posterior.covariances[k]
     # What is measured is error of the pose + factor · bias + noise.
     innovation = difference - (factor @ lasting[:, :, None])[:, :, 0]
     joint = with_pose + with_bias @ np.swapaxes(factor, 1, 2)
-    information = np.linalg.inv(joint[:, POSE] + factor @ joint[:, bias(camera)] + noise)
+    information = np.linalg.inv(joint[:, POSE] + factor @ joint[:, own] + noise)
     squared = np.maximum(np.vecdot(innovation, (information @ innovation[:, :, None])[:, :, 0]), 0.0)
     log_det = -np.linalg.slogdet(information)[1]
     nu = errors.tail
     log_peak = gammaln((nu + 6) / 2) - gammaln(nu / 2) - 3 * np.log(nu * np.pi) - 0.5 * log_det
     # However little is known about where the camera is, it is in the map.
-    log_density = np.maximum(log_peak, errors.flat_log_density) - (nu + 6) / 2 * np.log1p(squared / nu)
+    log_density = np.maximum(log_peak, posterior.errors.flat_log_density) - (nu + 6) / 2 * np.log1p(squared / nu)
     larger = (nu + squared) / (nu + 6)
     far = np.flatnonzero(larger > UNUSUAL)
     if len(far):
@@ -162,7 +194,7 @@ def _paired(
         innovation[far] = difference[far]
         joint[far], factor[far], noise[far] = with_pose[far], 0.0, error
         information[far] = np.linalg.inv(with_pose[far][:, POSE] + error)
-    return _Pairs(h, k, difference, innovation, joint, factor, noise, information, squared, log_density)
+    return _Pairs(own, h, k, difference, innovation, joint, factor, noise, information, squared, log_density)
 
 
 def _corrected(
@@ -170,7 +202,6 @@ def _corrected(
     posterior: PosePosterior,
     pairs: _Pairs,
     taken: Int64[np.ndarray, " c"],
-    camera: int,
     log_weights: Float64[np.ndarray, " c"],
 ) -> Hypotheses:
     """Hypotheses corrected by the places that they are taken to see, as by a Kalman filter in Joseph's form.
@@ -187,7 +218,7 @@ def _corrected(
     for block in blocks(len(taken)):
         before, transposed = belief.covariance[parent[block]], np.swapaxes(gain[block], 1, 2)
         plain = before - gain[block] @ np.swapaxes(joint[block], 1, 2)
-        left = plain[:, :, POSE] + plain[:, :, bias(camera)] @ np.swapaxes(factor[block], 1, 2)
+        left = plain[:, :, POSE] + plain[:, :, pairs.bias] @ np.swapaxes(factor[block], 1, 2)
         left -= gain[block] @ noise[block]
         np.subtract(plain, left @ transposed, out=covariance[block])
         settle(covariance[block], np.einsum("nii->ni", before))
@@ -209,6 +240,5 @@ def _log_total(log_parts: np.ndarray, of: Int64[np.ndarray, " p"], log_rest: flo
     return largest + np.log(parts + np.exp(log_rest - largest))
 
 
-def _without_pose(camera: int) -> slice:
-    own = bias(camera)
+def _without_pose(own: slice) -> slice:
     return slice(own.start - 6, own.stop - 6)

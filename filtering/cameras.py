@@ -12,6 +12,7 @@ from filtering.motion import Odometry
 from filtering.novelty import ViewMeter
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
 
 
 @dataclass(frozen=True)
@@ -30,24 +31,66 @@ class View:
 
 
 @dataclass(frozen=True)
-class SeenCamera:
-    """A camera that was seen before.
+class Source:
+    """Where places come from that err alike: a camera's network, or the landmarks that its images show.
 
     Attributes:
-        number: Its place in the state of a hypothesis.
-        errors: How its images err.
-        meter: How far it came, in lengths over which the errors of its images last.
-        places: The same in lengths over which its images mistake one place for another.
-        reference_from_camera: Its extrinsics at its last image.
-        scale: Whether its images err more or less than their model says.
+        number: Of its lasting error in the state of a hypothesis.
+        errors: How its places err.
+        meter: How far the camera came, in lengths over which these errors last.
+        scale: Whether its places err more or less than their model says.
     """
 
     number: int
     errors: ErrorModel
     meter: ViewMeter
+    scale: ErrorScale
+
+    @staticmethod
+    def first_seen(errors: ErrorModel, number: int, *, unknown: float, adapts: bool) -> Source:
+        """A source before its first place counts; the camera may have come so many lengths since any view before."""
+        return Source(number, errors, ViewMeter(errors.length_m, errors.length_rad, unknown=unknown), ErrorScale(adapts))
+
+    @property
+    def applied(self) -> ErrorModel:
+        """How its places err, as odometry has shown lately."""
+        return self.scale.applied(self.errors)
+
+    @property
+    def unlinked(self) -> Source:
+        """The same where no image of before is compared with those that come."""
+        return replace(self, scale=replace(self.scale, place=None))
+
+    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[Source, float]:
+        """After a motion of which only the likely distance and angle are known; that way in lengths."""
+        meter, way = self.meter.across_gap(distance_m, angle_rad)
+        return replace(self.unlinked, meter=meter), way
+
+    def moved(self, odom: Odometry, camera_motion: Odometry) -> tuple[Source, float]:
+        """After a motion of the reference frame, and so of the camera; the way in lengths."""
+        meter, way = self.meter.moved(odom.previous_from_current)
+        return replace(self, meter=meter, scale=self.scale.moved(camera_motion, way)), way
+
+    def looked(self, posterior: PosePosterior) -> Source:
+        """After an image in which it has places."""
+        scale = self.scale.looked(posterior, self.meter.way)
+        return replace(self, meter=self.meter.looked()[0], scale=scale)
+
+
+@dataclass(frozen=True)
+class SeenCamera:
+    """A camera that was seen before.
+
+    Attributes:
+        sources: Where its images' places come from, by the numbers of `PosePosterior.sources`: its network, and the
+            landmarks if there is a map.
+        places: How far it came, in lengths over which its images mistake one place for another.
+        reference_from_camera: Its extrinsics at its last image.
+    """
+
+    sources: tuple[Source, ...]
     places: ViewMeter
     reference_from_camera: Poses
-    scale: ErrorScale
 
     @staticmethod
     def first_seen(view: View, number: int, *, unknown: float, adapts: bool) -> SeenCamera:
@@ -55,32 +98,62 @@ class SeenCamera:
 
         Args:
             view: Its first.
-            number: Its place in the state.
+            number: Of its first lasting error in the state.
             unknown: How far the camera may have come since any view before, in lengths.
             adapts: Whether odometry may say that its images err otherwise than modelled.
         """
         errors = view.posterior.errors
         longer = errors.mistaken_lengths
-        meter = ViewMeter(errors.length_m, errors.length_rad, unknown=unknown)
         places = ViewMeter(longer * errors.length_m, longer * errors.length_rad, unknown=unknown)
-        return SeenCamera(number, errors, meter, places, view.reference_from_camera, ErrorScale(adapts))
+        network = Source.first_seen(errors, number, unknown=unknown, adapts=adapts)
+        camera = SeenCamera((network,), places, view.reference_from_camera)
+        return camera.with_landmarks(view, number + 1, unknown=unknown, adapts=adapts)
 
-    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[SeenCamera, float]:
-        """After a motion of which only the likely distance and angle are known; that way in lengths."""
-        meter, way = self.meter.across_gap(distance_m, angle_rad)
+    def with_landmarks(self, view: View, number: int, *, unknown: float, adapts: bool) -> SeenCamera:
+        """The same with landmarks as a second source, where there is a map of them and they are not one yet."""
+        errors = view.posterior.errors.verified
+        if errors is None or len(self.sources) > 1:
+            return self
+        return replace(
+            self, sources=(*self.sources, Source.first_seen(errors, number, unknown=unknown, adapts=adapts))
+        )
+
+    @property
+    def errors(self) -> ErrorModel:
+        """How its images err, as odometry has shown lately."""
+        network = self.sources[0].applied
+        return network if len(self.sources) == 1 else unchecked_replace(network, verified=self.sources[1].applied)
+
+    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[SeenCamera, list[float]]:
+        """After a motion of which only the likely distance and angle are known; that way in lengths of each source."""
+        after = [source.across_gap(distance_m, angle_rad) for source in self.sources]
         places, _ = self.places.across_gap(distance_m, angle_rad)
-        return replace(self, meter=meter, places=places, scale=replace(self.scale, place=None)), way
+        return replace(self, sources=tuple(source for source, _ in after), places=places), [way for _, way in after]
 
     def seen_through(self, reference_from_camera: Poses) -> SeenCamera:
         """The same on its mount of now; where that was turned, no image of before is compared with those that come."""
         mount = self.reference_from_camera
         if mount is reference_from_camera or np.array_equal(mount.as_matrix(), reference_from_camera.as_matrix()):
             return self
-        return replace(self, reference_from_camera=reference_from_camera, scale=replace(self.scale, place=None))
+        sources = tuple(source.unlinked for source in self.sources)
+        return replace(self, reference_from_camera=reference_from_camera, sources=sources)
 
-    def moved(self, odom: Odometry) -> tuple[SeenCamera, float]:
-        """After a motion of the reference frame; the way in lengths."""
-        meter, way = self.meter.moved(odom.previous_from_current)
+    def moved(self, odom: Odometry) -> tuple[SeenCamera, list[float]]:
+        """After a motion of the reference frame; the way in lengths of each source."""
         places, _ = self.places.moved(odom.previous_from_current)
         motion = odom if self.reference_from_camera.is_identity else odom.of_another_frame(self.reference_from_camera)
-        return replace(self, meter=meter, places=places, scale=self.scale.moved(motion, way)), way
+        after = [source.moved(odom, motion) for source in self.sources]
+        return replace(self, sources=tuple(source for source, _ in after), places=places), [way for _, way in after]
+
+    def looked(self, posterior: PosePosterior, places: ViewMeter) -> SeenCamera:
+        """After an image; a source that has no place in it has not looked.
+
+        Args:
+            posterior: Of the image.
+            places: The meter after it.
+        """
+        sources = tuple(
+            source.looked(posterior.only(number)) if len(posterior.sources[number]) else source
+            for number, source in enumerate(self.sources)
+        )
+        return replace(self, sources=sources, places=places)

@@ -60,7 +60,7 @@ class LocalizerConfig:
     """Status is "converged" from this weight of the best mode on."""
     converged_std: float = 3.0
     """And with at most this standard deviation of its position along its widest axis, in those of an ordinary image's
-    error."""
+    error; of a verified place's where there is a map of landmarks, or the geometric mean of both errors."""
     converged_std_m: float | None = None
     """The same in metres, instead."""
     converged_map_fraction: float = 0.5
@@ -107,4 +107,6 @@ class LocalizerConfig:
         """The largest standard deviation of the position, along its widest axis, of a converged belief, metres."""
         if self.converged_std_m is not None:
             return self.converged_std_m
-        return min(self.converged_std * max(errors.typical_std[:3]), self.converged_map_fraction * errors.map_size_m)
+        ordinary, finest = (max(each.typical_std[:3]) for each in (errors, errors.finest))
+        widest = max(self.converged_std * finest, float(np.sqrt(finest * ordinary)))
+        return min(widest, self.converged_map_fraction * errors.map_size_m)

@@ -64,6 +64,9 @@ class ErrorModel:
     """The score of an image whose errors are as large as said here."""
     typical_std: Six = (0.07, 0.07, 0.07, 0.04, 0.04, 0.04)
     """Standard deviations of the error of an ordinary image: what makes a place, a mode, a converged estimate."""
+    verified: ErrorModel | None = None
+    """How places err that landmarks have verified: their spread, floor, tails, and how long that lasts; None without a
+    map of landmarks."""
 
     def __post_init__(self) -> None:
         require_within(
@@ -87,6 +90,8 @@ class ErrorModel:
             values = getattr(self, name)
             if len(values) != 6 or not all(0.0 < value < 1e9 for value in values):
                 raise VaporTrackError(f"{name} is {values}, expected six positive numbers: metres, then radians")
+        if self.verified is not None and self.verified.verified is not None:
+            raise VaporTrackError("verified places have verified places of their own, expected None")
 
     def covariance(self, samples: Float64[np.ndarray, "k 6 6"]) -> Float64[np.ndarray, "k 6 6"]:
         """Covariance Σ of the errors of clusters of samples with these covariances."""
@@ -101,8 +106,29 @@ class ErrorModel:
 
     @property
     def least_covariance(self) -> Float64[np.ndarray, "6 6"]:
-        """What is added to every belief: the errors that no number of images takes away."""
-        return self.constant_fraction * np.diag(np.square(self.typical_std))
+        """What is added to every belief at least: the errors that no number of images takes away."""
+        return self.constant_covariance(np.zeros((6, 6)))
+
+    @property
+    def finest(self) -> ErrorModel:
+        """Of the most exact places that images have: verified ones where there is a map of landmarks."""
+        return self.verified or self
+
+    def ordinary_std(self, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6"]:
+        """What counts as an ordinary error where a pose is known with a covariance (any batch).
+
+        With a map of landmarks: as much as is unknown, at least the error of a verified place, at most that of another.
+        """
+        if self.verified is None:
+            return np.broadcast_to(np.asarray(self.typical_std), covariance.shape[:-1])
+        std = np.sqrt(np.maximum(np.einsum("...ii->...i", covariance), 0.0))
+        finest = np.asarray(self.verified.typical_std)
+        return np.clip(std, finest, np.maximum(finest, self.typical_std))
+
+    def constant_covariance(self, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6 6"]:
+        """What is added to a belief with this covariance: the errors that no number of images takes away."""
+        variances = self.finest.constant_fraction * np.square(self.ordinary_std(covariance))
+        return variances[..., None] * np.eye(6)
 
     @property
     def map_size_m(self) -> float:
@@ -132,4 +158,5 @@ class ErrorModel:
             typical_std=typical,
             length_m=factor * self.length_m,
             flat_log_density=self.flat_log_density - 3.0 * float(np.log(factor)),
+            verified=None if self.verified is None else self.verified.scaled(factor),
         )

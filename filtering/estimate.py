@@ -28,11 +28,13 @@ class Mode:
         world_from_camera: One pose, the mean of the mode.
         covariance: Covariance of ξ = (v, ω), metres and radians, in the tangent at the mode (camera frame).
         weight: Fraction of the belief, in [0, 1].
+        verified: Whether it is a place of one image that landmarks have verified.
     """
 
     world_from_camera: Poses
     covariance: Float64[np.ndarray, "6 6"]
     weight: float
+    verified: bool = False
 
     @property
     def widest_std_m(self) -> float:
@@ -65,14 +67,14 @@ class ModeConfig:
             min_weight=(0.0, 1.0),
         )
 
-    def same_place(self, poses: Poses, pose: Poses, errors: ErrorModel) -> Bool[np.ndarray, "*n"]:
-        """Which poses (any batch) lie within the reach of a mode at another pose, along each of its camera's axes."""
-        return _within(pose.between(poses).log(), self.reach(errors))
+    def same_place(self, poses: Poses, mode: Mode, errors: ErrorModel) -> Bool[np.ndarray, "*n"]:
+        """Which poses (any batch) lie within the reach of a mode, along each of its camera's axes."""
+        return _within(mode.world_from_camera.between(poses).log(), self.reach(errors, mode.covariance))
 
-    def reach(self, errors: ErrorModel) -> Float64[np.ndarray, " 6"]:
-        """How far a mode reaches, along and about each of its camera's axes, metres and radians."""
-        reach = self.radius * np.asarray(errors.typical_std)
-        reach[3:] = np.minimum(np.maximum(reach[3:], self.least_rad), self.most_rad)
+    def reach(self, errors: ErrorModel, covariance: Float64[np.ndarray, "*n 6 6"]) -> Float64[np.ndarray, "*n 6"]:
+        """How far modes with these covariances reach, along and about each of their axes, metres and radians."""
+        reach = self.radius * errors.ordinary_std(covariance)
+        reach[..., 3:] = np.minimum(np.maximum(reach[..., 3:], self.least_rad), self.most_rad)
         return reach
 
 
@@ -126,12 +128,13 @@ def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -
     The heaviest hypothesis takes those in its place, then the heaviest of the rest, and so on. Mean and covariance are
     over a mode's own hypotheses only, with the errors that no number of images takes away.
     """
-    weights, reach = belief.weights, config.reach(errors)
+    weights = belief.weights
     least = min(config.min_weight, float(weights.max()))
     found: list[Int64[np.ndarray, " m"]] = []  # the hypotheses of each mode, the heaviest first
     offsets: list[Float64[np.ndarray, "m 6"]] = []  # of each from the heaviest
     free = np.argsort(-weights, kind="stable")
     while len(free) and weights[free].sum() >= least and len(found) < 2 * config.max_modes:
+        reach = config.reach(errors, belief.pose_covariance[free[0]])
         own, offset = _in_place_of_first(belief.poses[free], reach)
         found.append(free[own])
         offsets.append(offset)
@@ -140,7 +143,8 @@ def describe_modes(belief: Hypotheses, errors: ErrorModel, config: ModeConfig) -
     totals, means, covariances = mixture_moments(
         weights[members], np.concatenate(offsets), belief.pose_covariance[members], starts
     )
-    poses, covariances = belief.poses[members[starts]] @ Poses.exp(means), covariances + errors.least_covariance
+    poses = belief.poses[members[starts]] @ Poses.exp(means)
+    covariances = covariances + errors.constant_covariance(covariances)
     modes = [Mode(poses[k], covariances[k], weight) for k, weight in enumerate(totals.tolist())]
     modes.sort(key=lambda mode: -mode.weight)
     kept = [mode for mode in modes if mode.weight >= least]
@@ -170,4 +174,8 @@ def posterior_modes(posterior: PosePosterior) -> tuple[Mode, ...]:
     """The places of one image's posterior, by falling weight; none of an image without any."""
     order = np.argsort(-posterior.weights, kind="stable")
     total = max(float(posterior.weights.sum()), 1e-300)
-    return tuple(Mode(posterior.means[k], posterior.covariances[k], float(posterior.weights[k]) / total) for k in order)
+    verified = np.zeros(len(order), bool) if posterior.verified is None else posterior.verified
+    return tuple(
+        Mode(posterior.means[k], posterior.covariances[k], float(posterior.weights[k]) / total, bool(verified[k]))
+        for k in order
+    )

@@ -30,9 +30,9 @@ _WIDEST_RAD = 2.0  # standard deviation: all directions
 _LONGEST_S = 1e10  # three centuries, after which nothing more is forgotten
 
 
-def bias(camera: int) -> slice:
-    """Where in a state the lasting error of a camera's images is, in units of the error's own square root."""
-    return slice(13 + 6 * camera, 19 + 6 * camera)
+def bias(source: int) -> slice:
+    """Where in a state the lasting error of a source of places is, in units of the error's own square root."""
+    return slice(13 + 6 * source, 19 + 6 * source)
 
 
 def blocks(count: int) -> Iterator[slice]:
@@ -50,7 +50,7 @@ def log_sum(log_values: Float64[np.ndarray, " n"]) -> float:
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """n hypotheses. A state is the error of the pose (6), slow errors of odometry (7), and of each camera the bias (6).
+    """n hypotheses. A state is the error of the pose (6), slow errors of odometry (7), and of each source the bias (6).
 
     Attributes:
         poses: world_from_camera, batch (n,). The true pose is `poses @ exp(ξ)`, ξ the error of the pose, of mean 0.
@@ -116,14 +116,27 @@ def concatenate(parts: Sequence[Hypotheses]) -> Hypotheses:
 
 
 def born(
-    posterior: PosePosterior, camera: int, num_cameras: int, slow: SlowErrors, belief: Hypotheses | None
+    posterior: PosePosterior,
+    camera: int,
+    num_sources: int,
+    slow: SlowErrors,
+    belief: Hypotheses | None,
+    landmarks: int | None = None,
 ) -> Hypotheses:
     """A hypothesis for each place of a posterior, as if nothing else were known about where the camera is.
 
     What is known of the odometry's errors comes from the heaviest hypothesis of the belief, if there is one: they do
     not depend on where the camera is. Weights are in proportion to how possible the places are.
+
+    Args:
+        posterior: Of an image.
+        camera: The number of the lasting error of the camera that took it.
+        num_sources: How many lasting errors a state has.
+        slow: Of the odometry.
+        belief: Of before; None where there is none.
+        landmarks: The number of the lasting error of verified places; None where there are none.
     """
-    count, size = len(posterior.weights), 13 + 6 * num_cameras
+    count, size = len(posterior.weights), 13 + 6 * num_sources
     covariance = np.zeros((count, size, size))
     mean = np.zeros((count, size - 6))
     diagonal = np.arange(6, size)
@@ -134,9 +147,11 @@ def born(
         mean[:, :7] = belief.mean[heaviest, :7]
         covariance[:, SLOW, SLOW] = belief.covariance[heaviest, SLOW, SLOW]
     covariance[:, POSE, POSE] = posterior.covariances
-    shared = -np.sqrt(posterior.errors.lasting_fraction) * posterior.factors
-    covariance[:, POSE, bias(camera)] = shared
-    covariance[:, bias(camera), POSE] = np.swapaxes(shared, 1, 2)
+    for source, number in enumerate((camera, camera if landmarks is None else landmarks)):
+        places, own = posterior.sources[source], bias(number)
+        shared = -np.sqrt(posterior.errors_of(source).lasting_fraction) * posterior.factors[places]
+        covariance[places, POSE, own] = shared
+        covariance[places, own, POSE] = np.swapaxes(shared, 1, 2)
     possible = np.maximum(posterior.possible, 1e-300)
     log_weights = np.log(possible / possible.sum())
     return Hypotheses(posterior.means, mean, covariance, log_weights)
@@ -149,8 +164,8 @@ def without_bias(covariance: Float64[np.ndarray, "n d d"], camera: int) -> Float
     return apart
 
 
-def with_camera(hypotheses: Hypotheses) -> Hypotheses:
-    """The same with the lasting error of one more camera, of which nothing is known, at the end of the state."""
+def with_source(hypotheses: Hypotheses) -> Hypotheses:
+    """The same with the lasting error of one more source, of which nothing is known, at the end of the state."""
     count, size = hypotheses.covariance.shape[:2]
     covariance = np.zeros((count, size + 6, size + 6))
     covariance[:, :size, :size] = hypotheses.covariance
@@ -169,7 +184,7 @@ def motion_of_state(
     Args:
         odometry: The motion.
         slow: What slow errors it may have.
-        ways: How far each camera came, in lengths over which the errors of its images change.
+        ways: How far the camera of each source came, in lengths over which its errors change.
     """
     size = 13 + 6 * len(ways)
     duration_s = min(odometry.duration_s, _LONGEST_S)
@@ -182,8 +197,8 @@ def motion_of_state(
     errs[:, 1:] = -np.diag(drift)
     kept = np.ones(size - 6)
     kept[1:7] = np.exp(-duration_s / slow.time_s)
-    for camera, way in enumerate(ways):
-        kept[7 + 6 * camera : 13 + 6 * camera] = np.exp(-way)
+    for source, way in enumerate(ways):
+        kept[7 + 6 * source : 13 + 6 * source] = np.exp(-way)
     transition = np.zeros((size, size))
     transition[POSE, POSE] = odometry.carry
     transition[POSE, SLOW] = errs
@@ -202,7 +217,7 @@ def moved(hypotheses: Hypotheses, odometry: Odometry, slow: SlowErrors, ways: Se
         hypotheses: Before.
         odometry: The motion.
         slow: What slow errors it may have.
-        ways: How far each camera came, in lengths over which the errors of its images change.
+        ways: How far the camera of each source came, in lengths over which its errors change.
     """
     transition, noise = motion_of_state(odometry, slow, ways)
     step = odometry.previous_from_current

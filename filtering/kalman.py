@@ -6,6 +6,7 @@ image's error lasts, heavy tails, slow errors of odometry. What it lacks is a se
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -14,8 +15,8 @@ from filterpy.kalman import KalmanFilter
 from jaxtyping import Float64
 from scipy.special import fdtri
 
-from filtering.adaptation import ErrorScale
 from filtering.association import UNUSUAL
+from filtering.cameras import SeenCamera, Source
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
@@ -25,6 +26,8 @@ from filtering.motion import Odometry, SlowErrors, require_duration, require_odo
 from filtering.novelty import ViewMeter
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+
+_NO_METER = ViewMeter(1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -57,10 +60,7 @@ class KalmanLocalizer:
         self.config = config or KalmanConfig()
         self._pose: Poses | None = None
         self._filter = KalmanFilter(dim_x=19, dim_z=6)
-        self._meter = ViewMeter(1.0, 1.0)
-        self._scale = ErrorScale(self.config.adapt_errors)
-        self._way = 0.0  # since the last image that says something, in lengths
-        self._least_covariance = np.zeros((6, 6))
+        self._sources: tuple[Source, ...] = ()
         self._provisional = False  # the next image that says something is where it starts anew
         self._rejected_s: float | None = None  # since the first of the images rejected in a row
 
@@ -92,15 +92,18 @@ class KalmanLocalizer:
         else:
             self._predict(self._pose, odom, elapsed_s)
             if not posterior.says_nothing:
-                self._scale = self._scale.looked(posterior, self._way)
-                self._least_covariance = self._scale.applied(posterior.errors).least_covariance
-                posterior = posterior.inflated(self._scale.factor)
-                if not self._correct(posterior):
+                ways = [source.meter.way for source in self._sources]
+                self._sources = tuple(
+                    source.looked(posterior.only(number)) if len(posterior.sources[number]) else source
+                    for number, source in enumerate(self._sources)
+                )
+                posterior = posterior.inflated(*(source.scale.factor for source in self._sources))
+                if not self._correct(posterior, ways):
                     self._reject(posterior, elapsed_s if odom is None else odom.duration_s)
-                self._way = 0.0
-        pose = self._pose
+        pose, covariance = self._pose, self._filter.P[POSE, POSE]
         assert pose is not None
-        return Mode(pose, self._filter.P[POSE, POSE] + self._least_covariance, 1.0)
+        errors = SeenCamera(self._sources, _NO_METER, Poses.identity()).errors
+        return Mode(pose, covariance + errors.constant_covariance(covariance), 1.0)
 
     def _hypothesis(self, pose: Poses) -> Hypotheses:
         mean, covariance = self._filter.x[6:].T.copy(), self._filter.P[None].copy()
@@ -108,55 +111,74 @@ class KalmanLocalizer:
 
     def _start(self, posterior: PosePosterior, before: Hypotheses | None) -> None:
         """Begin at the image's heaviest place; what is known of the odometry is kept."""
-        places = born(posterior, 0, 1, self.config.slow_errors, before)
+        known, adapts = self._sources, self.config.adapt_errors
+        errors = [posterior.errors, *([posterior.errors.verified] if posterior.errors.verified else [])]
+        self._sources = tuple(
+            Source.first_seen(each, number, unknown=0.0, adapts=adapts) for number, each in enumerate(errors)
+        )
+        self._sources = tuple(
+            replace(source, scale=replace(old.scale, place=None, since=None, way=0.0))
+            for source, old in zip(self._sources, known or self._sources, strict=False)
+        )
+        places = born(posterior, 0, len(errors), self.config.slow_errors, before, len(errors) - 1)
         heaviest = int(np.argmax(posterior.weights))
         self._pose = places.poses[heaviest]
+        self._filter = KalmanFilter(dim_x=13 + 6 * len(errors), dim_z=6)
         self._filter.x = np.concatenate([np.zeros(6), places.mean[heaviest]])[:, None]
         self._filter.P = places.covariance[heaviest].copy()
-        self._meter = ViewMeter(posterior.errors.length_m, posterior.errors.length_rad)
-        self._least_covariance = self._scale.applied(posterior.errors).least_covariance
-        self._scale = replace(self._scale, place=None, since=None, way=0.0)
-        self._way = 0.0
         self._provisional = posterior.says_nothing
         self._rejected_s = None
 
     def _predict(self, pose: Poses, odom: Odometry | None, elapsed_s: float) -> None:
         if odom is None:
             gap = self.config.gap
-            self._meter, way = self._meter.across_gap(gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s)
+            likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
+            after = [source.across_gap(*likely) for source in self._sources]
             self._filter.P = widened(self._hypothesis(pose), gap.covariance(elapsed_s)).covariance[0]
             odom = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s)
-            self._scale = replace(self._scale, place=None)
         else:
-            self._meter, way = self._meter.moved(odom.previous_from_current)
-            self._scale = self._scale.moved(odom, way)
-        self._way += way
-        transition, noise = motion_of_state(odom, self.config.slow_errors, [way])
+            after = [source.moved(odom, odom) for source in self._sources]
+        self._sources = tuple(source for source, _ in after)
+        transition, noise = motion_of_state(odom, self.config.slow_errors, [way for _, way in after])
         self._filter.predict(F=transition, Q=noise)
         settle(self._filter.P)
         self._fold((pose @ odom.previous_from_current).orthonormal())
 
-    def _correct(self, posterior: PosePosterior) -> bool:
-        """Take the nearest place for what the image shows, if it is near enough; returns whether it is."""
-        errors, pose = posterior.errors, self._pose
+    def _correct(self, posterior: PosePosterior, ways: Sequence[float]) -> bool:
+        """Take the nearest place for what the image shows, if it is near enough; returns whether it is.
+
+        Args:
+            posterior: Of the image.
+            ways: How far the camera came since the last image of each source, in lengths.
+        """
+        pose = self._pose
         assert pose is not None
         difference = pose.between(posterior.means).log()
-        shows = np.zeros((len(posterior.weights), 6, 19))  # error of the pose + factor · bias + fresh noise
+        count, size = len(posterior.weights), len(self._filter.x)
+        shows = np.zeros((count, 6, size))  # error of the pose + factor · bias + fresh noise
         shows[:, :, POSE] = np.eye(6)
-        shows[:, :, bias(0)] = np.sqrt(errors.lasting_fraction) * posterior.factors
-        fresh = (1.0 - errors.lasting_fraction) * posterior.covariances
+        fresh, tail, source_of = np.empty((count, 6, 6)), np.empty(count), np.zeros(count, np.int64)
+        for source, places in enumerate(posterior.sources):
+            errors = posterior.errors_of(source)
+            if len(places):
+                shows[places, :, bias(source)] = np.sqrt(errors.lasting_fraction) * posterior.factors[places]
+            fresh[places] = (1.0 - errors.lasting_fraction) * posterior.covariances[places]
+            tail[places], source_of[places] = errors.tail, source
         innovation = difference - shows @ self._filter.x[:, 0]
         covariance = shows @ self._filter.P @ np.swapaxes(shows, 1, 2) + fresh
         squared = np.einsum("ki,ki->k", innovation, np.linalg.solve(covariance, innovation[:, :, None])[:, :, 0])
-        k = int(np.argmin(squared))
-        if squared[k] > _gate(self.config.gate_probability, errors.tail):
+        inside = squared <= [_gate(self.config.gate_probability, each) for each in tail.tolist()]
+        if not inside.any():
             return False
-        error = fresh[k]
-        larger = (errors.tail + squared[k]) / (errors.tail + 6.0)
+        # A verified place inside its gate says more than one that the network proposes.
+        most = source_of[inside].max()
+        k = int(np.argmin(np.where(inside & (source_of == most), squared, np.inf)))
+        source, error = int(source_of[k]), fresh[k]
+        larger = (tail[k] + squared[k]) / (tail[k] + 6.0)
         if larger > UNUSUAL:
             # An image that errs in a way of its own, which lasts: over a way of 2 it is worth one image.
-            shows[k, :, bias(0)] = 0.0
-            error = larger * max(1.0, 2.0 / max(self._way, 1e-6)) * posterior.covariances[k]
+            shows[k, :, bias(source)] = 0.0
+            error = larger * max(1.0, 2.0 / max(ways[source], 1e-6)) * posterior.covariances[k]
         before = self._filter.P.diagonal().copy()
         self._filter.update(difference[k][:, None], R=error, H=shows[k])  # in Joseph's form
         settle(self._filter.P, before)

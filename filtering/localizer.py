@@ -14,7 +14,7 @@ from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Mode, Status, describe_modes
-from filtering.hypotheses import Hypotheses, born, concatenate, moved, reduced, widened, with_camera, without_bias
+from filtering.hypotheses import Hypotheses, born, concatenate, moved, reduced, widened, with_source, without_bias
 from filtering.motion import Odometry, require_odometry
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
@@ -176,7 +176,12 @@ class ParticleLocalizer:
             odom = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s)
             self._belief = widened(self._belief, gap.covariance(elapsed_s))
         self._cameras = {name: camera for name, (camera, _) in after.items()}
-        ways = [way for _, way in after.values()]
+        numbered = [
+            (source.number, way)
+            for camera, ways in after.values()
+            for source, way in zip(camera.sources, ways, strict=True)
+        ]
+        ways = [way for _, way in sorted(numbered)]
         self._belief = moved(self._belief, odom, self.config.slow_errors, ways)
         self._way = ways[0] if ways else 0.0
         if self._best is not None:
@@ -193,18 +198,20 @@ class ParticleLocalizer:
             novelty, told = 1.0, told[1:]
         belief = self._known(told)
         fits: list[float] = []
-        seen_by: list[tuple[PosePosterior, int]] = []
+        seen_by: list[tuple[PosePosterior, SeenCamera]] = []
         looks = {view.camera: self._cameras[view.camera].places.looked() for view in told}
         novelty = max([novelty, *(new for _, new in looks.values())])
         for view in told:
             camera, (places, new) = self._cameras[view.camera], looks[view.camera]
-            camera = camera.seen_through(view.reference_from_camera)
-            way, meter = camera.meter.way, camera.meter.looked()[0]
-            scale = camera.scale.looked(view.posterior, way)
-            self._cameras = self._cameras | {view.camera: replace(camera, meter=meter, places=places, scale=scale)}
-            posterior = view.posterior.inflated(scale.factor).seen_from(view.reference_from_camera)
-            seen = associate(belief, posterior, camera.number, novelty=new, way=way)
-            seen_by.append((posterior, camera.number))
+            before = camera.seen_through(view.reference_from_camera)
+            camera = before.looked(view.posterior, places)
+            self._cameras = self._cameras | {view.camera: camera}
+            factors = [source.scale.factor for source in camera.sources]
+            posterior = view.posterior.inflated(*factors).seen_from(view.reference_from_camera)
+            network, *others = [(source.number, source.meter.way) for source in before.sources]
+            landmarks = others[0] if others else None
+            seen = associate(belief, posterior, network[0], novelty=new, way=network[1], landmarks=landmarks)
+            seen_by.append((posterior, camera))
             belief = seen.hypotheses.with_log_weights(seen.hypotheses.log_weights)
             fits.append(seen.agreement)
         kidnapped = self._fraction_anew(novelty, float(np.mean(fits))) if fits else 0.0
@@ -237,12 +244,22 @@ class ParticleLocalizer:
         return float(-np.expm1(-per_view * novelty))
 
     def _born(
-        self, seen_by: Sequence[tuple[PosePosterior, int]], belief: Hypotheses, fraction: float
+        self, seen_by: Sequence[tuple[PosePosterior, SeenCamera]], belief: Hypotheses, fraction: float
     ) -> list[Hypotheses]:
         """What the views of cameras say, as if nothing else were known, with that fraction of the belief in all."""
-        slow, log_fraction = self.config.slow_errors, _log(fraction / len(seen_by))
-        births = [born(posterior, number, len(self._cameras), slow, belief) for posterior, number in seen_by]
+        log_fraction = _log(fraction / len(seen_by))
+        births = [self._begun(posterior, camera, belief) for posterior, camera in seen_by]
         return [replace(each, log_weights=each.log_weights + log_fraction) for each in births]
+
+    def _begun(self, posterior: PosePosterior, camera: SeenCamera, belief: Hypotheses | None) -> Hypotheses:
+        """What a camera's image says as if nothing else were known of where it is."""
+        network, *others = [source.number for source in camera.sources]
+        slow, landmarks = self.config.slow_errors, others[0] if others else None
+        return born(posterior, network, self._num_sources, slow, belief, landmarks)
+
+    @property
+    def _num_sources(self) -> int:
+        return sum(len(camera.sources) for camera in self._cameras.values())
 
     def _reduced(self, belief: Hypotheses) -> Hypotheses:
         c = self.config
@@ -262,35 +279,42 @@ class ParticleLocalizer:
         self._cameras, self._best, self._unseen_s = {}, None, 0.0
         self._agreement, self._provisional = 0.0 if provisional else 1.0, provisional
         self._add_camera(first)
-        self._belief = born(first.posterior.seen_from(first.reference_from_camera), 0, 1, self.config.slow_errors, None)
+        posterior = first.posterior.seen_from(first.reference_from_camera)
+        self._belief = self._begun(posterior, self._cameras[first.camera], None)
         self._way = 0.0
 
     def _known(self, views: Sequence[View]) -> Hypotheses:
         """The belief, with room for the errors of every camera that is seen."""
-        belief = self._belief
+        belief, known = self._belief, self._num_sources
         assert belief is not None
         for view in views:
-            if view.camera not in self._cameras:
-                self._add_camera(view)
-                belief = with_camera(belief)
+            self._add_camera(view)
+        for _ in range(known, self._num_sources):
+            belief = with_source(belief)
         return belief
 
     def _add_camera(self, view: View) -> None:
+        """Make room for the errors of a camera, and of the landmarks that it sees, where there is none yet."""
         # The first image of a camera is all new: it looks from a length away.
         unknown = 0.0 if self._belief is None else 1.0
-        camera = SeenCamera.first_seen(view, len(self._cameras), unknown=unknown, adapts=self.config.adapt_errors)
+        number, adapts = self._num_sources, self.config.adapt_errors
+        seen = self._cameras.get(view.camera)
+        camera = (
+            SeenCamera.first_seen(view, number, unknown=unknown, adapts=adapts)
+            if seen is None
+            else seen.with_landmarks(view, number, unknown=unknown, adapts=adapts)
+        )
         self._cameras = self._cameras | {view.camera: camera}
 
     def _estimate(self, belief: Hypotheses, novelty: float, unfamiliarity: float) -> Estimate:
-        camera = next(iter(self._cameras.values()))
-        errors = camera.scale.applied(camera.errors)
+        errors = next(iter(self._cameras.values())).errors
         modes = self._order(describe_modes(belief, errors, self.config.modes), errors)
         self._best = modes[0].world_from_camera
         return Estimate(
             modes,
             self._status(modes[0], errors),
             belief.poses,
-            belief.pose_covariance + errors.least_covariance,
+            belief.pose_covariance + errors.constant_covariance(belief.pose_covariance),
             belief.log_weights,
             self._agreement,
             novelty,
@@ -303,7 +327,7 @@ class ParticleLocalizer:
         if self._best is None or len(modes) == 1:
             return modes
         for k, mode in enumerate(modes):
-            if self.config.modes.same_place(mode.world_from_camera, self._best, errors):
+            if self.config.modes.same_place(self._best, mode, errors):
                 if modes[0].weight < self.config.switch_ratio * mode.weight:
                     return (mode, *modes[:k], *modes[k + 1 :])
                 break

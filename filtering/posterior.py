@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import VaporTrackError
@@ -35,6 +35,7 @@ class PosePosterior:
             unlike as images of the place hardly ever are, above that foreign; 0 without a score. A foreign image says
             nothing.
         growth: How much larger the variances are for that than those of the error model.
+        verified: Which places landmarks have verified, and so err as `errors.verified` says, (k,); None for none.
     """
 
     means: Poses
@@ -44,9 +45,14 @@ class PosePosterior:
     samples: Poses
     unfamiliarity: float = 0.0
     growth: float = 1.0
+    verified: Bool[np.ndarray, " k"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.means)
+        if self.verified is not None and (self.verified.shape != (count,) or self.errors.verified is None):
+            raise VaporTrackError(
+                f"posterior: verified has shape {self.verified.shape}, expected ({count},) and errors of such places"
+            )
         for name, shape in (("covariances", (count, 6, 6)), ("weights", (count,))):
             values = getattr(self, name)
             if values.shape != shape:
@@ -149,12 +155,44 @@ class PosePosterior:
         values, vectors = np.linalg.eigh(self.covariances / np.multiply.outer(unit, unit))
         return unit[:, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
-    def inflated(self, factor: float) -> PosePosterior:
-        """The same with errors whose variances are larger by a factor."""
-        if factor == 1.0:
+    @cached_property
+    def sources(self) -> tuple[Int64[np.ndarray, " a"], Int64[np.ndarray, " b"]]:
+        """Which places the network proposes, and which landmarks have verified: each source errs in its own way."""
+        if self.verified is None:
+            return np.arange(len(self.weights)), np.empty(0, np.int64)
+        return np.flatnonzero(~self.verified), np.flatnonzero(self.verified)
+
+    def errors_of(self, source: int) -> ErrorModel:
+        """How the places of a source err, by its number in `sources`."""
+        return self.errors if source == 0 else self.errors.finest
+
+    def only(self, source: int) -> PosePosterior:
+        """What one source says, with its errors."""
+        places = self.sources[source]
+        if source == 0 and len(places) == len(self.weights):
             return self
-        larger = unchecked_replace(self, covariances=factor * self.covariances, errors=self.errors.inflated(factor))
-        vars(larger)["factors"] = np.sqrt(factor) * self.factors  # filter and baselines share one decomposition
+        return unchecked_replace(
+            self,
+            means=self.means[places],
+            covariances=self.covariances[places],
+            weights=self.weights[places],
+            errors=self.errors_of(source),
+            growth=self.growth if source == 0 else 1.0,
+            verified=None,
+        )
+
+    def inflated(self, factor: float, of_verified: float = 1.0) -> PosePosterior:
+        """The same with errors whose variances are larger by a factor, those of verified places by another."""
+        if factor == of_verified == 1.0:
+            return self
+        factors = np.full(len(self.weights), factor)
+        factors[self.sources[1]] = of_verified
+        errors = self.errors.inflated(factor)
+        if errors.verified is not None:
+            errors = unchecked_replace(errors, verified=errors.verified.inflated(of_verified))
+        larger = unchecked_replace(self, covariances=factors[:, None, None] * self.covariances, errors=errors)
+        # Filter and baselines share one decomposition.
+        vars(larger)["factors"] = np.sqrt(factors)[:, None, None] * self.factors
         return larger
 
     def seen_from(self, reference_from_camera: Poses) -> PosePosterior:

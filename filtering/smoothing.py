@@ -213,14 +213,21 @@ class _ImageModes:
         flat = [mode for choices in modes for mode in choices]
         counts = np.array([len(choices) for choices in modes])
         self.images = np.flatnonzero(counts)
-        since = np.diff(np.cumsum(ways)[self.images], prepend=0.0)
-        worth = np.repeat(independence(since, errors.lasting_fraction), counts[self.images])
         self._image = np.repeat(np.arange(len(modes)), counts)
         self._first = (np.cumsum(counts) - counts)[self.images]
         self.poses = Poses.stack([mode.world_from_camera for mode in flat]) if flat else Poses.identity(0)
         stated = np.stack([mode.covariance for mode in flat]) + _REGULAR if flat else np.zeros((0, 6, 6))
-        self.kernel = np.sqrt((errors.tail + 6.0) * worth)
-        self.covariance = stated * (errors.tail / np.square(self.kernel))[:, None, None]
+        verified = np.array([mode.verified for mode in flat], bool)
+        tail = np.where(verified, errors.finest.tail, errors.tail)
+        of_image = np.ones(len(modes))
+        exact = np.bincount(self._image[verified], minlength=len(modes)) > 0  # images that landmarks say anything of
+        for images, of in ((self.images[~exact[self.images]], errors), (np.flatnonzero(exact), errors.finest)):
+            # The lengths are those of the network's errors; those of landmarks last over others.
+            since = np.diff(np.cumsum(ways)[images], prepend=0.0) * (errors.length_m / of.length_m)
+            of_image[images] = independence(since, of.lasting_fraction)
+        worth = of_image[self._image]
+        self.kernel = np.sqrt((tail + 6.0) * worth)
+        self.covariance = stated * (tail / np.square(self.kernel))[:, None, None]
         self._information = np.linalg.inv(self.covariance)
         log_weight = np.log([max(mode.weight, 1e-6) for mode in flat])
         self._cost = worth * (0.5 * np.linalg.slogdet(stated)[1] - log_weight)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_t
 
 from filtering.association import associate
-from filtering.hypotheses import born, concatenate, log_sum, with_camera
+from filtering.hypotheses import born, concatenate, log_sum, with_source
 from filtering.motion import SlowErrors
 from filtering.se3 import Poses
 from tests.helpers.simulation import ERRORS, STD, lifted, seen_at
@@ -150,7 +150,7 @@ def test_a_second_image_of_the_same_view_errs_as_the_first_did():
 
 
 def test_another_cameras_image_of_the_same_view_has_errors_of_its_own():
-    belief = with_camera(born(seen_at(Poses.identity(1), errors=GAUSSIAN), 0, 1, NEVER, None))
+    belief = with_source(born(seen_at(Poses.identity(1), errors=GAUSSIAN), 0, 1, NEVER, None))
     after = associate(belief, at(0.0, errors=GAUSSIAN), 1, novelty=1.0, way=2.0).hypotheses
     np.testing.assert_allclose(np.diag(after.covariance[0])[:6], STD**2 / 2, rtol=1e-3)
 

@@ -19,7 +19,7 @@ from filtering.hypotheses import (
     moved,
     reduced,
     widened,
-    with_camera,
+    with_source,
 )
 from filtering.motion import Odometry, SlowErrors
 from filtering.se3 import Poses
@@ -107,7 +107,7 @@ def test_a_newborn_knows_of_the_odometrys_errors_what_the_heaviest_hypothesis_kn
 
 def test_one_more_camera_adds_its_errors_and_leaves_the_rest():
     h = bank(3)
-    more = with_camera(h)
+    more = with_source(h)
     np.testing.assert_array_equal(more.covariance[:, :19, :19], h.covariance)
     np.testing.assert_array_equal(more.mean[:, :13], h.mean)
     assert not more.covariance[:, :19, 19:].any()

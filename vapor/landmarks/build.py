@@ -1,0 +1,324 @@
+"""Training images with known poses -> a map of landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+
+from filtering.se3 import Poses
+from sequences.frame import Camera
+from vapor.landmarks.adjustment import Adjusted, adjusted
+from vapor.landmarks.features import Basis, Features, extract, stored, unit_vectors
+from vapor.landmarks.landmark_map import LandmarkMap, summed_up
+from vapor.landmarks.points import Sightings, parallax, seen, triangulated
+from vapor.landmarks.tracks import find_sightings, neighbours, typical_depth_m
+from vapor.landmarks.view_camera import ViewCamera
+
+VIEW_PX = 320
+"""Longer edge of the images that features are found in."""
+_FEATURES = 800  # of a key image
+_NEW_VIEW, _NEW_VIEW_RAD = 0.06, np.deg2rad(4.0)  # in depths: so much apart are two key images
+_MOST_KEYS = 1500
+_WORDS, _SUMMARY = 32, 64
+_SAMPLED = 20_000  # descriptors, from which components and words are found
+_WORD_ROUNDS = 15
+_MOST_PX = 4.0  # that rays of a match may miss each other by
+_OUTLIERS_PX = (8.0, 6.0, 4.0, 3.0, 2.5)  # sightings that are further off are left out, from round to round
+_LEAST_PARALLAX = np.deg2rad(1.5)
+_LEAST_POINTS = 50  # below which there is no map
+_LEAST_DEPTH = 0.02  # in median depths
+_MOST_BYTES = 18_000  # of the map, a key image
+_BYTES_OF_POINT, _BYTES_OF_SIGHTING = 76, 4
+_POSE_STD = 0.01, 0.01  # depths and radians: what poses are taken to err by where the camera is found
+_SAMPLED_KEYS, _RUN = 200, 25  # key images in which it is found, and how many in a row
+
+Advance = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a map is made of: the key images among n training images, and their features.
+
+    Attributes:
+        stated: The camera that is stated for the images, at their size.
+        key: Which of the n images are key images, in order, (k,).
+        poses: world_from_camera of the key images, batch (k,).
+        features: Of each, in the basis.
+        basis: In which features are described.
+        pairs: Of key images, by their place in `key`, that may show the same.
+        depth_m: How far away things are, median, metres.
+    """
+
+    stated: Camera
+    key: Int64[np.ndarray, " k"]
+    poses: Poses
+    features: tuple[Features, ...]
+    basis: Basis
+    pairs: tuple[tuple[int, int], ...]
+    depth_m: float
+
+
+@dataclass(frozen=True)
+class BuiltMap:
+    """A map with what it was made of.
+
+    Attributes:
+        material: What it was made of.
+        camera: The camera that took the images, as it is taken to be.
+        points: Metres, (p, 3).
+        sightings: Of these points.
+        agreeing: Fraction of the matches whose rays meet within 1.5 pixels.
+    """
+
+    material: Material
+    camera: ViewCamera
+    points: Float64[np.ndarray, "p 3"]
+    sightings: Sightings
+    agreeing: float
+
+    @cached_property
+    def _descriptors(self) -> Float32[np.ndarray, "p d"]:
+        """Of each point: the mean of those of its sightings."""
+        return _mean_descriptors(self.material.features, self.sightings, len(self.points))
+
+    @cached_property
+    def landmarks(self) -> LandmarkMap:
+        """The map as it is used."""
+        return self._map(np.ones(len(self.material.key), bool), self.points, self.sightings)
+
+    def hiding(self, hidden: Bool[np.ndarray, " k"]) -> LandmarkMap:
+        """The map without some of its key images: what it would be, had these never been taken.
+
+        Args:
+            hidden: Which key images.
+        """
+        touched = np.zeros(len(self.points), bool)
+        touched[self.sightings.point[hidden[self.sightings.view]]] = True
+        left, kept = self.sightings.kept(~hidden[self.sightings.view])
+        points = self.points[kept].copy()
+        anew = np.flatnonzero(touched[kept])
+        if len(anew):
+            number = np.full(len(points), -1)
+            number[anew] = np.arange(len(anew))
+            mask = number[left.point] >= 0
+            of = Sightings(left.view[mask], number[left.point[mask]], left.feature[mask], left.pixels[mask])
+            poses = self.material.poses.inverse()
+            points[anew] = triangulated(poses, self.camera.rays(of.pixels), of)
+            fine = (parallax(poses, points[anew], of) >= _LEAST_PARALLAX) & np.isfinite(points[anew]).all(axis=1)
+            usable = np.ones(len(points), bool)
+            usable[anew] = fine
+            left, again = left.kept(usable[left.point])
+            points = points[again]
+        return self._map(~hidden, points, left)
+
+    def _map(
+        self, used: Bool[np.ndarray, " k"], points: Float64[np.ndarray, "p 3"], sightings: Sightings
+    ) -> LandmarkMap:
+        material = self.material
+        number = np.cumsum(used) - 1
+        order = np.argsort(sightings.view, kind="stable")
+        view = number[sightings.view[order]]
+        begins = np.searchsorted(view, np.arange(used.sum() + 1))
+        words, summary_axes, summaries = self._words
+        poses = material.poses[np.flatnonzero(used)]
+        return LandmarkMap(
+            material.stated,
+            self.camera,
+            material.depth_m,
+            points.astype(np.float32),
+            stored(_mean_descriptors(material.features, sightings, len(points))),
+            poses.rotation.astype(np.float32),
+            poses.translation.astype(np.float32),
+            begins.astype(np.int32),
+            sightings.point[order].astype(np.int32),
+            material.basis.mean,
+            material.basis.axes,
+            words,
+            summary_axes,
+            summaries[used],
+        )
+
+    @cached_property
+    def _words(self) -> tuple[Float32[np.ndarray, "w d"], Float32[np.ndarray, "v k"], Float32[np.ndarray, "n k"]]:
+        """Typical descriptors, axes of what images look like as a whole, and that of each key image."""
+        rng = np.random.default_rng(0)
+        sampled = _sampled(self.material.features, rng)
+        count = min(_WORDS, len(sampled))
+        stop = (cv2.TERM_CRITERIA_MAX_ITER, _WORD_ROUNDS, 0)
+        cv2.setRNGSeed(0)
+        words = np.asarray(cv2.kmeans(sampled, count, None, stop, 1, cv2.KMEANS_PP_CENTERS)[2], np.float32)  # pyright: ignore
+        whole = np.stack([summed_up(each.descriptors, words) for each in self.material.features])
+        axes = np.linalg.svd(whole, full_matrices=False)[2][:_SUMMARY].T
+        axes = axes.astype(np.float16).astype(np.float32)
+        return words, axes, unit_vectors(whole @ axes)
+
+
+def gather(
+    views: UInt8[np.ndarray, "n h w"], poses: Poses, stated: Camera, *, scale_m: float, advance: Advance | None = None
+) -> Material | None:
+    """Choose key images and find their features; None where no two images show the same from two sides.
+
+    Args:
+        views: Grey training images, in order of time.
+        poses: world_from_camera, (n,).
+        stated: Their camera, at their size.
+        scale_m: So much distance is as much of a difference as a radian, for a start.
+        advance: Called with the number of key images done and of all.
+    """
+    found: dict[int, Features] = {}
+
+    def raw(image: int) -> Features:
+        if image not in found:
+            found[image] = extract(views[image], _FEATURES, longest=VIEW_PX)
+        return found[image]
+
+    depth_m = typical_depth_m(poses, raw, ViewCamera(stated), scale_m=scale_m)
+    if depth_m is None:
+        return None
+    key = _key_images(poses, depth_m)
+    features = []
+    for done, image in enumerate(key.tolist()):
+        if advance is not None:
+            advance(done, len(key))
+        features.append(raw(image))
+    sampled = _sampled(features, np.random.default_rng(0))
+    if len(sampled) < _LEAST_POINTS:
+        return None
+    basis = Basis.of(sampled)
+    own = poses[key]
+    pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
+    reduced = tuple(basis.reduced(each) for each in features)
+    return Material(stated, key, own, reduced, basis, tuple(sorted(pairs)), depth_m)
+
+
+def build(material: Material, camera: ViewCamera, *, advance: Advance | None = None) -> BuiltMap | None:
+    """Find the points that key images show; None where there are hardly any.
+
+    Poses are taken as they are stated: with poses adjusted to what images see, others are localized no better, as what
+    is right is said by the stated ones.
+
+    Args:
+        material: Key images and their features.
+        camera: That took them.
+        advance: Called with the number of pairs of images done and of all.
+    """
+    sightings, errors = find_sightings(
+        material.poses,
+        material.features,
+        camera,
+        material.pairs,
+        most_px=_MOST_PX,
+        advance=advance or (lambda done, total: None),
+    )
+    poses = material.poses.inverse()
+    points, sightings = _points(camera, poses, sightings, material.depth_m, _OUTLIERS_PX)
+    fine = parallax(poses, points, sightings) >= _LEAST_PARALLAX
+    sightings, kept = sightings.kept(fine[sightings.point])
+    points = points[kept]
+    if len(points) < _LEAST_POINTS:
+        return None
+    sightings, kept = sightings.kept(_within_memory(sightings, len(points))[sightings.point])
+    return BuiltMap(material, camera, points[kept], sightings, float((errors < 1.5).mean()))
+
+
+def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
+    """The camera that fits the images and their poses, found in some of them; None where too few show the same.
+
+    Args:
+        material: Key images and their features.
+        stated: The camera to start from.
+    """
+    keys = _sample_of_keys(len(material.key))
+    position = {int(k): i for i, k in enumerate(keys.tolist())}
+    pairs = [(position[i], position[j]) for i, j in material.pairs if i in position and j in position]
+    poses = material.poses[keys]
+    features = [material.features[k] for k in keys.tolist()]
+    camera = stated
+    found = None
+    for most_px in (16.0, 4.0):
+        sightings, _ = find_sightings(poses, features, camera, pairs, most_px=most_px)
+        camera_from_world = poses.inverse()
+        points, sightings = _points(
+            camera, camera_from_world, sightings, material.depth_m, (2.0 * most_px, 1.5 * most_px, most_px)
+        )
+        if len(points) < _LEAST_POINTS:
+            return None
+        std = _POSE_STD[0] * material.depth_m, _POSE_STD[1]
+        found = adjusted(camera, camera_from_world, points, sightings, pose_std=std)
+        camera = found.camera
+    return found
+
+
+def _sample_of_keys(count: int) -> Int64[np.ndarray, " k"]:
+    """Runs of key images that follow each other, evenly over all."""
+    if count <= _SAMPLED_KEYS:
+        return np.arange(count)
+    starts = np.linspace(0, count - _RUN, _SAMPLED_KEYS // _RUN).astype(np.int64)
+    return np.unique((starts[:, None] + np.arange(_RUN)).ravel())
+
+
+def _points(
+    camera: ViewCamera,
+    poses: Poses,
+    sightings: Sightings,
+    depth_m: float,
+    outliers_px: Sequence[float],
+) -> tuple[Float64[np.ndarray, "p 3"], Sightings]:
+    """Points of sightings, from which those are left out that do not fit, from round to round."""
+    points = np.empty((0, 3))
+    for most_px in (*outliers_px, None):
+        if not len(sightings):
+            return np.empty((0, 3)), sightings
+        points = triangulated(poses, camera.rays(sightings.pixels), sightings)
+        if most_px is None:
+            break
+        found = seen(poses[sightings.view], points[sightings.point])
+        at = camera.undistorted(sightings.pixels)
+        away = np.linalg.norm(found.at * camera.focal + camera.centre - at, axis=1)
+        sightings, _ = sightings.kept((away < most_px) & (found.in_camera[:, 2] > _LEAST_DEPTH * depth_m))
+    return points, sightings
+
+
+def _key_images(poses: Poses, depth_m: float) -> Int64[np.ndarray, " k"]:
+    """Images that each differ from all others in what they show, in order."""
+    wider = 1.0
+    while True:
+        key: list[int] = []
+        for image in range(len(poses)):
+            if key:
+                metres, turned = poses[image].distance(poses[np.array(key)])
+                apart = np.hypot(metres / (_NEW_VIEW * depth_m), turned / _NEW_VIEW_RAD)
+                if apart.min() < wider:
+                    continue
+            key.append(image)
+        if len(key) <= _MOST_KEYS:
+            return np.array(key)
+        wider *= max(1.2, np.sqrt(len(key) / _MOST_KEYS))
+
+
+def _sampled(features: Sequence[Features], rng: np.random.Generator) -> Float32[np.ndarray, "n d"]:
+    """Some of all descriptors."""
+    everything = np.concatenate([each.descriptors for each in features])
+    return everything[rng.permutation(len(everything))[:_SAMPLED]]
+
+
+def _mean_descriptors(features: Sequence[Features], of: Sightings, count: int) -> Float32[np.ndarray, "p d"]:
+    everything = np.concatenate([each.descriptors for each in features])
+    found = everything[of.feature]
+    sums = np.stack([np.bincount(of.point, column, minlength=count) for column in found.T], axis=1)
+    return unit_vectors(sums.astype(np.float32))
+
+
+def _within_memory(of: Sightings, count: int) -> Bool[np.ndarray, " p"]:
+    """Which points to keep so that the map stays small: those that many images show."""
+    views = np.bincount(of.point, minlength=count)
+    order = np.argsort(-views, kind="stable")
+    size = np.cumsum(_BYTES_OF_POINT + _BYTES_OF_SIGHTING * views[order])
+    kept = np.zeros(count, bool)
+    kept[order[size <= _MOST_BYTES * (1 + of.view.max(initial=-1))]] = True
+    return kept

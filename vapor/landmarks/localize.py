@@ -1,0 +1,225 @@
+"""An image and a map -> poses of the camera, each verified by landmarks.
+
+Sources: Arandjelović and Zisserman, "All about VLAD", CVPR 2013 (which images look alike); Larsson et al., PoseLib (P3P
+in locally optimised RANSAC); Sattler, Leibe and Kobbelt, "Efficient and effective prioritized matching", 2017 (landmarks
+found through others, by where they must be seen).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import poselib
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+
+from filtering.se3 import Poses
+from vapor.landmarks.features import Features, extract, restored
+from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.matching import mutual_matches
+from vapor.landmarks.points import by_pose, seen
+
+LEAST_INLIERS = 12
+"""Landmarks that a pose must be seen by to be one."""
+_QUERY_PX, _FEATURES = 230, 400
+_RATIO = 0.9
+_ALIKE = 16  # key images that look most like an image
+_NEAR = 6  # key images nearest to a pose that is proposed
+_SHARED = 8  # points that key images of one place share
+_MOST_PLACES = 6  # that are looked at
+_MOST_POINTS = 1000  # of a place, that are matched
+_LEAST_MATCHES, _LEAST_SUPPORT = 8, 8
+_INLIER_PX = 3.0
+_GUIDED_PX, _GUIDED_COSINE = 5.0, 0.75
+_GUIDED_FROM = 20  # key images near a pose, whose points are looked for
+_ROUNDS, _ROBUST_PX = 8, 1.0
+_LOOKS_ALONG = 0.7  # cosine between the axes of two cameras that may show the same
+_APART = 0.25, 0.2  # depths and radians: poses within are one
+_TRIES = {"max_reproj_error": _INLIER_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
+_LOSS = {"loss_type": "CAUCHY", "loss_scale": _ROBUST_PX}
+
+
+@dataclass(frozen=True)
+class VerifiedPose:
+    """A pose from which landmarks are seen where an image shows them.
+
+    Attributes:
+        world_from_camera: One pose.
+        covariance: Of ξ = (v, ω), metres and radians, in the tangent at it, for errors of a pixel, (6, 6).
+        inliers: Landmarks that agree.
+        pixels: Where the image shows these, (k, 2).
+        residuals: How far off each is seen from the pose, pixels, (k, 2).
+    """
+
+    world_from_camera: Poses
+    covariance: Float64[np.ndarray, "6 6"]
+    inliers: int
+    pixels: Float64[np.ndarray, "k 2"]
+    residuals: Float64[np.ndarray, "k 2"]
+
+
+class LandmarkLocalizer:
+    """Finds the poses from which images show landmarks.
+
+    Args:
+        landmarks: The map.
+    """
+
+    def __init__(self, landmarks: LandmarkMap) -> None:
+        self.landmarks = landmarks
+        camera = landmarks.camera.camera
+        self._pinhole = {
+            "model": "PINHOLE",
+            "width": camera.width,
+            "height": camera.height,
+            "params": [camera.fx, camera.fy, camera.cx, camera.cy],
+        }
+
+    @cached_property
+    def _times_shown(self) -> Int64[np.ndarray, " p"]:
+        return np.bincount(self.landmarks.shown, minlength=len(self.landmarks.points))
+
+    def features(self, view: UInt8[np.ndarray, "h w"]) -> Features:
+        """Features of a grey image of the map's stated camera and size, at undistorted pixels."""
+        found = self.landmarks.basis.reduced(extract(view, _FEATURES, longest=_QUERY_PX))
+        return Features(self.landmarks.camera.undistorted(found.pixels), found.descriptors)
+
+    def localize(self, features: Features, proposed: Poses | None = None) -> list[VerifiedPose]:
+        """Poses that landmarks verify, the one with most of them first.
+
+        Args:
+            features: Of the image, from `features`.
+            proposed: Where else to look than where it looks alike, world_from_camera, (k,), the likeliest first.
+        """
+        found: list[VerifiedPose] = []
+        if len(features) < LEAST_INLIERS:
+            return found
+        for images in self._places(features, proposed):
+            pose = self._first_pose(features, images)
+            if pose is None or self._is_known(pose, found):
+                continue
+            verified = self._refined(features, pose)
+            if verified is not None and not self._is_known(verified.world_from_camera, found):
+                found.append(verified)
+        return sorted(found, key=lambda each: -each.inliers)
+
+    def _places(self, features: Features, proposed: Poses | None) -> list[list[int]]:
+        """Groups of key images, each of one place: those that look alike, then those where a pose is proposed."""
+        m = self.landmarks
+        likeness = m.summaries @ m.summary(features)
+        order = np.argpartition(-likeness, min(_ALIKE, len(likeness)) - 1)[:_ALIKE]
+        groups = self._grouped(order[np.argsort(-likeness[order], kind="stable")].tolist())
+        seeds = [set(group) for group in groups]
+        for pose in () if proposed is None else (proposed[i] for i in range(len(proposed))):
+            near = self._near(pose, _NEAR).tolist()
+            if near and not any(group & set(near[:3]) for group in seeds):
+                groups.append(near)
+                seeds.append(set(near))
+        if proposed is None or len(groups) <= _MOST_PLACES:
+            return groups[:_MOST_PLACES]
+        alike = [group for group in groups[: len(groups)]]
+        return alike[:_MOST_PLACES]
+
+    def _grouped(self, images: Sequence[int]) -> list[list[int]]:
+        """Key images split by what they show: those that share points with the first of a group belong to it."""
+        groups: list[list[int]] = []
+        marks: list[Bool[np.ndarray, " p"]] = []
+        for image in images:
+            own = self.landmarks.shown_by(image)
+            for group, mark in zip(groups, marks, strict=True):
+                if np.count_nonzero(mark[own]) >= _SHARED:
+                    group.append(image)
+                    mark[own] = True
+                    break
+            else:
+                mark = np.zeros(len(self.landmarks.points), bool)
+                mark[own] = True
+                groups.append([image])
+                marks.append(mark)
+        return groups
+
+    def _near(self, pose: Poses, most: int) -> Int64[np.ndarray, " k"]:
+        """Key images that may show what a camera at a pose sees, the nearest first."""
+        poses = self.landmarks.poses
+        along = poses.rotation[:, :, 2] @ pose.rotation[:, 2]
+        away = poses.translation - pose.translation
+        cost = np.vecdot(away, away) / self.landmarks.depth_m**2 + 2.0 * (1.0 - along)
+        cost[along < _LOOKS_ALONG] = np.inf
+        order = np.argsort(cost, kind="stable")[:most]
+        return order[np.isfinite(cost[order])]
+
+    def _points_of(self, images: Sequence[int] | Int64[np.ndarray, " k"]) -> Int64[np.ndarray, " q"]:
+        """The points that key images show, each once; of too many those that most of them show."""
+        m = self.landmarks
+        rows = [m.shown_by(int(image)) for image in images]
+        if not rows:
+            return np.empty(0, np.int64)
+        points, times = np.unique(np.concatenate(rows), return_counts=True)
+        if len(points) > _MOST_POINTS:
+            order = np.lexsort([-self._times_shown[points], -times])[:_MOST_POINTS]
+            points = points[order]
+        return points.astype(np.int64)
+
+    def _first_pose(self, features: Features, images: Sequence[int]) -> Poses | None:
+        """camera_from_world by the points of some key images; None where these are not what the image shows."""
+        m, points = self.landmarks, self._points_of(images)
+        a, b = mutual_matches(features.descriptors, restored(m.descriptors[points]), _RATIO)
+        if len(a) < _LEAST_MATCHES:
+            return None
+        at = m.points[points[b]].astype(np.float64)
+        pose, said = poselib.estimate_absolute_pose(features.pixels[a], at, self._pinhole, _TRIES, _LOSS)
+        if said["num_inliers"] < _LEAST_SUPPORT:
+            return None
+        return Poses(np.asarray(pose.R, np.float64), np.asarray(pose.t, np.float64)).orthonormal()
+
+    def _refined(self, features: Features, camera_from_world: Poses) -> VerifiedPose | None:
+        """A pose by all landmarks that must be seen from it, looked for where they must be seen."""
+        m, camera = self.landmarks, self.landmarks.camera
+        points = self._points_of(self._near(camera_from_world.inverse(), _GUIDED_FROM))
+        found = seen(camera_from_world, m.points[points].astype(np.float64))
+        at = found.at * camera.focal + camera.centre
+        inside = (found.inverse_depth > 0.0) & ((at > -0.5) & (at < camera.size - 0.5)).all(axis=1)
+        points, at = points[inside], at[inside]
+        apart = np.square(features.pixels[:, None, 0] - at[:, 0]) + np.square(features.pixels[:, None, 1] - at[:, 1])
+        a, b = mutual_matches(
+            features.descriptors,
+            restored(m.descriptors[points]),
+            1.0,
+            apart=apart > _GUIDED_PX**2,
+            least=_GUIDED_COSINE,
+        )
+        if len(a) < LEAST_INLIERS:
+            return None
+        pixels, at = features.pixels[a], m.points[points[b]].astype(np.float64)
+        for _ in range(_ROUNDS):
+            found = seen(camera_from_world, at)
+            residual = found.at * camera.focal + camera.centre - pixels
+            weight = 1.0 / (1.0 + np.square(residual).sum(axis=1) / _ROBUST_PX**2)
+            jacobian = camera.focal[:, None] * by_pose(found)
+            weighted = (jacobian * weight[:, None, None]).reshape(-1, 6)
+            information = weighted.T @ jacobian.reshape(-1, 6)
+            step = -np.linalg.solve(information + 1e-9 * np.diag(information.diagonal()), weighted.T @ residual.ravel())
+            camera_from_world = Poses.exp(step) @ camera_from_world
+            if np.abs(step).max() < 1e-6:
+                break
+        camera_from_world = camera_from_world.orthonormal()
+        residual = seen(camera_from_world, at).at * camera.focal + camera.centre - pixels
+        inlier = np.square(residual).sum(axis=1) < _INLIER_PX**2
+        if np.count_nonzero(inlier) < LEAST_INLIERS:
+            return None
+        covariance = np.linalg.inv(information)
+        return VerifiedPose(
+            camera_from_world.inverse(),
+            0.5 * (covariance + covariance.T),
+            int(np.count_nonzero(inlier)),
+            pixels[inlier],
+            residual[inlier],
+        )
+
+    def _is_known(self, pose: Poses, found: Sequence[VerifiedPose]) -> bool:
+        if not found:
+            return False
+        metres, turned = Poses.stack([each.world_from_camera for each in found]).distance(pose)
+        return bool(((metres < _APART[0] * self.landmarks.depth_m) & (turned < _APART[1])).any())

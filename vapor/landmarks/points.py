@@ -1,0 +1,133 @@
+"""Points from the rays along which views of known pose see them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from filtering.se3 import Poses
+
+_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """m sightings of p points by views.
+
+    Attributes:
+        view: Which view each is of, (m,).
+        point: Which point, from 0 to p − 1, each of them at least once, (m,).
+        feature: Which feature of all views, (m,).
+        pixels: Where, in the image, (m, 2).
+    """
+
+    view: Int64[np.ndarray, " m"]
+    point: Int64[np.ndarray, " m"]
+    feature: Int64[np.ndarray, " m"]
+    pixels: Float64[np.ndarray, "m 2"]
+
+    def __len__(self) -> int:
+        return len(self.view)
+
+    def kept(self, mask: Bool[np.ndarray, " m"], least: int = 2) -> tuple[Sightings, Int64[np.ndarray, " q"]]:
+        """Some of the sightings, of points that keep enough of them; and which points those are."""
+        points = np.bincount(self.point[mask], minlength=int(self.point.max(initial=-1)) + 1)
+        mask = mask & (points >= least)[self.point]
+        left, number = np.unique(self.point[mask], return_inverse=True)
+        return Sightings(self.view[mask], number, self.feature[mask], self.pixels[mask]), left
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a pinhole camera would see of points.
+
+    Attributes:
+        at: x and y of the rays to them, (m, 2).
+        inverse_depth: Over the depth, per metre; 0 behind the camera, (m,).
+        in_camera: The points in the camera's frame, metres, (m, 3).
+    """
+
+    at: Float64[np.ndarray, "m 2"]
+    inverse_depth: Float64[np.ndarray, " m"]
+    in_camera: Float64[np.ndarray, "m 3"]
+
+
+def seen(camera_from_world: Poses, points: Float64[np.ndarray, "m 3"]) -> Seen:
+    """Project each of m points into the view of its pose, batch (m,) or one for all."""
+    in_camera = np.einsum("...ij,...j->...i", camera_from_world.rotation, points) + camera_from_world.translation
+    depth = in_camera[:, 2]
+    with np.errstate(divide="ignore"):
+        inverse = np.where(depth > 0.0, 1.0 / depth, 0.0)
+    return Seen(in_camera[:, :2] * inverse[:, None], inverse, in_camera)
+
+
+def triangulated(
+    camera_from_world: Poses, rays: Float64[np.ndarray, "m 2"], of: Sightings
+) -> Float64[np.ndarray, "p 3"]:
+    """Points by least squares: at first of their distance from the planes through rays, then of where they are seen.
+
+    Args:
+        camera_from_world: Of all views, batch (n,).
+        rays: x and y of the ray of each sighting.
+        of: Which point and view each of them is of.
+    """
+    count = int(of.point.max(initial=-1)) + 1
+    rotation, translation = camera_from_world.rotation[of.view], camera_from_world.translation[of.view]
+    normal, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    for axis in (0, 1):
+        plane = rays[:, axis, None] * rotation[:, 2] - rotation[:, axis]
+        offset = rays[:, axis] * translation[:, 2] - translation[:, axis]
+        length = np.linalg.norm(plane, axis=1)
+        plane, offset = plane / length[:, None], offset / length
+        normal += _summed(plane[:, :, None] * plane[:, None, :], of.point, count)
+        right -= _summed(plane * offset[:, None], of.point, count)
+    points = _solved(normal, right, 1e-9)
+    poses = camera_from_world[of.view]
+    for _ in range(_ROUNDS):
+        found = seen(poses, points[of.point])
+        jacobian = by_point(found, rotation)
+        residual = found.at - rays
+        normal = _summed(np.einsum("mki,mkj->mij", jacobian, jacobian), of.point, count)
+        right = _summed(np.einsum("mki,mk->mi", jacobian, residual), of.point, count)
+        points = points - _solved(normal, right, 1e-3)
+    return points
+
+
+def by_point(found: Seen, rotation: Float64[np.ndarray, "m 3 3"]) -> Float64[np.ndarray, "m 2 3"]:
+    """Derivative of where points are seen by their positions."""
+    return (rotation[:, :2] - found.at[:, :, None] * rotation[:, 2:]) * found.inverse_depth[:, None, None]
+
+
+def by_pose(found: Seen) -> Float64[np.ndarray, "m 2 6"]:
+    """Derivative of where points are seen by ξ = (v, ω), where exp(ξ) is on the left of camera_from_world."""
+    x, y, inverse = found.at[:, 0], found.at[:, 1], found.inverse_depth
+    zero = np.zeros_like(x)
+    rows = [[inverse, zero, -x * inverse, -x * y, 1 + x * x, -y], [zero, inverse, -y * inverse, -1 - y * y, x * y, x]]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def parallax(camera_from_world: Poses, points: Float64[np.ndarray, "p 3"], of: Sightings) -> Float64[np.ndarray, " p"]:
+    """Angle over which the directions from which a point is seen are spread, about: twice the largest from their mean, rad."""
+    centres = camera_from_world.inverse().translation
+    towards = points[of.point] - centres[of.view]
+    towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
+    mean = _summed(towards, of.point, len(points))
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    away = np.arccos(np.clip(np.vecdot(towards, mean[of.point]), -1.0, 1.0))
+    widest = np.zeros(len(points))
+    np.maximum.at(widest, of.point, away)
+    return 2.0 * widest
+
+
+def _summed(values: np.ndarray, group: Int64[np.ndarray, " m"], count: int) -> np.ndarray:
+    """Sums of the values of each group, fast: as one sparse product would give them."""
+    flat = values.reshape(len(values), -1)
+    sums = np.stack([np.bincount(group, column, minlength=count) for column in flat.T], axis=1)
+    return sums.reshape(count, *values.shape[1:])
+
+
+def _solved(normal: np.ndarray, right: np.ndarray, damping: float) -> Float64[np.ndarray, "p 3"]:
+    scale = np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-12
+    return np.linalg.solve(normal + damping * scale * np.eye(3), right[:, :, None])[:, :, 0]

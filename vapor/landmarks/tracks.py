@@ -1,0 +1,166 @@
+"""Features of views of known pose -> sightings of points: matched where poses say that views show the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from filtering.se3 import Poses
+from vapor.landmarks.features import Features
+from vapor.landmarks.matching import mutual_matches
+from vapor.landmarks.points import Sightings
+from vapor.landmarks.view_camera import ViewCamera
+
+RATIO = 0.85
+"""Of the distances of nearest and second nearest feature, in a match of two views."""
+_PARTNERS = 14  # views that each is matched with
+_AS_FAR, _TURNED = 0.5, np.deg2rad(25.0)  # in depths: views that differ by as much show as much of the same
+_LEAST_BASELINE = 0.03  # in depths
+_MOST_TURNED = np.deg2rad(50.0)
+_TRIED = 40  # views, from which depths are measured
+_RANKS = 1, 2, 4, 8, 16, 32  # of their neighbours
+_LEAST_PARALLAX = np.deg2rad(2.0)
+_CHUNK = 256
+
+
+def neighbours(
+    poses: Poses, depth_m: float, *, most: int = _PARTNERS, rows: slice | None = None
+) -> Iterator[tuple[int, Int64[np.ndarray, " k"]]]:
+    """Of each view, the others that show most of the same from somewhere else, by their number.
+
+    Args:
+        poses: world_from_camera, (n,).
+        depth_m: How far away things are, about.
+        most: How many at most.
+        rows: Of which views; None for all.
+    """
+    for begin in range(0, len(poses), _CHUNK):
+        own = poses[begin : begin + _CHUNK]
+        metres, turned = own[:, None].distance(poses[None])
+        cost = metres / (_AS_FAR * depth_m) + turned / _TURNED
+        cost[(metres < _LEAST_BASELINE * depth_m) | (turned > _MOST_TURNED)] = np.inf
+        count = min(most, cost.shape[1])
+        nearest = np.argpartition(cost, count - 1, axis=1)[:, :count]
+        for row, columns in enumerate(nearest):
+            yield begin + row, columns[np.isfinite(cost[row, columns])]
+
+
+def typical_depth_m(
+    poses: Poses, features: Callable[[int], Features], camera: ViewCamera, *, scale_m: float
+) -> float | None:
+    """How far away is what views show, metres, median; None where no two views show the same from two sides.
+
+    Args:
+        poses: world_from_camera, (n,), in order of time.
+        features: Of a view, by its number.
+        camera: Of the views.
+        scale_m: So much distance is as much of a difference as a radian, for a start.
+    """
+    depths: list[Float64[np.ndarray, " k"]] = []
+    for i in np.unique(np.linspace(0, len(poses) - 1, min(_TRIED, len(poses))).astype(np.int64)).tolist():
+        metres, turned = (each for each in poses[i].distance(poses))
+        cost = np.where((metres > 0.0) & (turned < np.pi / 6), metres / scale_m + turned, np.inf)
+        order = np.argsort(cost, kind="stable")
+        for rank in _RANKS:
+            if rank <= len(order) and np.isfinite(cost[order[rank - 1]]):
+                depths.append(_depths(poses, i, int(order[rank - 1]), features, camera))
+    found = np.concatenate([np.empty(0), *depths])
+    return float(np.median(found)) if len(found) else None
+
+
+def _depths(
+    poses: Poses, i: int, j: int, features: Callable[[int], Features], camera: ViewCamera
+) -> Float64[np.ndarray, " k"]:
+    """Depths in view i of what two views show, where rays differ enough."""
+    one, other = features(i), features(j)
+    a, b = mutual_matches(one.descriptors, other.descriptors, RATIO)
+    if not len(a):
+        return np.empty(0)
+    here, there = (_bearings(camera.rays(each.pixels[k])) for each, k in ((one, a), (other, b)))
+    towards = there @ poses[j].rotation.T @ poses[i].rotation  # in the frame of view i
+    baseline = poses[i].inverse().apply(poses[j].translation)
+    across = np.cross(here, towards)
+    squared = np.vecdot(across, across)
+    enough = squared > np.sin(_LEAST_PARALLAX) ** 2
+    # along · here meets baseline + t · towards where both are nearest; it is off by what is along `across`.
+    along = np.vecdot(np.cross(baseline, towards), across) / np.maximum(squared, 1e-12)
+    off = np.abs(across @ baseline) / np.sqrt(np.maximum(squared, 1e-12))
+    good = enough & (along > 0.0) & (off < 0.02 * along)
+    return (along * here[:, 2])[good]
+
+
+def _bearings(rays: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
+    full = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+    return full / np.linalg.norm(full, axis=1, keepdims=True)
+
+
+def epipolar_errors(
+    first: Float64[np.ndarray, "k 2"],
+    second: Float64[np.ndarray, "k 2"],
+    second_from_first: Poses,
+) -> Float64[np.ndarray, " k"]:
+    """How far rays of two views are from meeting, by Sampson, in units of the rays (multiply by the focal length).
+
+    Args:
+        first: x and y of rays of one view.
+        second: Of the other.
+        second_from_first: One pose.
+    """
+    x, y, z = second_from_first.translation / max(float(np.linalg.norm(second_from_first.translation)), 1e-300)
+    essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ second_from_first.rotation
+    one, other = (np.concatenate([rays, np.ones((len(rays), 1))], axis=1) for rays in (first, second))
+    line, back = one @ essential.T, other @ essential
+    squares = np.square(line[:, :2]).sum(axis=1) + np.square(back[:, :2]).sum(axis=1)
+    return np.abs(np.vecdot(other, line)) / np.sqrt(np.maximum(squares, 1e-300))
+
+
+def find_sightings(
+    poses: Poses,
+    features: Sequence[Features],
+    camera: ViewCamera,
+    pairs: Sequence[tuple[int, int]],
+    *,
+    most_px: float,
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[Sightings, Float64[np.ndarray, " e"]]:
+    """Points that views see, before anything is known of where they are, and the epipolar errors of all matches, pixels.
+
+    Args:
+        poses: world_from_camera of n views.
+        features: Of each.
+        camera: That took them.
+        pairs: Of views that are matched.
+        most_px: Matches whose rays miss each other by more are none.
+        advance: Called with the number of pairs done and of all.
+    """
+    offset = np.concatenate([[0], np.cumsum([len(each) for each in features])])
+    rays = [camera.rays(each.pixels) for each in features]
+    pixel = float(camera.focal.mean())
+    firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    errors = [np.empty(0)]
+    camera_from_world = poses.inverse()
+    for done, (i, j) in enumerate(pairs):
+        advance(done, len(pairs))
+        a, b = mutual_matches(features[i].descriptors, features[j].descriptors, RATIO)
+        away = pixel * epipolar_errors(rays[i][a], rays[j][b], camera_from_world[j] @ poses[i])
+        good = away < most_px
+        errors.append(away)
+        firsts.append(offset[i] + a[good])
+        seconds.append(offset[j] + b[good])
+    total = int(offset[-1])
+    first, second = np.concatenate(firsts), np.concatenate(seconds)
+    graph = coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(total, total))
+    _, label = connected_components(graph, directed=False)
+    feature = np.flatnonzero(np.bincount(label, minlength=total)[label] >= 2)
+    view = np.searchsorted(offset, feature, side="right") - 1
+    # Of a point that a view shows twice, the first is taken.
+    _, once = np.unique(label[feature] * len(poses) + view, return_index=True)
+    feature, view = feature[once], view[once]
+    _, point = np.unique(label[feature], return_inverse=True)
+    pixels = np.concatenate([np.empty((0, 2)), *(each.pixels for each in features)])[feature]
+    found = Sightings(view, point, feature, pixels)
+    return found.kept(np.ones(len(found), bool))[0], np.concatenate(errors)
