@@ -26,7 +26,7 @@ def scale_to_cover(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR))
 
 
-def centre_crop(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -> UInt8[np.ndarray, "height width 3"]:
+def centre_crop(image: UInt8[np.ndarray, "h w *c"], width: int, height: int) -> UInt8[np.ndarray, "height width *c"]:
     """So many pixels from the middle of the image."""
     y, x = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
     return image[y : y + height, x : x + width]

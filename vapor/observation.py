@@ -21,12 +21,14 @@ from vapor.engines.device import Device
 from vapor.engines.engine import Engine, EngineConfig, EngineName, Precision
 from vapor.engines.start import describe, start_engine
 from vapor.images import prepare, require_rgb
+from vapor.landmarks.verify import LandmarkVerifier
 
 
 class VaporObservationModel:
     """A pose regressor as an observation model: one encoder pass and `num_samples` poses an image.
 
-    The filter takes the places among the samples, with the errors that the model's calibration found.
+    The filter takes the places among the samples, with the errors that the model's calibration found. Where the model
+    has a map of landmarks, places that these verify are known to centimetres.
 
     All arithmetic is float32 if no other precision is asked for; the poses that leave are float64. The latent noise
     comes from the caller's generator, so the same image, generator state, engine, machine and number of threads give
@@ -46,6 +48,7 @@ class VaporObservationModel:
         description: What the model says of itself.
         engine: What runs its network.
         camera: The camera of the images that come next.
+        verifier: What makes places sharp where landmarks are seen; None where the model has none.
     """
 
     def __init__(
@@ -66,6 +69,8 @@ class VaporObservationModel:
         self.camera = camera
         self.engine: Engine = start_engine(model, EngineConfig(engine, precision), device=device, threads=threads)
         self._as_learned = AsTakenBy(self.description.camera, self.description.network.frame_size)
+        landmarks = self.description.landmarks
+        self.verifier = None if landmarks is None else LandmarkVerifier(landmarks)
 
     @staticmethod
     def from_checkpoint(
@@ -98,6 +103,7 @@ class VaporObservationModel:
         """The same model with the same network, for images of a camera; its notices begin anew."""
         other, model = copy(self), self.description
         other.camera, other._as_learned = camera, AsTakenBy(model.camera, model.network.frame_size)
+        other.verifier = None if model.landmarks is None else LandmarkVerifier(model.landmarks)
         return other
 
     @cached_property
@@ -126,7 +132,9 @@ class VaporObservationModel:
         seen = self.engine.run(prepared, noise)
         samples = Poses(seen.rotation.astype(np.float64), seen.translation.astype(np.float64))
         unfamiliarity = self._unfamiliarity(seen.description)
-        return PosePosterior.from_samples(samples, self.description.calibration.errors, unfamiliarity=unfamiliarity)
+        errors = self.description.calibration.errors
+        posterior = PosePosterior.from_samples(samples, errors, unfamiliarity=unfamiliarity)
+        return posterior if self.verifier is None else self.verifier.verify(image, self.camera, posterior)
 
     def unfamiliarity(self, image: np.ndarray, camera: Camera | None) -> float:
         """How unlike the training images an image is, as `PosePosterior.unfamiliarity`, whatever was observed before.

@@ -97,7 +97,7 @@ def fit_errors(
     residual, usable = places.residuals(errors)
     lasting = lasting_errors(residual, usable, travel, extent)
     effective = effective_images(travel, lasting)
-    errors = _cautious(errors, effective)
+    errors = cautious(errors, effective)
     errors = replace(
         errors,
         outlier_probability=max(errors.outlier_probability, LEAST_OUTLIERS),
@@ -134,7 +134,7 @@ def _widest_places(held_out: Observations, extent: float, flat: float) -> tuple[
     return next(entry for entry in reversed(tried) if entry[2].score >= highest - _AS_GOOD)
 
 
-def _cautious(errors: ErrorModel, effective: float) -> ErrorModel:
+def cautious(errors: ErrorModel, effective: float) -> ErrorModel:
     """Larger errors, and axes more alike, the fewer independent images they were found on.
 
     An error that lasts through all of them is not seen: the fewer they are, the larger the fraction that may never

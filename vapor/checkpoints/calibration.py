@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from dataclasses import field as dataclass_field
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ class Calibration:
     """Kernel width of the posterior samples along each axis, metres: of their density, in figures."""
     bandwidth_rotation_rad: float = 0.1
     """Kernel width of the posterior samples about each axis, radians."""
-    errors: ErrorModel = field(default_factory=ErrorModel)
+    errors: ErrorModel = dataclass_field(default_factory=ErrorModel)
     """How the places among the samples err."""
     odometry: OdometryFit | None = None
     """How wrong odometry was on the data; None where none was at hand."""
@@ -46,7 +47,7 @@ def stored_calibration(calibration: Calibration) -> dict[str, Any]:
     return with_stored_names(asdict(calibration))
 
 
-def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, float]) -> Calibration:
+def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, Any]) -> Calibration:
     """The calibration in a model file, from JSON: every field must be there, those of its parts too, and no other.
 
     Args:
@@ -59,16 +60,7 @@ def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, float]) 
     """
     if not isinstance(values, dict) or "errors" not in values:
         return parse_config(path, "calibration", Calibration, values)  # which says what is wrong
-    errors = values["errors"]
-    if isinstance(errors, dict):
-        errors = {NAMES.get(name, name): value for name, value in errors.items()}
-        for name in _SIX & errors.keys():
-            found = errors[name]
-            if not (isinstance(found, list) and len(found) == 6 and all(type(v) in (int, float) for v in found)):
-                raise CheckpointError(
-                    f"{path}: calibration.errors configuration has {name} {quoted(found)}, expected six numbers"
-                )
-        errors = errors | {name: tuple(map(float, errors[name])) for name in _SIX & errors.keys()} | dict(missing)
+    errors = _parse_errors(path, "calibration.errors", values["errors"], missing)
     odometry = values.get("odometry")
     if odometry is not None:
         if not isinstance(odometry, dict):
@@ -77,9 +69,24 @@ def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, float]) 
             odometry = OdometryFit.from_dict(odometry)
         except VaporTrackError as error:
             raise CheckpointError(f"{path}: calibration.odometry configuration: {error}") from error
-    held = {"errors": parse_config(path, "calibration.errors", ErrorModel, errors)}
+    held: dict[str, Any] = {"errors": errors}
     held |= {"odometry": odometry} if "odometry" in values else {}
     return parse_config(path, "calibration", Calibration, values | held)
+
+
+def _parse_errors(path: Path, name: str, errors: Any, missing: Mapping[str, Any]) -> ErrorModel:
+    """An error model from JSON, and that of verified places within it."""
+    if not isinstance(errors, dict):
+        return parse_config(path, name, ErrorModel, errors)  # which says what is wrong
+    errors = {NAMES.get(field, field): value for field, value in errors.items()}
+    for field in _SIX & errors.keys():
+        found = errors[field]
+        if not (isinstance(found, list) and len(found) == 6 and all(type(v) in (int, float) for v in found)):
+            raise CheckpointError(f"{path}: {name} configuration has {field} {quoted(found)}, expected six numbers")
+    errors = errors | {field: tuple(map(float, errors[field])) for field in _SIX & errors.keys()} | dict(missing)
+    if errors.get("verified") is not None:
+        errors["verified"] = _parse_errors(path, f"{name}.verified", errors["verified"], {})
+    return parse_config(path, name, ErrorModel, errors)
 
 
 def parse_former_calibration(path: Path, values: Any, *, prior_poses: Poses) -> Calibration:

@@ -15,6 +15,8 @@ from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.description import ModelDescription, poses_of
+from vapor.checkpoints.stored_landmarks import landmark_arrays, landmarks_config
+from vapor.landmarks.verify import Landmarks
 from vapor.regressors.familiarity import Familiarity
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import make_regressor
@@ -43,6 +45,7 @@ class Checkpoint:
         memory: The training images as a retrieval regressor remembers them; None with any other.
         notices: What a person should know of the file that it was read from.
         file: That file; None of a model in memory.
+        landmarks: Points of the place, by which poses are found to centimetres; None where there are none.
     """
 
     network: NetworkConfig
@@ -56,6 +59,7 @@ class Checkpoint:
     memory: Memory | None = None
     notices: tuple[str, ...] = ()
     file: Path | None = None
+    landmarks: Landmarks | None = None
 
     def build_network(self) -> PoseRegressor:
         """The network with its weights, on the CPU, in evaluation mode."""
@@ -80,6 +84,7 @@ class Checkpoint:
             None if memory is None else poses_of(memory.rotation.numpy(), memory.translation.numpy()),
             self.file,
             self.notices,
+            self.landmarks,
         )
 
     def network_sha256(self) -> str:
@@ -95,6 +100,10 @@ class Checkpoint:
             seen.update(each.name.encode() + np.asarray(getattr(self.familiarity, each.name)).tobytes())
         if self.camera is not None:
             seen.update(json.dumps(asdict(self.camera)).encode())
+        if self.landmarks is not None:
+            seen.update(json.dumps({**landmarks_config(self.landmarks), "verification": None}).encode())
+            for name, value in landmark_arrays(self.landmarks).items():
+                seen.update(name.encode() + np.ascontiguousarray(value).data)
         return seen.hexdigest()
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.checkpoints.calibration import Calibration
+from vapor.landmarks.verify import Landmarks
 from vapor.regressors.familiarity import Familiarity
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
@@ -33,6 +34,7 @@ class ModelDescription:
         memory_poses: True poses of the training images that a retrieval regressor remembers; None with any other.
         file: The file that it was read from; None of one in memory.
         notices: What a person should know of that file.
+        landmarks: Points of the place, by which poses are found to centimetres; None where there are none.
     """
 
     network: NetworkConfig
@@ -46,6 +48,7 @@ class ModelDescription:
     memory_poses: Poses | None = None
     file: Path | None = None
     notices: tuple[str, ...] = ()
+    landmarks: Landmarks | None = None
 
 
 def poses_of(rotation: np.ndarray, translation: np.ndarray) -> Poses:

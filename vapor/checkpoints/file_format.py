@@ -16,6 +16,7 @@ from vapor.checkpoints.stored_description import (
     parse_description,
     parse_stored_config,
 )
+from vapor.checkpoints.stored_landmarks import landmark_shapes
 from vapor.checkpoints.stored_tensors import (
     HALVED_MEMORY,
     MEMORY,
@@ -62,7 +63,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     The calibration in files of format 4 and 5 is that of an earlier filter: its kernel widths are taken, and the rest
     are the errors of a model that was not calibrated (`default_errors`); calibrate such a model anew. In files of
     format 6 errors do not grow with how unfamiliar an image is; in those and in files of format 7 mistakes about the
-    place last as long as errors within it.
+    place last as long as errors within it; none before format 9 has landmarks.
 
     Raises:
         CheckpointError: no such file, no safetensors file, a damaged one, another format or version, a configuration
@@ -83,7 +84,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     expected = {NETWORK + name: (tuple(v.shape), str(v.dtype).removeprefix("torch.")) for name, v in weights.items()}
     known = familiarity_shapes(tensors, description_size(config.network.backbone))
     remembered = {} if recalling is None else memory_shapes(tensors, recalling.memory_shapes())
-    check_tensors(path, tensors, {**expected, **known, **remembered})
+    check_tensors(path, tensors, {**expected, **known, **remembered, **landmark_shapes(tensors)})
     model = parse_description(path, config, tensors, "")
 
     def read(name: str) -> torch.Tensor:
@@ -103,6 +104,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         memory,
         model.notices,
         path,
+        model.landmarks,
     )
 
 
@@ -134,7 +136,8 @@ def _refuse_exported(path: Path) -> None:
 def shapes_beside_weights(config: StoredConfig, tensors: Mapping[str, StoredTensor]) -> Shapes:
     """What of its description a file must have as tensors, beside the prior poses."""
     known = familiarity_shapes(tensors, description_size(config.network.backbone))
-    return {**known, **(memory_shapes(tensors, POSES) if MEMORY_ROTATION in tensors else {})}
+    remembered = memory_shapes(tensors, POSES) if MEMORY_ROTATION in tensors else {}
+    return {**known, **remembered, **landmark_shapes(tensors)}
 
 
 def is_model(path: Path) -> bool:

@@ -16,6 +16,7 @@ from vapor.checkpoints.calibration import parse_calibration, parse_former_calibr
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.description import ModelDescription
 from vapor.checkpoints.stored_config import parse_box, parse_camera, parse_config, parse_metadata
+from vapor.checkpoints.stored_landmarks import landmark_arrays, landmarks_config, read_landmarks
 from vapor.checkpoints.stored_tensors import (
     FAMILIARITY,
     MEMORY_ROTATION,
@@ -33,10 +34,12 @@ from vapor.stored_names import with_stored_names
 from vapor.tensor_files import CHECKSUM, CheckpointError, StoredTensor
 
 FORMAT = "vapor-track model"
-VERSION = 8
+VERSION = 9
+_BEFORE_LANDMARKS = "8"  # no places were verified
 _BEFORE_MISTAKES = "7"  # mistakes about the place were taken to last as long as errors within it
 _BEFORE_GROWTH = "6"  # images were taken to err alike, however unfamiliar
-_NO_MISTAKES = {"mistaken_lengths": 1.0}  # what error models of those versions had without stating it
+_NO_VERIFIED: dict[str, Any] = {"verified": None}  # what error models of those versions had without stating it
+_NO_MISTAKES = {"mistaken_lengths": 1.0, **_NO_VERIFIED}
 _NO_GROWTH = {"unfamiliar_power": 0.0, "unfamiliar_score": 0.5, **_NO_MISTAKES}
 _BEFORE_ERRORS = ("4", "5")  # their calibrations are of another filter: only the kernel widths are taken
 _BEFORE_SHORTCUT = "4"
@@ -71,6 +74,7 @@ def description_metadata(model: ModelDescription | Checkpoint) -> dict[str, str]
         "calibration": stored_calibration(model.calibration),
         "training": with_stored_names(model.training),
         "camera": None if model.camera is None else asdict(model.camera),
+        "landmarks": None if model.landmarks is None else landmarks_config(model.landmarks),
     }
     return {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config, allow_nan=False)}
 
@@ -79,7 +83,8 @@ def description_arrays(model: ModelDescription | Checkpoint) -> dict[str, np.nda
     """What a model file has as tensors beside weights and memory; more than 2000 prior poses are thinned evenly."""
     poses = thin_poses(model.prior_poses)
     arrays = {PRIOR_ROTATION: poses.rotation, PRIOR_TRANSLATION: poses.translation}
-    return arrays | ({} if model.familiarity is None else familiarity_arrays(model.familiarity))
+    arrays |= {} if model.familiarity is None else familiarity_arrays(model.familiarity)
+    return arrays | ({} if model.landmarks is None else landmark_arrays(model.landmarks))
 
 
 def parse_stored_config(path: Path, metadata: Mapping[str, str]) -> StoredConfig:
@@ -92,10 +97,10 @@ def parse_stored_config(path: Path, metadata: Mapping[str, str]) -> StoredConfig
     if found != FORMAT:
         raise CheckpointError(f"{path}: format is {quoted(found)} in its metadata, expected {FORMAT!r}")
     version = metadata.get("version")
-    if version not in (str(VERSION), _BEFORE_MISTAKES, _BEFORE_GROWTH, *_BEFORE_ERRORS):
+    if version not in (str(VERSION), _BEFORE_LANDMARKS, _BEFORE_MISTAKES, _BEFORE_GROWTH, *_BEFORE_ERRORS):
         older = " or ".join(f"'{number}'" for number in _BEFORE_ERRORS)
         raise CheckpointError(
-            f"{path}: format version is {version!r}, expected '{VERSION}', '{_BEFORE_MISTAKES}' or '{_BEFORE_GROWTH}',"
+            f"{path}: format version is {version!r}, expected '{VERSION}' or '{_BEFORE_GROWTH}' to '{_BEFORE_LANDMARKS}',"
             f" or {older} of which network and scene are taken; train the model anew"
         )
     config = parse_metadata(path, metadata.get("config"))
@@ -129,7 +134,11 @@ def parse_description(
     if config.version in _BEFORE_ERRORS:
         parse = partial(parse_former_calibration, prior_poses=poses)
     else:
-        missing = {_BEFORE_MISTAKES: _NO_MISTAKES, _BEFORE_GROWTH: _NO_GROWTH}.get(config.version, {})
+        missing = {
+            _BEFORE_LANDMARKS: _NO_VERIFIED,
+            _BEFORE_MISTAKES: _NO_MISTAKES,
+            _BEFORE_GROWTH: _NO_GROWTH,
+        }.get(config.version, {})
         parse = partial(parse_calibration, missing=missing)
     known = any(name.startswith(FAMILIARITY) for name in tensors)
     return ModelDescription(
@@ -144,4 +153,5 @@ def parse_description(
         read_poses(tensors, MEMORY_ROTATION, MEMORY_TRANSLATION) if MEMORY_ROTATION in tensors else None,
         path,
         config.notices,
+        read_landmarks(path, config.rest.get("landmarks"), tensors),
     )

@@ -38,6 +38,7 @@ _POSE_STD = 0.01, 0.01  # depths and radians: what poses are taken to err by whe
 _SAMPLED_KEYS, _RUN = 200, 25  # key images in which it is found, and how many in a row
 
 Advance = Callable[[int, int], None]
+View = Callable[[int], UInt8[np.ndarray, "h w"]]
 
 
 @dataclass(frozen=True)
@@ -159,13 +160,13 @@ class BuiltMap:
 
 
 def gather(
-    views: UInt8[np.ndarray, "n h w"], poses: Poses, stated: Camera, *, scale_m: float, advance: Advance | None = None
+    view: View, poses: Poses, stated: Camera, *, scale_m: float, advance: Advance | None = None
 ) -> Material | None:
     """Choose key images and find their features; None where no two images show the same from two sides.
 
     Args:
-        views: Grey training images, in order of time.
-        poses: world_from_camera, (n,).
+        view: Gives a grey training image by its number, in order of time.
+        poses: world_from_camera of n of them.
         stated: Their camera, at their size.
         scale_m: So much distance is as much of a difference as a radian, for a start.
         advance: Called with the number of key images done and of all.
@@ -174,7 +175,7 @@ def gather(
 
     def raw(image: int) -> Features:
         if image not in found:
-            found[image] = extract(views[image], _FEATURES, longest=VIEW_PX)
+            found[image] = extract(view(image), _FEATURES, longest=VIEW_PX)
         return found[image]
 
     depth_m = typical_depth_m(poses, raw, ViewCamera(stated), scale_m=scale_m)

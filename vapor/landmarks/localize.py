@@ -47,7 +47,7 @@ class VerifiedPose:
 
     Attributes:
         world_from_camera: One pose.
-        covariance: Of ξ = (v, ω), metres and radians, in the tangent at it, for errors of a pixel, (6, 6).
+        covariance: Of ξ = (v, ω), metres and radians, in the tangent at it, as the residuals tell, (6, 6).
         inliers: Landmarks that agree.
         pixels: Where the image shows these, (k, 2).
         residuals: How far off each is seen from the pose, pixels, (k, 2).
@@ -209,7 +209,8 @@ class LandmarkLocalizer:
         inlier = np.square(residual).sum(axis=1) < _INLIER_PX**2
         if np.count_nonzero(inlier) < LEAST_INLIERS:
             return None
-        covariance = np.linalg.inv(information)
+        spread = float(np.square(residual[inlier]).sum() / (2.0 * np.count_nonzero(inlier) - 6.0))
+        covariance = spread * np.linalg.inv(information)
         return VerifiedPose(
             camera_from_world.inverse(),
             0.5 * (covariance + covariance.T),

@@ -27,8 +27,17 @@ _LEAST_PARALLAX = np.deg2rad(2.0)
 _CHUNK = 256
 
 
+def view_change(poses: Poses, depth_m: float) -> Float64[np.ndarray, " n"]:
+    """How much the view changed since the pose before, (n,): 1 for half a depth moved, and for 25° turned."""
+    change = np.zeros(len(poses))
+    if len(poses) > 1:
+        metres, turned = poses[:-1].distance(poses[1:])
+        change[1:] = metres / (_AS_FAR * depth_m) + turned / _TURNED
+    return change
+
+
 def neighbours(
-    poses: Poses, depth_m: float, *, most: int = _PARTNERS, rows: slice | None = None
+    poses: Poses, depth_m: float, *, most: int = _PARTNERS
 ) -> Iterator[tuple[int, Int64[np.ndarray, " k"]]]:
     """Of each view, the others that show most of the same from somewhere else, by their number.
 
@@ -36,7 +45,6 @@ def neighbours(
         poses: world_from_camera, (n,).
         depth_m: How far away things are, about.
         most: How many at most.
-        rows: Of which views; None for all.
     """
     for begin in range(0, len(poses), _CHUNK):
         own = poses[begin : begin + _CHUNK]

@@ -21,11 +21,14 @@ from vapor.checkpoints.scene_scale import default_errors
 from vapor.evaluation.consistency import REGIONS, evaluate_belief
 from vapor.evaluation.trajectory import is_right
 from vapor.evaluation.validation import predict
+from vapor.landmarks.localize import VerifiedPose
+from vapor.landmarks.verify import verified
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.tracking.follow import Followed, follow
 from vapor.tracking.passage import Passage, posterior_of
 from vapor.training.check_result import Figures, TrainingCheck, verdict
+from vapor.training.held_out_landmarks import HeldOutLandmarks
 from vapor.training_data.training_set import TrainingSet
 
 METHODS = ("single_image", "kalman", "filter", "smoothed")
@@ -42,6 +45,7 @@ def check(
     result: CalibrationResult,
     familiarity: Familiarity | None,
     scene: Poses,
+    landmarks: HeldOutLandmarks | None = None,
     *,
     seed: int,
     advance: Callable[[int, int], None] = lambda done, total: None,
@@ -55,6 +59,7 @@ def check(
         result: What was calibrated.
         familiarity: What is familiar to the network.
         scene: Poses that outline it.
+        landmarks: Of what is not held out; None where there are none.
         seed: Of latent noise and the filter's draws.
         advance: Called with the number of images done and of all.
 
@@ -67,7 +72,7 @@ def check(
         return None, fitted
     runs = [(rows[: max(_MOST_IMAGES // len(runs), LEAST_PASS)], odometry) for rows, odometry in runs]
     total, done = sum(len(rows) for rows, _ in runs), 0
-    seen: list[tuple[list[Poses], np.ndarray]] = []
+    seen: list[tuple[list[Poses], np.ndarray, list[Sequence[VerifiedPose]]]] = []
     for rows, _ in runs:
         some, samples = images.select(rows), []
         for poses in predict(network, some, NUM_SAMPLES, seed):
@@ -75,18 +80,23 @@ def check(
             advance(done + len(samples), total)
         done += len(samples)
         scores = familiarity.unfamiliarity(extract_features(network, some)) if familiarity else np.zeros(len(rows))
-        seen.append((samples, scores))
+        found = [landmarks.found(images, int(row)) for row in rows] if landmarks else [() for _ in rows]
+        seen.append((samples, scores, found))
 
     def tried(errors: ErrorModel) -> list[Followed]:
         fit = fitted.odometry
         config = LocalizerConfig() if fit is None else replace(LocalizerConfig(), slow_errors=fit.slow_errors)
         followed = []
-        for (rows, odometry), (samples, scores) in zip(runs, seen, strict=True):
+        for (rows, odometry), of_run in zip(runs, seen, strict=True):
 
             def posterior(
-                image: int, samples: list[Poses] = samples, scores: np.ndarray = scores, errors: ErrorModel = errors
+                image: int,
+                of_run: tuple[list[Poses], np.ndarray, list[Sequence[VerifiedPose]]] = of_run,
+                errors: ErrorModel = errors,
             ) -> PosePosterior:
-                return posterior_of(samples[image], errors, float(scores[image]))
+                samples, scores, verified_poses = of_run
+                coarse = posterior_of(samples[image], errors, float(scores[image]))
+                return verified(coarse, verified_poses[image], landmarks.verification) if landmarks else coarse
 
             passage = Passage(images.times_ns[rows], odometry[: len(rows)], images.poses[rows], posterior)
             passage = passage.restated(fit)
@@ -98,7 +108,7 @@ def check(
     found = _summed(followed)
     if found.worse or found.overconfident:
         others = [(factor, False, fitted.errors.inflated(factor)) for factor in _WIDER]
-        others.append((1.0, True, default_errors(scene)))
+        others.append((1.0, True, replace(default_errors(scene), verified=fitted.errors.verified)))
         for inflation, assumed, errors in others:
             again = tried(errors)
             other = replace(_summed(again), inflation=inflation, assumed=assumed)

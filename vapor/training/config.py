@@ -16,6 +16,8 @@ from vapor.stored_names import STORED_NAMES
 from vapor.training.augment import AugmentConfig
 from vapor.training_data.training_set import TrainingError
 
+CameraChoice = Literal["auto", "estimated", "stated"]
+
 _LARGER = 1.75  # edges of images, where a training may take longer
 
 
@@ -40,6 +42,11 @@ class TrainConfig:
     calibrate: bool = True
     """At the end find on the held-out images how wrong posteriors are (and odometry, where it was recorded), and learn
     what the place looks like."""
+    landmarks: bool = True
+    """Keep a map of points that the images show, by which a pose is found to centimetres."""
+    camera: CameraChoice = "auto"
+    """The camera by which landmarks are found: the stated one, the one that fits images and poses, or the latter where
+    it fits clearly better; where none is stated, what fits."""
     pretrained_weights: Path | None = None
     """Weights of the backbone to start from: ImageNet's, as safetensors or a torch state dict with torchvision's names,
     or those of a model trained here. Without it a ResNet starts from random weights."""

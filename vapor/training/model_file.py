@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -16,12 +16,15 @@ from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.checkpoints.thinning import MAX_PRIOR_POSES, spaced
 from vapor.evaluation.validation import predict
+from vapor.landmarks.verify import Landmarks
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.training.check import check
 from vapor.training.check_result import TrainingCheck
 from vapor.training.config import TrainConfig
+from vapor.training.held_out_landmarks import HeldOutLandmarks
 from vapor.training.holding_out import Split
+from vapor.training.landmarks import FoundLandmarks
 from vapor.training.trainer import weights_of
 from vapor.training_data.training_set import TrainingSet
 
@@ -34,11 +37,13 @@ class HeldOutFindings:
         calibration: How wrong its posteriors are.
         calibrated: How that was found; None where it was not asked for.
         check: The filter on the held-out passes; None without any, or without odometry through them.
+        landmarks: The map of everything, and what it is worth; None where the images show no landmarks.
     """
 
     calibration: Calibration
     calibrated: CalibrationResult | None = None
     check: TrainingCheck | None = None
+    landmarks: Landmarks | None = None
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -53,6 +58,7 @@ def calibrate_and_check(
     split: Split,
     evaluated: TrainingSet,
     config: TrainConfig,
+    landmarks: FoundLandmarks | None,
     advance: Callable[[Literal["calibrating", "checking"], int, int], None],
 ) -> HeldOutFindings:
     """Calibrate a model on held-out images where that is configured, and run the filter over them.
@@ -62,13 +68,16 @@ def calibrate_and_check(
         split: What is held out.
         evaluated: Held-out images that epochs were evaluated on.
         config: Of the training.
+        landmarks: Of everything that is learned from; None where there are none.
         advance: Called with the stage, the number of images done and of all.
     """
     prior_poses = _prior_poses(model, split.training, config.seed)
     widths = config.bandwidth_translation_m, config.bandwidth_rotation_rad
     calibration = Calibration(*widths, default_errors(prior_poses))
+    verified = None if landmarks is None else landmarks.verified.errors
     if not config.calibrate:
-        return HeldOutFindings(calibration)
+        calibration = replace(calibration, errors=replace(calibration.errors, verified=verified))
+        return HeldOutFindings(calibration, landmarks=None if landmarks is None else Landmarks(landmarks.built.landmarks))
     familiarity = _familiarity(model, split.training, evaluated)
     calibrated = calibrate(
         model,
@@ -81,6 +90,11 @@ def calibrate_and_check(
         seed=config.seed,
         advance=partial(advance, "calibrating"),
     )
+    calibration = replace(
+        calibrated.calibration, errors=replace(calibrated.calibration.errors, verified=verified)
+    )
+    calibrated = replace(calibrated, calibration=calibration)
+    held = None if landmarks is None else HeldOutLandmarks.of(landmarks, model, split, calibration, familiarity, config)
     checked, calibration = check(
         model,
         split.source,
@@ -88,10 +102,14 @@ def calibrate_and_check(
         calibrated,
         familiarity,
         prior_poses,
+        held,
         seed=config.seed,
         advance=partial(advance, "checking"),
     )
-    return HeldOutFindings(calibration, calibrated, checked)
+    of_everything = None
+    if landmarks is not None and held is not None:
+        of_everything = Landmarks(landmarks.built.landmarks, held.verification)
+    return HeldOutFindings(calibration, calibrated, checked, of_everything)
 
 
 def model_checkpoint(
@@ -125,6 +143,7 @@ def model_checkpoint(
         familiarity,
         split.training.camera,
         model.memory.cpu() if model.memory else None,
+        landmarks=found.landmarks,
     )
 
 

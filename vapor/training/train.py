@@ -21,6 +21,7 @@ from vapor.training.config import TrainConfig
 from vapor.training.duration import fitting_epochs
 from vapor.training.epoch import features_for
 from vapor.training.holding_out import Split, hold_out, within_map
+from vapor.training.landmarks import find_landmarks
 from vapor.training.memory import remember
 from vapor.training.model_file import calibrate_and_check, model_checkpoint
 from vapor.training.processes import from_first, is_first, require_shares
@@ -87,11 +88,16 @@ def train_on(
         sequences,
         lambda width, height: config.network_for(width, height).frame_size,
         central=central,
+        views=config.landmarks,
         progress=lambda n: report(Progress("reading", n)),
     )
     config = replace(config, network=config.network_for(*loaded.camera_size), aspect="network")
     frame = config.network.frame_size
-    held_out = load_training_set(validation, frame, central=central, camera=loaded.camera) if validation else None
+    held_out = (
+        load_training_set(validation, frame, central=central, camera=loaded.camera, views=config.landmarks)
+        if validation
+        else None
+    )
     names = {"data": list(sequences), "validation_data": list(validation or ())}
     return _train(loaded, held_out, names, output, config, initial, report)
 
@@ -183,13 +189,16 @@ def _fit(
         if is_first():
             trainer.evaluate(evaluated, loss)
             saving.save(state, last=state.epoch == state.epochs)
-    model, found = deepcopy(state.average), None
+    model, found, landmarks, of_landmarks = deepcopy(state.average), None, None, ()
     features = features_for(state, split.training)
     if is_first():
         model.load_state_dict(state.best or weights_of(trainer.kept))
         remember(model, features)
+        landmarks, of_landmarks = find_landmarks(
+            split.everything, config.camera, lambda *where: report(Progress("landmarks", *where, best=trainer.best))
+        )
         found = calibrate_and_check(
-            model, split, evaluated, config, lambda *where: report(Progress(*where, best=trainer.best))
+            model, split, evaluated, config, landmarks, lambda *where: report(Progress(*where, best=trainer.best))
         )
 
     if trainer.goes_on and state.epoch == state.epochs:
@@ -216,6 +225,7 @@ def _fit(
         "selected_by": config.select_by if trainer.best else "last epoch",
         "validation": asdict(trainer.best) if trainer.best else None,
         "holding_out": list(split.notes),
+        "landmarks": list(of_landmarks),
     }
     checkpoint = model_checkpoint(model, learned, split, evaluated, found, config, provenance)
     save_checkpoint(output, checkpoint, store_float16=config.store_float16)
@@ -232,7 +242,7 @@ def _fit(
             found.calibrated,
             found.check,
             skipped + split.held_out.skipped if apart else skipped,
-            (*notices, *(split.held_out.notices if apart else ()), *too_few(split.everything)),
+            (*notices, *(split.held_out.notices if apart else ()), *too_few(split.everything), *of_landmarks),
         )
     )
 

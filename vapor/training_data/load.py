@@ -16,6 +16,7 @@ from vapor.cameras import AsTakenBy, described
 from vapor.images import centre_crop, scale_to_cover
 from vapor.training_data.checks import too_far
 from vapor.training_data.colours import Colours, said_of_colours
+from vapor.training_data.grey_views import GreyViews
 from vapor.training_data.training_set import TrainingError, TrainingSet
 from vapor.training_data.views import Views, said_of_views
 
@@ -28,6 +29,7 @@ def load_training_set(
     *,
     central: bool = True,
     camera: Camera | None = None,
+    views: bool = False,
     progress: Callable[[int], None] = lambda _: None,
 ) -> TrainingSet:
     """Read frames once, scale each image to cover a frame, and keep it in a temporary file.
@@ -38,6 +40,7 @@ def load_training_set(
         central: Keep the part of the middle that fills the frame, so that images may differ in size; else keep the
             whole image, and all must have the aspect ratio of the first.
         camera: The camera whose images they are resampled to where intrinsics are known; None for that of most images.
+        views: Keep them grey and larger, too, for landmarks.
         progress: Called with the number of images read so far.
 
     Raises:
@@ -54,13 +57,13 @@ def load_training_set(
     camera = camera or _commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
     as_taken: AsTakenBy | None = None
-    with tempfile.TemporaryFile() as file:
+    with tempfile.TemporaryFile() as file, GreyViews(camera if views else None, wanted=views) as grey:
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
-            num_before, views = len(sources), Views()
+            num_before, agreeing = len(sources), Views()
             colours[name] = Colours()
             for frame in frames:
-                views.take(frame)
+                agreeing.take(frame)
                 if frame.world_from_camera is None:
                     follows = False
                     continue
@@ -81,6 +84,7 @@ def load_training_set(
                     raise TrainingError(f"{name}: true pose at {frame.time_ns} ns is not finite")
                 colours[name].take(frame.image)
                 file.write(np.ascontiguousarray(image).data)
+                grey.take(frame)
                 matrices.append(frame.world_from_camera.as_matrix())
                 sources.append((index, frame.sequence))
                 times_ns.append(frame.time_ns)
@@ -92,11 +96,12 @@ def load_training_set(
             if isinstance(frames, PosedFrames):
                 skipped += frames.skipped
                 notices += frames.notices
-            notices += said_of_views(name, views.checks())
+            notices += said_of_views(name, agreeing.checks())
         if shape is None or camera_size is None or as_taken is None:
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
+        kept, view_camera = grey.kept(), grey.camera
     poses = Poses.from_matrix(np.stack(matrices))
     notices += said_of_colours(colours)
     notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
@@ -113,6 +118,8 @@ def load_training_set(
         skipped,
         tuple(notices),
         as_taken.camera,
+        kept,
+        view_camera,
     )
 
 

@@ -36,6 +36,8 @@ class TrainingSet:
         skipped: Images and poses of the data that were left out in reading, by reason.
         notices: What a person should know of the data.
         camera: The camera that took the images, or to which they were resampled; None where unknown.
+        views: The same images grey and larger, in which landmarks are found, memory-mapped; none where not asked for.
+        view_camera: Their camera as stated; where none is, with a guessed focal length.
     """
 
     images: UInt8[np.ndarray, "m h w 3"]
@@ -49,14 +51,17 @@ class TrainingSet:
     skipped: Counter[str] = field(default_factory=Counter)
     notices: tuple[str, ...] = ()
     camera: Camera | None = None
+    views: UInt8[np.ndarray, "m h2 w2"] = field(default_factory=lambda: np.zeros((0, 1, 1), np.uint8))
+    view_camera: Camera | None = None
 
     def __len__(self) -> int:
         return len(self.sequence)
 
     def unload(self) -> None:
         """Free the memory that images read from disk take; they are read again when they are used."""
-        if isinstance(self.images.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
-            self.images.base.madvise(mmap.MADV_DONTNEED)
+        for mapped in (self.images, self.views):
+            if isinstance(mapped.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+                mapped.base.madvise(mmap.MADV_DONTNEED)
 
     def select(self, indices: Int64[np.ndarray, " k"]) -> TrainingSet:
         """Some of the images, (k,), in increasing order; none of them is copied."""

@@ -1,0 +1,104 @@
+"""What it says of a place that landmarks verify it, found on held-out images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.optimize import minimize
+from scipy.stats import f as fisher
+
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from vapor.landmarks.localize import VerifiedPose
+from vapor.landmarks.verify import Verification, proposed_weights
+
+_BELIEVED = np.array([1.5, 0.5, 1.0, 1.0])
+"""How sure the settings are before: standard deviations of log gain, power, log unproposed and log nothing."""
+_REGION = 0.99
+
+
+@dataclass(frozen=True)
+class SeenPlaces:
+    """The places of one held-out image of which landmarks verify some.
+
+    Attributes:
+        inliers: Landmarks that verify each, (j,).
+        proposed: Weight that the network gives to the place of each, (j,).
+        right: Which of these are at the true pose, (j,).
+        others: Weight of all places of the network.
+        others_right: That of those where the true pose is.
+    """
+
+    inliers: Float64[np.ndarray, " j"]
+    proposed: Float64[np.ndarray, " j"]
+    right: Bool[np.ndarray, " j"]
+    others: float
+    others_right: float
+
+    @staticmethod
+    def of(
+        posterior: PosePosterior, found: Sequence[VerifiedPose], truth: Poses, *, near_m: float, near_rad: float
+    ) -> SeenPlaces:
+        """The places of an image.
+
+        Args:
+            posterior: What the network says.
+            found: The poses that landmarks verify, one at least.
+            truth: The true pose.
+            near_m: A verified pose is at the true one within so many metres,
+            near_rad: And radians.
+        """
+        poses = Poses.stack([each.world_from_camera for each in found])
+        metres, radians = poses.distance(truth)
+        offset = posterior.means.between(truth).log()
+        squared = np.einsum("ki,kij,kj->k", offset, np.linalg.inv(posterior.covariances), offset)
+        inside = squared < 6.0 * fisher.ppf(_REGION, 6, posterior.errors.tail)
+        return SeenPlaces(
+            np.array([float(each.inliers) for each in found]),
+            proposed_weights(posterior, poses),
+            (metres < near_m) & (radians < near_rad),
+            float(posterior.weights.sum()),
+            float(posterior.weights[inside].sum()),
+        )
+
+    def log_likelihood(self, settings: Verification) -> float:
+        """Log of the probability that the true pose is where it is."""
+        scores = settings.scores(self.inliers, self.proposed)
+        right = float(scores[self.right].sum()) + self.others_right
+        total = float(scores.sum()) + self.others + settings.nothing
+        return float(np.log((right if right > 0.0 else settings.nothing) / total))
+
+
+def fit_verification(images: Sequence[SeenPlaces], effective: float) -> Verification:
+    """What a verified place is worth, by maximum posterior probability.
+
+    Args:
+        images: Held-out images of which landmarks verify some place.
+        effective: How many independent images they are worth.
+    """
+    before = _numbers(Verification())
+    if not images:
+        return Verification()
+    worth = min(1.0, effective / len(images))
+
+    def cost(numbers: np.ndarray) -> float:
+        settings = _settings(numbers)
+        likelihood = worth * sum(each.log_likelihood(settings) for each in images)
+        return 0.5 * float(np.square((numbers - before) / _BELIEVED).sum()) - likelihood
+
+    found = minimize(cost, before, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3, "maxiter": 400})
+    return _settings(found.x)
+
+
+def _numbers(settings: Verification) -> Float64[np.ndarray, "4"]:
+    return np.array(
+        [np.log(settings.gain), settings.power, np.log(settings.unproposed), np.log(settings.nothing)]
+    )
+
+
+def _settings(numbers: Float64[np.ndarray, "4"]) -> Verification:
+    gain, unproposed, nothing = (float(np.exp(np.clip(numbers[i], -6.0, 6.0))) for i in (0, 2, 3))
+    return Verification(gain, float(np.clip(numbers[1], 0.0, 5.0)), min(unproposed, 1.0), nothing)

@@ -1,0 +1,175 @@
+"""How poses err that landmarks verify: training images are localized without those that were taken near them in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from filtering.error_model import ErrorModel
+from filtering.se3 import Poses
+from vapor.calibration.image_errors import LEAST_IMAGES, cautious
+from vapor.calibration.lasting_errors import effective_images, lasting_errors
+from vapor.calibration.maximum_likelihood import most_likely_errors
+from vapor.calibration.places import Places
+from vapor.calibration.travel import Travel
+from vapor.landmarks.build import BuiltMap, View
+from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
+from vapor.landmarks.tracks import view_change
+
+_FOLDS = 5
+_STRETCH = 2.0  # how much views change over what is hidden at a time: a depth, or 50°
+_IMAGES = 300  # that are localized
+_LENGTH_UNIT = 5.0  # depths: over a thousandth to a seventh of it errors may last
+_RIGHT = 0.5, 0.35  # depths and radians: what is further off is another place
+
+Advance = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Training images, localized by a map without what was taken near them in time.
+
+    Attributes:
+        image: Which images, in order of time, (n,).
+        found: The poses that landmarks verify, of each.
+        truth: True poses, (n,).
+    """
+
+    image: Int64[np.ndarray, " n"]
+    found: tuple[tuple[VerifiedPose, ...], ...]
+    truth: Poses
+
+    @property
+    def verified(self) -> float:
+        """Fraction of the images of which some pose was verified."""
+        return float(np.mean([len(each) > 0 for each in self.found])) if self.found else 0.0
+
+    @property
+    def errors(self) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+        """Of the first pose of each image that has any: metres and radians."""
+        some = [i for i, each in enumerate(self.found) if each]
+        if not some:
+            return np.empty(0), np.empty(0)
+        return Poses.stack([self.found[i][0].world_from_camera for i in some]).distance(self.truth[np.array(some)])
+
+
+def leave_out(
+    built: BuiltMap,
+    view: View,
+    poses: Poses,
+    sequence: Int64[np.ndarray, " n"],
+    *,
+    most: int = _IMAGES,
+    advance: Advance = lambda done, total: None,
+) -> LeftOut:
+    """Localize training images without those near them in time: as many images as asked for, evenly spaced.
+
+    Args:
+        built: The map of all of them.
+        view: Gives a grey training image by its number.
+        poses: True poses, world_from_camera, (n,).
+        sequence: Index of the sequence that each is from, (n,).
+        most: How many images are localized.
+        advance: Called with the number of images done and of all.
+    """
+    stretch = _stretches(poses, sequence, built.material.depth_m)
+    chosen = np.unique(np.linspace(0, len(poses) - 1, min(most, len(poses))).astype(np.int64))
+    found: dict[int, tuple[VerifiedPose, ...]] = {}
+    for fold in range(_FOLDS):
+        own = chosen[stretch[chosen] % _FOLDS == fold]
+        hidden = stretch[built.material.key] % _FOLDS == fold
+        if not len(own) or hidden.all():
+            continue
+        localizer = LandmarkLocalizer(built.hiding(hidden))
+        for image in own.tolist():
+            advance(len(found), len(chosen))
+            found[image] = tuple(localizer.localize(localizer.features(view(image))))
+    image = np.array(sorted(found), np.int64)
+    return LeftOut(image, tuple(found[i] for i in image.tolist()), poses[image])
+
+
+def _stretches(poses: Poses, sequence: Int64[np.ndarray, " n"], depth_m: float) -> Int64[np.ndarray, " n"]:
+    """The number of the stretch that each image is in: of one sequence, over which the view changes by so much."""
+    change = view_change(poses, depth_m)
+    number, begun, count = np.empty(len(poses), np.int64), 0.0, 0
+    for i in range(len(poses)):
+        begun += change[i] if i and sequence[i] == sequence[i - 1] else 0.0
+        if i and (sequence[i] != sequence[i - 1] or begun > _STRETCH):
+            count, begun = count + 1, 0.0
+        number[i] = count
+    return number
+
+
+@dataclass(frozen=True)
+class VerifiedErrors:
+    """How verified poses err.
+
+    Attributes:
+        errors: The model.
+        images: How many images it was found on.
+        effective_images: How many independent ones are worth as much.
+        median_m: Of their errors, metres.
+        median_rad: Likewise, radians.
+        coverage: Fraction of the images whose true pose is in the 50, 90 and 95 % region.
+    """
+
+    errors: ErrorModel
+    images: int
+    effective_images: float
+    median_m: float
+    median_rad: float
+    coverage: tuple[float, float, float]
+
+
+def fit_verified_errors(
+    left_out: LeftOut, sequence: Int64[np.ndarray, " n"], depth_m: float, flat_log_density: float
+) -> VerifiedErrors | None:
+    """How the poses err that are of the right place; None where there are too few to tell.
+
+    Args:
+        left_out: Images localized without what is near them in time.
+        sequence: Index of the sequence of each of these, (n,).
+        depth_m: How far away things are, metres.
+        flat_log_density: Of poses spread evenly over the map, per m³ rad³.
+    """
+    rows = list(_right(left_out, depth_m))
+    if len(rows) < LEAST_IMAGES:
+        return None
+    which = np.array([row for row, _ in rows])
+    truth, sequence = left_out.truth[which], sequence[which]
+    residual = Poses.stack([pose.world_from_camera for _, pose in rows]).between(truth).log()
+    covariance = np.stack([pose.covariance for _, pose in rows])
+    places = Places(residual, covariance, np.ones(len(rows)), np.arange(len(rows)))
+    found = most_likely_errors(places, depth_m, flat_log_density, None)
+    errors = replace(ErrorModel(flat_log_density=flat_log_density), **found.settings(depth_m))
+    residuals, usable = places.residuals(errors)
+    travel = Travel.along(truth, sequence)
+    lasting = lasting_errors(residuals, usable, travel, _LENGTH_UNIT * depth_m)
+    effective = effective_images(travel, lasting)
+    errors = cautious(errors, effective)
+    errors = replace(
+        errors,
+        outlier_probability=0.01,
+        lasting_fraction=lasting.fraction,
+        length_m=lasting.length_m,
+        length_rad=lasting.length_rad,
+        typical_std=places.typical_std(errors),
+    )
+    metres, radians = (np.linalg.norm(residual[:, part], axis=1) for part in (slice(3), slice(3, 6)))
+    return VerifiedErrors(
+        errors, len(rows), effective, float(np.median(metres)), float(np.median(radians)), places.coverage(errors)
+    )
+
+
+def _right(left_out: LeftOut, depth_m: float) -> Iterator[tuple[int, VerifiedPose]]:
+    """Of each image the verified pose that is nearest to the true one, where that is of the same place."""
+    for row, found in enumerate(left_out.found):
+        if not found:
+            continue
+        metres, radians = Poses.stack([each.world_from_camera for each in found]).distance(left_out.truth[row])
+        nearest = int(np.argmin(metres))
+        if metres[nearest] < _RIGHT[0] * depth_m and radians[nearest] < _RIGHT[1]:
+            yield row, found[nearest]

@@ -1,0 +1,175 @@
+"""An image's posterior, and the poses that landmarks verify -> one posterior: sharp where landmarks are seen.
+
+How many landmarks agree says whether a pose is one, and hardly which of two places that look alike it is. So a verified
+place has the weight that the network gives it, more than one that is not verified, and places that only time can tell
+apart stay apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from filtering.association import PLACE
+from filtering.error_model import FOREIGN
+from filtering.errors import require_within
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from sequences.frame import Camera
+from vapor.cameras import AsTakenBy
+from vapor.images import centre_crop, scale_to_cover
+from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.localize import LEAST_INLIERS, LandmarkLocalizer, VerifiedPose
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What it says of a place that landmarks verify it; found on held-out images."""
+
+    gain: float = 20.0
+    """By how much a place that is verified by the least number of landmarks outweighs one that is not."""
+    power: float = 0.5
+    """With which power of their number that grows."""
+    unproposed: float = 0.05
+    """Weight of a verified place that the network did not propose."""
+    nothing: float = 0.5
+    """Of "none of these": a place of weight 1 that is not verified outweighs it by the inverse."""
+
+    def __post_init__(self) -> None:
+        require_within(
+            self, gain=(1e-3, 1e6), power=(0.0, 5.0), unproposed=(1e-9, 1.0), nothing=(1e-9, 1e6)
+        )
+
+    def scores(
+        self, inliers: Float64[np.ndarray, " j"], weights: Float64[np.ndarray, " j"]
+    ) -> Float64[np.ndarray, " j"]:
+        """Of verified places, beside the weight of others that are not.
+
+        Args:
+            inliers: Landmarks that verify each.
+            weights: That the network gives to the place that each is in, 0 where it proposes none there.
+        """
+        return self.gain * (inliers / LEAST_INLIERS) ** self.power * (weights + self.unproposed)
+
+
+def proposed_weights(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, " j"]:
+    """The weight of the places that poses (j,) lie in, those of one place sharing it; 0 where there is none."""
+    weights = np.zeros(len(poses))
+    if not len(posterior.weights) or not len(poses):
+        return weights
+    inside = _squared(posterior, poses) < PLACE**2 * 6.0
+    near = np.where(inside, posterior.weights[:, None], 0.0)
+    place = near.argmax(axis=0)
+    taken = inside.any(axis=0)
+    shared = np.bincount(place[taken], minlength=len(posterior.weights))
+    weights[taken] = posterior.weights[place[taken]] / shared[place[taken]]
+    return weights
+
+
+def _squared(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "k j"]:
+    """Squared distances of poses from places, in standard deviations of their errors."""
+    information = np.linalg.inv(posterior.covariances)
+    offset = posterior.means[:, None].between(poses[None]).log()
+    return np.einsum("kji,kil,kjl->kj", offset, information, offset)
+
+
+def verified(posterior: PosePosterior, found: Sequence[VerifiedPose], settings: Verification) -> PosePosterior:
+    """The posterior with the places that landmarks verify; as it is where there are none.
+
+    Images of other places verify none, so one that does is of this place, however unlike the training images it is.
+
+    Args:
+        posterior: What the network says, with errors of verified places.
+        found: The poses that landmarks verify, of the same image.
+        settings: What that says of a place.
+    """
+    of_verified = posterior.errors.verified
+    if not found or of_verified is None:
+        return posterior
+    means = Poses.stack([each.world_from_camera for each in found])
+    covariances = of_verified.covariance(np.stack([each.covariance for each in found]))
+    inliers = np.array([float(each.inliers) for each in found])
+    scores = settings.scores(inliers, proposed_weights(posterior, means))
+    total = posterior.weights.sum() + scores.sum() + settings.nothing
+    return replace(
+        posterior,
+        means=Poses.concatenate([means, posterior.means]),
+        covariances=np.concatenate([covariances, posterior.covariances]),
+        weights=np.concatenate([scores, posterior.weights]) / total,
+        verified=np.arange(len(found) + len(posterior.weights)) < len(found),
+        unfamiliarity=min(posterior.unfamiliarity, FOREIGN),
+    )
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """A map of landmarks, and what it says of a place that they verify it."""
+
+    map: LandmarkMap
+    verification: Verification = field(default_factory=Verification)
+
+
+class LandmarkVerifier:
+    """Makes posteriors of images sharp where landmarks are seen; usable with the posteriors of any network.
+
+    Args:
+        landmarks: A model's, see `ModelDescription.landmarks`.
+
+    Attributes:
+        landmarks: As given.
+        latest: The poses that the landmarks of the latest image verified, the one with most of them first.
+    """
+
+    def __init__(self, landmarks: Landmarks) -> None:
+        self.landmarks = landmarks
+        self.latest: list[VerifiedPose] = []
+        stated = landmarks.map.stated
+        self._localizer = LandmarkLocalizer(landmarks.map)
+        self._as_stated = AsTakenBy(stated, (stated.width, stated.height))
+
+    def view(self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None) -> UInt8[np.ndarray, "height width"]:
+        """A grey image as the map's camera would have taken it.
+
+        Args:
+            image: RGB, undistorted.
+            camera: That took it; None where unknown.
+        """
+        return grey_view(self._as_stated(image, camera), self.landmarks.map.stated)
+
+    def find(
+        self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None, posterior: PosePosterior
+    ) -> list[VerifiedPose]:
+        """The poses that landmarks verify, in the places of a posterior and where else the image looks alike.
+
+        Args:
+            image: RGB, undistorted.
+            camera: That took it; None where unknown.
+            posterior: What a network says of it.
+        """
+        order = np.argsort(-posterior.weights, kind="stable")
+        features = self._localizer.features(self.view(image, camera))
+        return self._localizer.localize(features, posterior.means[order])
+
+    def verify(
+        self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None, posterior: PosePosterior
+    ) -> PosePosterior:
+        """The posterior with the places that landmarks verify.
+
+        Args:
+            image: RGB, undistorted.
+            camera: That took it; None where unknown.
+            posterior: What a network says of it, with errors of verified places.
+        """
+        self.latest = self.find(image, camera, posterior)
+        return verified(posterior, self.latest, self.landmarks.verification)
+
+
+def grey_view(image: UInt8[np.ndarray, "h w 3"], camera: Camera) -> UInt8[np.ndarray, "height width"]:
+    """The middle of an RGB image, grey, of a camera's size."""
+    covering = scale_to_cover(image, camera.width, camera.height)
+    grey = np.asarray(cv2.cvtColor(covering, cv2.COLOR_RGB2GRAY))
+    return np.ascontiguousarray(centre_crop(grey, camera.width, camera.height))

@@ -1,0 +1,134 @@
+"""The landmarks of a new model: the camera that took its images, the map, and how poses err that it verifies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import UInt8
+
+from vapor.calibration.verified_errors import LeftOut, VerifiedErrors, fit_verified_errors, leave_out
+from vapor.checkpoints.scene_scale import flat_log_density
+from vapor.landmarks.build import BuiltMap, Material, build, camera_found, gather
+from vapor.landmarks.localize import LandmarkLocalizer
+from vapor.landmarks.view_camera import ViewCamera
+from vapor.training.config import CameraChoice
+from vapor.training_data.ground import near_scale_m
+from vapor.training_data.training_set import TrainingSet
+
+_COMPARED = 100  # images by which two cameras are compared
+_CLEARLY = 0.95  # times the error, with which another camera fits clearly better
+
+Advance = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class FoundLandmarks:
+    """A map of landmarks, and what is known of it.
+
+    Attributes:
+        built: The map of all images that are learned from.
+        verified: How poses err that it verifies.
+        images: The images that it is of.
+        notes: What was found, in sentences.
+    """
+
+    built: BuiltMap
+    verified: VerifiedErrors
+    images: TrainingSet
+    notes: tuple[str, ...]
+
+    def without(self, trained: TrainingSet) -> LandmarkLocalizer:
+        """Localizes by what only some of the images show, those that a network was trained on."""
+        if self.images.images is not trained.images:
+            return LandmarkLocalizer(self.built.landmarks)
+        hidden = ~np.isin(self.images.rows, trained.rows)[self.built.material.key]
+        return LandmarkLocalizer(self.built.hiding(hidden) if hidden.any() else self.built.landmarks)
+
+
+def find_landmarks(
+    images: TrainingSet, choice: CameraChoice, advance: Advance = lambda done, total: None
+) -> tuple[FoundLandmarks | None, tuple[str, ...]]:
+    """Landmarks of training images, None where these do not show any; and what to say of that.
+
+    Args:
+        images: All images to learn from, with views.
+        choice: Whether the camera is the stated one, the one that fits the images, or which fits clearly better.
+        advance: Called with the number of images done and of all, stage by stage.
+    """
+    if images.view_camera is None or not len(images.views):
+        return None, ()
+    stated, poses = ViewCamera(images.view_camera), images.poses
+    material = gather(
+        lambda image: images.views[images.rows[image]], poses, stated.camera, scale_m=near_scale_m(poses), advance=advance
+    )
+    if material is None:
+        return None, (_NONE.format("no two images show the same from two sides"),)
+    known = images.camera is not None
+    built, notes = _best_map(images, material, stated, choice if known else "estimated", known=known)
+    if built is None:
+        return None, (*notes, _NONE.format("hardly any point is seen where the poses say that it must be"))
+    left_out = _left_out(images, built, advance=advance)
+    verified = fit_verified_errors(
+        left_out, images.sequence[left_out.image], material.depth_m, flat_log_density(poses)
+    )
+    if verified is None:
+        return None, (*notes, _NONE.format(f"they verify the pose of {left_out.verified:.0%} of the images only"))
+    found = (
+        f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without what was taken near them in"
+        f" time they verify the poses of {left_out.verified:.0%} of {len(left_out.image)} images, which then err by"
+        f" {100 * verified.median_m:.1f} cm and {np.degrees(verified.median_rad):.1f}°"
+    )
+    return FoundLandmarks(built, verified, images, (*notes, found)), (*notes, found)
+
+
+_NONE = "no landmarks: {}; places stay as coarse as the network says"
+
+
+def _left_out(
+    images: TrainingSet, built: BuiltMap, *, most: int | None = None, advance: Advance = lambda done, total: None
+) -> LeftOut:
+    def view(image: int) -> UInt8[np.ndarray, "h w"]:
+        return images.views[images.rows[image]]
+
+    settings = {} if most is None else {"most": most}
+    return leave_out(built, view, images.poses, images.sequence, advance=advance, **settings)
+
+
+def _best_map(
+    images: TrainingSet, material: Material, stated: ViewCamera, choice: CameraChoice, *, known: bool
+) -> tuple[BuiltMap | None, tuple[str, ...]]:
+    """The map by the camera that fits, and what was found of it."""
+    found = None if choice == "stated" else camera_found(material, stated)
+    by_stated = build(material, stated) if choice != "estimated" or found is None else None
+    if found is None:
+        return by_stated, ()
+    by_found = build(material, found.camera)
+    width = (images.camera_size[0] if images.camera_size else stated.camera.width) / stated.camera.width
+    fits, told = width * found.camera.camera.fx, width * stated.camera.fx
+    if choice == "estimated" or by_stated is None or by_found is None:
+        what = f"{told:.0f} px stated, " if known else "no focal length is stated, "
+        return by_found or by_stated, (f"camera: {what}{fits:.0f} px fit the images{_distortion(found.camera)}",)
+    errors = [_typical_error_m(images, each) for each in (by_stated, by_found)]
+    better = errors[1] < _CLEARLY * errors[0]
+    if not better:
+        return by_stated, ()
+    note = (
+        f"camera: {told:.0f} px stated, {fits:.0f} px{_distortion(found.camera)} fit the images:"
+        f" {by_found.agreeing:.0%} instead of {by_stated.agreeing:.0%} of matches agree, and images are localized within"
+        f" {100 * errors[1]:.1f} instead of {100 * errors[0]:.1f} cm; so it is taken (--camera stated: the stated one)"
+    )
+    return by_found, (note,)
+
+
+def _distortion(camera: ViewCamera) -> str:
+    return f" and distortion k1 {camera.k1:.3f}, k2 {camera.k2:.3f}"
+
+
+def _typical_error_m(images: TrainingSet, built: BuiltMap) -> float:
+    """Median error of left-out images, those of which no pose is verified counting as infinitely wrong."""
+    left_out = _left_out(images, built, most=_COMPARED)
+    metres, _ = left_out.errors
+    every = np.concatenate([metres, np.full(len(left_out.image) - len(metres), np.inf)])
+    return float(np.median(every)) if len(every) else np.inf
