@@ -15,17 +15,21 @@ from vapor.calibration.lasting_errors import effective_images, lasting_errors
 from vapor.calibration.maximum_likelihood import most_likely_errors
 from vapor.calibration.places import Places
 from vapor.calibration.travel import Travel
-from vapor.landmarks.build import BuiltMap, View
+from vapor.landmarks.build import BuiltMap
+from vapor.landmarks.features import Features
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.tracks import view_change
 
 _FOLDS = 5
-_STRETCH = 2.0  # how much views change over what is hidden at a time: a depth, or 50°
-_IMAGES = 300  # that are localized
+_STRETCHES = 4.0, 2.0, 1.0  # how much views change over what is hidden at a time: 1 is half a depth, or 25°
+_ENOUGH = 0.5  # of the images verified: else less is hidden
+_IMAGES = 240  # that are localized
 _LENGTH_UNIT = 5.0  # depths: over a thousandth to a seventh of it errors may last
+_MOST_LASTING = 0.98  # of the variance: what is new with each image is hardly any of it
 _RIGHT = 0.5, 0.35  # depths and radians: what is further off is another place
 
 Advance = Callable[[int, int], None]
+QueryFeatures = Callable[[int], Features]
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class LeftOut:
 
 def leave_out(
     built: BuiltMap,
-    view: View,
+    features: QueryFeatures,
     poses: Poses,
     sequence: Int64[np.ndarray, " n"],
     *,
@@ -67,16 +71,35 @@ def leave_out(
 ) -> LeftOut:
     """Localize training images without those near them in time: as many images as asked for, evenly spaced.
 
+    As much is hidden around an image as leaves landmarks for half of the images: in use, all were seen another time.
+
     Args:
         built: The map of all of them.
-        view: Gives a grey training image by its number.
+        features: Gives those of a training image by its number, from `query_features`.
         poses: True poses, world_from_camera, (n,).
         sequence: Index of the sequence that each is from, (n,).
         most: How many images are localized.
         advance: Called with the number of images done and of all.
     """
-    stretch = _stretches(poses, sequence, built.material.depth_m)
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(most, len(poses))).astype(np.int64))
+    left_out = LeftOut(np.empty(0, np.int64), (), poses[:0])
+    for length in _STRETCHES:
+        stretch = _stretches(poses, sequence, built.material.depth_m, length)
+        left_out = _without(built, features, poses, stretch, chosen, advance)
+        if left_out.verified >= _ENOUGH:
+            break
+    return left_out
+
+
+def _without(
+    built: BuiltMap,
+    features: QueryFeatures,
+    poses: Poses,
+    stretch: Int64[np.ndarray, " n"],
+    chosen: Int64[np.ndarray, " k"],
+    advance: Advance,
+) -> LeftOut:
+    """Localize images without their stretches, a fifth of all stretches at a time."""
     found: dict[int, tuple[VerifiedPose, ...]] = {}
     for fold in range(_FOLDS):
         own = chosen[stretch[chosen] % _FOLDS == fold]
@@ -86,18 +109,20 @@ def leave_out(
         localizer = LandmarkLocalizer(built.hiding(hidden))
         for image in own.tolist():
             advance(len(found), len(chosen))
-            found[image] = tuple(localizer.localize(localizer.features(view(image))))
+            found[image] = tuple(localizer.localize(localizer.described(features(image))))
     image = np.array(sorted(found), np.int64)
     return LeftOut(image, tuple(found[i] for i in image.tolist()), poses[image])
 
 
-def _stretches(poses: Poses, sequence: Int64[np.ndarray, " n"], depth_m: float) -> Int64[np.ndarray, " n"]:
+def _stretches(
+    poses: Poses, sequence: Int64[np.ndarray, " n"], depth_m: float, length: float
+) -> Int64[np.ndarray, " n"]:
     """The number of the stretch that each image is in: of one sequence, over which the view changes by so much."""
     change = view_change(poses, depth_m)
     number, begun, count = np.empty(len(poses), np.int64), 0.0, 0
     for i in range(len(poses)):
         begun += change[i] if i and sequence[i] == sequence[i - 1] else 0.0
-        if i and (sequence[i] != sequence[i - 1] or begun > _STRETCH):
+        if i and (sequence[i] != sequence[i - 1] or begun > length):
             count, begun = count + 1, 0.0
         number[i] = count
     return number
@@ -147,7 +172,7 @@ def fit_verified_errors(
     errors = replace(ErrorModel(flat_log_density=flat_log_density), **found.settings(depth_m))
     residuals, usable = places.residuals(errors)
     travel = Travel.along(truth, sequence)
-    lasting = lasting_errors(residuals, usable, travel, _LENGTH_UNIT * depth_m)
+    lasting = lasting_errors(residuals, usable, travel, _LENGTH_UNIT * depth_m, most=_MOST_LASTING)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
     errors = replace(

@@ -34,7 +34,7 @@ _LEAST_POINTS = 50  # below which there is no map
 _LEAST_DEPTH = 0.02  # in median depths
 _MOST_BYTES = 18_000  # of the map, a key image
 _BYTES_OF_POINT, _BYTES_OF_SIGHTING = 76, 4
-_POSE_STD = 0.01, 0.01  # depths and radians: what poses are taken to err by where the camera is found
+_POSE_STD = 0.01  # depths and radians: what poses are taken to err by at first where the camera is found
 _SAMPLED_KEYS, _RUN = 200, 25  # key images in which it is found, and how many in a row
 
 Advance = Callable[[int, int], None]
@@ -239,19 +239,19 @@ def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
     pairs = [(position[i], position[j]) for i, j in material.pairs if i in position and j in position]
     poses = material.poses[keys]
     features = [material.features[k] for k in keys.tolist()]
-    camera = stated
-    found = None
-    for most_px in (16.0, 4.0):
+    camera_from_world, camera, found = poses.inverse(), stated, None
+    std = _POSE_STD
+    for most_px in (16.0, 4.0, 4.0):
         sightings, _ = find_sightings(poses, features, camera, pairs, most_px=most_px)
-        camera_from_world = poses.inverse()
-        points, sightings = _points(
-            camera, camera_from_world, sightings, material.depth_m, (2.0 * most_px, 1.5 * most_px, most_px)
-        )
+        outliers_px = 2.0 * most_px, 1.5 * most_px, most_px
+        points, sightings = _points(camera, camera_from_world, sightings, material.depth_m, outliers_px)
         if len(points) < _LEAST_POINTS:
             return None
-        std = _POSE_STD[0] * material.depth_m, _POSE_STD[1]
-        found = adjusted(camera, camera_from_world, points, sightings, pose_std=std)
+        pose_std = std * material.depth_m, std
+        found = adjusted(camera, camera_from_world, points, sightings, pose_std=pose_std)
         camera = found.camera
+        away = (found.camera_from_world @ poses).log() / np.repeat([material.depth_m, 1.0], 3)
+        std = float(np.clip(np.sqrt(np.square(away).mean()), _POSE_STD / 4.0, 4.0 * _POSE_STD))
     return found
 
 

@@ -23,7 +23,7 @@ from vapor.landmarks.points import by_pose, seen
 
 LEAST_INLIERS = 12
 """Landmarks that a pose must be seen by to be one."""
-_QUERY_PX, _FEATURES = 230, 400
+_QUERY_PX, _FEATURES = 230, 350
 _RATIO = 0.9
 _ALIKE = 16  # key images that look most like an image
 _NEAR = 6  # key images nearest to a pose that is proposed
@@ -60,6 +60,11 @@ class VerifiedPose:
     residuals: Float64[np.ndarray, "k 2"]
 
 
+def query_features(view: UInt8[np.ndarray, "h w"]) -> Features:
+    """Features of a grey image to be localized, with all numbers of SIFT."""
+    return extract(view, _FEATURES, longest=_QUERY_PX)
+
+
 class LandmarkLocalizer:
     """Finds the poses from which images show landmarks.
 
@@ -83,8 +88,12 @@ class LandmarkLocalizer:
 
     def features(self, view: UInt8[np.ndarray, "h w"]) -> Features:
         """Features of a grey image of the map's stated camera and size, at undistorted pixels."""
-        found = self.landmarks.basis.reduced(extract(view, _FEATURES, longest=_QUERY_PX))
-        return Features(self.landmarks.camera.undistorted(found.pixels), found.descriptors)
+        return self.described(query_features(view))
+
+    def described(self, found: Features) -> Features:
+        """The same of features from `query_features`."""
+        reduced = self.landmarks.basis.reduced(found)
+        return Features(self.landmarks.camera.undistorted(reduced.pixels), reduced.descriptors)
 
     def localize(self, features: Features, proposed: Poses | None = None) -> list[VerifiedPose]:
         """Poses that landmarks verify, the one with most of them first.

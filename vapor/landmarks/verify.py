@@ -30,11 +30,11 @@ from vapor.landmarks.localize import LEAST_INLIERS, LandmarkLocalizer, VerifiedP
 class Verification:
     """What it says of a place that landmarks verify it; found on held-out images."""
 
-    gain: float = 20.0
+    gain: float = 50.0
     """By how much a place that is verified by the least number of landmarks outweighs one that is not."""
-    power: float = 0.5
+    power: float = 1.0
     """With which power of their number that grows."""
-    unproposed: float = 0.05
+    unproposed: float = 0.1
     """Weight of a verified place that the network did not propose."""
     nothing: float = 0.5
     """Of "none of these": a place of weight 1 that is not verified outweighs it by the inverse."""

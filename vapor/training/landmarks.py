@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from jaxtyping import UInt8
 
-from vapor.calibration.verified_errors import LeftOut, VerifiedErrors, fit_verified_errors, leave_out
+from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.scene_scale import flat_log_density
 from vapor.landmarks.build import BuiltMap, Material, build, camera_found, gather
-from vapor.landmarks.localize import LandmarkLocalizer
+from vapor.landmarks.localize import LandmarkLocalizer, query_features
 from vapor.landmarks.view_camera import ViewCamera
 from vapor.training.config import CameraChoice
 from vapor.training_data.ground import near_scale_m
 from vapor.training_data.training_set import TrainingSet
 
-_COMPARED = 100  # images by which two cameras are compared
+_COMPARED = 80  # images by which two cameras are compared
 _CLEARLY = 0.95  # times the error, with which another camera fits clearly better
 
 Advance = Callable[[int, int], None]
@@ -66,10 +66,11 @@ def find_landmarks(
     if material is None:
         return None, (_NONE.format("no two images show the same from two sides"),)
     known = images.camera is not None
-    built, notes = _best_map(images, material, stated, choice if known else "estimated", known=known)
+    features = cache(lambda image: query_features(images.views[images.rows[image]]))
+    built, notes = _best_map(images, features, material, stated, choice if known else "estimated", known=known)
     if built is None:
         return None, (*notes, _NONE.format("hardly any point is seen where the poses say that it must be"))
-    left_out = _left_out(images, built, advance=advance)
+    left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
     verified = fit_verified_errors(
         left_out, images.sequence[left_out.image], material.depth_m, flat_log_density(poses)
     )
@@ -86,18 +87,14 @@ def find_landmarks(
 _NONE = "no landmarks: {}; places stay as coarse as the network says"
 
 
-def _left_out(
-    images: TrainingSet, built: BuiltMap, *, most: int | None = None, advance: Advance = lambda done, total: None
-) -> LeftOut:
-    def view(image: int) -> UInt8[np.ndarray, "h w"]:
-        return images.views[images.rows[image]]
-
-    settings = {} if most is None else {"most": most}
-    return leave_out(built, view, images.poses, images.sequence, advance=advance, **settings)
-
-
 def _best_map(
-    images: TrainingSet, material: Material, stated: ViewCamera, choice: CameraChoice, *, known: bool
+    images: TrainingSet,
+    features: QueryFeatures,
+    material: Material,
+    stated: ViewCamera,
+    choice: CameraChoice,
+    *,
+    known: bool,
 ) -> tuple[BuiltMap | None, tuple[str, ...]]:
     """The map by the camera that fits, and what was found of it."""
     found = None if choice == "stated" else camera_found(material, stated)
@@ -110,7 +107,7 @@ def _best_map(
     if choice == "estimated" or by_stated is None or by_found is None:
         what = f"{told:.0f} px stated, " if known else "no focal length is stated, "
         return by_found or by_stated, (f"camera: {what}{fits:.0f} px fit the images{_distortion(found.camera)}",)
-    errors = [_typical_error_m(images, each) for each in (by_stated, by_found)]
+    errors = [_typical_error_m(images, features, each) for each in (by_stated, by_found)]
     better = errors[1] < _CLEARLY * errors[0]
     if not better:
         return by_stated, ()
@@ -126,9 +123,9 @@ def _distortion(camera: ViewCamera) -> str:
     return f" and distortion k1 {camera.k1:.3f}, k2 {camera.k2:.3f}"
 
 
-def _typical_error_m(images: TrainingSet, built: BuiltMap) -> float:
+def _typical_error_m(images: TrainingSet, features: QueryFeatures, built: BuiltMap) -> float:
     """Median error of left-out images, those of which no pose is verified counting as infinitely wrong."""
-    left_out = _left_out(images, built, most=_COMPARED)
+    left_out = leave_out(built, features, images.poses, images.sequence, most=_COMPARED)
     metres, _ = left_out.errors
     every = np.concatenate([metres, np.full(len(left_out.image) - len(metres), np.inf)])
     return float(np.median(every)) if len(every) else np.inf
