@@ -49,7 +49,9 @@ class Source:
     @staticmethod
     def first_seen(errors: ErrorModel, number: int, *, unknown: float, adapts: bool) -> Source:
         """A source before its first place counts; the camera may have come so many lengths since any view before."""
-        return Source(number, errors, ViewMeter(errors.length_m, errors.length_rad, unknown=unknown), ErrorScale(adapts))
+        return Source(
+            number, errors, ViewMeter(errors.length_m, errors.length_rad, unknown=unknown), ErrorScale(adapts)
+        )
 
     @property
     def applied(self) -> ErrorModel:
@@ -114,9 +116,7 @@ class SeenCamera:
         errors = view.posterior.errors.verified
         if errors is None or len(self.sources) > 1:
             return self
-        return replace(
-            self, sources=(*self.sources, Source.first_seen(errors, number, unknown=unknown, adapts=adapts))
-        )
+        return replace(self, sources=(*self.sources, Source.first_seen(errors, number, unknown=unknown, adapts=adapts)))
 
     @property
     def errors(self) -> ErrorModel:

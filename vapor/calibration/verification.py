@@ -94,9 +94,7 @@ def fit_verification(images: Sequence[SeenPlaces], effective: float) -> Verifica
 
 
 def _numbers(settings: Verification) -> Float64[np.ndarray, "4"]:
-    return np.array(
-        [np.log(settings.gain), settings.power, np.log(settings.unproposed), np.log(settings.nothing)]
-    )
+    return np.array([np.log(settings.gain), settings.power, np.log(settings.unproposed), np.log(settings.nothing)])
 
 
 def _settings(numbers: Float64[np.ndarray, "4"]) -> Verification:

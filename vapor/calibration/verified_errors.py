@@ -1,8 +1,8 @@
-"""How poses err that landmarks verify: training images are localized without those that were taken near them in time."""
+"""How poses err that landmarks verify: training images are localized without those taken near them in time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -100,8 +100,8 @@ def parse_stored_config(path: Path, metadata: Mapping[str, str]) -> StoredConfig
     if version not in (str(VERSION), _BEFORE_LANDMARKS, _BEFORE_MISTAKES, _BEFORE_GROWTH, *_BEFORE_ERRORS):
         older = " or ".join(f"'{number}'" for number in _BEFORE_ERRORS)
         raise CheckpointError(
-            f"{path}: format version is {version!r}, expected '{VERSION}' or '{_BEFORE_GROWTH}' to '{_BEFORE_LANDMARKS}',"
-            f" or {older} of which network and scene are taken; train the model anew"
+            f"{path}: format version is {version!r}, expected '{VERSION}' or '{_BEFORE_GROWTH}' to"
+            f" '{_BEFORE_LANDMARKS}', or {older} of which network and scene are taken; train the model anew"
         )
     config = parse_metadata(path, metadata.get("config"))
     network = config.get("network")

@@ -86,7 +86,9 @@ def read_landmarks(path: Path, values: Any, tensors: Mapping[str, StoredTensor])
         )
     for name in _NUMBERS:
         if type(values[name]) not in (int, float) or not np.isfinite(values[name]):
-            raise CheckpointError(f"{path}: landmarks configuration has {name} {quoted(values[name])}, expected a number")
+            raise CheckpointError(
+                f"{path}: landmarks configuration has {name} {quoted(values[name])}, expected a number"
+            )
     stated, camera = (parse_camera(path, values[name]) for name in ("stated", "camera"))
     if stated is None or camera is None or not values["depth_m"] > 0.0:
         raise CheckpointError(
@@ -97,7 +99,7 @@ def read_landmarks(path: Path, values: Any, tensors: Mapping[str, StoredTensor])
     begins, shown = arrays["begins"].astype(np.int64), arrays["shown"]
     if begins[0] != 0 or begins[-1] != len(shown) or (np.diff(begins) < 0).any():
         raise CheckpointError(f"{path}: landmarks.begins does not split the {len(shown)} of landmarks.shown by images")
-    if len(shown) and not (0 <= shown.min() and shown.max() < len(arrays["points"])):
+    if len(shown) and not (shown.min() >= 0 and shown.max() < len(arrays["points"])):
         raise CheckpointError(
             f"{path}: landmarks.shown has {shown.min()} to {shown.max()}, expected 0 to {len(arrays['points']) - 1}"
         )

@@ -106,6 +106,8 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, ta
         show(format_table(report, title=title, tail=tail))
     status = ", ".join(f"{100 * fraction:.0f} % {name}" for name, fraction in report["status"].items())
     show(f"{report['frames']} images: {status}")
+    if "verified" in report:
+        show(f"landmarks  verify a place in {100 * report['verified']:.0f} % of the images")
     show_images(report["images"])
     show_skipped(report["skipped"])
     show_notices(result.notices)

@@ -167,7 +167,7 @@ class _System:
         dense = reduced.shape[0] <= _DENSE
         step = np.linalg.solve(reduced.toarray(), right) if dense else spsolve(reduced.tocsc(), right)
         moved = -(inverse @ (of_points + across.T @ step))
-        return step, moved.reshape(-1, 3), reduced.tocsr()[-5:, -5:].toarray()
+        return np.asarray(step), moved.reshape(-1, 3), reduced.tocsr()[-5:, -5:].toarray()
 
 
 def _sparse(blocks: Float64[np.ndarray, "m 2 k"], columns: np.ndarray, width: int) -> sparse.csr_matrix:

@@ -46,7 +46,7 @@ def extract(view: UInt8[np.ndarray, "h w"], count: int, *, longest: int) -> Feat
     scale = min(1.0, longest / max(view.shape))
     height, width = (max(1, round(scale * edge)) for edge in view.shape)
     shrunk = view if scale == 1.0 else np.asarray(cv2.resize(view, (width, height), interpolation=cv2.INTER_AREA))
-    sift = cv2.SIFT_create(nfeatures=count, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
+    sift: cv2.SIFT = cv2.SIFT.create(nfeatures=count, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
     found, described = sift.detectAndCompute(shrunk, None)
     if not found:
         return Features(np.empty((0, 2)), np.empty((0, SIFT_SIZE), np.float32))

@@ -13,6 +13,7 @@ from sequences.frame import Camera
 from vapor.landmarks.features import Basis, Features, unit_vectors
 from vapor.landmarks.view_camera import ViewCamera
 
+
 @dataclass(frozen=True)
 class LandmarkMap:
     """p points that n images show, the key images.

@@ -1,8 +1,8 @@
 """An image and a map -> poses of the camera, each verified by landmarks.
 
 Sources: Arandjelović and Zisserman, "All about VLAD", CVPR 2013 (which images look alike); Larsson et al., PoseLib (P3P
-in locally optimised RANSAC); Sattler, Leibe and Kobbelt, "Efficient and effective prioritized matching", 2017 (landmarks
-found through others, by where they must be seen).
+in locally optimised RANSAC); Sattler, Leibe and Kobbelt, "Efficient and effective prioritized matching", 2017
+(landmarks found through others, by where they must be seen).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 import poselib
-from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from jaxtyping import Bool, Float64, Int64, UInt8
 
 from filtering.se3 import Poses
 from vapor.landmarks.features import Features, extract, restored
@@ -126,10 +126,7 @@ class LandmarkLocalizer:
             if near and not any(group & set(near[:3]) for group in seeds):
                 groups.append(near)
                 seeds.append(set(near))
-        if proposed is None or len(groups) <= _MOST_PLACES:
-            return groups[:_MOST_PLACES]
-        alike = [group for group in groups[: len(groups)]]
-        return alike[:_MOST_PLACES]
+        return groups[:_MOST_PLACES]
 
     def _grouped(self, images: Sequence[int]) -> list[list[int]]:
         """Key images split by what they show: those that share points with the first of a group belong to it."""
@@ -202,6 +199,7 @@ class LandmarkLocalizer:
         if len(a) < LEAST_INLIERS:
             return None
         pixels, at = features.pixels[a], m.points[points[b]].astype(np.float64)
+        information = np.eye(6)
         for _ in range(_ROUNDS):
             found = seen(camera_from_world, at)
             residual = found.at * camera.focal + camera.centre - pixels

@@ -109,7 +109,7 @@ def by_pose(found: Seen) -> Float64[np.ndarray, "m 2 6"]:
 
 
 def parallax(camera_from_world: Poses, points: Float64[np.ndarray, "p 3"], of: Sightings) -> Float64[np.ndarray, " p"]:
-    """Angle over which the directions from which a point is seen are spread, about: twice the largest from their mean, rad."""
+    """Angle between the directions from which each point is seen, about: twice the largest from their mean, radians."""
     centres = camera_from_world.inverse().translation
     towards = points[of.point] - centres[of.view]
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)

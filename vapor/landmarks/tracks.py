@@ -36,9 +36,7 @@ def view_change(poses: Poses, depth_m: float) -> Float64[np.ndarray, " n"]:
     return change
 
 
-def neighbours(
-    poses: Poses, depth_m: float, *, most: int = _PARTNERS
-) -> Iterator[tuple[int, Int64[np.ndarray, " k"]]]:
+def neighbours(poses: Poses, depth_m: float, *, most: int = _PARTNERS) -> Iterator[tuple[int, Int64[np.ndarray, " k"]]]:
     """Of each view, the others that show most of the same from somewhere else, by their number.
 
     Args:
@@ -47,8 +45,9 @@ def neighbours(
         most: How many at most.
     """
     for begin in range(0, len(poses), _CHUNK):
-        own = poses[begin : begin + _CHUNK]
-        metres, turned = own[:, None].distance(poses[None])
+        own = np.arange(begin, min(begin + _CHUNK, len(poses)))
+        pairs = np.indices((len(own), len(poses)))
+        metres, turned = poses[own[pairs[0]]].distance(poses[pairs[1]])
         cost = metres / (_AS_FAR * depth_m) + turned / _TURNED
         cost[(metres < _LEAST_BASELINE * depth_m) | (turned > _MOST_TURNED)] = np.inf
         count = min(most, cost.shape[1])
@@ -135,7 +134,7 @@ def find_sightings(
     most_px: float,
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Sightings, Float64[np.ndarray, " e"]]:
-    """Points that views see, before anything is known of where they are, and the epipolar errors of all matches, pixels.
+    """Points that views see, before it is known where they are, and the epipolar errors of all matches, pixels.
 
     Args:
         poses: world_from_camera of n views.

@@ -40,9 +40,7 @@ class Verification:
     """Of "none of these": a place of weight 1 that is not verified outweighs it by the inverse."""
 
     def __post_init__(self) -> None:
-        require_within(
-            self, gain=(1e-3, 1e6), power=(0.0, 5.0), unproposed=(1e-9, 1.0), nothing=(1e-9, 1e6)
-        )
+        require_within(self, gain=(1e-3, 1e6), power=(0.0, 5.0), unproposed=(1e-9, 1.0), nothing=(1e-9, 1e6))
 
     def scores(
         self, inliers: Float64[np.ndarray, " j"], weights: Float64[np.ndarray, " j"]
@@ -73,7 +71,8 @@ def proposed_weights(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarr
 def _squared(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "k j"]:
     """Squared distances of poses from places, in standard deviations of their errors."""
     information = np.linalg.inv(posterior.covariances)
-    offset = posterior.means[:, None].between(poses[None]).log()
+    pairs = np.indices((len(posterior.means), len(poses)))
+    offset = posterior.means[pairs[0]].between(poses[pairs[1]]).log()
     return np.einsum("kji,kil,kjl->kj", offset, information, offset)
 
 

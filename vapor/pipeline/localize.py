@@ -71,6 +71,7 @@ def localize(
     loop = StepLoop(localizer)
     history = History()
     on_floors: list[np.ndarray] = []
+    verified = 0
 
     def posteriors(frames: Iterable[Any]) -> Iterator[tuple[Any, PosePosterior, float]]:
         for frame in frames:
@@ -97,6 +98,7 @@ def localize(
                 with _about(frame, source):
                     step = loop.step(frame.time_ns, posterior, frame.odometry, observe_ms=observe_ms)
                 history.add(step, frame.odometry)
+                verified += len(posterior.sources[1]) > 0
                 if floors is not None:
                     on_floors.append(floors.belief(step.estimate))
                 outputs.add(frame, step)
@@ -111,6 +113,7 @@ def localize(
         record = outputs.finish(skipped=source.skipped, images=source.counts, at_end=at_end)
     if floors is not None:
         record = replace(record, floors=floors, floor_belief=np.stack(on_floors))
+    record = replace(record, verified=None if errors.verified is None else verified)
     fits = agreement(at_end["smoothed"], record.times_ns, history.evidence, errors)
     return replace(record, smoothed_agreement=fits)
 

@@ -46,6 +46,7 @@ class RunRecord:
         peak_rss_mb: Peak resident memory of the process, MiB; None if not measured.
         floors: Of the building; None where there is one only, or it is not known.
         floor_belief: Fraction of the filter's belief on each of the f floors, (n, f); None without floors.
+        verified: How many of the images landmarks verified a place of; None without a map of landmarks.
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -68,6 +69,7 @@ class RunRecord:
     peak_rss_mb: float | None
     floors: Floors | None = None
     floor_belief: Float64[np.ndarray, "n f"] | None = None
+    verified: int | None = None
 
     def with_methods(
         self, poses: Mapping[str, Poses], *, smoothed_agreement: Float64[np.ndarray, " n"] | None = None

@@ -58,6 +58,8 @@ def build_report(record: RunRecord) -> dict[str, Any]:
         "peak_rss_mb": record.peak_rss_mb,
         "floors": None,
     }
+    if record.verified is not None:
+        report["verified"] = record.verified / len(record.times_ns)
     if record.floors is not None and record.floor_belief is not None:
         report["floors"] = evaluate_floors(record.floors, record.floor_belief, record.methods, record.truth)
     if record.truth is not None:

@@ -72,7 +72,7 @@ def check(
         return None, fitted
     runs = [(rows[: max(_MOST_IMAGES // len(runs), LEAST_PASS)], odometry) for rows, odometry in runs]
     total, done = sum(len(rows) for rows, _ in runs), 0
-    seen: list[tuple[list[Poses], np.ndarray, list[Sequence[VerifiedPose]]]] = []
+    seen: list[tuple[list[Poses], np.ndarray, Sequence[Sequence[VerifiedPose]]]] = []
     for rows, _ in runs:
         some, samples = images.select(rows), []
         for poses in predict(network, some, NUM_SAMPLES, seed):
@@ -91,7 +91,7 @@ def check(
 
             def posterior(
                 image: int,
-                of_run: tuple[list[Poses], np.ndarray, list[Sequence[VerifiedPose]]] = of_run,
+                of_run: tuple[list[Poses], np.ndarray, Sequence[Sequence[VerifiedPose]]] = of_run,
                 errors: ErrorModel = errors,
             ) -> PosePosterior:
                 samples, scores, verified_poses = of_run

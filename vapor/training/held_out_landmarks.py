@@ -62,9 +62,7 @@ class HeldOutLandmarks:
             found = held.found(split.source, int(row), posterior.means[np.argsort(-posterior.weights, kind="stable")])
             if found:
                 truth = split.source.poses[int(row)]
-                seen.append(
-                    SeenPlaces.of(posterior, found, truth, near_m=_NEAR[0] * depth_m, near_rad=_NEAR[1])
-                )
+                seen.append(SeenPlaces.of(posterior, found, truth, near_m=_NEAR[0] * depth_m, near_rad=_NEAR[1]))
         return HeldOutLandmarks(held.localizer, fit_verification(seen, landmarks.verified.effective_images))
 
     def found(self, images: TrainingSet, row: int, proposed: Poses | None = None) -> list[VerifiedPose]:

@@ -77,7 +77,9 @@ def calibrate_and_check(
     verified = None if landmarks is None else landmarks.verified.errors
     if not config.calibrate:
         calibration = replace(calibration, errors=replace(calibration.errors, verified=verified))
-        return HeldOutFindings(calibration, landmarks=None if landmarks is None else Landmarks(landmarks.built.landmarks))
+        return HeldOutFindings(
+            calibration, landmarks=None if landmarks is None else Landmarks(landmarks.built.landmarks)
+        )
     familiarity = _familiarity(model, split.training, evaluated)
     calibrated = calibrate(
         model,
@@ -90,9 +92,7 @@ def calibrate_and_check(
         seed=config.seed,
         advance=partial(advance, "calibrating"),
     )
-    calibration = replace(
-        calibrated.calibration, errors=replace(calibrated.calibration.errors, verified=verified)
-    )
+    calibration = replace(calibrated.calibration, errors=replace(calibrated.calibration.errors, verified=verified))
     calibrated = replace(calibrated, calibration=calibration)
     held = None if landmarks is None else HeldOutLandmarks.of(landmarks, model, split, calibration, familiarity, config)
     checked, calibration = check(

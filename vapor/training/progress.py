@@ -17,8 +17,8 @@ class Progress:
     """Where a training stands.
 
     Attributes:
-        stage: "reading" of images, "holding out" of some, "training", "landmarks", "calibrating", "checking" or "training
-            on everything".
+        stage: "reading" of images, "holding out" of some, "training", "landmarks", "calibrating", "checking" or
+            "training on everything".
         done: Images read or held out, steps done since the training's start, interrupted or not, or held-out images
             seen.
         total: Steps or images in all; None while reading.
@@ -33,7 +33,9 @@ class Progress:
         notes: What was held out and why, told once before the first step.
     """
 
-    stage: Literal["reading", "holding out", "training", "landmarks", "calibrating", "checking", "training on everything"]
+    stage: Literal[
+        "reading", "holding out", "training", "landmarks", "calibrating", "checking", "training on everything"
+    ]
     done: int
     total: int | None = None
     epoch: int = 0

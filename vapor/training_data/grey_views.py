@@ -1,4 +1,4 @@
-"""Training images as landmarks are found in them: grey, larger than a network sees them, in a nameless temporary file."""
+"""Training images in which landmarks are found: grey, larger than a network sees them, in a nameless temporary file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class GreyViews:
         self._wanted = wanted
         self.camera = None if camera is None else shrunk(camera)
         self._as_taken: AsTakenBy | None = None
-        self._file = tempfile.TemporaryFile() if wanted else None
+        self._file = tempfile.TemporaryFile() if wanted else None  # noqa: SIM115 - closed on leaving
         self._count = 0
 
     def __enter__(self) -> GreyViews:

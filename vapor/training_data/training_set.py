@@ -36,7 +36,7 @@ class TrainingSet:
         skipped: Images and poses of the data that were left out in reading, by reason.
         notices: What a person should know of the data.
         camera: The camera that took the images, or to which they were resampled; None where unknown.
-        views: The same images grey and larger, in which landmarks are found, memory-mapped; none where not asked for.
+        views: The same images grey and larger, in which landmarks are found, memory-mapped, (m, …); none if not asked for.
         view_camera: Their camera as stated; where none is, with a guessed focal length.
     """
 
@@ -51,7 +51,7 @@ class TrainingSet:
     skipped: Counter[str] = field(default_factory=Counter)
     notices: tuple[str, ...] = ()
     camera: Camera | None = None
-    views: UInt8[np.ndarray, "m h2 w2"] = field(default_factory=lambda: np.zeros((0, 1, 1), np.uint8))
+    views: UInt8[np.ndarray, "v h2 w2"] = field(default_factory=lambda: np.zeros((0, 1, 1), np.uint8))
     view_camera: Camera | None = None
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-"""Rows for which a network is trained and calibrated on a part of the images, and localizes in the rest."""
+"""Rows for which a model is trained on a part of the images, as `train` does by itself, and localizes in the rest."""
 
 from __future__ import annotations
 
@@ -21,30 +21,24 @@ from vapor.benchmark.recordings.record import record_file
 from vapor.benchmark.recordings.settings import FileSettings
 from vapor.benchmark.recordings.storage import load_recording, not_recorded
 from vapor.cache import code_digest, digest
-from vapor.calibration.calibrate import calibrate
-from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
 from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.checkpoints.thinning import spaced
+from vapor.checkpoints.file_format import load_checkpoint
+from vapor.landmarks.verify import verified
 from vapor.storage import fetched, published, withdrawn
 from vapor.tracking.passage import Passage, posterior_of
-from vapor.training.config import TrainConfig
+from vapor.training.presets import PRESETS
 from vapor.training.progress import Progress
 from vapor.training.state import state_path
 from vapor.training.train import train
-from vapor.training_data.entries import open_sequences
-from vapor.training_data.load import load_training_set
 
 
 @dataclass(frozen=True)
 class TrainedNetwork:
-    """A network trained on some images of a place, calibrated on others, and localizing in the rest.
+    """A model trained on some images of a place with the settings of `train`, localizing in the rest.
 
     Attributes:
         name: Name of the row.
         training: Folders of the data, `PATH@START:STOP`.
-        held_out: Likewise, for the calibration.
-        config: How to train.
         dataset: Folder of the data with the images that are localized.
         frames: The first of them, and the one after the last; None: to the end.
         odometry: File of the data with recorded odometry; None: it is simulated.
@@ -54,8 +48,6 @@ class TrainedNetwork:
 
     name: str
     training: tuple[str, ...]
-    held_out: tuple[str, ...]
-    config: TrainConfig
     dataset: str
     frames: tuple[int, int | None] = (0, None)
     odometry: str | None = None
@@ -77,11 +69,11 @@ class TrainedNetwork:
     @property
     def needs(self) -> tuple[str, ...]:
         """Files and folders of the data that must be there."""
-        folders = [entry.split("@")[0] for entry in (*self.training, *self.held_out)]
+        folders = [entry.split("@")[0] for entry in self.training]
         return tuple(dict.fromkeys([*folders, self.dataset, *([self.odometry] if self.odometry else [])]))
 
     def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
-        """Convert, train, calibrate, and ask the network about every image."""
+        """Convert, train, and ask the network about every image."""
         file, _ = self._sequence(context, seed)
         if not fetched(file).is_file():
             context.advance("converting", seed, None)
@@ -96,8 +88,7 @@ class TrainedNetwork:
                 seed=seed,
             )
             published(file)
-        model = self._calibrated(context)
-        checkpoint = load_checkpoint(model)
+        checkpoint = load_checkpoint(self._trained(context))
         settings, recordings = self._recording(context, seed, checkpoint), context.folder("recordings")
         if not_recorded([settings], recordings):
             context.advance("asking the network", seed, None)
@@ -106,12 +97,14 @@ class TrainedNetwork:
 
     def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
         """The posteriors of the network, and the odometry of the converted file."""
-        checkpoint = load_checkpoint(self._calibrated(context))
+        checkpoint = load_checkpoint(self._trained(context))
         recording = load_recording(self._recording(context, seed, checkpoint), context.folder("recordings"))
         errors, fit = checkpoint.calibration.errors, checkpoint.calibration.odometry
 
         def posterior(image: int) -> PosePosterior:
-            return posterior_of(recording.posterior_poses(image), errors, float(recording.unfamiliarity[image]))
+            coarse = posterior_of(recording.posterior_poses(image), errors, float(recording.unfamiliarity[image]))
+            landmarks = checkpoint.landmarks
+            return coarse if landmarks is None else verified(coarse, recording.verified[image], landmarks.verification)
 
         n = len(recording.times_ns)
         truth, odometry = recording.path.world_from_camera, tuple(recording.motion(i) for i in range(n))
@@ -124,7 +117,8 @@ class TrainedNetwork:
 
     @cached_property
     def _training_settings(self) -> dict[str, Any]:
-        content = {"training": self.training, "held_out": self.held_out, "config": self.config.settings()}
+        config = PRESETS["auto"].settings()
+        content = {"training": self.training, "config": config, "code": training_code()}
         return json.loads(json.dumps(content))
 
     def _trained(self, context: RowContext) -> Path:
@@ -136,49 +130,9 @@ class TrainedNetwork:
             def report(progress: Progress) -> None:
                 context.advance(progress.stage, progress.done, progress.total)
 
-            training, held_out = ([context.data / entry for entry in part] for part in (self.training, self.held_out))
-            train(training, file, self.config, validation=held_out, progress=report)
+            train([context.data / entry for entry in self.training], file, PRESETS["auto"], progress=report)
             published(file)
             withdrawn(state_path(file))
-        return file
-
-    def _calibrated(self, context: RowContext) -> Path:
-        """The model as calibrated by the current code: calibrated anew if that code has changed."""
-        trained = self._trained(context)
-        file = trained.with_name(f"{trained.stem}-calibrated-{calibration_code()}.safetensors")
-        if fetched(file).is_file():
-            return file
-        context.advance("calibrating", 0, None)
-        checkpoint = load_checkpoint(trained)
-        training, held_out = (
-            load_training_set(
-                open_sequences([context.data / entry for entry in part]), checkpoint.network.frame_size, central=True
-            )
-            for part in (self.training, self.held_out)
-        )
-        network, most = checkpoint.build_network(), self.config.validation_images
-        checked = held_out.select(spaced(len(held_out), most))
-        familiar = learn_familiarity(network, training.select(spaced(len(training), EXEMPLARS)), checked)
-        result = calibrate(
-            network,
-            held_out,
-            checkpoint.prior_poses,
-            checkpoint.calibration,
-            training=training,
-            familiarity=familiar,
-            max_images=most,
-            seed=self.config.seed,
-            advance=lambda done, total: context.advance("calibrating", done, total),
-        )
-        provenance = {**checkpoint.training, "calibration": result.provenance}
-        calibrated = replace(
-            checkpoint,
-            calibration=result.calibration,
-            familiarity=familiar,
-            training=json.loads(json.dumps(provenance)),
-        )
-        save_checkpoint(file, calibrated, store_float16=self.config.store_float16)
-        published(file)
         return file
 
     def _sequence(self, context: RowContext, seed: int) -> tuple[Path, str]:
@@ -193,6 +147,14 @@ class TrainedNetwork:
         return FileSettings(file.stem, *digests, seed, context.num_samples, precision=precision)
 
 
-def calibration_code() -> str:
-    """Digest of the code that calibration depends on."""
-    return code_digest("sequences.odometry_fit", "vapor.calibration", "vapor.checkpoints", "vapor.training_data")
+def training_code() -> str:
+    """Digest of the code that a model depends on."""
+    return code_digest(
+        "sequences.odometry_fit",
+        "vapor.calibration",
+        "vapor.checkpoints",
+        "vapor.landmarks",
+        "vapor.regressors",
+        "vapor.training",
+        "vapor.training_data",
+    )

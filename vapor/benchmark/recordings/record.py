@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
@@ -31,6 +32,7 @@ from vapor.benchmark.recordings.storage import (
     CameraPath,
     load_path,
     to_rows,
+    verified_arrays,
     write_samples_header,
 )
 from vapor.checkpoints.checkpoint import Checkpoint
@@ -193,7 +195,7 @@ def _observe(
         engine=asked.engine,
         precision=asked.precision,
     )
-    times_ns, odometry, covariance, truth, unfamiliarity = [], [], [], [], []
+    times_ns, odometry, covariance, truth, unfamiliarity, verified = [], [], [], [], [], []
     ended: Frame | None = None
     shape = (asked.num_samples, 12)
     with (folder / SAMPLES).open("wb") as samples:
@@ -216,12 +218,14 @@ def _observe(
             odometry.append(motion.previous_from_current)
             covariance.append(motion.covariance)
             unfamiliarity.append(posterior.unfamiliarity)
+            verified.append(() if model.verifier is None else tuple(model.verifier.latest))
             if len(truth) == asked.images:
                 break
         if not truth:
             raise VaporTrackError(f"{file}: no image has a true pose, expected all to have one")
         samples.seek(0)
         write_samples_header(samples, (len(truth), *shape))
+    of_landmarks: dict[str, Any] = verified_arrays(verified)
     np.savez(
         folder / PATH,
         times_ns=np.array(times_ns, np.int64),
@@ -230,5 +234,6 @@ def _observe(
         odometry=to_rows(Poses.stack(odometry)),
         odometry_covariance=np.stack(covariance),
         unfamiliarity=np.array(unfamiliarity),
+        **of_landmarks,
     )
     return len(truth)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, TypeVar
@@ -16,6 +16,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.files.structured import read_arrays, read_json
 from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
+from vapor.landmarks.localize import VerifiedPose
 from vapor.storage import absent, fetched
 
 Settings = TypeVar("Settings", RecordingSettings, FileSettings, RecordingSettings | FileSettings)
@@ -48,6 +49,7 @@ class Recording:
         odometry_covariance: Of ξ = (v, ω), (n, 6, 6).
         samples: Posterior samples, rotation matrix by rows and translation, (n, m, 12); read from disk when asked for.
         unfamiliarity: Of each image, see `PosePosterior`, (n,).
+        verified: The poses that landmarks verify, of each image, (n,).
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -56,6 +58,7 @@ class Recording:
     odometry_covariance: Float64[np.ndarray, "n 6 6"]
     samples: Float32[np.ndarray, "n m 12"]
     unfamiliarity: Float64[np.ndarray, " n"]
+    verified: tuple[tuple[VerifiedPose, ...], ...]
 
     def posterior_poses(self, image: int) -> Poses:
         """Posterior samples (m,) of an image, the same bits that the network gave."""
@@ -89,6 +92,7 @@ def load_recording(settings: RecordingSettings | FileSettings, directory: Path) 
         stored["odometry_covariance"],
         np.load(folder / SAMPLES, mmap_mode="r", allow_pickle=False),
         stored.get("unfamiliarity", np.zeros(len(stored["times_ns"]))),
+        _verified(stored),
     )
 
 
@@ -120,6 +124,28 @@ def to_rows(poses: Poses) -> Float64[np.ndarray, "n 12"]:
 def from_rows(rows: Float64[np.ndarray, "n 12"]) -> Poses:
     """The poses (n,) of `to_rows`."""
     return Poses(rows[:, :9].reshape(-1, 3, 3).copy(), rows[:, 9:].copy())
+
+
+def verified_arrays(verified: Sequence[Sequence[VerifiedPose]]) -> dict[str, np.ndarray]:
+    """The poses that landmarks verify, of each of n images, as arrays of v poses."""
+    every = [(image, each) for image, found in enumerate(verified) for each in found]
+    poses = [each.world_from_camera for _, each in every]
+    return {
+        "verified_image": np.array([image for image, _ in every], np.int64),
+        "verified_pose": to_rows(Poses.stack(poses) if poses else Poses.identity(0)),
+        "verified_covariance": np.array([each.covariance for _, each in every]).reshape(-1, 6, 6),
+        "verified_inliers": np.array([each.inliers for _, each in every], np.int64),
+    }
+
+
+def _verified(stored: Mapping[str, np.ndarray]) -> tuple[tuple[VerifiedPose, ...], ...]:
+    found: list[list[VerifiedPose]] = [[] for _ in stored["times_ns"]]
+    if "verified_image" in stored:
+        poses, none = from_rows(stored["verified_pose"]), np.empty((0, 2))
+        for i, image in enumerate(stored["verified_image"].tolist()):
+            covariance, inliers = stored["verified_covariance"][i], int(stored["verified_inliers"][i])
+            found[image].append(VerifiedPose(poses[i], covariance, inliers, none, none))
+    return tuple(map(tuple, found))
 
 
 def _path(stored: Mapping[str, np.ndarray]) -> CameraPath:

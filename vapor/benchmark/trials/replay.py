@@ -19,6 +19,8 @@ from vapor.benchmark.recordings.storage import Recording, load_recording
 from vapor.benchmark.trials.setup import Setup, setup_settings
 from vapor.benchmark.trials.trial import Segment, Trial
 from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry, scaled_poses
+from vapor.landmarks.localize import VerifiedPose
+from vapor.landmarks.verify import verified
 from vapor.tracking.ablations import ABLATIONS
 from vapor.tracking.follow import Followed, follow
 from vapor.tracking.passage import Passage, posterior_of
@@ -35,6 +37,7 @@ class Replay:
         posterior_poses: Posterior samples of an image, by its number; none for one that says nothing.
         unfamiliarity: Of each image, (n,).
         cue_images: Number of images that show something unique.
+        verified_poses: The poses that landmarks verify, of an image, by its number.
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -43,6 +46,7 @@ class Replay:
     posterior_poses: Callable[[int], Poses]
     unfamiliarity: Float64[np.ndarray, " n"]
     cue_images: int
+    verified_poses: Callable[[int], Sequence[VerifiedPose]] = lambda image: ()
 
     def scaled(self, factor: float) -> Replay:
         """The same where all lengths are multiplied by a factor."""
@@ -51,6 +55,7 @@ class Replay:
             odometry=tuple(scaled_odometry(motion, factor) for motion in self.odometry),
             truth=scaled_poses(self.truth, factor),
             posterior_poses=lambda image: scaled_poses(self.posterior_poses(image), factor),
+            verified_poses=lambda image: [_scaled(each, factor) for each in self.verified_poses(image)],
         )
 
 
@@ -80,7 +85,14 @@ def assemble(trial: Trial, recording: Callable[[Segment], Recording]) -> Replay:
         lambda position: images[seen[position]][0].posterior_poses(images[seen[position]][1]),
         unfamiliarity[np.array(seen)],
         int(sees_cue[np.array(seen)].sum()),
+        lambda position: images[seen[position]][0].verified[images[seen[position]][1]],
     )
+
+
+def _scaled(pose: VerifiedPose, factor: float) -> VerifiedPose:
+    lengths = np.repeat([factor, 1.0], 3)
+    covariance = pose.covariance * np.multiply.outer(lengths, lengths)
+    return replace(pose, world_from_camera=scaled_poses(pose.world_from_camera, factor), covariance=covariance)
 
 
 def load_replay(trial: Trial, setup: Setup, directory: Path) -> Replay:
@@ -116,7 +128,8 @@ def follow_replay(
         kidnap_index: First image after the camera was carried off; None if it was not.
     """
     replay = replay.scaled(scale)
-    calibration = scaled_calibration(setup.checkpoint().calibration, scale)
+    checkpoint = setup.checkpoint()
+    calibration = scaled_calibration(checkpoint.calibration, scale)
     ablation = ABLATIONS[setup.ablation]
     errors, fit = ablation.errors(calibration.errors), calibration.odometry
     config = scaled_localizer(ablation.localizer(setup.localizer), scale)
@@ -124,7 +137,9 @@ def follow_replay(
         config = replace(config, slow_errors=fit.slow_errors)
 
     def posterior(image: int) -> PosePosterior:
-        return posterior_of(replay.posterior_poses(image), errors, float(replay.unfamiliarity[image]))
+        coarse = posterior_of(replay.posterior_poses(image), errors, float(replay.unfamiliarity[image]))
+        landmarks = checkpoint.landmarks
+        return coarse if landmarks is None else verified(coarse, replay.verified_poses(image), landmarks.verification)
 
     passage = Passage(replay.times_ns, replay.odometry, replay.truth, posterior).restated(fit)
     return follow(
