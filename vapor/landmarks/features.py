@@ -50,7 +50,7 @@ def extract(view: UInt8[np.ndarray, "h w"], count: int, *, longest: int) -> Feat
     found, described = sift.detectAndCompute(shrunk, None)
     if not found:
         return Features(np.empty((0, 2)), np.empty((0, SIFT_SIZE), np.float32))
-    at = cv2.KeyPoint.convert(found).astype(np.float64)
+    at = np.array(cv2.KeyPoint.convert(found), np.float64)
     zoom = np.array([view.shape[1] / width, view.shape[0] / height])
     described = np.asarray(described, np.float32)
     roots = np.sqrt(described / np.maximum(described.sum(axis=1, keepdims=True), 1e-9))

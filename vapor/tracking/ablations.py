@@ -68,7 +68,13 @@ class _ToldOfKidnap:
 
 
 def _each_image_anew(errors: ErrorModel) -> ErrorModel:
-    return replace(errors, lasting_fraction=0.0, length_m=1e-6 * errors.length_m, length_rad=1e-6)
+    verified = None if errors.verified is None else _each_image_anew(errors.verified)
+    new = {"lasting_fraction": 0.0, "length_m": 1e-6 * errors.length_m, "length_rad": 1e-6}
+    return replace(errors, **new, verified=verified)
+
+
+def _gaussian(errors: ErrorModel) -> ErrorModel:
+    return replace(errors, tail=1e6, verified=None if errors.verified is None else _gaussian(errors.verified))
 
 
 # To add one: a name, what is different, and a function of the settings.
@@ -76,7 +82,7 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
     {
         "full": Ablation("the filter as it is"),
         "no-lasting-errors": Ablation("every image errs anew, and its view is new", errors=_each_image_anew),
-        "no-tails": Ablation("Gaussian errors", errors=lambda errors: replace(errors, tail=1e6)),
+        "no-tails": Ablation("Gaussian errors", errors=_gaussian),
         "no-adaptation": Ablation(
             "images err as their model says, whatever odometry shows",
             localizer=lambda config: replace(config, adapt_errors=False),

@@ -30,6 +30,7 @@ _LEAST_SHOWN = 0.25  # of a pass that is held out
 AWAY = 1.5  # times what counts as near: elsewhere
 _COMPARED = 4000  # images by which passes are compared
 _TOLD_NAMES = 5
+_STRETCH = 0.7  # of a way, which is held out or left out at a time: what it shows is shown before and after it
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def hold_out(images: TrainingSet, fraction: float) -> Split:
 
     Of four recordings and more whole ones, those that the others cover best; of fewer the segments that are covered
     best by the rest. What no other pass shows is trained on, and images next to it are left out. Where nothing is
-    covered, nothing is held out.
+    covered, the middles of short stretches are held out.
 
     Args:
         images: All that there are, n of them.
@@ -87,11 +88,7 @@ def hold_out(images: TrainingSet, fraction: float) -> Split:
     training = ~candidate | alone
     held_out = shown & ~_touching(way, images.sequence, training)
     if held_out.sum() < LEAST_IMAGES:
-        note = (
-            f"nothing is held out: no {LEAST_IMAGES} images in a row lead over ground that others show, too; the last"
-            " epoch is kept, and how images err is assumed, not found: record another pass, or give held-out data"
-        )
-        return Split(images, images, nothing, (note,), images, near_m)
+        return _within_one_pass(images, way, fraction, near_m)
     notes = [f"held out: {_told(images, held_out)}; other passes show what is there"]
     if alone.any():
         notes.append(
@@ -101,6 +98,34 @@ def hold_out(images: TrainingSet, fraction: float) -> Split:
     if left:
         notes.append(f"{left} images are left out, as they are next to images that are trained on or not shown by any")
     return Split(images.select(np.flatnonzero(training)), images, held_out, tuple(notes), images, near_m)
+
+
+def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fraction: float, near_m: float) -> Split:
+    """Hold out the middles of short stretches, where no pass leads over ground that another shows, too.
+
+    What lies between the middle of a stretch and its ends is left out, so that nothing trained on was taken at nearly
+    the same time.
+    """
+    begins = np.flatnonzero(np.diff(images.sequence, prepend=images.sequence[0] - 1))
+    since = way - way[begins][np.searchsorted(begins, np.arange(len(way)), side="right") - 1]
+    until = since[np.append(begins[1:], len(way)) - 1][np.searchsorted(begins, np.arange(len(way)), side="right") - 1]
+    period = _STRETCH / (2.0 * fraction)
+    away = np.abs(since % period - 0.5 * period)  # from the middle of a stretch
+    whole = (since - since % period + 0.5 * (period + _STRETCH)) < until  # its other end is trained on as well
+    left_out, held_out = (whole & (away < part * _STRETCH) for part in (0.5, 0.25))
+    if held_out.sum() < LEAST_IMAGES:
+        note = (
+            f"nothing is held out: no {LEAST_IMAGES} images in a row lead over ground that others show, too, nor are"
+            " there as many in the middles of short stretches; the last epoch is kept, and how images err is assumed,"
+            " not found: record another pass, or give held-out data"
+        )
+        return Split(images, images, np.zeros(len(images), bool), (note,), images, near_m)
+    count = sum(1 for _ in runs(held_out, images.sequence))
+    note = (
+        f"held out: {held_out.sum()} images in {count} short stretches, as no pass leads over ground that another shows,"
+        f" too; {(left_out & ~held_out).sum()} images about them are left out"
+    )
+    return Split(images.select(np.flatnonzero(~left_out)), images, held_out, (note,), images, near_m)
 
 
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:

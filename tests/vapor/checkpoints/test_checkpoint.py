@@ -89,7 +89,7 @@ HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, {}), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '8', '7' or '6', or '4'"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '9' or '6' to '8', or '4'"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "expected JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
@@ -214,7 +214,7 @@ def test_in_models_from_before_growth_errors_do_not_depend_on_the_score(tmp_path
     grown = replace(saved.calibration.errors, unfamiliar_power=0.75, unfamiliar_score=0.3, mistaken_lengths=3.0)
     save_checkpoint(path, replace(saved, calibration=replace(saved.calibration, errors=grown, odometry=ODOMETRY)))
     metadata, tensors = read_safetensors(path)
-    assert metadata["version"] == "8"
+    assert metadata["version"] == "9"
     assert load_checkpoint(path).calibration.errors == grown
 
     def before_mistakes(config):

@@ -13,7 +13,10 @@ HEAD = "network.latent_mean.weight"
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda t, m: m.update(version="1"), "format version is '1', expected '8', '7' or '6', or '4' or '5' of which"),
+        (
+            lambda t, m: m.update(version="1"),
+            "format version is '1', expected '9' or '6' to '8', or '4' or '5' of which",
+        ),
         (lambda t, m: m.update(format="other"), "format is 'other'"),
         (lambda t, m: t.pop(HEAD), f"lacks tensor {HEAD} (1 such), expected exactly the"),
         (lambda t, m: t.update({"network.more": torch.zeros(1)}), "has surplus tensor network.more"),

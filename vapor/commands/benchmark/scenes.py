@@ -28,6 +28,7 @@ _Override = make_dataclass(
     [
         (name, Annotated[kind | None, tyro.conf.arg(help="As the model says if not given.")], None)
         for name, kind in get_type_hints(ErrorModel).items()
+        if name != "verified"
     ],
     frozen=True,
 )
