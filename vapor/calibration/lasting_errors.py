@@ -45,8 +45,6 @@ def lasting_errors(
     usable: Bool[np.ndarray, " n"],
     travel: Travel,
     extent: float,
-    *,
-    most: float = _FRACTIONS[1],
 ) -> LastingErrors:
     """How long errors last, by the correlation of their directions as the camera moves on.
 
@@ -60,7 +58,6 @@ def lasting_errors(
         usable: Which of the images say anything of their errors, (n,).
         travel: Of the camera, between the images.
         extent: Of the scene, metres: lengths are searched for in proportion to it.
-        most: Of the variance, that may last.
     """
     # Of their directions: images err more in one part of the scene than in another, which is not an error that lasts.
     direction = residual / np.maximum(np.linalg.norm(residual, axis=1, keepdims=True), 1e-300)
@@ -80,7 +77,7 @@ def lasting_errors(
             fraction = float(np.clip((weights * kernel * products).sum() / weight, 0.0, 1.0))
             cost = float((weights * np.square(products - fraction * kernel)).sum())
             if cost < best:
-                best, found = cost, replace(tried, fraction=float(np.clip(fraction, _FRACTIONS[0], most)))
+                best, found = cost, replace(tried, fraction=float(np.clip(fraction, *_FRACTIONS)))
         return best, found
 
     ordinary, found = least_squares(LENGTH_RAD)

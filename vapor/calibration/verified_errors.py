@@ -6,26 +6,27 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from vapor.calibration.image_errors import LEAST_IMAGES, cautious
-from vapor.calibration.lasting_errors import effective_images, lasting_errors
+from vapor.calibration.lasting_errors import LastingErrors, effective_images
 from vapor.calibration.maximum_likelihood import most_likely_errors
 from vapor.calibration.places import Places
-from vapor.calibration.travel import Travel
+from vapor.calibration.travel import LEAST_PAIRS, Travel, pairs_of_images
 from vapor.landmarks.build import BuiltMap
 from vapor.landmarks.features import Features
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.tracks import view_change
 
 _FOLDS = 5
-_STRETCHES = 4.0, 2.0, 1.0  # how much views change over what is hidden at a time: 1 is half a depth, or 25°
+_STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # how much views change over what is hidden at a time: 1 is half a depth, or 25°
 _ENOUGH = 0.5  # of the images verified: else less is hidden
 _IMAGES = 240  # that are localized
-_LENGTH_UNIT = 5.0  # depths: over a thousandth to a seventh of it errors may last
-_MOST_LASTING = 0.98  # of the variance: what is new with each image is hardly any of it
+_DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
+_LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
+_LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance: what is new with each image is little of it
 _RIGHT = 0.5, 0.35  # depths and radians: what is further off is another place
 
 Advance = Callable[[int, int], None]
@@ -67,6 +68,7 @@ def leave_out(
     sequence: Int64[np.ndarray, " n"],
     *,
     most: int = _IMAGES,
+    stretches: Sequence[float] = _STRETCHES,
     advance: Advance = lambda done, total: None,
 ) -> LeftOut:
     """Localize training images without those near them in time: as many images as asked for, evenly spaced.
@@ -79,11 +81,12 @@ def leave_out(
         poses: True poses, world_from_camera, (n,).
         sequence: Index of the sequence that each is from, (n,).
         most: How many images are localized.
+        stretches: How much is hidden around each, the most that leaves enough is taken: 1 is half a depth, or 25°.
         advance: Called with the number of images done and of all.
     """
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(most, len(poses))).astype(np.int64))
-    left_out = LeftOut(np.empty(0, np.int64), (), poses[:0])
-    for length in _STRETCHES:
+    left_out = LeftOut(np.empty(0, np.int64), (), Poses.identity(0))
+    for length in stretches:
         stretch = _stretches(poses, sequence, built.material.depth_m, length)
         left_out = _without(built, features, poses, stretch, chosen, advance)
         if left_out.verified >= _ENOUGH:
@@ -172,7 +175,7 @@ def fit_verified_errors(
     errors = replace(ErrorModel(flat_log_density=flat_log_density), **found.settings(depth_m))
     residuals, usable = places.residuals(errors)
     travel = Travel.along(truth, sequence)
-    lasting = lasting_errors(residuals, usable, travel, _LENGTH_UNIT * depth_m, most=_MOST_LASTING)
+    lasting = _lasting(residuals, usable, travel, depth_m)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
     errors = replace(
@@ -187,6 +190,31 @@ def fit_verified_errors(
     return VerifiedErrors(
         errors, len(rows), effective, float(np.median(metres)), float(np.median(radians)), places.coverage(errors)
     )
+
+
+def _lasting(
+    residual: Float64[np.ndarray, "n 6"], usable: Bool[np.ndarray, " n"], travel: Travel, depth_m: float
+) -> LastingErrors:
+    """How long errors last, by least squares of their products: as long as the view stays the same.
+
+    How many metres change a view as much as how many radians is known from how far away things are.
+    """
+    unit = LastingErrors(1.0, depth_m, _DEPTH_RAD)
+    first, second = pairs_of_images(travel, usable)
+    if len(first) < LEAST_PAIRS:
+        return LastingErrors(_MOST_LASTING, _USUAL_LENGTH * depth_m, _USUAL_LENGTH * _DEPTH_RAD)
+    apart = unit.lengths(travel.metres[second] - travel.metres[first], travel.radians[second] - travel.radians[first])
+    products = np.vecdot(residual[first], residual[second]) / max(float(np.square(residual).sum(axis=1).mean()), 1e-300)
+    weights = 1.0 / (second - first)  # neighbours as much as all that are ten times as far from each other
+    best, found = np.inf, unit
+    for length in _LENGTHS:
+        kernel = np.exp(-apart / length)
+        fraction = float((weights * kernel * products).sum() / max(float((weights * np.square(kernel)).sum()), 1e-300))
+        fraction = float(np.clip(fraction, _LEAST_LASTING, _MOST_LASTING))
+        cost = float((weights * np.square(products - fraction * kernel)).sum())
+        if cost < best:
+            best, found = cost, LastingErrors(fraction, length * depth_m, length * _DEPTH_RAD)
+    return found
 
 
 def _right(left_out: LeftOut, depth_m: float) -> Iterator[tuple[int, VerifiedPose]]:

@@ -122,8 +122,8 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
         return Split(images, images, np.zeros(len(images), bool), (note,), images, near_m)
     count = sum(1 for _ in runs(held_out, images.sequence))
     note = (
-        f"held out: {held_out.sum()} images in {count} short stretches, as no pass leads over ground that another shows,"
-        f" too; {(left_out & ~held_out).sum()} images about them are left out"
+        f"held out: {held_out.sum()} images in {count} short stretches, as no pass leads over ground that another"
+        f" shows, too; {(left_out & ~held_out).sum()} images about them are left out"
     )
     return Split(images.select(np.flatnonzero(~left_out)), images, held_out, (note,), images, near_m)
 

@@ -128,7 +128,7 @@ def _distortion(camera: ViewCamera) -> str:
 
 def _typical_error_m(images: TrainingSet, features: QueryFeatures, built: BuiltMap) -> float:
     """Median error of left-out images, those of which no pose is verified counting as infinitely wrong."""
-    left_out = leave_out(built, features, images.poses, images.sequence, most=_COMPARED)
+    left_out = leave_out(built, features, images.poses, images.sequence, most=_COMPARED, stretches=(1.0,))
     metres, _ = left_out.errors
     every = np.concatenate([metres, np.full(len(left_out.image) - len(metres), np.inf)])
     return float(np.median(every)) if len(every) else np.inf
