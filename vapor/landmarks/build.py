@@ -27,6 +27,7 @@ _MOST_KEYS = 1500
 _WORDS, _SUMMARY = 32, 64
 _SAMPLED = 20_000  # descriptors, from which components and words are found
 _WORD_ROUNDS = 15
+_AGREES_PX, _LEAST_AGREEING = 1.5, 0.2  # matches whose rays meet: of images of another place one in forty do
 _MOST_PX = 4.0  # that rays of a match may miss each other by
 _OUTLIERS_PX = (8.0, 6.0, 4.0, 3.0, 2.5)  # sightings that are further off are left out, from round to round
 _LEAST_PARALLAX = np.deg2rad(1.5)
@@ -198,7 +199,7 @@ def gather(
 
 
 def build(material: Material, camera: ViewCamera, *, advance: Advance | None = None) -> BuiltMap | None:
-    """Find the points that key images show; None where there are hardly any.
+    """Find the points that key images show; None where there are hardly any, or poses do not fit.
 
     Poses are taken as they are stated: with poses adjusted to what images see, others are localized no better, as what
     is right is said by the stated ones.
@@ -216,6 +217,9 @@ def build(material: Material, camera: ViewCamera, *, advance: Advance | None = N
         most_px=_MOST_PX,
         advance=advance or (lambda done, total: None),
     )
+    agreeing = float((errors < _AGREES_PX).mean()) if len(errors) else 0.0
+    if agreeing < _LEAST_AGREEING:
+        return None
     poses = material.poses.inverse()
     points, sightings = _points(camera, poses, sightings, material.depth_m, _OUTLIERS_PX)
     fine = parallax(poses, points, sightings) >= _LEAST_PARALLAX
@@ -224,7 +228,7 @@ def build(material: Material, camera: ViewCamera, *, advance: Advance | None = N
     if len(points) < _LEAST_POINTS:
         return None
     sightings, kept = sightings.kept(_within_memory(sightings, len(points))[sightings.point])
-    return BuiltMap(material, camera, points[kept], sightings, float((errors < 1.5).mean()))
+    return BuiltMap(material, camera, points[kept], sightings, agreeing)
 
 
 def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:

@@ -38,6 +38,6 @@ def mutual_matches(
     if ratio < 1.0 and likeness.shape[1] > 1:
         likeness[rows, nearest] = -2.0
         second = likeness.max(axis=1)
-        taken &= 1.0 - best < ratio**2 * (1.0 - second) + 1e-9
+        taken &= 1.0 - best < ratio**2 * (1.0 - second)
     first = np.flatnonzero(taken)
     return first, nearest[first]

@@ -36,7 +36,7 @@ class TrainingSet:
         skipped: Images and poses of the data that were left out in reading, by reason.
         notices: What a person should know of the data.
         camera: The camera that took the images, or to which they were resampled; None where unknown.
-        views: The same images grey and larger, in which landmarks are found, memory-mapped, one each; none if not asked for.
+        views: The same images grey and larger, in which landmarks are found, memory-mapped; none if not asked for.
         view_camera: Their camera as stated; where none is, with a guessed focal length.
     """
 

@@ -26,6 +26,7 @@ from vapor.checkpoints.file_format import load_checkpoint
 from vapor.landmarks.verify import verified
 from vapor.storage import fetched, published, withdrawn
 from vapor.tracking.passage import Passage, posterior_of
+from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
 from vapor.training.progress import Progress
 from vapor.training.state import state_path
@@ -44,6 +45,7 @@ class TrainedNetwork:
         odometry: File of the data with recorded odometry; None: it is simulated.
         evaluated: Which of n images are evaluated, by a name for them.
         unit_m: Lengths are evaluated in units of so many metres.
+        config: How to train: as `train` does without options.
     """
 
     name: str
@@ -55,6 +57,7 @@ class TrainedNetwork:
         default_factory=lambda: {"": lambda n: np.ones(n, bool)}
     )
     unit_m: float = 1.0
+    config: TrainConfig = PRESETS["auto"]
 
     @property
     def group(self) -> str:
@@ -117,8 +120,7 @@ class TrainedNetwork:
 
     @cached_property
     def _training_settings(self) -> dict[str, Any]:
-        config = PRESETS["auto"].settings()
-        content = {"training": self.training, "config": config, "code": training_code()}
+        content = {"training": self.training, "config": self.config.settings(), "code": training_code()}
         return json.loads(json.dumps(content))
 
     def _trained(self, context: RowContext) -> Path:
@@ -130,7 +132,7 @@ class TrainedNetwork:
             def report(progress: Progress) -> None:
                 context.advance(progress.stage, progress.done, progress.total)
 
-            train([context.data / entry for entry in self.training], file, PRESETS["auto"], progress=report)
+            train([context.data / entry for entry in self.training], file, self.config, progress=report)
             published(file)
             withdrawn(state_path(file))
         return file

@@ -1,0 +1,136 @@
+"""Images are localized by landmarks, and posteriors become sharp where these are seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filtering.error_model import ErrorModel
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from tests.helpers.textured_room import CAMERA, Room, walk
+from vapor.calibration.verification import SeenPlaces, fit_verification
+from vapor.calibration.verified_errors import fit_verified_errors, leave_out
+from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
+from vapor.landmarks.verify import Landmarks, LandmarkVerifier, Verification, grey_view, verified
+
+SHARP = ErrorModel(floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
+ERRORS = ErrorModel(floor=(0.3,) * 3 + (0.1,) * 3, typical_std=(0.3,) * 3 + (0.1,) * 3, verified=SHARP)
+
+
+def coarse(*x_m, weights=None):
+    """What a network says: places along x."""
+    poses = Poses(np.tile(np.eye(3), (len(x_m), 1, 1)), np.array([[x, 0.0, 0.0] for x in x_m]))
+    return PosePosterior.from_estimates(poses, 0.3, 0.1, ERRORS, weights=weights)
+
+
+def found_at(x_m, inliers=50):
+    pose = Poses(np.eye(3), np.array([x_m, 0.0, 0.0]))
+    return VerifiedPose(pose, 1e-6 * np.eye(6), inliers, np.zeros((inliers, 2)), np.zeros((inliers, 2)))
+
+
+def test_new_views_are_localized_within_centimetres(room, built):
+    verifier = LandmarkVerifier(Landmarks(built.landmarks))
+    for pose in walk(8, seed=5):
+        (first, *_) = verifier.find(room.view(pose), CAMERA, coarse(0.0))
+        metres, radians = first.world_from_camera.distance(pose)
+        assert metres < 0.03
+        assert radians < 0.01
+        assert first.inliers >= 12
+
+
+@pytest.mark.parametrize("factor", [0.7, 2.0])
+def test_images_of_another_size_or_camera_are_brought_to_the_map_s(room, built, factor):
+    pose = walk(8, seed=5)[3]
+    larger = CAMERA.scaled(round(factor * CAMERA.width), round(factor * CAMERA.height))
+    zoomed = replace(CAMERA, fx=1.2 * CAMERA.fx, fy=1.2 * CAMERA.fy)
+    for camera in (larger, zoomed):
+        verifier = LandmarkVerifier(Landmarks(built.landmarks))
+        (first, *_) = verifier.find(room.view(pose, camera), camera, coarse(0.0))
+        assert first.world_from_camera.distance(pose)[0] < 0.05
+
+
+def test_images_that_show_nothing_of_the_place_verify_nothing(room, built):
+    verifier, rng = LandmarkVerifier(Landmarks(built.landmarks)), np.random.default_rng(0)
+    shape = CAMERA.height, CAMERA.width, 3
+    pose = walk(8, seed=5)[3]
+    moved = np.asarray(room.view(pose), np.float32)
+    blurred = sum(np.roll(moved, shift, axis=1) for shift in range(60)) / 60.0
+    for image in (
+        np.zeros(shape, np.uint8),
+        np.full(shape, 255, np.uint8),
+        rng.integers(0, 256, shape, dtype=np.uint8),
+        Room(7).view(pose),
+        blurred.astype(np.uint8),
+    ):
+        posterior = coarse(0.0)
+        assert verifier.verify(image, CAMERA, posterior) is posterior
+        assert verifier.latest == []
+
+
+def test_a_verified_place_is_sharp_and_one_that_is_not_stays_coarse():
+    posterior = verified(coarse(0.0, 5.0), [found_at(0.1)], Verification())
+    assert posterior.verified.tolist() == [True, False, False]
+    np.testing.assert_allclose(np.diag(posterior.covariances[0])[:3], 1e-4 + SHARP.spread * 1e-6)
+    np.testing.assert_allclose(np.diag(posterior.covariances[1])[:3], 0.09)
+    assert posterior.weights[0] > 0.9
+    assert posterior.weights.sum() < 1.0  # it may be nowhere here
+
+
+def test_two_verified_places_have_the_weights_that_the_network_gives_them():
+    network = coarse(0.0, 5.0, weights=np.array([0.3, 0.7]))
+    posterior = verified(network, [found_at(0.0, 60), found_at(5.0, 54)], Verification(power=1.0, unproposed=1e-6))
+    first, second = posterior.weights[:2]
+    assert first / second == pytest.approx(0.3 * 60 / (0.7 * 54), rel=1e-3)
+
+
+def test_a_verified_place_that_the_network_did_not_propose_is_added():
+    posterior = verified(coarse(0.0), [found_at(20.0)], Verification())
+    assert posterior.means.translation[:, 0].tolist() == [20.0, 0.0]
+    assert posterior.weights[0] > posterior.weights[1]
+
+
+def test_landmarks_of_the_place_say_that_an_image_is_not_foreign():
+    network = replace(coarse(0.0), unfamiliarity=3.0)
+    assert network.is_foreign
+    assert not verified(network, [found_at(0.0)], Verification()).is_foreign
+    assert verified(network, [], Verification()) is network
+
+
+def test_errors_are_found_on_images_without_those_near_them_in_time(room, built):
+    poses = walk(60)
+    left_out = leave_out(
+        built, lambda image: query_features(grey_view(room.view(poses[image]), CAMERA)), poses, np.zeros(60, int)
+    )
+    assert left_out.verified > 0.5
+    found = fit_verified_errors(left_out, np.zeros(len(left_out.image), int), built.material.depth_m, -6.0)
+    assert found.images >= 20
+    assert found.median_m < 0.03
+    assert found.coverage[2] > 0.85
+    assert max(found.errors.typical_std[:3]) < 0.03
+    none = replace(left_out, found=((),) * len(left_out.image))
+    assert fit_verified_errors(none, np.zeros(len(left_out.image), int), built.material.depth_m, -6.0) is None
+
+
+def test_what_a_verified_place_is_worth_follows_from_held_out_images():
+    """Where landmarks verify the wrong of two places as often, they are worth less; the network then decides."""
+
+    def seen(right):
+        inliers = np.array([60.0, 50.0]) if right else np.array([50.0, 60.0])
+        return SeenPlaces(inliers, np.array([0.5, 0.5]), np.array([True, False]), 1.0, 0.5)
+
+    always = fit_verification([seen(True)] * 200, 200.0)
+    half = fit_verification([seen(True), seen(False)] * 100, 200.0)
+    assert always.power > half.power
+    assert fit_verification([], 1.0) == Verification()
+    outside = SeenPlaces(np.array([12.0]), np.array([0.0]), np.array([False]), 1.0, 1.0)
+    assert fit_verification([outside] * 200, 200.0).gain < Verification().gain / 2
+
+
+def test_the_places_that_a_network_proposes_are_looked_at(room, built):
+    """An image that looks like nothing in particular is found where the network says that it is."""
+    localizer, pose = LandmarkLocalizer(built.landmarks), walk(8, seed=5)[3]
+    features = localizer.features(grey_view(room.view(pose), CAMERA))
+    unlike = replace(built.landmarks, summaries=-built.landmarks.summaries[:, ::-1].copy())
+    proposed = LandmarkLocalizer(unlike).localize(features, Poses.stack([pose]))
+    assert proposed[0].world_from_camera.distance(pose)[0] < 0.03
