@@ -1,0 +1,125 @@
+"""Places that landmarks verify err less, and in a way of their own, in filter, baseline and smoother."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filtering.config import LocalizerConfig
+from filtering.error_model import ErrorModel
+from filtering.errors import VaporTrackError
+from filtering.estimate import posterior_modes
+from filtering.kalman import KalmanLocalizer
+from filtering.localizer import ParticleLocalizer
+from filtering.motion import Odometry
+from filtering.posterior import PosePosterior
+from filtering.se3 import Poses
+from filtering.smoothing import smooth
+
+SHARP = ErrorModel(floor=(0.01,) * 6, typical_std=(0.01,) * 6, tail=10.0, length_m=0.3, lasting_fraction=0.8)
+ERRORS = ErrorModel(floor=(0.3,) * 3 + (0.1,) * 3, typical_std=(0.3,) * 3 + (0.1,) * 3, verified=SHARP)
+STEP = Odometry(Poses(np.eye(3), np.array([0.1, 0.0, 0.0])), np.diag([1e-5] * 6), 0.1)
+
+
+def at(*x_m):
+    return Poses(np.tile(np.eye(3), (len(x_m), 1, 1)), np.array([[x, 0.0, 0.0] for x in x_m]))
+
+
+def seen(network=(), verified=(), weights=None):
+    """What an image says: places that the network proposes, and verified ones, along x."""
+    places = (*verified, *network)
+    sharp = np.arange(len(places)) < len(verified)
+    std = np.where(sharp[:, None], 0.01, np.array([0.3] * 3 + [0.1] * 3))
+    covariances = std[:, :, None] ** 2 * np.eye(6)
+    if weights is None:  # as sixty landmarks give them
+        weights = np.where(sharp, 250.0, 1.0)
+        weights = 0.95 * weights / weights.sum()
+    return PosePosterior(at(*places), covariances, np.array(weights), ERRORS, at(*places), verified=sharp)
+
+
+def localizer():
+    return ParticleLocalizer(None, LocalizerConfig(), rng=np.random.default_rng(0))
+
+
+def test_a_verified_image_makes_the_belief_as_sharp_as_it_is():
+    filtering = localizer()
+    coarse = filtering.update(seen([0.0]), None)
+    assert coarse.modes[0].widest_std_m > 0.2
+    assert coarse.status == "ambiguous"  # where it is, is known to a foot only
+    sharp = filtering.update(seen([0.1], [0.1]), STEP)
+    assert sharp.modes[0].widest_std_m < 0.03
+    assert sharp.modes[0].world_from_camera.translation[0] == pytest.approx(0.1, abs=0.01)
+    assert sharp.status == "converged"
+
+
+def test_it_stays_sharp_on_odometry_while_images_are_coarse():
+    filtering = localizer()
+    filtering.update(seen([0.0], [0.0]), None)
+    for k in range(1, 6):
+        estimate = filtering.update(seen([0.1 * k + 0.4]), STEP)  # the network errs by 0.4 m, all the time
+    assert estimate.modes[0].world_from_camera.translation[0] == pytest.approx(0.5, abs=0.05)
+    assert estimate.modes[0].widest_std_m < 0.05
+
+
+def test_errors_of_the_network_are_not_those_of_landmarks():
+    """The lasting error that coarse images show is not taken away from verified places."""
+    filtering = localizer()
+    filtering.update(seen([0.4], [0.0]), None)
+    for k in range(1, 30):
+        estimate = filtering.update(seen([0.1 * k + 0.4], [0.1 * k] if k % 5 == 0 else ()), STEP)
+    assert estimate.modes[0].world_from_camera.translation[0] == pytest.approx(2.9, abs=0.03)
+
+
+def test_being_sharp_is_no_evidence_for_a_place():
+    """Two places alike, of which landmarks verify the wrong one only: neither wins."""
+    filtering = localizer()
+    estimate = filtering.update(seen([0.0], [50.0], weights=(0.45, 0.45)), None)
+    for k in range(1, 100):
+        estimate = filtering.update(seen([0.1 * k], [50.0 + 0.1 * k], weights=(0.45, 0.45)), STEP)
+        assert estimate.status != "converged"
+    weights = sorted(mode.weight for mode in estimate.modes)[-2:]
+    assert weights[0] > 0.3
+
+
+def test_the_kalman_filter_takes_verified_places_first():
+    kalman = KalmanLocalizer()
+    kalman.update(seen([0.0], [0.0]), None)
+    for k in range(1, 10):
+        mode = kalman.update(seen([0.1 * k + 0.2], [0.1 * k]), STEP)
+    assert mode.world_from_camera.translation[0] == pytest.approx(0.9, abs=0.01)
+    assert mode.widest_std_m < 0.02
+
+
+def test_the_smoother_weighs_verified_places_by_their_own_errors():
+    posteriors = [seen([0.1 * k + 0.3], [0.1 * k] if k in (0, 20) else ()) for k in range(21)]
+    truth = at(*(0.1 * k for k in range(21)))
+    modes = [posterior_modes(each) for each in posteriors]
+    assert [m.verified for m in modes[0]] == [True, False]
+    found = smooth(modes, [STEP] * 21, np.full(21, 0.2), truth, np.ones(21, bool), ERRORS)
+    assert np.abs(found.translation[:, 0] - truth.translation[:, 0]).max() < 0.05
+
+
+def test_a_camera_that_sees_landmarks_later_gets_room_for_their_errors():
+    filtering = localizer()
+    plain = replace(ERRORS, verified=None)
+    filtering.start_at(at(0.0)[0], 0.01 * np.eye(6), plain)
+    estimate = filtering.update(seen([0.1], [0.1]), STEP)
+    assert estimate.modes[0].widest_std_m < 0.03
+
+
+def test_verified_places_need_their_errors():
+    with pytest.raises(VaporTrackError, match="verified has shape"):
+        replace(seen([0.0], [0.0]), errors=replace(ERRORS, verified=None))
+    with pytest.raises(VaporTrackError, match="of their own"):
+        replace(ERRORS, verified=ERRORS)
+
+
+def test_inflating_and_splitting_keep_sources_apart():
+    posterior = seen([0.0, 1.0], [0.0])
+    larger = posterior.inflated(4.0, 9.0)
+    np.testing.assert_allclose(larger.covariances[0], 9.0 * posterior.covariances[0])
+    np.testing.assert_allclose(larger.covariances[1:], 4.0 * posterior.covariances[1:])
+    np.testing.assert_allclose(larger.factors @ larger.factors, larger.covariances, atol=1e-12)
+    assert larger.errors.verified == SHARP.inflated(9.0)
+    assert posterior.only(1).errors == SHARP
+    assert len(posterior.only(0).weights) == 2
