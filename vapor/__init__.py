@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from filtering.se3 import Poses as Poses
     from sequences.reader import SequenceReader as SequenceReader
     from vapor.calibration.calibrate_model import calibrate_model as calibrate_model
+    from vapor.landmarks.verify import LandmarkVerifier as LandmarkVerifier
     from vapor.observation import VaporObservationModel as VaporObservationModel
     from vapor.pipeline.config import RunConfig as RunConfig
     from vapor.pipeline.fuse import fuse as fuse
@@ -36,6 +37,7 @@ _MODULES = {
     "ErrorModel": "filtering.error_model",
     "Estimate": "filtering.estimate",
     "Floors": "filtering.floors",
+    "LandmarkVerifier": "vapor.landmarks.verify",
     "LiveConfig": "vapor.robot.config",
     "LiveEstimate": "vapor.robot.estimate",
     "LocalizerConfig": "filtering.config",
