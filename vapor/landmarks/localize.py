@@ -23,7 +23,7 @@ from vapor.landmarks.points import by_pose, seen
 
 LEAST_INLIERS = 12
 """Landmarks that a pose must be seen by to be one."""
-_QUERY_PX, _FEATURES = 230, 350
+_QUERY_PX, _FEATURES = 230, 300
 _RATIO = 0.9
 _ALIKE = 16  # key images that look most like an image
 _NEAR = 6  # key images nearest to a pose that is proposed
@@ -34,7 +34,7 @@ _LEAST_MATCHES, _LEAST_SUPPORT = 8, 8
 _INLIER_PX = 3.0
 _GUIDED_PX, _GUIDED_COSINE = 5.0, 0.75
 _GUIDED_FROM = 20  # key images near a pose, whose points are looked for
-_ROUNDS, _ROBUST_PX = 8, 1.0
+_ROUNDS, _ROBUST_PX = 6, 1.0
 _LOOKS_ALONG = 0.7  # cosine between the axes of two cameras that may show the same
 _APART = 0.25, 0.2  # depths and radians: poses within are one
 _TRIES = {"max_reproj_error": _INLIER_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
@@ -188,14 +188,12 @@ class LandmarkLocalizer:
         at = found.at * camera.focal + camera.centre
         inside = (found.inverse_depth > 0.0) & ((at > -0.5) & (at < camera.size - 0.5)).all(axis=1)
         points, at = points[inside], at[inside]
-        apart = np.square(features.pixels[:, None, 0] - at[:, 0]) + np.square(features.pixels[:, None, 1] - at[:, 1])
-        a, b = mutual_matches(
-            features.descriptors,
-            restored(m.descriptors[points]),
-            1.0,
-            apart=apart > _GUIDED_PX**2,
-            least=_GUIDED_COSINE,
-        )
+        across, down = np.abs(features.pixels.T.astype(np.float32)[:, :, None] - at.T.astype(np.float32)[:, None])
+        apart = np.maximum(across, down) > _GUIDED_PX
+        near = np.flatnonzero(~apart.all(axis=0))
+        points = points[near]
+        descriptors = restored(m.descriptors[points])
+        a, b = mutual_matches(features.descriptors, descriptors, 1.0, apart=apart[:, near], least=_GUIDED_COSINE)
         if len(a) < LEAST_INLIERS:
             return None
         pixels, at = features.pixels[a], m.points[points[b]].astype(np.float64)
@@ -209,7 +207,7 @@ class LandmarkLocalizer:
             information = weighted.T @ jacobian.reshape(-1, 6)
             step = -np.linalg.solve(information + 1e-9 * np.diag(information.diagonal()), weighted.T @ residual.ravel())
             camera_from_world = Poses.exp(step) @ camera_from_world
-            if np.abs(step).max() < 1e-6:
+            if np.abs(step).max() < 1e-5:
                 break
         camera_from_world = camera_from_world.orthonormal()
         residual = seen(camera_from_world, at).at * camera.focal + camera.centre - pixels
