@@ -220,11 +220,13 @@ class _ImageModes:
         verified = np.array([mode.verified for mode in flat], bool)
         tail = np.where(verified, errors.finest.tail, errors.tail)
         of_image = np.ones(len(modes))
-        exact = np.bincount(self._image[verified], minlength=len(modes)) > 0  # images that landmarks say anything of
-        for images, of in ((self.images[~exact[self.images]], errors), (np.flatnonzero(exact), errors.finest)):
-            # The lengths are those of the network's errors; those of landmarks last over others.
-            since = np.diff(np.cumsum(ways)[images], prepend=0.0) * (errors.length_m / of.length_m)
-            of_image[images] = independence(since, of.lasting_fraction)
+        travelled = np.cumsum(ways)
+        since = np.diff(travelled[self.images], prepend=0.0)
+        of_image[self.images] = independence(since, errors.lasting_fraction)
+        exact = np.unique(self._image[verified])  # images of which landmarks say something
+        # The lengths are those of the network's errors; those of landmarks last over others.
+        since = np.diff(travelled[exact], prepend=0.0) * (errors.length_m / errors.finest.length_m)
+        of_image[exact] = independence(since, errors.finest.lasting_fraction)
         worth = of_image[self._image]
         self.kernel = np.sqrt((tail + 6.0) * worth)
         self.covariance = stated * (tail / np.square(self.kernel))[:, None, None]

@@ -15,6 +15,7 @@ from vapor.calibration.lasting_errors import LastingErrors, effective_images
 from vapor.calibration.maximum_likelihood import most_likely_errors
 from vapor.calibration.places import Places
 from vapor.calibration.travel import LEAST_PAIRS, Travel, pairs_of_images
+from vapor.checkpoints.thinning import spaced
 from vapor.landmarks.build import BuiltMap
 from vapor.landmarks.features import Features
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
@@ -23,7 +24,7 @@ from vapor.landmarks.tracks import view_change
 _FOLDS = 5
 _STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # how much views change over what is hidden at a time: 1 is half a depth, or 25°
 _ENOUGH = 0.5  # of the images verified: else less is hidden
-_IMAGES = 240  # that are localized
+_IMAGES, _TRIED = 200, 40  # that are localized, and by which it is found how much can be hidden
 _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
 _LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
 _LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance: what is new with each image is little of it
@@ -84,14 +85,15 @@ def leave_out(
         stretches: How much is hidden around each, the most that leaves enough is taken: 1 is half a depth, or 25°.
         advance: Called with the number of images done and of all.
     """
-    chosen = np.unique(np.linspace(0, len(poses) - 1, min(most, len(poses))).astype(np.int64))
-    left_out = LeftOut(np.empty(0, np.int64), (), Poses.identity(0))
+    chosen, some = (spaced(len(poses), count) for count in (most, _TRIED))
+    stretch = np.zeros(len(poses), np.int64)
     for length in stretches:
         stretch = _stretches(poses, sequence, built.material.depth_m, length)
-        left_out = _without(built, features, poses, stretch, chosen, advance)
-        if left_out.verified >= _ENOUGH:
+        if length == stretches[-1]:
             break
-    return left_out
+        if _without(built, features, poses, stretch, some, lambda done, total: None).verified >= _ENOUGH:
+            break
+    return _without(built, features, poses, stretch, chosen, advance)
 
 
 def _without(

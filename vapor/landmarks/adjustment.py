@@ -17,7 +17,7 @@ from filtering.se3 import Poses
 from vapor.landmarks.points import Sightings, by_point, by_pose, seen
 from vapor.landmarks.view_camera import ViewCamera
 
-_ROUNDS = 12
+_ROUNDS = 8
 _PIXEL = 1.0  # scale of the robust cost
 _DAMPING = 1e-4
 _INTRINSICS_STD = np.array([1.0, 0.03, 0.03, 0.3, 0.5])

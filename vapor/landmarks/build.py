@@ -36,7 +36,7 @@ _LEAST_DEPTH = 0.02  # in median depths
 _MOST_BYTES = 18_000  # of the map, a key image
 _BYTES_OF_POINT, _BYTES_OF_SIGHTING = 76, 4
 _POSE_STD = 0.01  # depths and radians: what poses are taken to err by at first where the camera is found
-_SAMPLED_KEYS, _RUN = 200, 25  # key images in which it is found, and how many in a row
+_SAMPLED_KEYS, _RUN = 150, 25  # key images in which it is found, and how many in a row
 
 Advance = Callable[[int, int], None]
 View = Callable[[int], UInt8[np.ndarray, "h w"]]

@@ -30,7 +30,7 @@ _LEAST_SHOWN = 0.25  # of a pass that is held out
 AWAY = 1.5  # times what counts as near: elsewhere
 _COMPARED = 4000  # images by which passes are compared
 _TOLD_NAMES = 5
-_STRETCH = 0.7  # of a way, which is held out or left out at a time: what it shows is shown before and after it
+_STRETCH, _IN_STRETCH = 0.7, 4  # of a way and images at least, which are held out or left out at a time
 
 
 @dataclass(frozen=True)
@@ -109,10 +109,18 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
     begins = np.flatnonzero(np.diff(images.sequence, prepend=images.sequence[0] - 1))
     since = way - way[begins][np.searchsorted(begins, np.arange(len(way)), side="right") - 1]
     until = since[np.append(begins[1:], len(way)) - 1][np.searchsorted(begins, np.arange(len(way)), side="right") - 1]
-    period = _STRETCH / (2.0 * fraction)
-    away = np.abs(since % period - 0.5 * period)  # from the middle of a stretch
-    whole = (since - since % period + 0.5 * (period + _STRETCH)) < until  # its other end is trained on as well
-    left_out, held_out = (whole & (away < part * _STRETCH) for part in (0.5, 0.25))
+    steps = np.diff(way)[np.diff(images.sequence) == 0]
+    stretch = max(_STRETCH, _IN_STRETCH * float(np.median(steps)) if len(steps) else 0.0)
+    left_out = held_out = np.zeros(len(images), bool)
+    for share in (fraction, min(2.0 * fraction, 0.25)):  # the more, the fewer images there are
+        period = stretch / (2.0 * share)
+        away = np.abs(since % period - 0.5 * period)  # from the middle of a stretch
+        whole = (since - since % period + 0.5 * (period + stretch)) < until  # its other end is trained on as well
+        left_out, held_out = (whole & (away < part * stretch) for part in (0.5, 0.25))
+        held_out[1:] &= left_out[:-1]
+        held_out[:-1] &= left_out[1:]
+        if held_out.sum() >= LEAST_IMAGES:
+            break
     if held_out.sum() < LEAST_IMAGES:
         note = (
             f"nothing is held out: no {LEAST_IMAGES} images in a row lead over ground that others show, too, nor are"

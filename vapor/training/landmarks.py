@@ -17,7 +17,7 @@ from vapor.training.config import CameraChoice
 from vapor.training_data.ground import near_scale_m
 from vapor.training_data.training_set import TrainingSet
 
-_COMPARED = 80  # images by which two cameras are compared
+_COMPARED = 60  # images by which two cameras are compared
 _CLEARLY = 0.95  # times the error, with which another camera fits clearly better
 
 Advance = Callable[[int, int], None]

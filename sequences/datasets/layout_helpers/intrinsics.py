@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, get_args
 
+from filtering.errors import quoted
 from sequences.datasets.layout_helpers.image_files import size_of_first
 from sequences.datasets.layout_helpers.packed import ImageFile
 from sequences.errors import SequenceError
@@ -17,7 +18,9 @@ from sequences.values import parse_number
 Seen = TypeVar("Seen", Camera, Lens, Camera | Lens)
 
 
-def find_camera(folders: Iterable[Path], files: Iterable[ImageFile], known: Camera | None = None) -> Camera | None:
+def find_camera(
+    folders: Iterable[Path], files: Iterable[ImageFile], known: Camera | None = None
+) -> Camera | Lens | None:
     """Intrinsics from the first `intrinsics.json` in these folders, else the known ones; scaled to the images.
 
     Raises:
@@ -34,14 +37,24 @@ def scaled_to(camera: Seen, files: Iterable[ImageFile]) -> Seen:
     return camera if size is None else camera.scaled(*size)
 
 
-def _read_intrinsics(file: Path) -> Camera:
+def _read_intrinsics(file: Path) -> Camera | Lens:
     keys = ("width", "height", "fx", "fy", "cx", "cy")
     values = read_json(file)
     missing = [key for key in keys if not isinstance(values, dict) or key not in values]
     if missing:
         raise SequenceError(f"{file}: no {', '.join(missing)}, expected JSON with {', '.join(keys)} in pixels")
     width, height, fx, fy, cx, cy = (values[key] for key in keys)
-    return camera_of(str(file), (width, height), (fx, fy), (cx, cy))
+    camera = camera_of(str(file), (width, height), (fx, fy), (cx, cy))
+    coefficients = values.get("distortion")
+    if coefficients is None:
+        return camera
+    if not isinstance(coefficients, list):
+        raise SequenceError(f"{file}: distortion is {quoted(coefficients)}, expected a list such as [k1, k2, p1, p2]")
+    numbers = [parse_number(value, f"{file}: distortion") for value in coefficients]
+    model = values.get("distortion_model", "plumb_bob")
+    if model not in (models := get_args(DistortionModel)):
+        raise SequenceError(f"{file}: distortion model {quoted(model)}, expected one of {', '.join(models)}")
+    return lens_of(str(file), camera, model, numbers)
 
 
 def camera_of(where: str, size: Sequence[object], focal: Sequence[object], centre: Sequence[object]) -> Camera:

@@ -167,6 +167,30 @@ def test_intrinsics_are_unknown_until_somebody_states_them_and_then_a_conversion
     ]
 
 
+def test_distortion_that_intrinsics_state_is_taken_out_of_the_images(tmp_path: Path) -> None:
+    train = make_ambiguous(tmp_path / "data" / "scene") / "train"
+    stated = tmp_path / "data" / "intrinsics.json"
+    stated.write_text(json.dumps(INTRINSICS))
+    plain = next(posed_frames(train))
+    for more in ({"distortion": [0.3, 0, 0, 0]}, {"distortion": [0.1] * 4, "distortion_model": "equidistant"}):
+        stated.write_text(json.dumps(INTRINSICS | more))
+        frame = next(posed_frames(train))
+        assert frame.camera.width == plain.camera.width
+        assert frame.camera != plain.camera  # that of the undistorted image
+        np.testing.assert_array_equal(frame.world_from_camera.as_matrix(), plain.world_from_camera.as_matrix())
+    stated.write_text(json.dumps(INTRINSICS | {"distortion": [0, 0, 0, 0]}))
+    assert next(posed_frames(train)).camera == plain.camera
+    for more, said in (
+        ({"distortion": 0.3}, r"distortion is 0\.3, expected a list"),
+        ({"distortion": ["k"] * 4}, "distortion"),
+        ({"distortion": [0.3]}, "1 distortion coefficients of plumb_bob, expected 4"),
+        ({"distortion": [0.3] * 4, "distortion_model": "barrel"}, "distortion model 'barrel', expected one of"),
+    ):
+        stated.write_text(json.dumps(INTRINSICS | more))
+        with pytest.raises(SequenceError, match=rf"intrinsics\.json: {said}"):
+            next(posed_frames(train))
+
+
 def test_images_of_a_sequence_that_lost_its_poses_are_counted(tmp_path: Path) -> None:
     for make, poses in ((make_ambiguous, "seq10/poses_seq10.txt"), (make_ceiling, "10/poses.txt")):
         split = make(tmp_path / make.__name__) / "train"

@@ -74,9 +74,22 @@ def test_of_one_recording_a_stretch_that_was_visited_again_is_held_out():
 
 
 @pytest.mark.parametrize("back", [corridor(20, 0, ahead=False), corridor(20, 0, z_m=3.0), corridor(60, 40)])
-def test_ground_seen_once_or_the_other_way_round_is_not_held_out(back):
+def test_of_ground_seen_once_or_the_other_way_round_the_middles_of_short_stretches_are_held_out(back):
     images = recorded(corridor(0, 20), back)
     split = hold_out(images, 0.1)
+    held, learned = split.held_out_mask, trained(split)
+    assert 0.05 * len(images) < held.sum() < 0.15 * len(images)
+    for at in np.flatnonzero(held):
+        assert not learned[max(at - 1, 0) : at + 2].any()  # nothing of nearly the same time
+        for side in (learned[:at][::-1], learned[at:]):  # but what is there is shown before and after
+            assert np.argmax(side) * STEP_M < 2.0
+    (note,) = split.notes
+    assert note.startswith(f"held out: {held.sum()} images in")
+    assert "short stretches, as no pass leads over ground that another shows" in note
+
+
+def test_of_a_few_images_nothing_is_held_out():
+    split = hold_out(recorded(corridor(0, 3)), 0.1)
     assert trained(split).all()
     assert not split.held_out_mask.any()
     (note,) = split.notes
