@@ -28,6 +28,7 @@ from vapor.regressors.registry import make_regressor
 from vapor.regressors.scene_box import SceneBox
 
 _IMAGE_SHAPE = (240, 320, 3)
+_REMEMBERED = 1000  # images
 _STEP = Odometry(Poses.exp(np.array([0.05, 0, 0, 0, 0, 0.01])), np.diag([0.005**2] * 3 + [0.003**2] * 3), 0.1)
 _WARM_UP = 3  # times that are not counted
 _PLACES, _SAMPLES = 30, 1000  # of an image that many places look like
@@ -186,10 +187,16 @@ def _alike(count: int, errors: ErrorModel, images: int, rng: np.random.Generator
 
 
 def untrained(config: NetworkConfig) -> Checkpoint:
-    """A model with random weights: it takes as long as a trained one."""
+    """A model with random weights, and random images in memory where it has one: it takes as long as a trained one."""
+    import torch
+
     box = SceneBox((-5.0, -5.0, 0.0), (5.0, 5.0, 3.0))
-    weights = make_regressor(config, box).state_dict()
-    return Checkpoint(config, box, Calibration(), Poses.exp(np.zeros((1, 6))), weights, {})
+    network = make_regressor(config, box)
+    if (recalling := network.recalling) is not None:
+        features = torch.randn(_REMEMBERED, len(recalling.centre))
+        recalling.remember(features, torch.zeros(_REMEMBERED, 3), torch.eye(3).repeat(_REMEMBERED, 1, 1))
+    weights = network.state_dict()
+    return Checkpoint(config, box, Calibration(), Poses.exp(np.zeros((1, 6))), weights, {}, memory=network.memory)
 
 
 def _time(part: str, call: Callable[[], object], repetitions: int) -> Timing:

@@ -54,6 +54,7 @@ def _colours(images: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b c"]:
     cells = functional.avg_pool2d(images.permute(0, 3, 1, 2).float(), _CELL_PX).flatten(2)
     red, green, blue = cells.unbind(dim=1)
     chroma = torch.stack([red - green, blue - green], dim=1) / (cells.sum(dim=1, keepdim=True) + _DARK)
-    bins = torch.bucketize(chroma, torch.tensor(CHROMA_EDGES, device=images.device), right=True)
+    # A tensor of the edges would be copied to the GPU, which may not happen while kernels are recorded.
+    bins = torch.stack([chroma >= edge for edge in CHROMA_EDGES]).sum(dim=0)
     kinds = torch.arange(len(CHROMA_EDGES) + 1, device=images.device)
     return (bins[..., None] == kinds).float().mean(dim=2).sqrt().flatten(1)
