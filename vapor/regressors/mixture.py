@@ -24,6 +24,8 @@ class MixtureRegressor(MixtureDensity):
 
     lower: Tensor
     upper: Tensor
+    least: Tensor
+    most: Tensor
 
     def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
         super().__init__(config, box)
@@ -34,6 +36,9 @@ class MixtureRegressor(MixtureDensity):
         self.log_widths = nn.Linear(config.feature_dim, 2 * k)
         self.register_buffer("lower", torch.tensor(box.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(box.upper), persistent=False)
+        least, most = torch.tensor([_STD_M, _WIDTH_RAD]).log().T
+        self.register_buffer("least", least, persistent=False)
+        self.register_buffer("most", most, persistent=False)
 
     def components(self, feature: Float[Tensor, "b f"]) -> Components:
         """The components of images with these features."""
@@ -41,9 +46,8 @@ class MixtureRegressor(MixtureDensity):
             log_weights = torch.log_softmax(self.logits(feature), dim=-1)
             in_box = torch.sigmoid(self.translation(feature).unflatten(-1, (-1, 3)))
             rotation = rotation_from_6d(self.rotation_6d(feature).unflatten(-1, (-1, 6)))
-            least, most = feature.new_tensor([_STD_M, _WIDTH_RAD]).log().T
             middle = torch.sigmoid(self.log_widths(feature).unflatten(-1, (-1, 2)))
-            widths = torch.exp(least + (most - least) * middle)
+            widths = torch.exp(self.least + (self.most - self.least) * middle)
             return Components(log_weights, torch.lerp(self.lower, self.upper, in_box), rotation, widths)
 
     def loss(

@@ -113,10 +113,10 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
             translation = memory.translation[which] + (rotation @ move[..., None])[..., 0]
             angle = torch.linalg.vector_norm(_REACH[1] * _TURN_RAD * turn, dim=-1).clamp_min(1e-9)
             rotation = rotation @ rodrigues(_REACH[1] * _TURN_RAD * turn / angle[..., None], angle)
-            widths = torch.exp(widths.clamp(-20.0, 20.0)).clamp(_NARROWEST, _WIDEST) * widths.new_tensor(
-                [self.unit_m, _TURN_RAD]
-            )
-            widths = torch.stack([widths[..., 0], widths[..., 1].clamp_max(_WIDEST_RAD)], dim=-1)
+            widths = torch.exp(widths.clamp(-20.0, 20.0)).clamp(_NARROWEST, _WIDEST)
+            # No tensor of the units: it would be copied to a GPU, which may not happen while kernels are recorded.
+            metres, radians = self.unit_m * widths[..., 0], (_TURN_RAD * widths[..., 1]).clamp_max(_WIDEST_RAD)
+            widths = torch.stack([metres, radians], dim=-1)
             return Components(torch.log_softmax(likeness + more[..., 0], dim=1), translation, rotation, widths)
 
     def loss_of_features(
