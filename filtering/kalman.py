@@ -18,9 +18,10 @@ from scipy.special import fdtri
 from filtering.association import UNUSUAL
 from filtering.cameras import SeenCamera, Source
 from filtering.config import GapConfig, LocalizerConfig
+from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
-from filtering.hypotheses import POSE, Hypotheses, bias, born, corrected_poses, motion_of_state, widened
+from filtering.hypotheses import POSE, Hypotheses, bias, born, corrected_poses, motion_of_state, widened, with_source
 from filtering.moments import settle
 from filtering.motion import Odometry, SlowErrors, require_duration, require_odometry
 from filtering.novelty import ViewMeter
@@ -92,6 +93,7 @@ class KalmanLocalizer:
         else:
             self._predict(self._pose, odom, elapsed_s)
             if not posterior.says_nothing:
+                self._know(posterior.errors)
                 ways = [source.meter.way for source in self._sources]
                 self._sources = tuple(
                     source.looked(posterior.only(number)) if len(posterior.sources[number]) else source
@@ -105,6 +107,17 @@ class KalmanLocalizer:
         errors = SeenCamera(self._sources, _NO_METER, Poses.identity()).errors
         return Mode(pose, covariance + errors.constant_covariance(covariance), 1.0)
 
+    def _know(self, errors: ErrorModel) -> None:
+        """Make room for the errors of landmarks where there is a map of them now."""
+        if errors.verified is None or len(self._sources) > 1 or self._pose is None:
+            return
+        landmarks = Source.first_seen(errors.verified, 1, unknown=1.0, adapts=self.config.adapt_errors)
+        wider = with_source(self._hypothesis(self._pose))
+        self._sources = (*self._sources, landmarks)
+        self._filter = KalmanFilter(dim_x=19 + 6, dim_z=6)
+        self._filter.x = np.concatenate([np.zeros(6), wider.mean[0]])[:, None]
+        self._filter.P = wider.covariance[0]
+
     def _hypothesis(self, pose: Poses) -> Hypotheses:
         mean, covariance = self._filter.x[6:].T.copy(), self._filter.P[None].copy()
         return Hypotheses(Poses(pose.rotation[None], pose.translation[None]), mean, covariance, np.zeros(1))
@@ -117,8 +130,10 @@ class KalmanLocalizer:
             Source.first_seen(each, number, unknown=0.0, adapts=adapts) for number, each in enumerate(errors)
         )
         self._sources = tuple(
-            replace(source, scale=replace(old.scale, place=None, since=None, way=0.0))
-            for source, old in zip(self._sources, known or self._sources, strict=False)
+            replace(source, scale=replace(known[number].scale, place=None, since=None, way=0.0))
+            if number < len(known)
+            else source
+            for number, source in enumerate(self._sources)
         )
         places = born(posterior, 0, len(errors), self.config.slow_errors, before, len(errors) - 1)
         heaviest = int(np.argmax(posterior.weights))

@@ -16,6 +16,7 @@ import gtsam
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.linalg import solveh_banded
+from scipy.special import gammaln
 
 from filtering.association import PLACE
 from filtering.config import LocalizerConfig
@@ -225,14 +226,16 @@ class _ImageModes:
         of_image[self.images] = independence(since, errors.lasting_fraction)
         exact = np.unique(self._image[verified])  # images of which landmarks say something
         # The lengths are those of the network's errors; those of landmarks last over others.
-        since = np.diff(travelled[exact], prepend=0.0) * (errors.length_m / errors.finest.length_m)
+        ratios = errors.length_m / errors.finest.length_m, errors.length_rad / errors.finest.length_rad
+        since = np.diff(travelled[exact], prepend=0.0) * min(ratios)  # moved or turned: which, is not known
         of_image[exact] = independence(since, errors.finest.lasting_fraction)
         worth = of_image[self._image]
         self.kernel = np.sqrt((tail + 6.0) * worth)
         self.covariance = stated * (tail / np.square(self.kernel))[:, None, None]
         self._information = np.linalg.inv(self.covariance)
         log_weight = np.log([max(mode.weight, 1e-6) for mode in flat])
-        self._cost = worth * (0.5 * np.linalg.slogdet(stated)[1] - log_weight)
+        log_peak = gammaln((tail + 6.0) / 2.0) - gammaln(tail / 2.0) - 3.0 * np.log(tail * np.pi)
+        self._cost = worth * (0.5 * np.linalg.slogdet(stated)[1] - log_peak - log_weight)
 
     def choose(self, trajectory: Poses) -> tuple[Int64[np.ndarray, " c"], float]:
         """Index of the mode that explains each of `images` best, and the cost of these for weight and normaliser."""

@@ -54,7 +54,7 @@ class AsTakenBy:
             if abs(width * self.camera.height - height * self.camera.width) > _SAME_ASPECT * height * self.camera.width:
                 self._aspects[width, height] += 1
             return image
-        if _same_view(camera, self._like):
+        if same_view(camera, self._like):
             return image
         self.cameras[camera] += 1
         if self.cameras[camera] == 1:
@@ -123,7 +123,7 @@ def resampled(image: UInt8[np.ndarray, "h w 3"], camera: Camera, like: Camera) -
     )
 
 
-def _same_view(camera: Camera, like: Camera) -> bool:
+def same_view(camera: Camera, like: Camera) -> bool:
     """Whether both see the same with pixels of the same shape, to within half a pixel of the latter at every edge."""
     low, high = _corners(camera, like)
     if abs(camera.width * like.height - camera.height * like.width) > _SAME_PX * max(camera.width, camera.height):

@@ -69,8 +69,7 @@ class VaporObservationModel:
         self.camera = camera
         self.engine: Engine = start_engine(model, EngineConfig(engine, precision), device=device, threads=threads)
         self._as_learned = AsTakenBy(self.description.camera, self.description.network.frame_size)
-        landmarks = self.description.landmarks
-        self.verifier = None if landmarks is None else LandmarkVerifier(landmarks)
+        self.verifier = _verifier(self.description)
 
     @staticmethod
     def from_checkpoint(
@@ -103,7 +102,7 @@ class VaporObservationModel:
         """The same model with the same network, for images of a camera; its notices begin anew."""
         other, model = copy(self), self.description
         other.camera, other._as_learned = camera, AsTakenBy(model.camera, model.network.frame_size)
-        other.verifier = None if model.landmarks is None else LandmarkVerifier(model.landmarks)
+        other.verifier = _verifier(model)
         return other
 
     @cached_property
@@ -158,3 +157,8 @@ class VaporObservationModel:
             return 0.0
         score = float(self.description.familiarity.unfamiliarity(description[None])[0])
         return min(score, FOREIGN) if self._as_learned.sees_less else score
+
+
+def _verifier(model: ModelDescription) -> LandmarkVerifier | None:
+    errors = model.calibration.errors.verified
+    return None if model.landmarks is None or errors is None else LandmarkVerifier(model.landmarks, errors)

@@ -107,6 +107,14 @@ def test_a_camera_that_sees_landmarks_later_gets_room_for_their_errors():
     assert estimate.modes[0].widest_std_m < 0.03
 
 
+def test_the_kalman_filter_gets_room_for_them_later_too():
+    kalman, plain = KalmanLocalizer(), replace(ERRORS, verified=None)
+    kalman.update(PosePosterior.from_estimates(at(0.0), 0.3, 0.1, plain), None)
+    mode = kalman.update(seen([0.1], [0.1]), STEP)
+    assert mode.world_from_camera.translation[0] == pytest.approx(0.1, abs=0.01)
+    assert mode.widest_std_m < 0.03
+
+
 def test_verified_places_need_their_errors():
     with pytest.raises(VaporTrackError, match="verified has shape"):
         replace(seen([0.0], [0.0]), errors=replace(ERRORS, verified=None))

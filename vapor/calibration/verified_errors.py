@@ -23,6 +23,7 @@ from vapor.landmarks.tracks import view_change
 
 _FOLDS = 5
 _STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # how much views change over what is hidden at a time: 1 is half a depth, or 25°
+_END = 0.25  # of a stretch, at either end: only images in between are localized
 _ENOUGH = 0.5  # of the images verified: else less is hidden
 _IMAGES, _TRIED = 200, 40  # that are localized, and by which it is found how much can be hidden
 _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
@@ -85,15 +86,17 @@ def leave_out(
         stretches: How much is hidden around each, the most that leaves enough is taken: 1 is half a depth, or 25°.
         advance: Called with the number of images done and of all.
     """
-    chosen, some = (spaced(len(poses), count) for count in (most, _TRIED))
     stretch = np.zeros(len(poses), np.int64)
+    middle = np.arange(len(poses))
     for length in stretches:
-        stretch = _stretches(poses, sequence, built.material.depth_m, length)
+        stretch, in_middle = _stretches(poses, sequence, built.material.depth_m, length)
+        middle = np.flatnonzero(in_middle)
         if length == stretches[-1]:
             break
+        some = middle[spaced(len(middle), _TRIED)]
         if _without(built, features, poses, stretch, some, lambda done, total: None).verified >= _ENOUGH:
             break
-    return _without(built, features, poses, stretch, chosen, advance)
+    return _without(built, features, poses, stretch, middle[spaced(len(middle), most)], advance)
 
 
 def _without(
@@ -121,16 +124,20 @@ def _without(
 
 def _stretches(
     poses: Poses, sequence: Int64[np.ndarray, " n"], depth_m: float, length: float
-) -> Int64[np.ndarray, " n"]:
-    """The number of the stretch that each image is in: of one sequence, over which the view changes by so much."""
-    change = view_change(poses, depth_m)
-    number, begun, count = np.empty(len(poses), np.int64), 0.0, 0
-    for i in range(len(poses)):
-        begun += change[i] if i and sequence[i] == sequence[i - 1] else 0.0
-        if i and (sequence[i] != sequence[i - 1] or begun > length):
-            count, begun = count + 1, 0.0
-        number[i] = count
-    return number
+) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Of each image the number of its stretch, over which the view changes by so much, and whether it is in the middle.
+
+    What lies between the middle and the ends of a stretch keeps images of nearly the same time apart.
+    """
+    change = np.cumsum(view_change(poses, depth_m))
+    begins = np.flatnonzero(np.diff(sequence, prepend=sequence[:1] - 1))
+    first = begins[np.searchsorted(begins, np.arange(len(poses)), side="right") - 1]
+    since = (change - change[first]) / length
+    within = np.floor(since).astype(np.int64)
+    _, number = np.unique(np.stack([first, within], axis=1), axis=0, return_inverse=True)
+    part = since - within
+    middle = (part >= _END) & (part <= 1.0 - _END)
+    return number.reshape(-1).astype(np.int64), middle if middle.any() else np.ones(len(poses), bool)
 
 
 @dataclass(frozen=True)
@@ -138,10 +145,11 @@ class VerifiedErrors:
     """How verified poses err.
 
     Attributes:
-        errors: The model.
+        errors: The model: metres and radians in the camera's frame, see `ErrorModel`.
         images: How many images it was found on.
         effective_images: How many independent ones are worth as much.
-        median_m: Of their errors, metres.
+        elsewhere: Fraction of the images whose first verified pose is of another place.
+        median_m: Error of the first verified pose, metres.
         median_rad: Likewise, radians.
         coverage: Fraction of the images whose true pose is in the 50, 90 and 95 % region.
     """
@@ -149,18 +157,24 @@ class VerifiedErrors:
     errors: ErrorModel
     images: int
     effective_images: float
+    elsewhere: float
     median_m: float
     median_rad: float
     coverage: tuple[float, float, float]
 
 
 def fit_verified_errors(
-    left_out: LeftOut, sequence: Int64[np.ndarray, " n"], depth_m: float, flat_log_density: float
+    left_out: LeftOut,
+    poses: Poses,
+    sequence: Int64[np.ndarray, " n"],
+    depth_m: float,
+    flat_log_density: float,
 ) -> VerifiedErrors | None:
     """How the poses err that are of the right place; None where there are too few to tell.
 
     Args:
         left_out: Images localized without what is near them in time.
+        poses: True poses of all images, between which the camera travelled, (n,).
         sequence: Index of the sequence of each of these, (n,).
         depth_m: How far away things are, metres.
         flat_log_density: Of poses spread evenly over the map, per m³ rad³.
@@ -169,14 +183,14 @@ def fit_verified_errors(
     if len(rows) < LEAST_IMAGES:
         return None
     which = np.array([row for row, _ in rows])
-    truth, sequence = left_out.truth[which], sequence[which]
+    truth = left_out.truth[which]
     residual = Poses.stack([pose.world_from_camera for _, pose in rows]).between(truth).log()
     covariance = np.stack([pose.covariance for _, pose in rows])
     places = Places(residual, covariance, np.ones(len(rows)), np.arange(len(rows)))
     found = most_likely_errors(places, depth_m, flat_log_density, None)
     errors = replace(ErrorModel(flat_log_density=flat_log_density), **found.settings(depth_m))
     residuals, usable = places.residuals(errors)
-    travel = Travel.along(truth, sequence)
+    travel = Travel.along(poses, sequence)[left_out.image[which]]
     lasting = _lasting(residuals, usable, travel, depth_m)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
@@ -188,10 +202,10 @@ def fit_verified_errors(
         length_rad=lasting.length_rad,
         typical_std=places.typical_std(errors),
     )
-    metres, radians = (np.linalg.norm(residual[:, part], axis=1) for part in (slice(3), slice(3, 6)))
-    return VerifiedErrors(
-        errors, len(rows), effective, float(np.median(metres)), float(np.median(radians)), places.coverage(errors)
-    )
+    metres, radians = left_out.errors
+    elsewhere = float(((metres > _RIGHT[0] * depth_m) | (radians > _RIGHT[1])).mean())
+    medians = float(np.median(metres)), float(np.median(radians))
+    return VerifiedErrors(errors, len(rows), effective, elsewhere, *medians, places.coverage(errors))
 
 
 def _lasting(

@@ -38,7 +38,7 @@ def landmarks_config(landmarks: Landmarks) -> dict[str, Any]:
     """The rest, as JSON."""
     m = landmarks.map
     return {
-        "stated": asdict(m.stated),
+        "stated": None if m.stated is None else asdict(m.stated),
         "camera": asdict(m.camera.camera),
         "k1": m.camera.k1,
         "k2": m.camera.k2,
@@ -90,7 +90,7 @@ def read_landmarks(path: Path, values: Any, tensors: Mapping[str, StoredTensor])
                 f"{path}: landmarks configuration has {name} {quoted(values[name])}, expected a number"
             )
     stated, camera = (parse_camera(path, values[name]) for name in ("stated", "camera"))
-    if stated is None or camera is None or not values["depth_m"] > 0.0:
+    if camera is None or not values["depth_m"] > 0.0:
         raise CheckpointError(
             f"{path}: landmarks have no camera, or lie {quoted(values['depth_m'])} m away, expected a positive number"
         )

@@ -150,7 +150,8 @@ def _train(training: TrainingRun, model: Path) -> dict[str, float]:
     crop = training.config.augment.crop
     images = _images(training.scene.train, training.config.network.frame_size, central=crop == "central")
     try:
-        trained = train_on_images(images, list(open_sequences(training.scene.train)), model, training.config)
+        config = replace(training.config, landmarks=False)  # networks are compared
+        trained = train_on_images(images, list(open_sequences(training.scene.train)), model, config)
     finally:
         images.unload()  # a worker that seems to leak memory is replaced
     cost = {"seconds": trained.seconds, "images_seen": trained.images_seen}

@@ -16,7 +16,7 @@ from vapor.landmarks.adjustment import Adjusted, adjusted
 from vapor.landmarks.features import Basis, Features, extract, stored, unit_vectors
 from vapor.landmarks.landmark_map import LandmarkMap, summed_up
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
-from vapor.landmarks.tracks import find_sightings, neighbours, typical_depth_m
+from vapor.landmarks.tracks import Matches, find_sightings, matches_of, neighbours, typical_depth_m
 from vapor.landmarks.view_camera import ViewCamera
 
 VIEW_PX = 320
@@ -47,22 +47,27 @@ class Material:
     """What a map is made of: the key images among n training images, and their features.
 
     Attributes:
-        stated: The camera that is stated for the images, at their size.
+        stated: The camera that is stated for the images, at their size; None where none is.
         key: Which of the n images are key images, in order, (k,).
         poses: world_from_camera of the key images, batch (k,).
         features: Of each, in the basis.
         basis: In which features are described.
-        pairs: Of key images, by their place in `key`, that may show the same.
+        matches: Of pairs of key images, by their place in `key`, that may show the same: which features match.
         depth_m: How far away things are, median, metres.
     """
 
-    stated: Camera
+    stated: Camera | None
     key: Int64[np.ndarray, " k"]
     poses: Poses
     features: tuple[Features, ...]
     basis: Basis
-    pairs: tuple[tuple[int, int], ...]
+    matches: Matches
     depth_m: float
+
+    @cached_property
+    def descriptors(self) -> Float32[np.ndarray, "n d"]:
+        """Of all features, image by image."""
+        return np.concatenate([each.descriptors for each in self.features])
 
 
 @dataclass(frozen=True)
@@ -84,17 +89,14 @@ class BuiltMap:
     agreeing: float
 
     @cached_property
-    def _descriptors(self) -> Float32[np.ndarray, "p d"]:
-        """Of each point: the mean of those of its sightings."""
-        return _mean_descriptors(self.material.features, self.sightings, len(self.points))
-
-    @cached_property
     def landmarks(self) -> LandmarkMap:
         """The map as it is used."""
         return self._map(np.ones(len(self.material.key), bool), self.points, self.sightings)
 
     def hiding(self, hidden: Bool[np.ndarray, " k"]) -> LandmarkMap:
-        """The map without some of its key images: what it would be, had these never been taken.
+        """The map without some of its key images: no point is seen by them, and where others are they do not say.
+
+        Which features match, the basis and the camera are those of all images.
 
         Args:
             hidden: Which key images.
@@ -133,7 +135,7 @@ class BuiltMap:
             self.camera,
             material.depth_m,
             points.astype(np.float32),
-            stored(_mean_descriptors(material.features, sightings, len(points))),
+            stored(_mean_descriptors(material.descriptors, sightings, len(points))),
             poses.rotation.astype(np.float32),
             poses.translation.astype(np.float32),
             begins.astype(np.int32),
@@ -161,14 +163,21 @@ class BuiltMap:
 
 
 def gather(
-    view: View, poses: Poses, stated: Camera, *, scale_m: float, advance: Advance | None = None
+    view: View,
+    poses: Poses,
+    camera: Camera,
+    *,
+    stated: bool = True,
+    scale_m: float,
+    advance: Advance | None = None,
 ) -> Material | None:
     """Choose key images and find their features; None where no two images show the same from two sides.
 
     Args:
         view: Gives a grey training image by its number, in order of time.
         poses: world_from_camera of n of them.
-        stated: Their camera, at their size.
+        camera: Their camera, at their size.
+        stated: Whether that is stated, or a guess.
         scale_m: So much distance is as much of a difference as a radian, for a start.
         advance: Called with the number of key images done and of all.
     """
@@ -179,7 +188,7 @@ def gather(
             found[image] = extract(view(image), _FEATURES, longest=VIEW_PX)
         return found[image]
 
-    depth_m = typical_depth_m(poses, raw, ViewCamera(stated), scale_m=scale_m)
+    depth_m = typical_depth_m(poses, raw, ViewCamera(camera), scale_m=scale_m)
     if depth_m is None:
         return None
     key = _key_images(poses, depth_m)
@@ -195,10 +204,11 @@ def gather(
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
     reduced = tuple(basis.reduced(each) for each in features)
-    return Material(stated, key, own, reduced, basis, tuple(sorted(pairs)), depth_m)
+    matches = matches_of(reduced, sorted(pairs))
+    return Material(camera if stated else None, key, own, reduced, basis, matches, depth_m)
 
 
-def build(material: Material, camera: ViewCamera, *, advance: Advance | None = None) -> BuiltMap | None:
+def build(material: Material, camera: ViewCamera) -> BuiltMap | None:
     """Find the points that key images show; None where there are hardly any, or poses do not fit.
 
     Poses are taken as they are stated: with poses adjusted to what images see, others are localized no better, as what
@@ -207,16 +217,8 @@ def build(material: Material, camera: ViewCamera, *, advance: Advance | None = N
     Args:
         material: Key images and their features.
         camera: That took them.
-        advance: Called with the number of pairs of images done and of all.
     """
-    sightings, errors = find_sightings(
-        material.poses,
-        material.features,
-        camera,
-        material.pairs,
-        most_px=_MOST_PX,
-        advance=advance or (lambda done, total: None),
-    )
+    sightings, errors = find_sightings(material.poses, material.features, camera, material.matches, most_px=_MOST_PX)
     agreeing = float((errors < _AGREES_PX).mean()) if len(errors) else 0.0
     if agreeing < _LEAST_AGREEING:
         return None
@@ -240,13 +242,17 @@ def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
     """
     keys = _sample_of_keys(len(material.key))
     position = {int(k): i for i, k in enumerate(keys.tolist())}
-    pairs = [(position[i], position[j]) for i, j in material.pairs if i in position and j in position]
+    matches = {
+        (position[i], position[j]): matched
+        for (i, j), matched in material.matches.items()
+        if i in position and j in position
+    }
     poses = material.poses[keys]
     features = [material.features[k] for k in keys.tolist()]
     camera_from_world, camera, found = poses.inverse(), stated, None
     std = _POSE_STD
     for most_px in (16.0, 4.0, 4.0):
-        sightings, _ = find_sightings(poses, features, camera, pairs, most_px=most_px)
+        sightings, _ = find_sightings(poses, features, camera, matches, most_px=most_px)
         outliers_px = 2.0 * most_px, 1.5 * most_px, most_px
         points, sightings = _points(camera, camera_from_world, sightings, material.depth_m, outliers_px)
         if len(points) < _LEAST_POINTS:
@@ -307,13 +313,13 @@ def _key_images(poses: Poses, depth_m: float) -> Int64[np.ndarray, " k"]:
 
 
 def _sampled(features: Sequence[Features], rng: np.random.Generator) -> Float32[np.ndarray, "n d"]:
-    """Some of all descriptors."""
-    everything = np.concatenate([each.descriptors for each in features])
-    return everything[rng.permutation(len(everything))[:_SAMPLED]]
+    """Some of all descriptors, as many of each image."""
+    some = max(1, _SAMPLED // len(features))
+    return np.concatenate([each.descriptors[rng.permutation(len(each))[:some]] for each in features])
 
 
-def _mean_descriptors(features: Sequence[Features], of: Sightings, count: int) -> Float32[np.ndarray, "p d"]:
-    everything = np.concatenate([each.descriptors for each in features])
+def _mean_descriptors(everything: Float32[np.ndarray, "n d"], of: Sightings, count: int) -> Float32[np.ndarray, "p d"]:
+    """Of each point the mean of those of its sightings."""
     found = everything[of.feature]
     sums = np.stack([np.bincount(of.point, column, minlength=count) for column in found.T], axis=1)
     return unit_vectors(sums.astype(np.float32))

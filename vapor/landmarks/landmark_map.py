@@ -19,8 +19,9 @@ class LandmarkMap:
     """p points that n images show, the key images.
 
     Attributes:
-        stated: The camera that the images are of by what was stated, at the size at which features are found.
-        camera: The camera that took them, as it was found; the stated one where that fits as well.
+        stated: What was stated of the camera of the images, at the size at which features are found; None where
+            nothing was. Images of this camera are read through `camera`.
+        camera: The camera that took them, at the same size, as it was found; the stated one where that fits as well.
         depth_m: How far away things are, median, metres.
         points: Where points are, metres, (p, 3).
         descriptors: What they look like, in a byte a number (`features.stored`), (p, d).
@@ -35,7 +36,7 @@ class LandmarkMap:
         summaries: What each key image looks like as a whole, unit vectors, (n, k).
     """
 
-    stated: Camera
+    stated: Camera | None
     camera: ViewCamera
     depth_m: float
     points: Float32[np.ndarray, "p 3"]

@@ -34,6 +34,7 @@ _LEAST_MATCHES, _LEAST_SUPPORT = 8, 8
 _INLIER_PX = 3.0
 _GUIDED_PX, _GUIDED_COSINE = 5.0, 0.75
 _GUIDED_FROM = 20  # key images near a pose, whose points are looked for
+_DAMPING, _MOST_CONDITION = 1e-9, 1e12
 _ROUNDS, _ROBUST_PX = 6, 1.0
 _LOOKS_ALONG = 0.7  # cosine between the axes of two cameras that may show the same
 _APART = 0.25, 0.2  # depths and radians: poses within are one
@@ -86,13 +87,20 @@ class LandmarkLocalizer:
     def _times_shown(self) -> Int64[np.ndarray, " p"]:
         return np.bincount(self.landmarks.shown, minlength=len(self.landmarks.points))
 
-    def features(self, view: UInt8[np.ndarray, "h w"]) -> Features:
-        """Features of a grey image of the map's stated camera and size, at undistorted pixels."""
-        return self.described(query_features(view))
+    def features(self, view: UInt8[np.ndarray, "h w"], *, distorted: bool = True) -> Features:
+        """Features of a grey image, as large as those of the map, at undistorted pixels.
 
-    def described(self, found: Features) -> Features:
+        Args:
+            view: Of the map's camera.
+            distorted: Whether its lens distorts it, as it does the key images; else it is a pinhole camera's.
+        """
+        return self.described(query_features(view), distorted=distorted)
+
+    def described(self, found: Features, *, distorted: bool = True) -> Features:
         """The same of features from `query_features`."""
         reduced = self.landmarks.basis.reduced(found)
+        if not distorted:
+            return reduced
         return Features(self.landmarks.camera.undistorted(reduced.pixels), reduced.descriptors)
 
     def localize(self, features: Features, proposed: Poses | None = None) -> list[VerifiedPose]:
@@ -107,7 +115,7 @@ class LandmarkLocalizer:
             return found
         for images in self._places(features, proposed):
             pose = self._first_pose(features, images)
-            if pose is None or self._is_known(pose, found):
+            if pose is None or self._is_known(pose.inverse(), found):
                 continue
             verified = self._refined(features, pose)
             if verified is not None and not self._is_known(verified.world_from_camera, found):
@@ -115,18 +123,18 @@ class LandmarkLocalizer:
         return sorted(found, key=lambda each: -each.inliers)
 
     def _places(self, features: Features, proposed: Poses | None) -> list[list[int]]:
-        """Groups of key images, each of one place: those that look alike, then those where a pose is proposed."""
+        """Groups of key images, each of one place: the one most alike, where poses are proposed, and others alike."""
         m = self.landmarks
         likeness = m.summaries @ m.summary(features)
         order = np.argpartition(-likeness, min(_ALIKE, len(likeness)) - 1)[:_ALIKE]
         groups = self._grouped(order[np.argsort(-likeness[order], kind="stable")].tolist())
-        seeds = [set(group) for group in groups]
+        looked_at, proposals = [set(group) for group in groups], []
         for pose in () if proposed is None else (proposed[i] for i in range(len(proposed))):
             near = self._near(pose, _NEAR).tolist()
-            if near and not any(group & set(near[:3]) for group in seeds):
-                groups.append(near)
-                seeds.append(set(near))
-        return groups[:_MOST_PLACES]
+            if near and not any(group & set(near[:3]) for group in looked_at):
+                proposals.append(near)
+                looked_at.append(set(near))
+        return [*groups[:1], *proposals, *groups[1:]][:_MOST_PLACES]
 
     def _grouped(self, images: Sequence[int]) -> list[list[int]]:
         """Key images split by what they show: those that share points with the first of a group belong to it."""
@@ -205,7 +213,14 @@ class LandmarkLocalizer:
             jacobian = camera.focal[:, None] * by_pose(found)
             weighted = (jacobian * weight[:, None, None]).reshape(-1, 6)
             information = weighted.T @ jacobian.reshape(-1, 6)
-            step = -np.linalg.solve(information + 1e-9 * np.diag(information.diagonal()), weighted.T @ residual.ravel())
+            try:
+                step = -np.linalg.solve(
+                    information + _DAMPING * np.diag(information.diagonal()), weighted.T @ residual.ravel()
+                )
+            except np.linalg.LinAlgError:  # points that lie almost in one place tell no pose
+                return None
+            if not np.abs(step[:3]).max() < m.depth_m or not np.abs(step[3:]).max() < 1.0:
+                return None
             camera_from_world = Poses.exp(step) @ camera_from_world
             if np.abs(step).max() < 1e-5:
                 break
@@ -215,6 +230,8 @@ class LandmarkLocalizer:
         if np.count_nonzero(inlier) < LEAST_INLIERS:
             return None
         spread = float(np.square(residual[inlier]).sum() / (2.0 * np.count_nonzero(inlier) - 6.0))
+        if not np.linalg.cond(information) < _MOST_CONDITION:
+            return None
         covariance = spread * np.linalg.inv(information)
         return VerifiedPose(
             camera_from_world.inverse(),

@@ -15,6 +15,9 @@ from vapor.landmarks.matching import mutual_matches
 from vapor.landmarks.points import Sightings
 from vapor.landmarks.view_camera import ViewCamera
 
+Matches = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+"""Of pairs of views, by their numbers: which features of the one, (k,), match which of the other, (k,)."""
+
 RATIO = 0.85
 """Of the distances of nearest and second nearest feature, in a match of two views."""
 _PARTNERS = 14  # views that each is matched with
@@ -125,14 +128,13 @@ def epipolar_errors(
     return np.abs(np.vecdot(other, line)) / np.sqrt(np.maximum(squares, 1e-300))
 
 
+def matches_of(features: Sequence[Features], pairs: Sequence[tuple[int, int]]) -> Matches:
+    """Which features of pairs of views match, whatever camera took them."""
+    return {(i, j): mutual_matches(features[i].descriptors, features[j].descriptors, RATIO) for i, j in pairs}
+
+
 def find_sightings(
-    poses: Poses,
-    features: Sequence[Features],
-    camera: ViewCamera,
-    pairs: Sequence[tuple[int, int]],
-    *,
-    most_px: float,
-    advance: Callable[[int, int], None] = lambda done, total: None,
+    poses: Poses, features: Sequence[Features], camera: ViewCamera, matches: Matches, *, most_px: float
 ) -> tuple[Sightings, Float64[np.ndarray, " e"]]:
     """Points that views see, before it is known where they are, and the epipolar errors of all matches, pixels.
 
@@ -140,9 +142,8 @@ def find_sightings(
         poses: world_from_camera of n views.
         features: Of each.
         camera: That took them.
-        pairs: Of views that are matched.
+        matches: Of pairs of views.
         most_px: Matches whose rays miss each other by more are none.
-        advance: Called with the number of pairs done and of all.
     """
     offset = np.concatenate([[0], np.cumsum([len(each) for each in features])])
     rays = [camera.rays(each.pixels) for each in features]
@@ -150,9 +151,7 @@ def find_sightings(
     firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     errors = [np.empty(0)]
     camera_from_world = poses.inverse()
-    for done, (i, j) in enumerate(pairs):
-        advance(done, len(pairs))
-        a, b = mutual_matches(features[i].descriptors, features[j].descriptors, RATIO)
+    for (i, j), (a, b) in matches.items():
         away = pixel * epipolar_errors(rays[i][a], rays[j][b], camera_from_world[j] @ poses[i])
         good = away < most_px
         errors.append(away)

@@ -15,13 +15,14 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from filtering.association import PLACE
-from filtering.error_model import FOREIGN
+from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import require_within
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
-from vapor.cameras import AsTakenBy
+from vapor.cameras import AsTakenBy, same_view
 from vapor.images import centre_crop, scale_to_cover
+from vapor.landmarks.features import Features
 from vapor.landmarks.landmark_map import LandmarkMap
 from vapor.landmarks.localize import LEAST_INLIERS, LandmarkLocalizer, VerifiedPose
 
@@ -117,27 +118,31 @@ class LandmarkVerifier:
 
     Args:
         landmarks: A model's, see `ModelDescription.landmarks`.
+        errors: How the poses err that it verifies, the model's `calibration.errors.verified`.
 
     Attributes:
         landmarks: As given.
         latest: The poses that the landmarks of the latest image verified, the one with most of them first.
     """
 
-    def __init__(self, landmarks: Landmarks) -> None:
+    def __init__(self, landmarks: Landmarks, errors: ErrorModel) -> None:
         self.landmarks = landmarks
         self.latest: list[VerifiedPose] = []
-        stated = landmarks.map.stated
-        self._localizer = LandmarkLocalizer(landmarks.map)
-        self._as_stated = AsTakenBy(stated, (stated.width, stated.height))
+        self._errors, self._localizer = errors, LandmarkLocalizer(landmarks.map)
+        pinhole = landmarks.map.camera.camera
+        self._as_found = AsTakenBy(pinhole, (pinhole.width, pinhole.height))
 
-    def view(self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None) -> UInt8[np.ndarray, "height width"]:
-        """A grey image as the map's camera would have taken it.
+    def _features(self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None) -> Features:
+        """Features as of the camera of the key images.
 
-        Args:
-            image: RGB, undistorted.
-            camera: That took it; None where unknown.
+        An image of which the same is stated as of these was taken by that camera. Any other image is resampled, by its
+        own intrinsics, to a pinhole camera like that.
         """
-        return grey_view(self._as_stated(image, camera), self.landmarks.map.stated)
+        m = self.landmarks.map
+        pinhole = m.camera.camera
+        if camera is None or (m.stated is not None and same_view(camera, m.stated)):
+            return self._localizer.features(grey_view(image, pinhole))
+        return self._localizer.features(grey_view(self._as_found(image, camera), pinhole), distorted=False)
 
     def find(
         self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None, posterior: PosePosterior
@@ -150,8 +155,7 @@ class LandmarkVerifier:
             posterior: What a network says of it.
         """
         order = np.argsort(-posterior.weights, kind="stable")
-        features = self._localizer.features(self.view(image, camera))
-        return self._localizer.localize(features, posterior.means[order])
+        return self._localizer.localize(self._features(image, camera), posterior.means[order])
 
     def verify(
         self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None, posterior: PosePosterior
@@ -161,9 +165,11 @@ class LandmarkVerifier:
         Args:
             image: RGB, undistorted.
             camera: That took it; None where unknown.
-            posterior: What a network says of it, with errors of verified places.
+            posterior: What a network says of it; errors of verified places are added where it has none.
         """
         self.latest = self.find(image, camera, posterior)
+        if posterior.errors.verified is None:
+            posterior = replace(posterior, errors=replace(posterior.errors, verified=self._errors))
         return verified(posterior, self.latest, self.landmarks.verification)
 
 

@@ -80,8 +80,12 @@ def check(
             advance(done + len(samples), total)
         done += len(samples)
         scores = familiarity.unfamiliarity(extract_features(network, some)) if familiarity else np.zeros(len(rows))
-        found = [landmarks.found(images, int(row)) for row in rows] if landmarks else [() for _ in rows]
-        seen.append((samples, scores, found))
+        of_landmarks: list[Sequence[VerifiedPose]] = [() for _ in rows]
+        if landmarks is not None:
+            for i, row in enumerate(rows.tolist()):
+                coarse = posterior_of(samples[i], fitted.errors, float(scores[i]))
+                of_landmarks[i] = landmarks.found(images, row, coarse.means[np.argsort(-coarse.weights, kind="stable")])
+        seen.append((samples, scores, of_landmarks))
 
     def tried(errors: ErrorModel) -> list[Followed]:
         fit = fitted.odometry
@@ -107,7 +111,7 @@ def check(
     followed, kept = tried(fitted.errors), fitted.errors
     found = _summed(followed)
     if found.worse or found.overconfident:
-        others = [(factor, False, fitted.errors.inflated(factor)) for factor in _WIDER]
+        others = [(factor, False, _inflated(fitted.errors, factor)) for factor in _WIDER]
         others.append((1.0, True, replace(default_errors(scene), verified=fitted.errors.verified)))
         for inflation, assumed, errors in others:
             again = tried(errors)
@@ -119,6 +123,12 @@ def check(
     smoothed = [each.poses_at_end()["smoothed"] for each in followed]
     found = replace(found, methods={**found.methods, "smoothed": _figures(followed, smoothed)})
     return replace(found, verdict=verdict(found, result)), replace(fitted, errors=kept)
+
+
+def _inflated(errors: ErrorModel, factor: float) -> ErrorModel:
+    """Errors of all places, verified ones too, whose variances are larger by a factor."""
+    verified_errors = None if errors.verified is None else errors.verified.inflated(factor)
+    return replace(errors.inflated(factor), verified=verified_errors)
 
 
 def _runs(

@@ -9,6 +9,8 @@ import numpy as np
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.familiarity import extract_features
+from vapor.calibration.lasting_errors import LastingErrors, effective_images
+from vapor.calibration.travel import Travel
 from vapor.calibration.verification import SeenPlaces, fit_verification
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.thinning import spaced
@@ -21,6 +23,7 @@ from vapor.tracking.passage import posterior_of
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import Split
 from vapor.training.landmarks import FoundLandmarks
+from vapor.training_data.passes import pass_numbers
 from vapor.training_data.training_set import TrainingSet
 
 _IMAGES = 200
@@ -63,7 +66,11 @@ class HeldOutLandmarks:
             if found:
                 truth = split.source.poses[int(row)]
                 seen.append(SeenPlaces.of(posterior, found, truth, near_m=_NEAR[0] * depth_m, near_rad=_NEAR[1]))
-        return HeldOutLandmarks(held.localizer, fit_verification(seen, landmarks.verified.effective_images))
+        errors = calibration.errors
+        longer = max(errors.mistaken_lengths, 1.0)
+        lasting = LastingErrors(1.0, longer * errors.length_m, longer * errors.length_rad)
+        travel = Travel.along(split.source.poses, pass_numbers(split.source))[rows]
+        return HeldOutLandmarks(held.localizer, fit_verification(seen, effective_images(travel, lasting)))
 
     def found(self, images: TrainingSet, row: int, proposed: Poses | None = None) -> list[VerifiedPose]:
         """The poses that landmarks verify of an image."""

@@ -59,30 +59,32 @@ def find_landmarks(
     """
     if images.view_camera is None or not len(images.views):
         return None, ()
-    stated, poses = ViewCamera(images.view_camera), images.poses
+    stated, poses, known = ViewCamera(images.view_camera), images.poses, images.camera is not None
     material = gather(
         lambda image: images.views[images.rows[image]],
         poses,
         stated.camera,
+        stated=known,
         scale_m=near_scale_m(poses),
         advance=advance,
     )
     if material is None:
         return None, (_NONE.format("no two images show the same from two sides"),)
-    known = images.camera is not None
     features = cache(lambda image: query_features(images.views[images.rows[image]]))
     built, notes = _best_map(images, features, material, stated, choice if known else "estimated", known=known)
     if built is None:
         return None, (*notes, _NONE.format("hardly any point is seen where the poses say that it must be"))
     left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
-    verified = fit_verified_errors(left_out, images.sequence[left_out.image], material.depth_m, flat_log_density(poses))
+    verified = fit_verified_errors(left_out, poses, images.sequence, material.depth_m, flat_log_density(poses))
     if verified is None:
         return None, (*notes, _NONE.format(f"they verify the pose of {left_out.verified:.0%} of the images only"))
     found = (
         f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without what was taken near them"
         f" in time they verify the poses of {left_out.verified:.0%} of {len(left_out.image)} images, which then err by"
-        f" {100 * verified.median_m:.1f} cm and {np.degrees(verified.median_rad):.1f}°"
+        f" {100 * verified.median_m:.1f} cm and {np.degrees(verified.median_rad):.1f}° (median)"
     )
+    if verified.elsewhere > 0.0:
+        found += f"; {verified.elsewhere:.1%} of these are taken for another place"
     return FoundLandmarks(built, verified, images, (*notes, found)), (*notes, found)
 
 
@@ -113,10 +115,11 @@ def _best_map(
     better = errors[1] < _CLEARLY * errors[0]
     if not better:
         return by_stated, ()
+    before = f"instead of {100 * errors[0]:.1f} cm" if np.isfinite(errors[0]) else "instead of hardly at all"
     note = (
         f"camera: {told:.0f} px stated, {fits:.0f} px{_distortion(found.camera)} fit the images:"
         f" {by_found.agreeing:.0%} instead of {by_stated.agreeing:.0%} of matches agree, and images are localized"
-        f" within {100 * errors[1]:.1f} instead of {100 * errors[0]:.1f} cm; so it is taken (--camera stated: the"
+        f" within {100 * errors[1]:.1f} cm {before}; so it is taken (--camera stated: the"
         " stated one)"
     )
     return by_found, (note,)

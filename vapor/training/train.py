@@ -94,7 +94,14 @@ def train_on(
     config = replace(config, network=config.network_for(*loaded.camera_size), aspect="network")
     frame = config.network.frame_size
     held_out = (
-        load_training_set(validation, frame, central=central, camera=loaded.camera, views=config.landmarks)
+        load_training_set(
+            validation,
+            frame,
+            central=central,
+            camera=loaded.camera,
+            views=config.landmarks,
+            view_camera=loaded.view_camera,
+        )
         if validation
         else None
     )

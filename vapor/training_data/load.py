@@ -30,6 +30,7 @@ def load_training_set(
     central: bool = True,
     camera: Camera | None = None,
     views: bool = False,
+    view_camera: Camera | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> TrainingSet:
     """Read frames once, scale each image to cover a frame, and keep it in a temporary file.
@@ -41,6 +42,7 @@ def load_training_set(
             whole image, and all must have the aspect ratio of the first.
         camera: The camera whose images they are resampled to where intrinsics are known; None for that of most images.
         views: Keep them grey and larger, too, for landmarks.
+        view_camera: The camera of these; None for that of most images.
         progress: Called with the number of images read so far.
 
     Raises:
@@ -57,7 +59,7 @@ def load_training_set(
     camera = camera or _commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
     as_taken: AsTakenBy | None = None
-    with tempfile.TemporaryFile() as file, GreyViews(camera if views else None, wanted=views) as grey:
+    with tempfile.TemporaryFile() as file, GreyViews(view_camera or camera, wanted=views) as grey:
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
             num_before, agreeing = len(sources), Views()
@@ -101,7 +103,7 @@ def load_training_set(
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
-        kept, view_camera = grey.kept(), grey.camera
+        kept, view_camera = grey.kept(), grey.camera if views else None
     poses = Poses.from_matrix(np.stack(matrices))
     notices += said_of_colours(colours)
     notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]

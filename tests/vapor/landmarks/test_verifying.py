@@ -11,8 +11,11 @@ from filtering.se3 import Poses
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.calibration.verification import SeenPlaces, fit_verification
 from vapor.calibration.verified_errors import fit_verified_errors, leave_out
+from vapor.landmarks.build import build, camera_found, gather
+from vapor.landmarks.features import Features, restored
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
 from vapor.landmarks.verify import Landmarks, LandmarkVerifier, Verification, grey_view, verified
+from vapor.landmarks.view_camera import ViewCamera
 
 SHARP = ErrorModel(floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
 ERRORS = ErrorModel(floor=(0.3,) * 3 + (0.1,) * 3, typical_std=(0.3,) * 3 + (0.1,) * 3, verified=SHARP)
@@ -30,7 +33,7 @@ def found_at(x_m, inliers=50):
 
 
 def test_new_views_are_localized_within_centimetres(room, built):
-    verifier = LandmarkVerifier(Landmarks(built.landmarks))
+    verifier = LandmarkVerifier(Landmarks(built.landmarks), SHARP)
     for pose in walk(8, seed=5):
         (first, *_) = verifier.find(room.view(pose), CAMERA, coarse(0.0))
         metres, radians = first.world_from_camera.distance(pose)
@@ -45,13 +48,13 @@ def test_images_of_another_size_or_camera_are_brought_to_the_map_s(room, built, 
     larger = CAMERA.scaled(round(factor * CAMERA.width), round(factor * CAMERA.height))
     zoomed = replace(CAMERA, fx=1.2 * CAMERA.fx, fy=1.2 * CAMERA.fy)
     for camera in (larger, zoomed):
-        verifier = LandmarkVerifier(Landmarks(built.landmarks))
+        verifier = LandmarkVerifier(Landmarks(built.landmarks), SHARP)
         (first, *_) = verifier.find(room.view(pose, camera), camera, coarse(0.0))
         assert first.world_from_camera.distance(pose)[0] < 0.05
 
 
 def test_images_that_show_nothing_of_the_place_verify_nothing(room, built):
-    verifier, rng = LandmarkVerifier(Landmarks(built.landmarks)), np.random.default_rng(0)
+    verifier, rng = LandmarkVerifier(Landmarks(built.landmarks), SHARP), np.random.default_rng(0)
     shape = CAMERA.height, CAMERA.width, 3
     pose = walk(8, seed=5)[3]
     moved = np.asarray(room.view(pose), np.float32)
@@ -64,7 +67,7 @@ def test_images_that_show_nothing_of_the_place_verify_nothing(room, built):
         blurred.astype(np.uint8),
     ):
         posterior = coarse(0.0)
-        assert verifier.verify(image, CAMERA, posterior) is posterior
+        assert verifier.verify(image, CAMERA, posterior) is posterior, image.mean()
         assert verifier.latest == []
 
 
@@ -103,13 +106,14 @@ def test_errors_are_found_on_images_without_those_near_them_in_time(room, built)
         built, lambda image: query_features(grey_view(room.view(poses[image]), CAMERA)), poses, np.zeros(60, int)
     )
     assert left_out.verified > 0.5
-    found = fit_verified_errors(left_out, np.zeros(len(left_out.image), int), built.material.depth_m, -6.0)
+    found = fit_verified_errors(left_out, poses, np.zeros(60, int), built.material.depth_m, -6.0)
     assert found.images >= 20
+    assert found.elsewhere == 0.0
     assert found.median_m < 0.03
     assert found.coverage[2] > 0.85
     assert max(found.errors.typical_std[:3]) < 0.03
     none = replace(left_out, found=((),) * len(left_out.image))
-    assert fit_verified_errors(none, np.zeros(len(left_out.image), int), built.material.depth_m, -6.0) is None
+    assert fit_verified_errors(none, poses, np.zeros(60, int), built.material.depth_m, -6.0) is None
 
 
 def test_what_a_verified_place_is_worth_follows_from_held_out_images():
@@ -127,10 +131,76 @@ def test_what_a_verified_place_is_worth_follows_from_held_out_images():
     assert fit_verification([outside] * 200, 200.0).gain < Verification().gain / 2
 
 
-def test_the_places_that_a_network_proposes_are_looked_at(room, built):
-    """An image that looks like nothing in particular is found where the network says that it is."""
-    localizer, pose = LandmarkLocalizer(built.landmarks), walk(8, seed=5)[3]
+def two_rooms(built):
+    """The room twice, the second 20 m away, with summaries by which no image is like its own room."""
+    m = built.landmarks
+    count, shift = len(m.points), np.array([20.0, 0.0, 0.0], np.float32)
+    rng = np.random.default_rng(0)
+    return replace(
+        m,
+        points=np.concatenate([m.points, m.points + shift]),
+        descriptors=np.concatenate([m.descriptors, m.descriptors]),
+        rotation=np.concatenate([m.rotation, m.rotation]),
+        translation=np.concatenate([m.translation, m.translation + shift]),
+        begins=np.concatenate([m.begins, m.begins[1:] + m.begins[-1]]),
+        shown=np.concatenate([m.shown, m.shown + count]).astype(np.int32),
+        summaries=rng.standard_normal((2 * len(m.summaries), m.summaries.shape[1])).astype(np.float32),
+    )
+
+
+def test_all_places_that_a_network_proposes_are_looked_at(room, built):
+    """What looks alike comes from chance here; each of two places alike is verified because it is proposed."""
+    localizer, pose = LandmarkLocalizer(two_rooms(built)), walk(8, seed=5)[3]
+    other = Poses(pose.rotation, pose.translation + np.array([20.0, 0.0, 0.0]))
     features = localizer.features(grey_view(room.view(pose), CAMERA))
-    unlike = replace(built.landmarks, summaries=-built.landmarks.summaries[:, ::-1].copy())
-    proposed = LandmarkLocalizer(unlike).localize(features, Poses.stack([pose]))
-    assert proposed[0].world_from_camera.distance(pose)[0] < 0.03
+    found = localizer.localize(features, Poses.stack([other, pose]))
+    assert len(found) == 2
+    for place in (pose, other):
+        assert min(float(each.world_from_camera.distance(place)[0]) for each in found) < 0.03
+
+
+def test_points_in_one_place_tell_no_pose(built):
+    """A blob far off: whatever the solver makes of it, no exception, and no pose as sharp as none is."""
+    m = built.landmarks
+    blob = replace(m, points=np.tile(np.array([0.0, 0.0, 3.0], np.float32), (len(m.points), 1)))
+    localizer = LandmarkLocalizer(blob)
+    rng = np.random.default_rng(0)
+    for spread in (1e-6, 1e-4, 1e-2):
+        near = replace(blob, points=blob.points + spread * rng.standard_normal(blob.points.shape).astype(np.float32))
+        localizer = LandmarkLocalizer(near)
+        descriptors = restored(m.descriptors[m.shown_by(0)[:200]])
+        features = Features(rng.normal(100.0, 1.0, (len(descriptors), 2)), descriptors)
+        for each in localizer.localize(features):
+            assert np.isfinite(each.covariance).all()
+
+
+def test_a_model_trained_without_intrinsics_is_used_with_them(room):
+    """The map's camera is what was found; images whose intrinsics are known are brought to that."""
+    poses, pose = walk(60), walk(8, seed=5)[3]
+    guess = replace(CAMERA, fx=192.0, fy=192.0)
+    material = gather(lambda image: grey_view(room.view(poses[image]), guess), poses, guess, stated=False, scale_m=1.0)
+    found = build(material, camera_found(material, ViewCamera(guess)).camera)
+    assert found.landmarks.stated is None
+    for camera in (None, CAMERA):
+        verifier = LandmarkVerifier(Landmarks(found.landmarks), SHARP)
+        (first, *_) = verifier.find(room.view(pose), camera, coarse(0.0))
+        assert first.world_from_camera.distance(pose)[0] < 0.04
+
+
+def test_intrinsics_that_were_corrected_after_the_training_do_no_harm(room):
+    poses, pose = walk(60), walk(8, seed=5)[3]
+    wrong = replace(CAMERA, fx=1.1 * CAMERA.fx, fy=1.1 * CAMERA.fy)
+    material = gather(lambda image: grey_view(room.view(poses[image]), wrong), poses, wrong, scale_m=1.0)
+    found = build(material, camera_found(material, ViewCamera(wrong)).camera)
+    for camera in (wrong, CAMERA, None):
+        verifier = LandmarkVerifier(Landmarks(found.landmarks), SHARP)
+        (first, *_) = verifier.find(room.view(pose), camera, coarse(0.0))
+        assert first.world_from_camera.distance(pose)[0] < 0.04
+
+
+def test_errors_of_verified_places_are_added_where_a_posterior_has_none(room, built):
+    pose = walk(8, seed=5)[3]
+    plain = PosePosterior.from_estimates(Poses.stack([pose]), 0.3, 0.1, replace(ERRORS, verified=None))
+    posterior = LandmarkVerifier(Landmarks(built.landmarks), SHARP).verify(room.view(pose), CAMERA, plain)
+    assert posterior.verified.tolist() == [True, False]
+    assert posterior.errors.verified == SHARP

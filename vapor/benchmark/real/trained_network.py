@@ -18,7 +18,7 @@ from sequences.datasets.convert import convert
 from sequences.odometry import OdometryNoise
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.benchmark.recordings.record import record_file
-from vapor.benchmark.recordings.settings import FileSettings
+from vapor.benchmark.recordings.settings import FileSettings, seen_digest
 from vapor.benchmark.recordings.storage import load_recording, not_recorded
 from vapor.cache import code_digest, digest
 from vapor.checkpoints.checkpoint import Checkpoint
@@ -145,7 +145,7 @@ class TrainedNetwork:
 
     def _recording(self, context: RowContext, seed: int, checkpoint: Checkpoint) -> FileSettings:
         file, made = self._sequence(context, seed)
-        digests, precision = (made, checkpoint.seen_sha256()), context.network.precision
+        digests, precision = (made, seen_digest(checkpoint)), context.network.precision
         return FileSettings(file.stem, *digests, seed, context.num_samples, precision=precision)
 
 
@@ -153,6 +153,9 @@ def training_code() -> str:
     """Digest of the code that a model depends on."""
     return code_digest(
         "sequences.odometry_fit",
+        "vapor.cameras",
+        "vapor.evaluation",
+        "vapor.images",
         "vapor.calibration",
         "vapor.checkpoints",
         "vapor.landmarks",

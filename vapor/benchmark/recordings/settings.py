@@ -9,8 +9,18 @@ from typing import Any
 
 from sequences.paths.choose import Cues
 from sequences.synthesize import SYNTHESIS
-from vapor.cache import digest
+from vapor.cache import code_digest, digest
+from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines.engine import Precision
+
+
+def seen_digest(checkpoint: Checkpoint) -> str:
+    """Digest of all that what is seen in an image depends on: the model, and the code that finds landmarks."""
+    if checkpoint.landmarks is None:
+        return checkpoint.seen_sha256()
+    errors = json.loads(json.dumps(asdict(checkpoint.calibration.errors)))
+    code = code_digest("vapor.landmarks", "vapor.observation", "vapor.cameras")
+    return digest({"seen": checkpoint.seen_sha256(), "errors": errors, "code": code})
 
 
 @dataclass(frozen=True)

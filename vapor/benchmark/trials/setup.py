@@ -12,7 +12,7 @@ from typing import Any
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
-from vapor.benchmark.recordings.settings import RecordingSettings
+from vapor.benchmark.recordings.settings import RecordingSettings, seen_digest
 from vapor.benchmark.trials import kinds
 from vapor.benchmark.trials.kinds import KINDS, Kind, recorded_images, walk_frames
 from vapor.benchmark.trials.trial import Segment
@@ -148,7 +148,7 @@ def make_setups(scenes: Mapping[str, str], config: TrialsConfig, errors: Mapping
     for scene, name in scenes.items():
         model = find_model(name)
         sha256 = hashlib.sha256(model.read_bytes()).hexdigest()
-        network_sha256 = load_checkpoint(model).seen_sha256()
+        network_sha256 = seen_digest(load_checkpoint(model))
         setups[scene] = Setup(
             model,
             sha256,
