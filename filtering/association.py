@@ -113,14 +113,15 @@ def associate(
         np.concatenate([getattr(pairs, name) for pairs in parts_of])
         for name in ("hypothesis", "place", "squared", "log_density")
     )
-    near = posterior.weights[place] * np.exp(-0.5 * squared / PLACE**2)
+    near = posterior.supporting[place] * np.exp(-0.5 * squared / PLACE**2)
     support = np.bincount(hypothesis, near, minlength=count)
     possible = support / (support + errors.possible_fraction)
-    log_evidence = np.log(errors.outlier_probability + (1.0 - errors.outlier_probability) * possible)
+    outlier = posterior.outlier_probability
+    log_evidence = np.log(outlier + (1.0 - outlier) * possible)
 
     log_place_weights = np.log(np.maximum(posterior.weights, 1e-300))
-    log_seen = np.log1p(-errors.outlier_probability) + log_place_weights[place] + log_density
-    log_unseen = np.log(errors.outlier_probability) + errors.flat_log_density
+    log_seen = np.log1p(-outlier) + log_place_weights[place] + log_density
+    log_unseen = np.log(outlier) + errors.flat_log_density
     log_total = _log_total(log_seen, hypothesis, log_unseen, count)
     log_weights = belief.log_weights + novelty * log_evidence
     unseen = np.exp(log_unseen - log_total)

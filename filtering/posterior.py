@@ -143,10 +143,31 @@ class PosePosterior:
         position, rotation = (np.einsum("kii->k", self.covariances[:, part, part]) for part in (slice(3), slice(3, 6)))
         return position, rotation
 
+    @property
+    def has_verified(self) -> bool:
+        """Whether landmarks have verified any place."""
+        return len(self.sources[1]) > 0
+
+    @cached_property
+    def outlier_probability(self) -> float:
+        """Probability that the image says nothing: where places are verified, that none of these is the right one."""
+        return (self.errors.finest if self.has_verified else self.errors).outlier_probability
+
+    @cached_property
+    def supporting(self) -> Float64[np.ndarray, " k"]:
+        """The weights by which places make poses possible: beside verified places no other counts, (k,)."""
+        return self.weights * self.verified if self.has_verified and self.verified is not None else self.weights
+
     @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:
-        """How possible each place is, in [0, 1]: its weight, with the model's caution about weights."""
-        return self.weights / (self.weights + self.errors.possible_fraction)
+        """How possible each place is, in [0, 1]: its weight, with the model's caution about weights.
+
+        A place beside verified ones is as possible as it is that none of these is right.
+        """
+        possible = self.weights / (self.weights + self.errors.possible_fraction)
+        if self.has_verified:
+            possible[self.sources[0]] *= self.outlier_probability
+        return possible
 
     @cached_property
     def factors(self) -> Float64[np.ndarray, "k 6 6"]:

@@ -18,6 +18,8 @@ from vapor.landmarks.verify import Verification, proposed_weights
 _BELIEVED = np.array([1.5, 0.5, 1.0, 1.0])
 """How sure the settings are before: standard deviations of log gain, power, log unproposed and log nothing."""
 _REGION = 0.99
+_NONE_RIGHT = 0.5, 10.0  # images that were seen before: so many of so many were wrong
+_OUTLIERS = 0.005, 0.9
 
 
 @dataclass(frozen=True)
@@ -65,9 +67,9 @@ class SeenPlaces:
         )
 
     def log_likelihood(self, settings: Verification) -> float:
-        """Log of the probability that the true pose is where it is."""
+        """Log of the probability that the true pose is where it is: at a verified place, else at one that is not."""
         scores = settings.scores(self.inliers, self.proposed)
-        right = float(scores[self.right].sum()) + self.others_right
+        right = float(scores[self.right].sum()) if self.right.any() else self.others_right
         total = float(scores.sum()) + self.others + settings.nothing
         return float(np.log((right if right > 0.0 else settings.nothing) / total))
 
@@ -91,6 +93,19 @@ def fit_verification(images: Sequence[SeenPlaces], effective: float) -> Verifica
 
     found = minimize(cost, before, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3, "maxiter": 400})
     return _settings(found.x)
+
+
+def none_right(images: Sequence[SeenPlaces], effective: float) -> float:
+    """Probability that none of the places that landmarks verify in an image is the right one.
+
+    Args:
+        images: Held-out images of which landmarks verify some place.
+        effective: How many independent images they are worth.
+    """
+    worth = min(1.0, effective / max(len(images), 1))
+    wrong = worth * sum(1 for each in images if not each.right.any())
+    wrong_before, before = _NONE_RIGHT
+    return float(np.clip((wrong + wrong_before) / (worth * len(images) + before), *_OUTLIERS))
 
 
 def _numbers(settings: Verification) -> Float64[np.ndarray, "4"]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -24,11 +25,12 @@ from vapor.landmarks.tracks import view_change
 _FOLDS = 5
 _STRETCHES = 16.0, 8.0, 4.0, 2.0, 1.0  # how much views change over what is hidden at a time: 1 is half a depth, or 25°
 _END = 0.25  # of a stretch, at either end: only images in between are localized
-_ENOUGH = 0.5  # of the images verified: else less is hidden
+_ENOUGH = 0.5  # of the images verified where they are: else less is hidden
 _IMAGES, _TRIED = 200, 40  # that are localized, and by which it is found how much can be hidden
 _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a depth moved
 _LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
 _LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance: what is new with each image is little of it
+_NONE_RIGHT = 0.05  # of the images, which held-out ones then tell
 _RIGHT = 0.5, 0.35  # depths and radians: what is further off is another place
 
 Advance = Callable[[int, int], None]
@@ -43,24 +45,49 @@ class LeftOut:
         image: Which images, in order of time, (n,).
         found: The poses that landmarks verify, of each.
         truth: True poses, (n,).
+        depth_m: How far away things are, metres.
     """
 
     image: Int64[np.ndarray, " n"]
     found: tuple[tuple[VerifiedPose, ...], ...]
     truth: Poses
+    depth_m: float
+
+    @cached_property
+    def right(self) -> tuple[tuple[int, VerifiedPose], ...]:
+        """The images of which a pose of the right place was verified, by their row, and of each the nearest such one."""
+        rows = []
+        for row, found in enumerate(self.found):
+            if not found:
+                continue
+            metres, radians = Poses.stack([each.world_from_camera for each in found]).distance(self.truth[row])
+            nearest = int(np.argmin(metres))
+            if self._is_right(metres[nearest], radians[nearest]):
+                rows.append((row, found[nearest]))
+        return tuple(rows)
 
     @property
     def verified(self) -> float:
-        """Fraction of the images of which some pose was verified."""
-        return float(np.mean([len(each) > 0 for each in self.found])) if self.found else 0.0
+        """Fraction of the images of which a pose of the right place was verified."""
+        return len(self.right) / max(len(self.found), 1)
+
+    @property
+    def elsewhere(self) -> float:
+        """Fraction of the images of which a pose of another place was verified by more landmarks than any."""
+        first = [(row, found[0].world_from_camera) for row, found in enumerate(self.found) if found]
+        away = [row for row, pose in first if not self._is_right(*map(float, pose.distance(self.truth[row])))]
+        return len(away) / max(len(self.found), 1)
 
     @property
     def errors(self) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
-        """Of the first pose of each image that has any: metres and radians."""
-        some = [i for i, each in enumerate(self.found) if each]
-        if not some:
+        """Of the images in `right`: metres and radians."""
+        if not self.right:
             return np.empty(0), np.empty(0)
-        return Poses.stack([self.found[i][0].world_from_camera for i in some]).distance(self.truth[np.array(some)])
+        poses = Poses.stack([pose.world_from_camera for _, pose in self.right])
+        return poses.distance(self.truth[np.array([row for row, _ in self.right])])
+
+    def _is_right(self, metres: float, radians: float) -> bool:
+        return metres < _RIGHT[0] * self.depth_m and radians < _RIGHT[1]
 
 
 def leave_out(
@@ -75,7 +102,8 @@ def leave_out(
 ) -> LeftOut:
     """Localize training images without those near them in time: as many images as asked for, evenly spaced.
 
-    As much is hidden around an image as leaves landmarks for half of the images: in use, all were seen another time.
+    As much is hidden around an image as leaves landmarks of the right place for half of the images: in use, all were
+    seen another time. What looks alike elsewhere does not count.
 
     Args:
         built: The map of all of them.
@@ -119,7 +147,7 @@ def _without(
             advance(len(found), len(chosen))
             found[image] = tuple(localizer.localize(localizer.described(features(image))))
     image = np.array(sorted(found), np.int64)
-    return LeftOut(image, tuple(found[i] for i in image.tolist()), poses[image])
+    return LeftOut(image, tuple(found[i] for i in image.tolist()), poses[image], built.material.depth_m)
 
 
 def _stretches(
@@ -148,8 +176,8 @@ class VerifiedErrors:
         errors: The model: metres and radians in the camera's frame, see `ErrorModel`.
         images: How many images it was found on.
         effective_images: How many independent ones are worth as much.
-        elsewhere: Fraction of the images whose first verified pose is of another place.
-        median_m: Error of the first verified pose, metres.
+        elsewhere: Fraction of the images of which a pose of another place was verified by more landmarks than any.
+        median_m: Error of the verified pose that is of the right place, metres.
         median_rad: Likewise, radians.
         coverage: Fraction of the images whose true pose is in the 50, 90 and 95 % region.
     """
@@ -167,7 +195,6 @@ def fit_verified_errors(
     left_out: LeftOut,
     poses: Poses,
     sequence: Int64[np.ndarray, " n"],
-    depth_m: float,
     flat_log_density: float,
 ) -> VerifiedErrors | None:
     """How the poses err that are of the right place; None where there are too few to tell.
@@ -176,10 +203,9 @@ def fit_verified_errors(
         left_out: Images localized without what is near them in time.
         poses: True poses of all images, between which the camera travelled, (n,).
         sequence: Index of the sequence of each of these, (n,).
-        depth_m: How far away things are, metres.
         flat_log_density: Of poses spread evenly over the map, per m³ rad³.
     """
-    rows = list(_right(left_out, depth_m))
+    rows, depth_m = left_out.right, left_out.depth_m
     if len(rows) < LEAST_IMAGES:
         return None
     which = np.array([row for row, _ in rows])
@@ -196,16 +222,14 @@ def fit_verified_errors(
     errors = cautious(errors, effective)
     errors = replace(
         errors,
-        outlier_probability=0.01,
+        outlier_probability=_NONE_RIGHT,
         lasting_fraction=lasting.fraction,
         length_m=lasting.length_m,
         length_rad=lasting.length_rad,
         typical_std=places.typical_std(errors),
     )
-    metres, radians = left_out.errors
-    elsewhere = float(((metres > _RIGHT[0] * depth_m) | (radians > _RIGHT[1])).mean())
-    medians = float(np.median(metres)), float(np.median(radians))
-    return VerifiedErrors(errors, len(rows), effective, elsewhere, *medians, places.coverage(errors))
+    metres, radians = (float(np.median(each)) for each in left_out.errors)
+    return VerifiedErrors(errors, len(rows), effective, left_out.elsewhere, metres, radians, places.coverage(errors))
 
 
 def _lasting(
@@ -231,14 +255,3 @@ def _lasting(
         if cost < best:
             best, found = cost, LastingErrors(fraction, length * depth_m, length * _DEPTH_RAD)
     return found
-
-
-def _right(left_out: LeftOut, depth_m: float) -> Iterator[tuple[int, VerifiedPose]]:
-    """Of each image the verified pose that is nearest to the true one, where that is of the same place."""
-    for row, found in enumerate(left_out.found):
-        if not found:
-            continue
-        metres, radians = Poses.stack([each.world_from_camera for each in found]).distance(left_out.truth[row])
-        nearest = int(np.argmin(metres))
-        if metres[nearest] < _RIGHT[0] * depth_m and radians[nearest] < _RIGHT[1]:
-            yield row, found[nearest]

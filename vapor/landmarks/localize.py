@@ -71,10 +71,12 @@ class LandmarkLocalizer:
 
     Args:
         landmarks: The map.
+        ignored: Key images of it that nothing is looked for in, (n,); None for none.
     """
 
-    def __init__(self, landmarks: LandmarkMap) -> None:
+    def __init__(self, landmarks: LandmarkMap, ignored: Bool[np.ndarray, " n"] | None = None) -> None:
         self.landmarks = landmarks
+        self._ignored = np.zeros(len(landmarks.poses), bool) if ignored is None else ignored
         camera = landmarks.camera.camera
         self._pinhole = {
             "model": "PINHOLE",
@@ -126,8 +128,10 @@ class LandmarkLocalizer:
         """Groups of key images, each of one place: the one most alike, where poses are proposed, and others alike."""
         m = self.landmarks
         likeness = m.summaries @ m.summary(features)
+        likeness[self._ignored] = -np.inf
         order = np.argpartition(-likeness, min(_ALIKE, len(likeness)) - 1)[:_ALIKE]
-        groups = self._grouped(order[np.argsort(-likeness[order], kind="stable")].tolist())
+        order = order[np.argsort(-likeness[order], kind="stable")]
+        groups = self._grouped(order[np.isfinite(likeness[order])].tolist())
         looked_at, proposals = [set(group) for group in groups], []
         for pose in () if proposed is None else (proposed[i] for i in range(len(proposed))):
             near = self._near(pose, _NEAR).tolist()
@@ -154,13 +158,25 @@ class LandmarkLocalizer:
                 marks.append(mark)
         return groups
 
-    def _near(self, pose: Poses, most: int) -> Int64[np.ndarray, " k"]:
-        """Key images that may show what a camera at a pose sees, the nearest first."""
+    def ignoring(self, ignored: Bool[np.ndarray, " n"]) -> LandmarkLocalizer:
+        """The same that looks for nothing in some more key images."""
+        return LandmarkLocalizer(self.landmarks, self._ignored | ignored)
+
+    def view_distances(self, pose: Poses) -> Float64[np.ndarray, " n"]:
+        """How different key images are from what a camera at a pose sees, (n,): infinite where they show nothing of it.
+
+        1 is a depth moved, or a radian turned.
+        """
         poses = self.landmarks.poses
         along = poses.rotation[:, :, 2] @ pose.rotation[:, 2]
         away = poses.translation - pose.translation
-        cost = np.vecdot(away, away) / self.landmarks.depth_m**2 + 2.0 * (1.0 - along)
-        cost[along < _LOOKS_ALONG] = np.inf
+        distance = np.sqrt(np.vecdot(away, away) / self.landmarks.depth_m**2 + np.maximum(2.0 * (1.0 - along), 0.0))
+        distance[(along < _LOOKS_ALONG) | self._ignored] = np.inf
+        return distance
+
+    def _near(self, pose: Poses, most: int) -> Int64[np.ndarray, " k"]:
+        """Key images that may show what a camera at a pose sees, the nearest first."""
+        cost = self.view_distances(pose)
         order = np.argsort(cost, kind="stable")[:most]
         return order[np.isfinite(cost[order])]
 

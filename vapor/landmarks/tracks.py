@@ -27,6 +27,7 @@ _MOST_TURNED = np.deg2rad(50.0)
 _TRIED = 12  # views, from which depths are measured
 _RANKS = 1, 2, 4, 8, 16, 32  # of their neighbours
 _LEAST_PARALLAX = np.deg2rad(2.0)
+_FARTHEST = 20.0  # depths: nothing that is further away is a landmark
 _CHUNK = 256
 
 
@@ -128,21 +129,45 @@ def epipolar_errors(
     return np.abs(np.vecdot(other, line)) / np.sqrt(np.maximum(squares, 1e-300))
 
 
+def inverse_distances(
+    first: Float64[np.ndarray, "k 2"],
+    second: Float64[np.ndarray, "k 2"],
+    second_from_first: Poses,
+) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+    """How far away in the first view rays of two views meet, as 1/m, and by how much that changes with a radian.
+
+    Args:
+        first: x and y of rays of one view.
+        second: Of the other.
+        second_from_first: One pose.
+    """
+    here, there = _bearings(first), _bearings(second)
+    across = np.cross(there, second_from_first.translation)  # there × (R here + t / distance) = 0
+    length = np.linalg.norm(across, axis=1)
+    turned = np.cross(there, here @ second_from_first.rotation.T)
+    found = -np.vecdot(across, turned) / np.maximum(np.square(length), 1e-300)
+    return found, 1.0 / np.maximum(length, 1e-300)
+
+
 def matches_of(features: Sequence[Features], pairs: Sequence[tuple[int, int]]) -> Matches:
     """Which features of pairs of views match, whatever camera took them."""
     return {(i, j): mutual_matches(features[i].descriptors, features[j].descriptors, RATIO) for i, j in pairs}
 
 
 def find_sightings(
-    poses: Poses, features: Sequence[Features], camera: ViewCamera, matches: Matches, *, most_px: float
+    poses: Poses, features: Sequence[Features], camera: ViewCamera, matches: Matches, *, depth_m: float, most_px: float
 ) -> tuple[Sightings, Float64[np.ndarray, " e"]]:
     """Points that views see, before it is known where they are, and the epipolar errors of all matches, pixels.
+
+    Rays that meet behind a camera, or far beyond all things, show two that look alike: those of two storeys, one above
+    the other, are parallel. Their error is infinite.
 
     Args:
         poses: world_from_camera of n views.
         features: Of each.
         camera: That took them.
         matches: Of pairs of views.
+        depth_m: How far away things are, about.
         most_px: Matches whose rays miss each other by more are none.
     """
     offset = np.concatenate([[0], np.cumsum([len(each) for each in features])])
@@ -152,7 +177,10 @@ def find_sightings(
     errors = [np.empty(0)]
     camera_from_world = poses.inverse()
     for (i, j), (a, b) in matches.items():
-        away = pixel * epipolar_errors(rays[i][a], rays[j][b], camera_from_world[j] @ poses[i])
+        second_from_first = camera_from_world[j] @ poses[i]
+        away = pixel * epipolar_errors(rays[i][a], rays[j][b], second_from_first)
+        inverse, by_angle = inverse_distances(rays[i][a], rays[j][b], second_from_first)
+        away[inverse + by_angle * most_px / pixel < 1.0 / (_FARTHEST * depth_m)] = np.inf
         good = away < most_px
         errors.append(away)
         firsts.append(offset[i] + a[good])

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.spatial import KDTree
 
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.familiarity import extract_features
 from vapor.calibration.lasting_errors import LastingErrors, effective_images
 from vapor.calibration.travel import Travel
-from vapor.calibration.verification import SeenPlaces, fit_verification
+from vapor.calibration.verification import SeenPlaces, fit_verification, none_right
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.thinning import spaced
 from vapor.evaluation.validation import predict
@@ -28,6 +30,8 @@ from vapor.training_data.training_set import TrainingSet
 
 _IMAGES = 200
 _NEAR = 0.25, 0.2  # depths and radians: a verified pose so near to the true one is of the right place
+_NONE_RIGHT = 0.05  # where nothing was held out
+_AROUND = 1.5  # depths or radians: what key images further away show is not looked for
 
 
 @dataclass(frozen=True)
@@ -36,11 +40,15 @@ class HeldOutLandmarks:
 
     Attributes:
         localizer: By what trained images show.
+        hidden: Poses of the key images that it lacks, (h,).
         verification: What it says of a place that landmarks verify it.
+        none_right: Probability that none of the verified places of an image is the right one.
     """
 
     localizer: LandmarkLocalizer
+    hidden: Poses
     verification: Verification
+    none_right: float = _NONE_RIGHT
 
     @staticmethod
     def of(
@@ -52,7 +60,8 @@ class HeldOutLandmarks:
         config: TrainConfig,
     ) -> HeldOutLandmarks:
         """Find on the held-out images what a verified place is worth."""
-        held = HeldOutLandmarks(landmarks.without(split.training), Verification())
+        localizer, hidden = landmarks.without(split.training)
+        held = HeldOutLandmarks(localizer, hidden, Verification())
         rows = np.flatnonzero(split.held_out_mask)
         rows = rows[spaced(len(rows), _IMAGES)]
         if not len(rows):
@@ -70,10 +79,44 @@ class HeldOutLandmarks:
         longer = max(errors.mistaken_lengths, 1.0)
         lasting = LastingErrors(1.0, longer * errors.length_m, longer * errors.length_rad)
         travel = Travel.along(split.source.poses, pass_numbers(split.source))[rows]
-        return HeldOutLandmarks(held.localizer, fit_verification(seen, effective_images(travel, lasting)))
+        effective = effective_images(travel, lasting)
+        return replace(
+            held, verification=fit_verification(seen, effective), none_right=none_right(seen, effective)
+        )
 
     def found(self, images: TrainingSet, row: int, proposed: Poses | None = None) -> list[VerifiedPose]:
-        """The poses that landmarks verify of an image."""
+        """The poses that landmarks verify of an image, which is as new to the map wherever it looks alike.
+
+        Key images are hidden around the true pose. So that places which look alike have no advantage, the like are
+        ignored there: in use, an image is new everywhere.
+        """
         if not len(images.views):
             return []
-        return self.localizer.localize(self.localizer.features(images.views[images.rows[row]]), proposed)
+        localizer, truth = self.localizer, images.poses[row]
+        features = localizer.features(images.views[images.rows[row]])
+        found = localizer.localize(features, proposed)
+        ignored = np.zeros(len(localizer.landmarks.poses), bool)
+        for each in found:
+            ignored |= self._counterparts(each.world_from_camera, truth)
+        return localizer.ignoring(ignored).localize(features, proposed) if ignored.any() else found
+
+    def _counterparts(self, found: Poses, truth: Poses) -> Bool[np.ndarray, " n"]:
+        """Key images around a pose that are there what hidden ones are around the true one: none if that is near."""
+        localizer, depth_m = self.localizer, self.localizer.landmarks.depth_m
+        ignored = np.zeros(len(localizer.landmarks.poses), bool)
+        metres, radians = map(float, found.distance(truth))
+        if not len(self.hidden) or (metres < _NEAR[0] * depth_m and radians < _NEAR[1]):
+            return ignored
+        around = np.flatnonzero(localizer.view_distances(found) < _AROUND)
+        moved = (truth @ found.inverse()) @ localizer.landmarks.poses[around]
+        apart = [_view_distances(moved, others, depth_m) for others in (self.hidden, localizer.landmarks.poses)]
+        ignored[around] = apart[0] < apart[1]
+        return ignored
+
+
+def _view_distances(poses: Poses, others: Poses, depth_m: float) -> Float64[np.ndarray, " m"]:
+    """How different what a camera at each pose (m,) sees is from the likest of what others see (n,)."""
+    if not len(poses) or not len(others):
+        return np.full(len(poses), np.inf)
+    places, own = (np.hstack([each.translation / depth_m, each.rotation[:, :, 2]]) for each in (others, poses))
+    return KDTree(places).query(own)[0]

@@ -8,6 +8,8 @@ from functools import cache
 
 import numpy as np
 
+from filtering.se3 import Poses
+
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.scene_scale import flat_log_density
 from vapor.landmarks.build import BuiltMap, Material, build, camera_found, gather
@@ -39,12 +41,14 @@ class FoundLandmarks:
     images: TrainingSet
     notes: tuple[str, ...]
 
-    def without(self, trained: TrainingSet) -> LandmarkLocalizer:
-        """Localizes by what only some of the images show, those that a network was trained on."""
-        if self.images.images is not trained.images:
-            return LandmarkLocalizer(self.built.landmarks)
-        hidden = ~np.isin(self.images.rows, trained.rows)[self.built.material.key]
-        return LandmarkLocalizer(self.built.hiding(hidden) if hidden.any() else self.built.landmarks)
+    def without(self, trained: TrainingSet) -> tuple[LandmarkLocalizer, Poses]:
+        """What localizes by the images that a network was trained on, and the poses of the key images it lacks."""
+        material = self.built.material
+        hidden = np.zeros(len(material.key), bool)
+        if self.images.images is trained.images:
+            hidden = ~np.isin(self.images.rows, trained.rows)[material.key]
+        landmarks = self.built.hiding(hidden) if hidden.any() else self.built.landmarks
+        return LandmarkLocalizer(landmarks), material.poses[np.flatnonzero(hidden)]
 
 
 def find_landmarks(
@@ -75,7 +79,7 @@ def find_landmarks(
     if built is None:
         return None, (*notes, _NONE.format("hardly any point is seen where the poses say that it must be"))
     left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
-    verified = fit_verified_errors(left_out, poses, images.sequence, material.depth_m, flat_log_density(poses))
+    verified = fit_verified_errors(left_out, poses, images.sequence, flat_log_density(poses))
     if verified is None:
         return None, (*notes, _NONE.format(f"they verify the pose of {left_out.verified:.0%} of the images only"))
     found = (
@@ -84,7 +88,7 @@ def find_landmarks(
         f" {100 * verified.median_m:.1f} cm and {np.degrees(verified.median_rad):.1f}° (median)"
     )
     if verified.elsewhere > 0.0:
-        found += f"; {verified.elsewhere:.1%} of these are taken for another place"
+        found += f"; in {verified.elsewhere:.0%} more landmarks are found in another place that looks alike"
     return FoundLandmarks(built, verified, images, (*notes, found)), (*notes, found)
 
 

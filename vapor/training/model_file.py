@@ -95,6 +95,10 @@ def calibrate_and_check(
     calibration = replace(calibrated.calibration, errors=replace(calibrated.calibration.errors, verified=verified))
     calibrated = replace(calibrated, calibration=calibration)
     held = None if landmarks is None else HeldOutLandmarks.of(landmarks, model, split, calibration, familiarity, config)
+    if held is not None and verified is not None:
+        verified = replace(verified, outlier_probability=held.none_right)
+        calibration = replace(calibration, errors=replace(calibration.errors, verified=verified))
+        calibrated = replace(calibrated, calibration=calibration)
     checked, calibration = check(
         model,
         split.source,

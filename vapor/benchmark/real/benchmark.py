@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
-from vapor.benchmark.real.row import Row, RowContext
+from vapor.benchmark.real.row import Draw, Row, RowContext
 from vapor.benchmark.real.rows import ROWS
 from vapor.cache import cached, code_digest
 from vapor.engines.engine import EngineConfig
@@ -20,7 +21,7 @@ from vapor.evaluation.comparison import compare
 from vapor.evaluation.sequential import evaluate_sequences
 from vapor.parallel.jobs import Workers, in_parallel
 from vapor.threads import limited_threads
-from vapor.tracking.follow import follow
+from vapor.tracking.follow import Followed, follow
 
 _CODE = (
     "sequences.estimates",
@@ -124,11 +125,17 @@ def _evaluated(row: Row, seed: int, context: RowContext, config: RealConfig) -> 
         return [
             {"row": row.name, "group": row.group, "of": what, "seed": seed, "unit_m": draw.unit_m}
             | compared.figures(images)
-            | {"sequences": evaluate_sequences(followed, seed=(seed,), images=images, unit_m=draw.unit_m)}
+            | {"sequences": _in_sequences(draw, followed, seed, images)}
             for what, images in draw.evaluated.items()
         ]
 
     return cached(context.folder("results") / f"{row.name}-{seed}", settings, compute)
+
+
+def _in_sequences(draw: Draw, followed: Followed, seed: int, images: Bool[np.ndarray, " n"]) -> dict[str, Any]:
+    if not draw.in_sequences:
+        return {}
+    return evaluate_sequences(followed, seed=(seed,), images=images, unit_m=draw.unit_m)
 
 
 def results_code(row: Row) -> str:

@@ -60,6 +60,7 @@ class Draw:
         localizer: Settings of the filter.
         evaluated: Which images are evaluated, (n,), by a name for them; the empty name is the row itself.
         unit_m: Lengths are evaluated in units of so many metres.
+        in_sequences: Whether short sequences of it are localized too, each from the beginning.
     """
 
     passage: Passage
@@ -67,6 +68,7 @@ class Draw:
     localizer: LocalizerConfig
     evaluated: Mapping[str, Bool[np.ndarray, " n"]]
     unit_m: float = 1.0
+    in_sequences: bool = True
 
 
 @runtime_checkable

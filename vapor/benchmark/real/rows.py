@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from vapor.benchmark.real.copied_places import CopiedPlaces
 from vapor.benchmark.real.pose_estimates import PoseEstimates
 from vapor.benchmark.real.row import Row
 from vapor.benchmark.real.stored_posteriors import StoredPosteriors
@@ -43,6 +44,34 @@ def _hololens_rooms() -> TrainedNetwork:
     )
 
 
+def _copied_rooms() -> CopiedPlaces:
+    """The same walk on three storeys; where the camera looks back in the first room is on the middle one only."""
+    return CopiedPlaces(
+        "rooms_copied",
+        _hololens_rooms().training,
+        "hololens_rooms/seq-01",
+        lambda poses: (poses.translation[:, 0] < -2.5) & (poses.rotation[:, 2, 2] > 0.3),
+        tuple((0.0, height_m, 0.0) for height_m in (0.0, 3.0, 6.0)),
+        own=1,
+        rate_hz=5.0,
+    )
+
+
+def _copied_desk() -> CopiedPlaces:
+    """Two desks side by side; what the camera sees above and below stands at the second only."""
+    rpy, xyz = (f"tum_fr1/rgbd_dataset_freiburg1_{name}" for name in ("rpy", "xyz"))
+    blocks = tuple(f"{rpy}@{start}:{start + 20}" for start in range(0, 719, 30))
+    return CopiedPlaces(
+        "desk_copied",
+        (xyz, *blocks),
+        rpy,
+        lambda poses: np.abs(poses.rotation[:, 1, 2]) > 0.4,
+        ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0)),
+        own=1,
+        rate_hz=30.0,
+    )
+
+
 SCALE = 30.0
 """How much larger the scaled rows are: a car park instead of a room."""
 
@@ -67,6 +96,8 @@ ROWS: tuple[Row, ...] = (
     _tum_fr1_one_walk(),
     _redkitchen(),
     _hololens_rooms(),
+    _copied_rooms(),
+    _copied_desk(),
     StoredPosteriors("corridor_posteriors", "corridor_posteriors/floor.npz", own_seed=4),
     *_stairs(),
     *_stairs(SCALE),

@@ -19,7 +19,7 @@ from sequences.odometry import OdometryNoise
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.benchmark.recordings.record import record_file
 from vapor.benchmark.recordings.settings import FileSettings, seen_digest
-from vapor.benchmark.recordings.storage import load_recording, not_recorded
+from vapor.benchmark.recordings.storage import Recording, load_recording, not_recorded
 from vapor.cache import code_digest, digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
@@ -28,7 +28,7 @@ from vapor.storage import fetched, published, withdrawn
 from vapor.tracking.passage import Passage, posterior_of
 from vapor.training.config import TrainConfig
 from vapor.training.presets import PRESETS
-from vapor.training.progress import Progress
+from vapor.training.progress import ProgressCallback
 from vapor.training.state import state_path
 from vapor.training.train import train
 
@@ -103,13 +103,7 @@ class TrainedNetwork:
         checkpoint = load_checkpoint(self._trained(context))
         recording = load_recording(self._recording(context, seed, checkpoint), context.folder("recordings"))
         errors, fit = checkpoint.calibration.errors, checkpoint.calibration.odometry
-
-        def posterior(image: int) -> PosePosterior:
-            coarse = posterior_of(recording.posterior_poses(image), errors, float(recording.unfamiliarity[image]))
-            landmarks = checkpoint.landmarks
-            return coarse if landmarks is None else verified(coarse, recording.verified[image], landmarks.verification)
-
-        n = len(recording.times_ns)
+        posterior, n = posterior_of_recorded(recording, checkpoint), len(recording.times_ns)
         truth, odometry = recording.path.world_from_camera, tuple(recording.motion(i) for i in range(n))
         return Draw(
             Passage(recording.times_ns, odometry, truth, posterior).restated(fit),
@@ -124,18 +118,14 @@ class TrainedNetwork:
         return json.loads(json.dumps(content))
 
     def _trained(self, context: RowContext) -> Path:
-        """The model file, trained if it is not there; an interrupted training run continues."""
-        file = context.folder("models") / f"{self.name}-{digest(self._training_settings)}.safetensors"
-        if not fetched(file).is_file():
-            fetched(state_path(file))
-
-            def report(progress: Progress) -> None:
-                context.advance(progress.stage, progress.done, progress.total)
-
-            train([context.data / entry for entry in self.training], file, self.config, progress=report)
-            published(file)
-            withdrawn(state_path(file))
-        return file
+        """The model file."""
+        data = [context.data / entry for entry in self.training]
+        return trained_model(
+            context,
+            self.name,
+            self._training_settings,
+            lambda file, report: train(data, file, self.config, progress=report),
+        )
 
     def _sequence(self, context: RowContext, seed: int) -> tuple[Path, str]:
         """The converted file, and a digest of what it is made from."""
@@ -149,9 +139,41 @@ class TrainedNetwork:
         return FileSettings(file.stem, *digests, seed, context.num_samples, precision=precision)
 
 
-def training_code() -> str:
-    """Digest of the code that a model depends on."""
+def trained_model(
+    context: RowContext, name: str, settings: Mapping[str, Any], fit: Callable[[Path, ProgressCallback], object]
+) -> Path:
+    """A model file, trained if it is not there; an interrupted training run continues.
+
+    Args:
+        context: Where it is.
+        name: Of the row.
+        settings: Everything that the model depends on, as JSON.
+        fit: Trains, and writes the file.
+    """
+    file = context.folder("models") / f"{name}-{digest(settings)}.safetensors"
+    if not fetched(file).is_file():
+        fetched(state_path(file))
+        fit(file, lambda progress: context.advance(progress.stage, progress.done, progress.total))
+        published(file)
+        withdrawn(state_path(file))
+    return file
+
+
+def posterior_of_recorded(recording: Recording, checkpoint: Checkpoint) -> Callable[[int], PosePosterior]:
+    """What gives the posterior of an image of a recording, by its number."""
+    errors, landmarks = checkpoint.calibration.errors, checkpoint.landmarks
+
+    def posterior(image: int) -> PosePosterior:
+        coarse = posterior_of(recording.posterior_poses(image), errors, float(recording.unfamiliarity[image]))
+        return coarse if landmarks is None else verified(coarse, recording.verified[image], landmarks.verification)
+
+    return posterior
+
+
+def training_code(*more: str) -> str:
+    """Digest of the code that a model depends on, and of more of it."""
     return code_digest(
+        *more,
         "sequences.odometry_fit",
         "vapor.cameras",
         "vapor.evaluation",
