@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import cv2
 import numpy as np
@@ -21,11 +21,11 @@ from vapor.landmarks.view_camera import ViewCamera
 
 VIEW_PX = 320
 """Longer edge of the images that features are found in."""
-_FEATURES = 800  # of a key image
+_FEATURES, _LEAST_FEATURES, _MOST_FEATURES = 800, 250, 1_200_000  # of a key image, and of all
 _NEW_VIEW, _NEW_VIEW_RAD = 0.06, np.deg2rad(4.0)  # in depths: so much apart are two key images
-_MOST_KEYS = 1500
+_MOST_KEYS = 6000
 _WORDS, _SUMMARY = 32, 64
-_SAMPLED = 20_000  # descriptors, from which components and words are found
+_SAMPLED, _OF_IMAGES = 20_000, 200  # descriptors, and their images, from which components and words are found
 _WORD_ROUNDS = 15
 _AGREES_PX, _LEAST_AGREEING = 1.5, 0.2  # matches whose rays meet: of images of another place one in forty do
 _MOST_PX = 4.0  # that rays of a match may miss each other by
@@ -33,7 +33,7 @@ _OUTLIERS_PX = (8.0, 6.0, 4.0, 3.0, 2.5)  # sightings that are further off are l
 _LEAST_PARALLAX = np.deg2rad(1.5)
 _LEAST_POINTS = 50  # below which there is no map
 _LEAST_DEPTH = 0.02  # in median depths
-_MOST_BYTES = 18_000  # of the map, a key image
+_MOST_BYTES, _MOST_BYTES_OF_ALL = 18_000, 27_000_000  # of the map, a key image and all
 _BYTES_OF_POINT, _BYTES_OF_SIGHTING = 76, 4
 _POSE_STD = 0.01  # depths and radians: what poses are taken to err by at first where the camera is found
 _SAMPLED_KEYS, _RUN = 150, 25  # key images in which it is found, and how many in a row
@@ -157,8 +157,8 @@ class BuiltMap:
         cv2.setRNGSeed(0)
         words = np.asarray(cv2.kmeans(sampled, count, None, stop, 1, cv2.KMEANS_PP_CENTERS)[2], np.float32)  # pyright: ignore
         whole = np.stack([summed_up(each.descriptors, words) for each in self.material.features])
-        axes = np.linalg.svd(whole, full_matrices=False)[2][:_SUMMARY].T
-        axes = axes.astype(np.float16).astype(np.float32)
+        _, axes = np.linalg.eigh(whole.T @ whole)
+        axes = axes[:, ::-1][:, :_SUMMARY].astype(np.float16).astype(np.float32)
         return words, axes, unit_vectors(whole @ axes)
 
 
@@ -181,31 +181,32 @@ def gather(
         scale_m: So much distance is as much of a difference as a radian, for a start.
         advance: Called with the number of key images done and of all.
     """
-    found: dict[int, Features] = {}
+    count = _FEATURES
 
+    @cache
     def raw(image: int) -> Features:
-        if image not in found:
-            found[image] = extract(view(image), _FEATURES, longest=VIEW_PX)
-        return found[image]
+        return extract(view(image), count, longest=VIEW_PX)
 
     depth_m = typical_depth_m(poses, raw, ViewCamera(camera), scale_m=scale_m)
     if depth_m is None:
         return None
     key = _key_images(poses, depth_m)
-    features = []
-    for done, image in enumerate(key.tolist()):
-        if advance is not None:
-            advance(done, len(key))
-        features.append(raw(image))
-    sampled = _sampled(features, np.random.default_rng(0))
+    some = np.linspace(0, len(key) - 1, min(len(key), _OF_IMAGES)).round().astype(np.int64)
+    sampled = _sampled([raw(image) for image in key[some].tolist()], np.random.default_rng(0))
+    raw.cache_clear()  # what all images show is too much to be kept as it is
     if len(sampled) < _LEAST_POINTS:
         return None
     basis = Basis.of(sampled)
+    count = int(np.clip(_MOST_FEATURES / len(key), _LEAST_FEATURES, _FEATURES))
+    reduced = []
+    for done, image in enumerate(key.tolist()):
+        if advance is not None:
+            advance(done, len(key))
+        reduced.append(basis.reduced(extract(view(image), count, longest=VIEW_PX)))
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
-    reduced = tuple(basis.reduced(each) for each in features)
     matches = matches_of(reduced, sorted(pairs))
-    return Material(camera if stated else None, key, own, reduced, basis, matches, depth_m)
+    return Material(camera if stated else None, key, own, tuple(reduced), basis, matches, depth_m)
 
 
 def build(material: Material, camera: ViewCamera) -> BuiltMap | None:
@@ -335,5 +336,5 @@ def _within_memory(of: Sightings, count: int) -> Bool[np.ndarray, " p"]:
     order = np.argsort(-views, kind="stable")
     size = np.cumsum(_BYTES_OF_POINT + _BYTES_OF_SIGHTING * views[order])
     kept = np.zeros(count, bool)
-    kept[order[size <= _MOST_BYTES * (1 + of.view.max(initial=-1))]] = True
+    kept[order[size <= min(_MOST_BYTES * (1 + of.view.max(initial=-1)), _MOST_BYTES_OF_ALL)]] = True
     return kept

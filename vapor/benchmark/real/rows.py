@@ -65,7 +65,7 @@ def _copied_desk() -> CopiedPlaces:
         "desk_copied",
         (xyz, *blocks),
         rpy,
-        lambda poses: np.abs(poses.rotation[:, 1, 2]) > 0.4,
+        lambda poses: np.abs(poses.rotation[:, 1, 2]) > 0.55,
         ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0)),
         own=1,
         rate_hz=30.0,
