@@ -38,20 +38,24 @@ class Source:
         number: Of its lasting error in the state of a hypothesis.
         errors: How its places err.
         meter: How far the camera came, in lengths over which these errors last.
+        places: Likewise, in lengths over which one place is mistaken for another.
         scale: Whether its places err more or less than their model says.
     """
 
     number: int
     errors: ErrorModel
     meter: ViewMeter
+    places: ViewMeter
     scale: ErrorScale
 
     @staticmethod
     def first_seen(errors: ErrorModel, number: int, *, unknown: float, adapts: bool) -> Source:
         """A source before its first place counts; the camera may have come so many lengths since any view before."""
-        return Source(
-            number, errors, ViewMeter(errors.length_m, errors.length_rad, unknown=unknown), ErrorScale(adapts)
+        meter, places = (
+            ViewMeter(lengths * errors.length_m, lengths * errors.length_rad, unknown=unknown)
+            for lengths in (1.0, errors.mistaken_lengths)
         )
+        return Source(number, errors, meter, places, ErrorScale(adapts))
 
     @property
     def applied(self) -> ErrorModel:
@@ -66,12 +70,14 @@ class Source:
     def across_gap(self, distance_m: float, angle_rad: float) -> tuple[Source, float]:
         """After a motion of which only the likely distance and angle are known; that way in lengths."""
         meter, way = self.meter.across_gap(distance_m, angle_rad)
-        return replace(self.unlinked, meter=meter), way
+        places, _ = self.places.across_gap(distance_m, angle_rad)
+        return replace(self.unlinked, meter=meter, places=places), way
 
     def moved(self, odom: Odometry, camera_motion: Odometry) -> tuple[Source, float]:
         """After a motion of the reference frame, and so of the camera; the way in lengths."""
         meter, way = self.meter.moved(odom.previous_from_current)
-        return replace(self, meter=meter, scale=self.scale.moved(camera_motion, way)), way
+        places, _ = self.places.moved(odom.previous_from_current)
+        return replace(self, meter=meter, places=places, scale=self.scale.moved(camera_motion, way)), way
 
     def looked(self, posterior: PosePosterior) -> Source:
         """After an image in which it has places."""
@@ -86,12 +92,10 @@ class SeenCamera:
     Attributes:
         sources: Where its images' places come from, by the numbers of `PosePosterior.sources`: its network, and the
             landmarks if there is a map.
-        places: How far it came, in lengths over which its images mistake one place for another.
         reference_from_camera: Its extrinsics at its last image.
     """
 
     sources: tuple[Source, ...]
-    places: ViewMeter
     reference_from_camera: Poses
 
     @staticmethod
@@ -104,11 +108,8 @@ class SeenCamera:
             unknown: How far the camera may have come since any view before, in lengths.
             adapts: Whether odometry may say that its images err otherwise than modelled.
         """
-        errors = view.posterior.errors
-        longer = errors.mistaken_lengths
-        places = ViewMeter(longer * errors.length_m, longer * errors.length_rad, unknown=unknown)
-        network = Source.first_seen(errors, number, unknown=unknown, adapts=adapts)
-        camera = SeenCamera((network,), places, view.reference_from_camera)
+        network = Source.first_seen(view.posterior.errors, number, unknown=unknown, adapts=adapts)
+        camera = SeenCamera((network,), view.reference_from_camera)
         return camera.with_landmarks(view, number + 1, unknown=unknown, adapts=adapts)
 
     def with_landmarks(self, view: View, number: int, *, unknown: float, adapts: bool) -> SeenCamera:
@@ -127,8 +128,7 @@ class SeenCamera:
     def across_gap(self, distance_m: float, angle_rad: float) -> tuple[SeenCamera, list[float]]:
         """After a motion of which only the likely distance and angle are known; that way in lengths of each source."""
         after = [source.across_gap(distance_m, angle_rad) for source in self.sources]
-        places, _ = self.places.across_gap(distance_m, angle_rad)
-        return replace(self, sources=tuple(source for source, _ in after), places=places), [way for _, way in after]
+        return replace(self, sources=tuple(source for source, _ in after)), [way for _, way in after]
 
     def seen_through(self, reference_from_camera: Poses) -> SeenCamera:
         """The same on its mount of now; where that was turned, no image of before is compared with those that come."""
@@ -140,20 +140,22 @@ class SeenCamera:
 
     def moved(self, odom: Odometry) -> tuple[SeenCamera, list[float]]:
         """After a motion of the reference frame; the way in lengths of each source."""
-        places, _ = self.places.moved(odom.previous_from_current)
         motion = odom if self.reference_from_camera.is_identity else odom.of_another_frame(self.reference_from_camera)
         after = [source.moved(odom, motion) for source in self.sources]
-        return replace(self, sources=tuple(source for source, _ in after), places=places), [way for _, way in after]
+        return replace(self, sources=tuple(source for source, _ in after)), [way for _, way in after]
 
-    def looked(self, posterior: PosePosterior, places: ViewMeter) -> SeenCamera:
+    def looked(self, posterior: PosePosterior) -> tuple[SeenCamera, float, float]:
         """After an image; a source that has no place in it has not looked.
 
-        Args:
-            posterior: Of the image.
-            places: The meter after it.
+        Returns:
+            The camera, how new the view was, and how much of what the image says about the place was not said before,
+            both in [0, 1]: where landmarks verify a place, what they say.
         """
-        sources = tuple(
-            source.looked(posterior.only(number)) if len(posterior.sources[number]) else source
-            for number, source in enumerate(self.sources)
-        )
-        return replace(self, sources=sources, places=places)
+        after, new = [], []
+        for number, source in enumerate(self.sources):
+            says = len(posterior.sources[number]) > 0
+            places, found = source.places.looked() if says or number == 0 else (source.places, 0.0)
+            source = source.looked(posterior.only(number)) if says else source
+            after.append(replace(source, places=places))
+            new.append(found)
+        return replace(self, sources=tuple(after)), new[0], new[1 if posterior.has_verified else 0]

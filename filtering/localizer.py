@@ -199,12 +199,10 @@ class ParticleLocalizer:
         belief = self._known(told)
         fits: list[float] = []
         seen_by: list[tuple[PosePosterior, SeenCamera]] = []
-        looks = {view.camera: self._cameras[view.camera].places.looked() for view in told}
-        novelty = max([novelty, *(new for _, new in looks.values())])
         for view in told:
-            camera, (places, new) = self._cameras[view.camera], looks[view.camera]
-            before = camera.seen_through(view.reference_from_camera)
-            camera = before.looked(view.posterior, places)
+            before = self._cameras[view.camera].seen_through(view.reference_from_camera)
+            camera, new_view, new = before.looked(view.posterior)
+            novelty = max(novelty, new_view)
             self._cameras = self._cameras | {view.camera: camera}
             factors = [source.scale.factor for source in camera.sources]
             posterior = view.posterior.inflated(*factors).seen_from(view.reference_from_camera)

@@ -66,6 +66,11 @@ class SeenPlaces:
             float(posterior.weights[inside].sum()),
         )
 
+    def support(self, settings: Verification) -> float:
+        """The weight of the verified places that are right."""
+        scores = settings.scores(self.inliers, self.proposed)
+        return float(scores[self.right].sum() / (scores.sum() + self.others + settings.nothing))
+
     def log_likelihood(self, settings: Verification) -> float:
         """Log of the probability that the true pose is where it is: at a verified place, else at one that is not."""
         scores = settings.scores(self.inliers, self.proposed)
@@ -93,6 +98,15 @@ def fit_verification(images: Sequence[SeenPlaces], effective: float) -> Verifica
 
     found = minimize(cost, before, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3, "maxiter": 400})
     return _settings(found.x)
+
+
+def evidence(
+    images: Sequence[SeenPlaces], settings: Verification, none_right: float, possible_fraction: float
+) -> Float64[np.ndarray, " n"]:
+    """Log of how possible each image finds the true place, as the filter asks it (`filtering.association`)."""
+    support = np.array([each.support(settings) for each in images])
+    possible = support / (support + possible_fraction)
+    return np.log(none_right + (1.0 - none_right) * possible)
 
 
 def none_right(images: Sequence[SeenPlaces], effective: float) -> float:

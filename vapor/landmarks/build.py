@@ -255,9 +255,7 @@ def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
     camera_from_world, camera, found = poses.inverse(), stated, None
     std = _POSE_STD
     for most_px in (16.0, 4.0, 4.0):
-        sightings, _ = find_sightings(
-            poses, features, camera, matches, depth_m=material.depth_m, most_px=most_px
-        )
+        sightings, _ = find_sightings(poses, features, camera, matches, depth_m=material.depth_m, most_px=most_px)
         outliers_px = 2.0 * most_px, 1.5 * most_px, most_px
         points, sightings = _points(camera, camera_from_world, sightings, material.depth_m, outliers_px)
         if len(points) < _LEAST_POINTS:

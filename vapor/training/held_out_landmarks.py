@@ -13,7 +13,8 @@ from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.familiarity import extract_features
 from vapor.calibration.lasting_errors import LastingErrors, effective_images
 from vapor.calibration.travel import Travel
-from vapor.calibration.verification import SeenPlaces, fit_verification, none_right
+from vapor.calibration.lasting_mistakes import mistaken_lengths
+from vapor.calibration.verification import SeenPlaces, evidence, fit_verification, none_right
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.thinning import spaced
 from vapor.evaluation.validation import predict
@@ -31,6 +32,7 @@ from vapor.training_data.training_set import TrainingSet
 _IMAGES = 200
 _NEAR = 0.25, 0.2  # depths and radians: a verified pose so near to the true one is of the right place
 _NONE_RIGHT = 0.05  # where nothing was held out
+_NEW_VIEW = 0.5  # depths: a view that differs by less shows the same landmarks
 _AROUND = 1.5  # depths or radians: what key images further away show is not looked for
 
 
@@ -43,12 +45,14 @@ class HeldOutLandmarks:
         hidden: Poses of the key images that it lacks, (h,).
         verification: What it says of a place that landmarks verify it.
         none_right: Probability that none of the verified places of an image is the right one.
+        mistaken_lengths: Over how many lengths of their errors verified places are mistaken for others.
     """
 
     localizer: LandmarkLocalizer
     hidden: Poses
     verification: Verification
     none_right: float = _NONE_RIGHT
+    mistaken_lengths: float = 4.0
 
     @staticmethod
     def of(
@@ -68,21 +72,26 @@ class HeldOutLandmarks:
             return held
         some = split.source.select(rows)
         scores = familiarity.unfamiliarity(extract_features(network, some)) if familiarity else np.zeros(len(rows))
-        seen, depth_m = [], landmarks.built.material.depth_m
+        seen, which, depth_m = [], [], landmarks.built.material.depth_m
         for row, samples, score in zip(rows, predict(network, some, NUM_SAMPLES, config.seed), scores, strict=True):
             posterior = posterior_of(samples, calibration.errors, float(score))
             found = held.found(split.source, int(row), posterior.means[np.argsort(-posterior.weights, kind="stable")])
             if found:
+                which.append(int(row))
                 truth = split.source.poses[int(row)]
                 seen.append(SeenPlaces.of(posterior, found, truth, near_m=_NEAR[0] * depth_m, near_rad=_NEAR[1]))
-        errors = calibration.errors
+        if not seen:
+            return held
+        errors, own = calibration.errors, landmarks.verified.errors
         longer = max(errors.mistaken_lengths, 1.0)
         lasting = LastingErrors(1.0, longer * errors.length_m, longer * errors.length_rad)
-        travel = Travel.along(split.source.poses, pass_numbers(split.source))[rows]
+        travel = Travel.along(split.source.poses, pass_numbers(split.source))[np.array(which)]
         effective = effective_images(travel, lasting)
-        return replace(
-            held, verification=fit_verification(seen, effective), none_right=none_right(seen, effective)
-        )
+        verification, wrong = fit_verification(seen, effective), none_right(seen, effective)
+        said = evidence(seen, verification, wrong, errors.possible_fraction)
+        lengths = LastingErrors(1.0, own.length_m, own.length_rad)
+        mistaken = max(mistaken_lengths(said, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
+        return replace(held, verification=verification, none_right=wrong, mistaken_lengths=mistaken)
 
     def found(self, images: TrainingSet, row: int, proposed: Poses | None = None) -> list[VerifiedPose]:
         """The poses that landmarks verify of an image, which is as new to the map wherever it looks alike.

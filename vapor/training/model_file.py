@@ -96,7 +96,7 @@ def calibrate_and_check(
     calibrated = replace(calibrated, calibration=calibration)
     held = None if landmarks is None else HeldOutLandmarks.of(landmarks, model, split, calibration, familiarity, config)
     if held is not None and verified is not None:
-        verified = replace(verified, outlier_probability=held.none_right)
+        verified = replace(verified, outlier_probability=held.none_right, mistaken_lengths=held.mistaken_lengths)
         calibration = replace(calibration, errors=replace(calibration.errors, verified=verified))
         calibrated = replace(calibrated, calibration=calibration)
     checked, calibration = check(
