@@ -24,11 +24,8 @@ from filtering.estimate import Mode
 from filtering.hypotheses import POSE, Hypotheses, bias, born, corrected_poses, motion_of_state, widened, with_source
 from filtering.moments import settle
 from filtering.motion import Odometry, SlowErrors, require_duration, require_odometry
-from filtering.novelty import ViewMeter
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
-
-_NO_METER = ViewMeter(1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -104,7 +101,7 @@ class KalmanLocalizer:
                     self._reject(posterior, elapsed_s if odom is None else odom.duration_s)
         pose, covariance = self._pose, self._filter.P[POSE, POSE]
         assert pose is not None
-        errors = SeenCamera(self._sources, _NO_METER, Poses.identity()).errors
+        errors = SeenCamera(self._sources, Poses.identity()).errors
         return Mode(pose, covariance + errors.constant_covariance(covariance), 1.0)
 
     def _know(self, errors: ErrorModel) -> None:

@@ -55,7 +55,7 @@ class LeftOut:
 
     @cached_property
     def right(self) -> tuple[tuple[int, VerifiedPose], ...]:
-        """The images of which a pose of the right place was verified, by their row, and of each the nearest such one."""
+        """Rows of the images of which a pose of the right place was verified, and of each the nearest such one."""
         rows = []
         for row, found in enumerate(self.found):
             if not found:

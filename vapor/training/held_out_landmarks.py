@@ -12,8 +12,8 @@ from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.familiarity import extract_features
 from vapor.calibration.lasting_errors import LastingErrors, effective_images
-from vapor.calibration.travel import Travel
 from vapor.calibration.lasting_mistakes import mistaken_lengths
+from vapor.calibration.travel import Travel
 from vapor.calibration.verification import SeenPlaces, evidence, fit_verification, none_right
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.thinning import spaced

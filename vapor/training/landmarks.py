@@ -9,7 +9,6 @@ from functools import cache
 import numpy as np
 
 from filtering.se3 import Poses
-
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.scene_scale import flat_log_density
 from vapor.landmarks.build import BuiltMap, Material, build, camera_found, gather

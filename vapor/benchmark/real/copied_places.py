@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -109,8 +110,7 @@ class CopiedPlaces:
             times_ns, truth[images] @ BASE_FROM_CAMERA.inverse(), OdometryNoise(), rng=rng
         )
         track = OdometryTrack(times_ns, odom_from_base, covariances)
-        stamps = times_ns.tolist()
-        motions = [track.between(a, b, MotionNoise()) for a, b in zip(stamps[:-1], stamps[1:], strict=True)]
+        motions = [track.between(before, now, MotionNoise()) for before, now in pairwise(times_ns.tolist())]
         fit = checkpoint.calibration.odometry
         since = times_ns - times_ns[first]
         return Draw(
