@@ -113,7 +113,7 @@ def associate(
         np.concatenate([getattr(pairs, name) for pairs in parts_of])
         for name in ("hypothesis", "place", "squared", "log_density")
     )
-    near = posterior.supporting[place] * np.exp(-0.5 * squared / PLACE**2)
+    near = posterior.support[place] * np.exp(-0.5 * squared / PLACE**2)
     support = np.bincount(hypothesis, near, minlength=count)
     possible = support / (support + errors.possible_fraction)
     outlier = posterior.outlier_probability

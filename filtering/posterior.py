@@ -154,20 +154,23 @@ class PosePosterior:
         return (self.errors.finest if self.has_verified else self.errors).outlier_probability
 
     @cached_property
-    def supporting(self) -> Float64[np.ndarray, " k"]:
-        """The weights by which places make poses possible: beside verified places no other counts, (k,)."""
-        return self.weights * self.verified if self.has_verified and self.verified is not None else self.weights
-
-    @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:
         """How possible each place is, in [0, 1]: its weight, with the model's caution about weights.
 
-        A place beside verified ones is as possible as it is that none of these is right.
+        What a verified place weighs beside one that is not was found on held-out images: no caution is needed there.
         """
         possible = self.weights / (self.weights + self.errors.possible_fraction)
-        if self.has_verified:
-            possible[self.sources[0]] *= self.outlier_probability
+        network, verified = self.sources
+        if len(verified):
+            total = float(self.weights[verified].sum())
+            beside = np.minimum(self.weights[network] / max(total, 1e-300), 1.0)
+            possible[network] = beside * total / (total + self.errors.possible_fraction)
         return possible
+
+    @cached_property
+    def support(self) -> Float64[np.ndarray, " k"]:
+        """What each place adds to how possible the poses near it are, (k,): of a sum s that is s / (s + fraction)."""
+        return self.errors.possible_fraction * self.possible / (1.0 - self.possible)
 
     @cached_property
     def factors(self) -> Float64[np.ndarray, "k 6 6"]:

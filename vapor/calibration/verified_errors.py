@@ -87,7 +87,7 @@ class LeftOut:
         return poses.distance(self.truth[np.array([row for row, _ in self.right])])
 
     def _is_right(self, metres: float, radians: float) -> bool:
-        return metres < _RIGHT[0] * self.depth_m and radians < _RIGHT[1]
+        return bool(metres < _RIGHT[0] * self.depth_m and radians < _RIGHT[1])
 
 
 def leave_out(

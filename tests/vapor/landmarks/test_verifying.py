@@ -106,14 +106,14 @@ def test_errors_are_found_on_images_without_those_near_them_in_time(room, built)
         built, lambda image: query_features(grey_view(room.view(poses[image]), CAMERA)), poses, np.zeros(60, int)
     )
     assert left_out.verified > 0.5
-    found = fit_verified_errors(left_out, poses, np.zeros(60, int), built.material.depth_m, -6.0)
+    found = fit_verified_errors(left_out, poses, np.zeros(60, int), -6.0)
     assert found.images >= 20
     assert found.elsewhere == 0.0
     assert found.median_m < 0.03
     assert found.coverage[2] > 0.85
     assert max(found.errors.typical_std[:3]) < 0.03
     none = replace(left_out, found=((),) * len(left_out.image))
-    assert fit_verified_errors(none, poses, np.zeros(60, int), built.material.depth_m, -6.0) is None
+    assert fit_verified_errors(none, poses, np.zeros(60, int), -6.0) is None
 
 
 def test_what_a_verified_place_is_worth_follows_from_held_out_images():
