@@ -81,6 +81,26 @@ def test_being_sharp_is_no_evidence_for_a_place():
     assert weights[0] > 0.3
 
 
+def test_beside_verified_places_another_counts_as_much_as_it_weighs():
+    both = seen([0.0], [50.0], weights=(0.45, 0.45))
+    assert both.possible[0] == pytest.approx(both.possible[1])
+    hardly = seen([0.0], [50.0], weights=(0.96, 0.03))
+    assert hardly.possible == pytest.approx([0.95, 0.03], abs=0.005)
+    assert replace(hardly, verified=np.zeros(2, bool)).possible[1] > 0.3
+
+
+def test_a_part_that_is_there_once_is_recognised_within_few_views():
+    filtering = localizer()
+    filtering.update(seen([], [0.0, 50.0], weights=(0.47, 0.47)), None)
+    for k in range(1, 20):
+        estimate = filtering.update(seen([], [0.1 * k, 50.0 + 0.1 * k], weights=(0.47, 0.47)), STEP)
+        assert estimate.status != "converged"
+    for k in range(20, 50):
+        estimate = filtering.update(seen([0.1 * k], [50.0 + 0.1 * k], weights=(0.96, 0.03)), STEP)
+    assert estimate.status == "converged"
+    assert estimate.modes[0].world_from_camera.translation[0] == pytest.approx(54.9, abs=0.1)
+
+
 def test_the_kalman_filter_takes_verified_places_first():
     kalman = KalmanLocalizer()
     kalman.update(seen([0.0], [0.0]), None)

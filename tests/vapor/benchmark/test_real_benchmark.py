@@ -1,18 +1,22 @@
 """`vapor-track benchmark real`: on data made up here, and what it makes of recorded data where these are present."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
+from filtering.se3 import Poses
+from sequences.datasets.listing import list_images
 from sequences.odometry import OdometryNoise
 from tests.helpers.data_sets import make_7scenes
 from tests.helpers.full import full
 from tests.helpers.pose_text import noisy, walk, write_named
 from vapor.benchmark.real import benchmark as real_benchmark
 from vapor.benchmark.real import trained_network
+from vapor.benchmark.real.copied_places import CopiedPlaces
 from vapor.benchmark.real.row import RowContext
 from vapor.benchmark.real.rows import ROWS
 from vapor.benchmark.real.stored_posteriors import poses_of, simulated_motions
@@ -125,6 +129,34 @@ def test_a_model_is_trained_once_and_anew_where_that_code_changed(tmp_path, monk
     assert {file.name for file in (output / "models").iterdir()} > models
     assert {file.name for file in (output / "recordings").iterdir()} == recordings  # the network says the same
     assert not list(output.rglob("*.partial"))
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_place_stands_twice_and_what_is_there_once_in_the_copy_walked_in(tmp_path, monkeypatch, capsys):
+    make_7scenes(tmp_path / "scene", num_images=22)
+    middle = list_images(tmp_path / "scene" / "seq-01").world_from_camera.translation[14, 0]
+    copied = CopiedPlaces(
+        "copied",
+        ("scene/seq-01",),
+        "scene/seq-01",
+        lambda poses: poses.translation[:, 0] > middle,
+        ((0.0, 0.0, 0.0), (0.0, 3.0, 0.0)),
+        own=1,
+        rate_hz=1.0,
+        config=replace(TINY.config, landmarks=False),
+    )
+    once, both = (copied._copies(tmp_path)[f"scene/seq-01, copy {copy}"] for copy in (1, 0))
+    poses = Poses.stack([frame.world_from_camera for frame in once])
+    assert len(once) == 22
+    assert len(both) == 22 - copied._unique(poses, 1).sum() == 15
+    assert np.allclose(once[0].world_from_camera.translation - both[0].world_from_camera.translation, [0.0, 3.0, 0.0])
+    assert once[0].image.mean() != both[0].image.mean()
+    monkeypatch.setattr(real_benchmark, "ROWS", (copied,))
+    assert run(tmp_path, tmp_path / "out", "--seeds", "2") == 0
+    rows = summary_of(tmp_path / "out")["summary"]
+    assert rows.keys() == {"copied, before", "copied, after"}
+    assert rows["copied, after"]["whole_draws"]["right"].keys() == rows["copied, after"]["methods"].keys()
+    assert "copied places: draws in which every image is right" in capsys.readouterr().out
 
 
 def test_unusable_data_and_names_are_refused(stairs, tmp_path, capsys):

@@ -8,8 +8,10 @@ import pytest
 from filtering.se3 import Poses
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.landmarks.build import build, camera_found, gather
+from vapor.landmarks.localize import LandmarkLocalizer
 from vapor.landmarks.matching import mutual_matches
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
+from vapor.landmarks.tracks import find_sightings
 from vapor.landmarks.verify import grey_view
 from vapor.landmarks.view_camera import ViewCamera
 
@@ -110,3 +112,24 @@ def test_poses_that_have_nothing_to_do_with_the_images_give_no_map(room):
     ):
         material = _gathered(view, stated)
         assert material is None or build(material, ViewCamera(CAMERA)) is None
+
+
+def test_two_storeys_that_look_alike_share_no_point(material):
+    """Rays of what is the same on both, one above the other, are parallel."""
+    count = len(material.key)
+    above = Poses(material.poses.rotation, material.poses.translation + np.array([0.0, 3.0, 0.0]))
+    poses = Poses.concatenate([material.poses, above])
+    matches = {(i, i + count): (np.arange(len(f)),) * 2 for i, f in enumerate(material.features)}
+    features = (*material.features, *material.features)
+    found, errors = find_sightings(poses, features, ViewCamera(CAMERA), matches, depth_m=material.depth_m, most_px=4.0)
+    assert len(found) == 0
+    assert np.isinf(errors).all()
+
+
+def test_what_is_ignored_is_not_looked_for(room, built):
+    localizer, pose = LandmarkLocalizer(built.landmarks), walk(8, seed=5)[3]
+    features = localizer.features(grey_view(room.view(pose), CAMERA))
+    assert localizer.localize(features, Poses.stack([pose]))
+    nothing = localizer.ignoring(np.ones(len(built.landmarks.poses), bool))
+    assert not nothing.localize(features, Poses.stack([pose]))
+    assert np.isinf(nothing.view_distances(pose)).all()

@@ -9,9 +9,9 @@ from filtering.error_model import ErrorModel
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.textured_room import CAMERA, Room, walk
-from vapor.calibration.verification import SeenPlaces, fit_verification
+from vapor.calibration.verification import SeenPlaces, evidence, fit_verification, none_right
 from vapor.calibration.verified_errors import fit_verified_errors, leave_out
-from vapor.landmarks.build import build, camera_found, gather
+from vapor.landmarks.build import build
 from vapor.landmarks.features import Features, restored
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
 from vapor.landmarks.verify import Landmarks, LandmarkVerifier, Verification, grey_view, verified
@@ -131,6 +131,19 @@ def test_what_a_verified_place_is_worth_follows_from_held_out_images():
     assert fit_verification([outside] * 200, 200.0).gain < Verification().gain / 2
 
 
+def test_how_often_all_verified_places_are_wrong_is_found_with_caution():
+    def seen(right):
+        return SeenPlaces(np.array([50.0]), np.array([0.5]), np.array([right]), 1.0, 0.5)
+
+    few, many = ([seen(True)] * count for count in (5, 500))
+    assert none_right([], 1.0) == pytest.approx(0.05)
+    assert none_right(many, 500.0) < none_right(few, 5.0) < 0.05
+    assert none_right([seen(True), seen(False)] * 50, 100.0) == pytest.approx(0.46, abs=0.01)
+    said = evidence([seen(True), seen(False)], Verification(), 0.1, 0.05)
+    assert said[0] > np.log(0.8)
+    assert said[1] == pytest.approx(np.log(0.1))
+
+
 def two_rooms(built):
     """The room twice, the second 20 m away, with summaries by which no image is like its own room."""
     m = built.landmarks
@@ -174,12 +187,9 @@ def test_points_in_one_place_tell_no_pose(built):
             assert np.isfinite(each.covariance).all()
 
 
-def test_a_model_trained_without_intrinsics_is_used_with_them(room):
+def test_a_model_trained_without_intrinsics_is_used_with_them(room, material):
     """The map's camera is what was found; images whose intrinsics are known are brought to that."""
-    poses, pose = walk(60), walk(8, seed=5)[3]
-    guess = replace(CAMERA, fx=192.0, fy=192.0)
-    material = gather(lambda image: grey_view(room.view(poses[image]), guess), poses, guess, stated=False, scale_m=1.0)
-    found = build(material, camera_found(material, ViewCamera(guess)).camera)
+    pose, found = walk(8, seed=5)[3], build(replace(material, stated=None), ViewCamera(CAMERA))
     assert found.landmarks.stated is None
     for camera in (None, CAMERA):
         verifier = LandmarkVerifier(Landmarks(found.landmarks), SHARP)
@@ -187,11 +197,9 @@ def test_a_model_trained_without_intrinsics_is_used_with_them(room):
         assert first.world_from_camera.distance(pose)[0] < 0.04
 
 
-def test_intrinsics_that_were_corrected_after_the_training_do_no_harm(room):
-    poses, pose = walk(60), walk(8, seed=5)[3]
-    wrong = replace(CAMERA, fx=1.1 * CAMERA.fx, fy=1.1 * CAMERA.fy)
-    material = gather(lambda image: grey_view(room.view(poses[image]), wrong), poses, wrong, scale_m=1.0)
-    found = build(material, camera_found(material, ViewCamera(wrong)).camera)
+def test_intrinsics_that_were_corrected_after_the_training_do_no_harm(room, material):
+    pose, wrong = walk(8, seed=5)[3], replace(CAMERA, fx=1.1 * CAMERA.fx, fy=1.1 * CAMERA.fy)
+    found = build(replace(material, stated=wrong), ViewCamera(CAMERA))
     for camera in (wrong, CAMERA, None):
         verifier = LandmarkVerifier(Landmarks(found.landmarks), SHARP)
         (first, *_) = verifier.find(room.view(pose), camera, coarse(0.0))

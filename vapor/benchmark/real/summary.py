@@ -20,7 +20,9 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]
         For each, `group`, `draws`, `images`, `unit_m`; `methods`: for each of `LOCALIZING` the `median_translation_m`,
         `median_rotation_deg`, `right` (fraction within 0.3 m, times the unit, and 20°) and `worse_than_0.25m`
         (fraction, the limit times the unit), `position_recall` (likewise); `sequences`: by their length their number
-        and, by method, their `success` (likewise); `filter`: `converged` (fraction of the images that are said to be)
+        and, by method, their `success` (likewise); `whole_draws`:
+        the fraction of the draws in which every image is `right`, by method, in which the filter says `converged` of
+        every image, and in which it says so of none; `filter`: `converged` (fraction of the images that are said to be)
         and `wrong` of these, `coverage` of all images and `coverage_converged` (each by region), `median_nees` of all.
         Every figure is the median of the draws, the lowest and the highest; None if no draw has one.
     """
@@ -72,6 +74,14 @@ def _summary(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "unit_m": unit_m,
         "methods": {method: of(method) for method in LOCALIZING},
         "sequences": {length: in_sequences(length) for length in first["sequences"]},
+        "whole_draws": {
+            "right": {
+                method: float(np.mean([draw["methods"][method]["recall"][RIGHT] == 1.0 for draw in draws]))
+                for method in LOCALIZING
+            },
+            "converged": float(np.mean([belief["status"]["converged"] == 1.0 for belief in beliefs])),
+            "never_converged": float(np.mean([belief["status"]["converged"] == 0.0 for belief in beliefs])),
+        },
         "filter": {
             "converged": _figure([belief["status"]["converged"] for belief in beliefs]),
             "wrong": _figure([part["wrong"] for part in converged if part["wrong"] is not None]),

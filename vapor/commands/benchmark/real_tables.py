@@ -25,6 +25,8 @@ def tables(summary: Summary) -> Iterator[Table]:
     if any(part["sequences"] for row in summary.values() for part in row["sequences"].values()):
         yield _sequences(summary)
     yield _consistency(summary)
+    if copied := {name: row for name, row in summary.items() if not row["sequences"]}:
+        yield _copied(copied)
 
 
 def _errors(summary: Summary) -> Table:
@@ -92,6 +94,18 @@ def _consistency(summary: Summary) -> Table:
             *cells,
             _cell(figures["median_nees"], lambda nees: f"{nees:.1f}"),
         )
+    return table
+
+
+def _copied(summary: Summary) -> Table:
+    """Of each method in how many draws it is right throughout, before the part that is there once is seen and after."""
+    columns = [*map(label, LOCALIZING), "converged\nthroughout", "never\nconverged"]
+    table = _table("copied places: draws in which every image is right, %", *columns)
+    table.caption = "images are real, the places are copies; before: chance; after: from 2 s after it is seen on"
+    for name, row in summary.items():
+        draws = row["whole_draws"]
+        figures = [*(draws["right"][method] for method in LOCALIZING), draws["converged"], draws["never_converged"]]
+        table.add_row(_named(name, row), *map(_percent, figures))
     return table
 
 
