@@ -162,9 +162,8 @@ class PosePosterior:
         possible = self.weights / (self.weights + self.errors.possible_fraction)
         network, verified = self.sources
         if len(verified):
-            total = float(self.weights[verified].sum())
-            beside = np.minimum(self.weights[network] / max(total, 1e-300), 1.0)
-            possible[network] = beside * total / (total + self.errors.possible_fraction)
+            total, own = float(self.weights[verified].sum()), self.weights[network]
+            possible[network] = own / (np.maximum(own, total) + self.errors.possible_fraction)
         return possible
 
     @cached_property

@@ -87,6 +87,8 @@ def test_beside_verified_places_another_counts_as_much_as_it_weighs():
     hardly = seen([0.0], [50.0], weights=(0.96, 0.03))
     assert hardly.possible == pytest.approx([0.95, 0.03], abs=0.005)
     assert replace(hardly, verified=np.zeros(2, bool)).possible[1] > 0.3
+    doubted = seen([0.0], [50.0], weights=(0.01, 0.9))
+    assert doubted.possible == pytest.approx([0.167, 0.947], abs=0.005)
 
 
 def test_a_part_that_is_there_once_is_recognised_within_few_views():

@@ -101,12 +101,12 @@ def fit_verification(images: Sequence[SeenPlaces], effective: float) -> Verifica
 
 
 def evidence(
-    images: Sequence[SeenPlaces], settings: Verification, none_right: float, possible_fraction: float
+    images: Sequence[SeenPlaces], settings: Verification, outlier_probability: float, possible_fraction: float
 ) -> Float64[np.ndarray, " n"]:
     """Log of how possible each image finds the true place, as the filter asks it (`filtering.association`)."""
     support = np.array([each.support(settings) for each in images])
     possible = support / (support + possible_fraction)
-    return np.log(none_right + (1.0 - none_right) * possible)
+    return np.log(outlier_probability + (1.0 - outlier_probability) * possible)
 
 
 def none_right(images: Sequence[SeenPlaces], effective: float) -> float:

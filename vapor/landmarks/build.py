@@ -193,7 +193,8 @@ def gather(
     key = _key_images(poses, depth_m)
     some = np.linspace(0, len(key) - 1, min(len(key), _OF_IMAGES)).round().astype(np.int64)
     sampled = _sampled([raw(image) for image in key[some].tolist()], np.random.default_rng(0))
-    raw.cache_clear()  # what all images show is too much to be kept as it is
+    if many := len(key) > _OF_IMAGES:
+        raw.cache_clear()  # what all images show is too much to be kept as it is
     if len(sampled) < _LEAST_POINTS:
         return None
     basis = Basis.of(sampled)
@@ -202,7 +203,7 @@ def gather(
     for done, image in enumerate(key.tolist()):
         if advance is not None:
             advance(done, len(key))
-        reduced.append(basis.reduced(extract(view(image), count, longest=VIEW_PX)))
+        reduced.append(basis.reduced(extract(view(image), count, longest=VIEW_PX) if many else raw(image)))
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
     matches = matches_of(reduced, sorted(pairs))

@@ -159,8 +159,8 @@ def find_sightings(
 ) -> tuple[Sightings, Float64[np.ndarray, " e"]]:
     """Points that views see, before it is known where they are, and the epipolar errors of all matches, pixels.
 
-    Rays that meet behind a camera, or far beyond all things, show two that look alike: those of two storeys, one above
-    the other, are parallel. Their error is infinite.
+    Rays that meet behind the first camera, or far beyond all things, show two that look alike: those of two storeys,
+    one above the other, are parallel. Their error is infinite.
 
     Args:
         poses: world_from_camera of n views.

@@ -87,7 +87,9 @@ def find_landmarks(
         f" {100 * verified.median_m:.1f} cm and {np.degrees(verified.median_rad):.1f}° (median)"
     )
     if verified.elsewhere > 0.0:
-        found += f"; in {verified.elsewhere:.0%} more landmarks are found in another place that looks alike"
+        found += (
+            f"; of {verified.elsewhere:.1%} of the images another place, which looks alike, shows the most landmarks"
+        )
     return FoundLandmarks(built, verified, images, (*notes, found)), (*notes, found)
 
 
@@ -133,7 +135,7 @@ def _distortion(camera: ViewCamera) -> str:
 
 
 def _typical_error_m(images: TrainingSet, features: QueryFeatures, built: BuiltMap) -> float:
-    """Median error of left-out images, those of which no pose is verified counting as infinitely wrong."""
+    """Median error of left-out images; infinite of those of which no pose of the right place is verified."""
     left_out = leave_out(built, features, images.poses, images.sequence, most=_COMPARED, stretches=(1.0,))
     metres, _ = left_out.errors
     every = np.concatenate([metres, np.full(len(left_out.image) - len(metres), np.inf)])

@@ -29,6 +29,7 @@ _CODE = (
     "sequences.odometry_fit",
     "vapor.benchmark.real.row",
     "vapor.benchmark.real.rows",
+    "vapor.benchmark.real.trained_network",
     "vapor.benchmark.recordings",
     "vapor.calibration",
     "vapor.checkpoints",

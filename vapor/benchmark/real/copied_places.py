@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from filtering.config import LocalizerConfig
+from filtering.errors import VaporTrackError
 from filtering.motion import MotionNoise
 from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
@@ -134,6 +135,11 @@ class CopiedPlaces:
                 ahead = np.flatnonzero(unique[rest])
                 if len(ahead) and ahead[0] >= before and len(rest) >= ahead[0] + least:
                     walks.append((rest[: ahead[0] + most], int(ahead[0])))
+        if not walks:
+            raise VaporTrackError(
+                f"{self.walk}: no walk of {n} images, expected {_SHORTEST_S:g} s before the part that is there once,"
+                f" and {_AFTER_S + _LEFT_S:g} s from its first image on, at {self.rate_hz:g} images a second"
+            )
         return walks[rng.integers(len(walks))]
 
     def _unique(self, truth: Poses, copy: int) -> Bool[np.ndarray, " n"]:
