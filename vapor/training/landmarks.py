@@ -9,17 +9,15 @@ from functools import cache
 import numpy as np
 
 from filtering.se3 import Poses
+from vapor.calibration.camera_fit import fit_camera, typical_error_m
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.scene_scale import flat_log_density
-from vapor.landmarks.build import BuiltMap, Material, build, camera_found, gather
+from vapor.landmarks.build import BuiltMap, Material, build, gather
 from vapor.landmarks.localize import LandmarkLocalizer, query_features
 from vapor.landmarks.view_camera import ViewCamera
 from vapor.training.config import CameraChoice
 from vapor.training_data.ground import near_scale_m
 from vapor.training_data.training_set import TrainingSet
-
-_COMPARED = 60  # images by which two cameras are compared
-_CLEARLY = 0.95  # times the error, with which another camera fits clearly better
 
 Advance = Callable[[int, int], None]
 
@@ -106,37 +104,19 @@ def _best_map(
     known: bool,
 ) -> tuple[BuiltMap | None, tuple[str, ...]]:
     """The map by the camera that fits, and what was found of it."""
-    found = None if choice == "stated" else camera_found(material, stated)
-    by_stated = build(material, stated) if choice != "estimated" or found is None else None
-    if found is None:
-        return by_stated, ()
-    by_found = build(material, found.camera)
-    width = (images.camera_size[0] if images.camera_size else stated.camera.width) / stated.camera.width
-    fits, told = width * found.camera.camera.fx, width * stated.camera.fx
-    if choice == "estimated" or by_stated is None or by_found is None:
-        what = f"{told:.0f} px stated, " if known else "no focal length is stated, "
-        return by_found or by_stated, (f"camera: {what}{fits:.0f} px fit the images{_distortion(found.camera)}",)
-    errors = [_typical_error_m(images, features, each) for each in (by_stated, by_found)]
-    better = errors[1] < _CLEARLY * errors[0]
-    if not better:
-        return by_stated, ()
-    before = f"instead of {100 * errors[0]:.1f} cm" if np.isfinite(errors[0]) else "instead of hardly at all"
-    note = (
-        f"camera: {told:.0f} px stated, {fits:.0f} px{_distortion(found.camera)} fit the images:"
-        f" {by_found.agreeing:.0%} instead of {by_stated.agreeing:.0%} of matches agree, and images are localized"
-        f" within {100 * errors[1]:.1f} cm {before}; so it is taken (--camera stated: the"
-        " stated one)"
+    if choice == "stated":
+        return build(material, stated), ()
+    fit = fit_camera(
+        material,
+        stated,
+        lambda built: typical_error_m(built, features, images.poses, images.sequence),
+        known=known,
+        compare=choice == "auto",
     )
-    return by_found, (note,)
-
-
-def _distortion(camera: ViewCamera) -> str:
-    return f" and distortion k1 {camera.k1:.3f}, k2 {camera.k2:.3f}"
-
-
-def _typical_error_m(images: TrainingSet, features: QueryFeatures, built: BuiltMap) -> float:
-    """Median error of left-out images; infinite of those of which no pose of the right place is verified."""
-    left_out = leave_out(built, features, images.poses, images.sequence, most=_COMPARED, stretches=(1.0,))
-    metres, _ = left_out.errors
-    every = np.concatenate([metres, np.full(len(left_out.image) - len(metres), np.inf)])
-    return float(np.median(every)) if len(every) else np.inf
+    if fit is None:
+        return build(material, stated), ()
+    if choice == "auto" and not fit.is_better:
+        return fit.by_stated, ()
+    taken = "" if fit.errors_m is None else "; so it is taken (--camera stated: the stated one)"
+    said = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)
+    return fit.by_found, (f"camera: {said}{taken}",)
