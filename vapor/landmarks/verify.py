@@ -25,6 +25,7 @@ from vapor.images import centre_crop, scale_to_cover
 from vapor.landmarks.features import Features
 from vapor.landmarks.landmark_map import LandmarkMap
 from vapor.landmarks.localize import LEAST_INLIERS, LandmarkLocalizer, VerifiedPose
+from vapor.landmarks.shown import ShownLandmarks
 
 
 @dataclass(frozen=True)
@@ -132,17 +133,22 @@ class LandmarkVerifier:
         pinhole = landmarks.map.camera.camera
         self._as_found = AsTakenBy(pinhole, (pinhole.width, pinhole.height))
 
-    def _features(self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None) -> Features:
-        """Features as of the camera of the key images.
+    def _view(
+        self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None
+    ) -> tuple[UInt8[np.ndarray, "h2 w2 3"], bool]:
+        """The image as of the camera of the key images, and whether that camera's lens distorts it.
 
         An image of which the same is stated as of these was taken by that camera. Any other image is resampled, by its
         own intrinsics, to a pinhole camera like that.
         """
-        m = self.landmarks.map
-        pinhole = m.camera.camera
-        if camera is None or (m.stated is not None and same_view(camera, m.stated)):
-            return self._localizer.features(grey_view(image, pinhole))
-        return self._localizer.features(grey_view(self._as_found(image, camera), pinhole), distorted=False)
+        stated = self.landmarks.map.stated
+        if camera is None or (stated is not None and same_view(camera, stated)):
+            return image, True
+        return self._as_found(image, camera), False
+
+    def _features(self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None) -> Features:
+        view, distorted = self._view(image, camera)
+        return self._localizer.features(grey_view(view, self.landmarks.map.camera.camera), distorted=distorted)
 
     def find(
         self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None, posterior: PosePosterior
@@ -171,6 +177,40 @@ class LandmarkVerifier:
         if posterior.errors.verified is None:
             posterior = replace(posterior, errors=replace(posterior.errors, verified=self._errors))
         return verified(posterior, self.latest, self.landmarks.verification)
+
+    def shown(
+        self,
+        image: UInt8[np.ndarray, "h w 3"],
+        camera: Camera | None,
+        found: Sequence[VerifiedPose],
+        *,
+        which: int = 0,
+        number: int = 0,
+    ) -> ShownLandmarks:
+        """What an image shows of the landmarks that verify one of its poses.
+
+        Args:
+            image: RGB, undistorted.
+            camera: That took it; None where unknown.
+            found: The poses that landmarks verify of it.
+            which: Of these.
+            number: Of the image in its run.
+        """
+        of_map, pose = self.landmarks.map.camera, found[which]
+        view, distorted = self._view(image, camera)
+
+        def on_view(undistorted: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+            return of_map.pixels(of_map.without_distortion().rays(undistorted)) if distorted else undistorted
+
+        width, height = of_map.camera.width, of_map.camera.height
+        return ShownLandmarks(
+            centre_crop(scale_to_cover(view, width, height), width, height).copy(),
+            on_view(self._features(image, camera).pixels),
+            on_view(pose.pixels),
+            on_view(pose.pixels + pose.residuals),
+            tuple(each.inliers for i, each in enumerate(found) if i != which),
+            number,
+        )
 
 
 def grey_view(image: UInt8[np.ndarray, "h w 3"], camera: Camera) -> UInt8[np.ndarray, "height width"]:
