@@ -63,19 +63,21 @@ class CameraFit:
         Args:
             width: Of the images, pixels, in which focal lengths are said.
         """
-        stated, fits = (width / each.camera.width * each.camera.fx for each in (self.stated, self.found))
-        before = f"{stated:.0f} px stated" if self.known else "no focal length is stated"
+        stated_px, fits_px = (width / each.camera.width * each.camera.fx for each in (self.stated, self.found))
+        before = f"{stated_px:.0f} px stated" if self.known else "no focal length is stated"
         if self.by_found is None:
             return f"{before}, and no other fits better"
         fit = "fit the images" if self.is_better else "fit the images no better"
-        said = f"{before}, {fits:.0f} px and distortion k1 {self.found.k1:.3f}, k2 {self.found.k2:.3f} {fit}"
+        said = f"{before}, {fits_px:.0f} px and distortion k1 {self.found.k1:.3f}, k2 {self.found.k2:.3f} {fit}"
         if self.errors_m is None or self.by_stated is None:
             return said
-        stated_cm, found_cm = (f"{100 * each:.1f} cm" if np.isfinite(each) else "" for each in self.errors_m)
+        said += f": {self.by_found.agreeing:.0%} instead of {self.by_stated.agreeing:.0%} of matches agree"
+        if not np.isfinite(self.errors_m).any():
+            return said
+        stated, found = (f"{100 * each:.1f} cm" if np.isfinite(each) else "" for each in self.errors_m)
         return (
-            f"{said}: {self.by_found.agreeing:.0%} instead of {self.by_stated.agreeing:.0%} of matches agree, and"
-            f" images are localized {f'within {found_cm}' if found_cm else 'hardly at all'} instead of"
-            f" {stated_cm or 'hardly at all'}"
+            f"{said}, and images are localized {f'within {found}' if found else 'hardly at all'} instead of"
+            f" {stated or 'hardly at all'}"
         )
 
 
