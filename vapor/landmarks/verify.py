@@ -175,6 +175,6 @@ class LandmarkVerifier:
 
 def grey_view(image: UInt8[np.ndarray, "h w 3"], camera: Camera) -> UInt8[np.ndarray, "height width"]:
     """The middle of an RGB image, grey, of a camera's size."""
-    covering = scale_to_cover(image, camera.width, camera.height)
-    grey = np.asarray(cv2.cvtColor(covering, cv2.COLOR_RGB2GRAY))
-    return np.ascontiguousarray(centre_crop(grey, camera.width, camera.height))
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+    covering = scale_to_cover(grey, camera.width, camera.height)
+    return np.ascontiguousarray(centre_crop(covering, camera.width, camera.height))
