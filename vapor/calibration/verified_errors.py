@@ -45,12 +45,14 @@ class LeftOut:
         image: Which images, in order of time, (n,).
         found: The poses that landmarks verify, of each.
         truth: True poses, (n,).
+        view_distance: How different each is from the likest view of the map, see `MappedViews.distances`, (n,).
         depth_m: How far away things are, metres.
     """
 
     image: Int64[np.ndarray, " n"]
     found: tuple[tuple[VerifiedPose, ...], ...]
     truth: Poses
+    view_distance: Float64[np.ndarray, " n"]
     depth_m: float
 
     @cached_property
@@ -137,17 +139,20 @@ def _without(
 ) -> LeftOut:
     """Localize images without their stretches, a fifth of all stretches at a time."""
     found: dict[int, tuple[VerifiedPose, ...]] = {}
+    distance = np.zeros(len(poses))
     for fold in range(_FOLDS):
         own = chosen[stretch[chosen] % _FOLDS == fold]
         hidden = stretch[built.material.key] % _FOLDS == fold
         if not len(own) or hidden.all():
             continue
         localizer = LandmarkLocalizer(built.hiding(hidden))
+        distance[own] = localizer.mapped().distances(poses[own])
         for image in own.tolist():
             advance(len(found), len(chosen))
             found[image] = tuple(localizer.localize(localizer.described(features(image))))
     image = np.array(sorted(found), np.int64)
-    return LeftOut(image, tuple(found[i] for i in image.tolist()), poses[image], built.material.depth_m)
+    of_images = tuple(found[i] for i in image.tolist())
+    return LeftOut(image, of_images, poses[image], distance[image], built.material.depth_m)
 
 
 def _stretches(

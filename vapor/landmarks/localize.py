@@ -15,6 +15,7 @@ import numpy as np
 import poselib
 from jaxtyping import Bool, Float64, Int64, UInt8
 
+from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
 from vapor.landmarks.features import Features, extract, restored
 from vapor.landmarks.landmark_map import LandmarkMap
@@ -118,7 +119,8 @@ class LandmarkLocalizer:
             return found
         shown = np.zeros(len(self.landmarks.points), bool)  # where poses are that are verified
         for images in self._places(features, proposed):
-            if found and shown[self.landmarks.shown_by(images[0])].mean() > _KNOWN:
+            own = self.landmarks.shown_by(images[0])
+            if np.count_nonzero(shown[own]) > _KNOWN * len(own):
                 continue
             pose = self._first_pose(features, images)
             if pose is None or self._is_known(pose.inverse(), found):
@@ -179,6 +181,11 @@ class LandmarkLocalizer:
         distance = np.sqrt(np.vecdot(away, away) / self.landmarks.depth_m**2 + np.maximum(2.0 * (1.0 - along), 0.0))
         distance[(along < _LOOKS_ALONG) | self._ignored] = np.inf
         return distance
+
+    def mapped(self, reach: float = 1.0, elsewhere: float = 0.0) -> MappedViews:
+        """The views that it looks for things in, see `MappedViews`."""
+        poses = self.landmarks.poses[np.flatnonzero(~self._ignored)]
+        return MappedViews(poses, self.landmarks.depth_m, reach, elsewhere)
 
     def _near(self, pose: Poses, most: int) -> Int64[np.ndarray, " k"]:
         """Key images that may show what a camera at a pose sees, the nearest first."""

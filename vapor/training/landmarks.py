@@ -9,10 +9,12 @@ from functools import cache
 import numpy as np
 
 from filtering.se3 import Poses
+from vapor.calibration.verification import fit_reach
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.scene_scale import flat_log_density
 from vapor.landmarks.build import BuiltMap, Material, build, camera_found, gather
 from vapor.landmarks.localize import LandmarkLocalizer, query_features
+from vapor.landmarks.verify import Verification
 from vapor.landmarks.view_camera import ViewCamera
 from vapor.training.config import CameraChoice
 from vapor.training_data.ground import near_scale_m
@@ -31,12 +33,14 @@ class FoundLandmarks:
     Attributes:
         built: The map of all images that are learned from.
         verified: How poses err that it verifies.
+        verification: What is known so far of what it says of a place: where it can verify any.
         images: The images that it is of.
         notes: What was found, in sentences.
     """
 
     built: BuiltMap
     verified: VerifiedErrors
+    verification: Verification
     images: TrainingSet
     notes: tuple[str, ...]
 
@@ -90,7 +94,8 @@ def find_landmarks(
         found += (
             f"; of {verified.elsewhere:.1%} of the images another place, which looks alike, shows the most landmarks"
         )
-    return FoundLandmarks(built, verified, images, (*notes, found)), (*notes, found)
+    verification = fit_reach(left_out, verified.effective_images)
+    return FoundLandmarks(built, verified, verification, images, (*notes, found)), (*notes, found)
 
 
 _NONE = "no landmarks: {}; places stay as coarse as the network says"
