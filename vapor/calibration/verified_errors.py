@@ -31,6 +31,7 @@ _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a
 _LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
 _LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance: what is new with each image is little of it
 _NONE_RIGHT = 0.05  # of the images, which held-out ones then tell
+_HELD = 0.9  # of the images at least have their true pose in the region of this name
 _RIGHT = 0.5, 0.35  # depths and radians: what is further off is another place
 
 Advance = Callable[[int, int], None]
@@ -215,6 +216,8 @@ def fit_verified_errors(
     places = Places(residual, covariance, np.ones(len(rows)), np.arange(len(rows)))
     found = most_likely_errors(places, depth_m, flat_log_density, None)
     errors = replace(ErrorModel(flat_log_density=flat_log_density), **found.settings(depth_m))
+    # What the likeliest errors take for outliers, up to half of the images, is no other place: all of these are right.
+    errors = errors.inflated(places.lacking(errors, _HELD))
     residuals, usable = places.residuals(errors)
     travel = Travel.along(poses, sequence)[left_out.image[which]]
     lasting = _lasting(residuals, usable, travel, depth_m)
