@@ -10,7 +10,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.calibration.verification import SeenPlaces, evidence, fit_verification, none_right
-from vapor.calibration.verified_errors import fit_verified_errors, leave_out
+from vapor.calibration.verified_errors import LeftOut, fit_verified_errors, leave_out
 from vapor.landmarks.build import build
 from vapor.landmarks.features import Features, restored
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
@@ -114,6 +114,19 @@ def test_errors_are_found_on_images_without_those_near_them_in_time(room, built)
     assert max(found.errors.typical_std[:3]) < 0.03
     none = replace(left_out, found=((),) * len(left_out.image))
     assert fit_verified_errors(none, poses, np.zeros(60, int), -6.0) is None
+
+
+def test_regions_hold_the_left_out_images_though_most_are_exact_and_some_are_far_off():
+    """As where recordings do not agree: no part of the images of the right place is taken for outliers."""
+    rng = np.random.default_rng(0)
+    poses = walk(100)
+    away = 0.001 * rng.standard_normal((100, 6))
+    away[::3] += rng.uniform(-0.5, 0.5, (34, 6)) * np.repeat([1.0, 0.2], 3)
+    found = tuple((replace(found_at(0.0), world_from_camera=poses[i] @ Poses.exp(away[i])),) for i in range(100))
+    left_out = LeftOut(np.arange(100), found, poses, 2.0)
+    errors = fit_verified_errors(left_out, poses, np.zeros(100, int), -6.0)
+    assert len(left_out.right) == 100
+    assert errors.coverage[1] >= 0.9
 
 
 def test_what_a_verified_place_is_worth_follows_from_held_out_images():
