@@ -216,13 +216,13 @@ def fit_verified_errors(
     places = Places(residual, covariance, np.ones(len(rows)), np.arange(len(rows)))
     found = most_likely_errors(places, depth_m, flat_log_density, None)
     errors = replace(ErrorModel(flat_log_density=flat_log_density), **found.settings(depth_m))
-    # What the likeliest errors take for outliers, up to half of the images, is no other place: all of these are right.
-    errors = errors.inflated(places.lacking(errors, _HELD))
     residuals, usable = places.residuals(errors)
     travel = Travel.along(poses, sequence)[left_out.image[which]]
     lasting = _lasting(residuals, usable, travel, depth_m)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
+    # What the likeliest errors take for outliers, up to half of the images, is no other place: all of these are right.
+    errors = errors.inflated(places.lacking(errors, _HELD))
     errors = replace(
         errors,
         outlier_probability=_NONE_RIGHT,

@@ -92,7 +92,7 @@ def distorted(views, k1=0.2, k2=-0.1):
     down, across = np.mgrid[: CAMERA.height, : CAMERA.width]
     pixels = np.stack([across, down], axis=-1).reshape(-1, 2).astype(np.float64)
     at = ViewCamera(CAMERA, k1, k2).undistorted(pixels).astype(np.float32).reshape(*across.shape, 2)
-    return np.stack([cv2.remap(view, at, None, cv2.INTER_LINEAR) for view in views])  # pyright: ignore
+    return np.stack([cv2.remap(view, at, None, cv2.INTER_LINEAR) for view in views])
 
 
 def behind_a_crowd(views, fraction, px_an_image):
@@ -145,23 +145,26 @@ def test_landmarks_by_poses_and_cameras_that_are_wrong_are_coarse(views, new_vie
     assert beyond(found, new, NEW) == 0.0
 
 
-@pytest.mark.parametrize(
-    "poses",
-    [
-        pytest.param(off_by(POSES, radians=np.deg2rad(10.0)), id="10 degrees each"),
-        pytest.param(later(POSES, 8), id="eight images late"),
-    ],
-)
-def test_poses_too_wrong_for_landmarks_give_none(views, poses):
-    found, notes = found_in(views, poses, choice="auto")
+def test_poses_that_each_err_by_10_degrees_give_no_landmarks(views):
+    found, notes = found_in(views, off_by(POSES, radians=np.deg2rad(10.0)), choice="auto")
     assert found is None
     assert len(notes) == 1  # nothing of a camera, which cannot be found by such poses
     assert "hardly any point is seen where the poses say that it must be" in notes[0]
 
 
+def no_map(views, poses):
+    material = building.gather(lambda image: views[image], poses, CAMERA, scale_m=1.0)
+    return material is None or build(material, ViewCamera(CAMERA)) is None
+
+
+def test_poses_that_are_late_by_much_give_no_landmarks(views):
+    assert no_map(views[::2], later(POSES, 8)[::2])
+    assert not no_map(views[::2], POSES[::2])
+
+
 def test_distortion_that_is_not_stated_is_found(views):
-    bent = distorted(views)
-    material = building.gather(lambda image: bent[image], POSES, CAMERA, scale_m=1.0)
+    bent, poses = distorted(views[::2]), POSES[::2]
+    material = building.gather(lambda image: bent[image], poses, CAMERA, scale_m=1.0)
     found = building.camera_found(material, ViewCamera(CAMERA)).camera
     assert found.camera.fx == pytest.approx(CAMERA.fx, rel=0.01)
     edge = np.array([[0.0, 0.5 * CAMERA.height]])
@@ -188,7 +191,7 @@ def test_a_crowd_among_the_training_images_costs_points_and_a_dense_one_all_of_t
     found, _ = found_in(behind_a_crowd(views, 0.6, 0.5), POSES)
     assert max(errors_m(found, new_views, NEW)) < 0.03
     assert beyond(found, new_views, NEW) == 0.0
-    assert found_in(behind_a_crowd(views, 0.6, 8.0), POSES)[0] is None
+    assert no_map(behind_a_crowd(views, 0.6, 8.0)[::2], POSES[::2])
 
 
 def test_a_map_stays_within_its_memory_and_keeps_what_most_images_show(monkeypatch, material, built):
