@@ -31,6 +31,7 @@ _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a
 _LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
 _LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance: what is new with each image is little of it
 _NONE_RIGHT = 0.05  # of the images, which held-out ones then tell
+_HELD = 0.9  # of the images at least have their true pose in the region of this name
 _RIGHT = 0.5, 0.35  # depths and radians: what is further off is another place
 
 Advance = Callable[[int, int], None]
@@ -225,6 +226,8 @@ def fit_verified_errors(
     lasting = _lasting(residuals, usable, travel, depth_m)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
+    # What the likeliest errors take for outliers, up to half of the images, is no other place: all of these are right.
+    errors = errors.inflated(places.lacking(errors, _HELD))
     errors = replace(
         errors,
         outlier_probability=_NONE_RIGHT,

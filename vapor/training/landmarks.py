@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 
 from filtering.se3 import Poses
+from vapor.calibration.image_errors import LEAST_IMAGES
 from vapor.calibration.verification import fit_reach
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.scene_scale import flat_log_density
@@ -84,7 +85,8 @@ def find_landmarks(
     left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
     verified = fit_verified_errors(left_out, poses, images.sequence, flat_log_density(poses))
     if verified is None:
-        return None, (*notes, _NONE.format(f"they verify the pose of {left_out.verified:.0%} of the images only"))
+        few = f"without what was taken near them in time they verify the poses of {len(left_out.right)} images only"
+        return None, (*notes, _NONE.format(f"{few}, and how poses err is found on {LEAST_IMAGES} or more"))
     found = (
         f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without what was taken near them"
         f" in time they verify the poses of {left_out.verified:.0%} of {len(left_out.image)} images, which then err by"
@@ -118,9 +120,11 @@ def _best_map(
     by_found = build(material, found.camera)
     width = (images.camera_size[0] if images.camera_size else stated.camera.width) / stated.camera.width
     fits, told = width * found.camera.camera.fx, width * stated.camera.fx
-    if choice == "estimated" or by_stated is None or by_found is None:
+    if by_found is None:
+        return by_stated, ()
+    if by_stated is None:
         what = f"{told:.0f} px stated, " if known else "no focal length is stated, "
-        return by_found or by_stated, (f"camera: {what}{fits:.0f} px fit the images{_distortion(found.camera)}",)
+        return by_found, (f"camera: {what}{fits:.0f} px fit the images{_distortion(found.camera)}",)
     errors = [_typical_error_m(images, features, each) for each in (by_stated, by_found)]
     better = errors[1] < _CLEARLY * errors[0]
     if not better:

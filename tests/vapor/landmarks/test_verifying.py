@@ -116,6 +116,19 @@ def test_errors_are_found_on_images_without_those_near_them_in_time(room, built)
     assert fit_verified_errors(none, poses, np.zeros(60, int), -6.0) is None
 
 
+def test_regions_hold_the_left_out_images_though_most_are_exact_and_some_are_far_off():
+    """As where recordings do not agree: no part of the images of the right place is taken for outliers."""
+    rng = np.random.default_rng(0)
+    poses = walk(100)
+    away = 0.001 * rng.standard_normal((100, 6))
+    away[::3] += rng.uniform(-0.5, 0.5, (34, 6)) * np.repeat([1.0, 0.2], 3)
+    found = tuple((replace(found_at(0.0), world_from_camera=poses[i] @ Poses.exp(away[i])),) for i in range(100))
+    left_out = LeftOut(np.arange(100), found, poses, np.zeros(100), 2.0)
+    errors = fit_verified_errors(left_out, poses, np.zeros(100, int), -6.0)
+    assert len(left_out.right) == 100
+    assert errors.coverage[1] >= 0.9
+
+
 def test_what_a_verified_place_is_worth_follows_from_held_out_images():
     """Where landmarks verify the wrong of two places as often, they are worth less; the network then decides."""
 
