@@ -16,7 +16,7 @@ def cover_size(columns: int, rows: int, width: int, height: int) -> tuple[int, i
     return max(width, round(columns * scale)), max(height, round(rows * scale))
 
 
-def scale_to_cover(image: UInt8[np.ndarray, "h w 3"], width: int, height: int) -> UInt8[np.ndarray, "h2 w2 3"]:
+def scale_to_cover(image: UInt8[np.ndarray, "h w *c"], width: int, height: int) -> UInt8[np.ndarray, "h2 w2 *c"]:
     """The image scaled so that it just covers a frame of so many pixels, each the mean of the area it covers."""
     rows, columns = image.shape[:2]
     scale = max(width / columns, height / rows)

@@ -125,6 +125,11 @@ class VaporObservationModel:
         Raises:
             VaporTrackError: the image is not (H, W, 3) uint8.
         """
+        posterior = self.propose(image, rng=rng)
+        return posterior if self.verifier is None else self.verifier.verify(image, self.camera, posterior)
+
+    def propose(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
+        """The same by the network alone: what landmarks verify is left out."""
         require_rgb(image)
         prepared = prepare(self._as_learned(image, self.camera), self.description.network)
         noise = rng.standard_normal((self.num_samples, self.engine.noise_dim), dtype=np.float32)
@@ -132,8 +137,7 @@ class VaporObservationModel:
         samples = Poses(seen.rotation.astype(np.float64), seen.translation.astype(np.float64))
         unfamiliarity = self._unfamiliarity(seen.description)
         errors = self.description.calibration.errors
-        posterior = PosePosterior.from_samples(samples, errors, unfamiliarity=unfamiliarity)
-        return posterior if self.verifier is None else self.verifier.verify(image, self.camera, posterior)
+        return PosePosterior.from_samples(samples, errors, unfamiliarity=unfamiliarity)
 
     def unfamiliarity(self, image: np.ndarray, camera: Camera | None) -> float:
         """How unlike the training images an image is, as `PosePosterior.unfamiliarity`, whatever was observed before.

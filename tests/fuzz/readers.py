@@ -285,6 +285,7 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         ),
         "model": Reader(partial(make_model, retrieval=False), load_model),
         "model-retrieval": Reader(partial(make_model, retrieval=True), load_model),
+        "model-landmarks": Reader(partial(make_model, retrieval=False, landmarks=True), load_model),
         "model-exported": Reader(make_exported, read_exported),
         "training-state": Reader(make_training_state, load_training),
     }

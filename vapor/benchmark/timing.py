@@ -42,11 +42,13 @@ class Timing:
         part: What was timed.
         median_ms: Median over the repetitions, milliseconds.
         p95_ms: 95th percentile, milliseconds.
+        p99_ms: 99th percentile, milliseconds.
     """
 
     part: str
     median_ms: float
     p95_ms: float
+    p99_ms: float
 
 
 def time_step(
@@ -57,7 +59,7 @@ def time_step(
     seed: int,
     frames: Sequence[Frame] = (),
 ) -> list[Timing]:
-    """Time decoding, network and filter separately; and, on a recording's images, a whole step.
+    """Time decoding, network and filter separately; and, on a recording's images, landmarks and a whole step.
 
     The filter is timed as it ships, over posteriors of one image, finding the places among the samples included; and
     with beliefs of as many hypotheses as asked for, of which none is merged or dropped as light: the lightest are
@@ -77,12 +79,13 @@ def time_step(
     timings = [_time(f"decode a JPEG image of {width} × {height}", lambda: decode_image_bytes(encoded), repetitions)]
     timings += time_by_turns(
         {
-            f"network by {way}, {model.num_samples} samples": partial(model.observe, image, rng=rng)
+            f"network by {way}, {model.num_samples} samples": partial(model.propose, image, rng=rng)
             for way, model in models.items()
         },
         repetitions,
     )
     if frames:
+        timings += _time_landmarks(next(iter(models.values())), frames, repetitions, rng)
         timings += time_by_turns(
             {
                 f"whole step by {way}, image bytes to estimate": WholeStep(ParticleLocalizer(model, rng=rng), frames)
@@ -115,7 +118,25 @@ def time_by_turns(parts: Mapping[str, Callable[[], object]], repetitions: int) -
             begin = time.perf_counter()
             call()
             durations_ms[part].append(1e3 * (time.perf_counter() - begin))
-    return [Timing(part, *map(float, np.percentile(each[_WARM_UP:], [50, 95]))) for part, each in durations_ms.items()]
+    return [
+        Timing(part, *map(float, np.percentile(each[_WARM_UP:], [50, 95, 99]))) for part, each in durations_ms.items()
+    ]
+
+
+def _time_landmarks(
+    model: VaporObservationModel, frames: Sequence[Frame], repetitions: int, rng: np.random.Generator
+) -> list[Timing]:
+    """Time what landmarks add to a step, image by image; nothing of a model without them."""
+    if model.verifier is None:
+        return []
+    verifier, camera = model.verifier, model.camera
+    proposed = cycle([(frame.image, model.propose(frame.image, rng=rng)) for frame in frames])
+
+    def verify() -> None:
+        image, posterior = next(proposed)
+        verifier.verify(image, camera, posterior)
+
+    return [_time("landmarks: features, matches, verified poses", verify, repetitions)]
 
 
 class WholeStep:

@@ -9,6 +9,7 @@ from functools import cache, cached_property
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from scipy.linalg import eigh
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
@@ -157,8 +158,9 @@ class BuiltMap:
         cv2.setRNGSeed(0)
         words = np.asarray(cv2.kmeans(sampled, count, None, stop, 1, cv2.KMEANS_PP_CENTERS)[2], np.float32)  # pyright: ignore
         whole = np.stack([summed_up(each.descriptors, words) for each in self.material.features])
-        _, axes = np.linalg.eigh(whole.T @ whole)
-        axes = axes[:, ::-1][:, :_SUMMARY].astype(np.float16).astype(np.float32)
+        size = whole.shape[1]
+        _, axes = eigh(whole.T @ whole, subset_by_index=(max(0, size - _SUMMARY), size - 1))
+        axes = axes[:, ::-1].astype(np.float16).astype(np.float32)
         return words, axes, unit_vectors(whole @ axes)
 
 

@@ -15,10 +15,11 @@ import numpy as np
 import poselib
 from jaxtyping import Bool, Float64, Int64, UInt8
 
+from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
 from vapor.landmarks.features import Features, extract, restored
 from vapor.landmarks.landmark_map import LandmarkMap
-from vapor.landmarks.matching import mutual_matches
+from vapor.landmarks.matching import mutual_matches, mutual_matches_among, within
 from vapor.landmarks.points import by_pose, seen
 
 LEAST_INLIERS = 12
@@ -28,6 +29,7 @@ _RATIO = 0.9
 _ALIKE = 16  # key images that look most like an image
 _NEAR = 6  # key images nearest to a pose that is proposed
 _SHARED = 8  # points that key images of one place share
+_KNOWN = 0.2  # of the points of a key image: what shows more of what is seen from a verified pose is not looked at
 _MOST_PLACES = 8  # that are looked at
 _MOST_POINTS = 1000  # of a place, that are matched
 _LEAST_MATCHES, _LEAST_SUPPORT = 8, 8
@@ -115,13 +117,19 @@ class LandmarkLocalizer:
         found: list[VerifiedPose] = []
         if len(features) < LEAST_INLIERS:
             return found
+        shown = np.zeros(len(self.landmarks.points), bool)  # where poses are that are verified
         for images in self._places(features, proposed):
+            own = self.landmarks.shown_by(images[0])
+            if np.count_nonzero(shown[own]) > _KNOWN * len(own):
+                continue
             pose = self._first_pose(features, images)
             if pose is None or self._is_known(pose.inverse(), found):
                 continue
             verified = self._refined(features, pose)
             if verified is not None and not self._is_known(verified.world_from_camera, found):
                 found.append(verified)
+                for image in self._near(verified.world_from_camera, _NEAR).tolist():
+                    shown[self.landmarks.shown_by(image)] = True
         return sorted(found, key=lambda each: -each.inliers)
 
     def _places(self, features: Features, proposed: Poses | None) -> list[list[int]]:
@@ -174,6 +182,11 @@ class LandmarkLocalizer:
         distance[(along < _LOOKS_ALONG) | self._ignored] = np.inf
         return distance
 
+    def mapped(self, reach: float = 1.0, elsewhere: float = 0.0) -> MappedViews:
+        """The views that it looks for things in, see `MappedViews`."""
+        poses = self.landmarks.poses[np.flatnonzero(~self._ignored)]
+        return MappedViews(poses, self.landmarks.depth_m, reach, elsewhere)
+
     def _near(self, pose: Poses, most: int) -> Int64[np.ndarray, " k"]:
         """Key images that may show what a camera at a pose sees, the nearest first."""
         cost = self.view_distances(pose)
@@ -211,13 +224,11 @@ class LandmarkLocalizer:
         found = seen(camera_from_world, m.points[points].astype(np.float64))
         at = found.at * camera.focal + camera.centre
         inside = (found.inverse_depth > 0.0) & ((at > -0.5) & (at < camera.size - 0.5)).all(axis=1)
-        points, at = points[inside], at[inside]
-        across, down = np.abs(features.pixels.T.astype(np.float32)[:, :, None] - at.T.astype(np.float32)[:, None])
-        apart = np.maximum(across, down) > _GUIDED_PX
-        near = np.flatnonzero(~apart.all(axis=0))
-        points = points[near]
-        descriptors = restored(m.descriptors[points])
-        a, b = mutual_matches(features.descriptors, descriptors, 1.0, apart=apart[:, near], least=_GUIDED_COSINE)
+        points = points[inside]
+        a, b = within(features.pixels, at[inside], _GUIDED_PX)
+        likeness = np.vecdot(features.descriptors[a], restored(m.descriptors[points[b]]))
+        alike = likeness > _GUIDED_COSINE
+        a, b = mutual_matches_among(likeness[alike], a[alike], b[alike])
         if len(a) < LEAST_INLIERS:
             return None
         pixels, at = features.pixels[a], m.points[points[b]].astype(np.float64)

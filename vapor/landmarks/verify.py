@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from jaxtyping import Float64, UInt8
 from filtering.association import PLACE
 from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import require_within
+from filtering.mapped_views import MappedViews
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
@@ -40,9 +42,14 @@ class Verification:
     """Weight of a verified place that the network did not propose."""
     nothing: float = 0.5
     """Of "none of these": a place of weight 1 that is not verified outweighs it by the inverse."""
+    reach: float = 0.5
+    """How different a view is from the likest of the map's, 1 for a depth or a radian, of which half are verified."""
+    elsewhere: float = 0.05
+    """Probability that landmarks verify another place of an image whose own the map does not show."""
 
     def __post_init__(self) -> None:
         require_within(self, gain=(1e-3, 1e6), power=(0.0, 5.0), unproposed=(1e-9, 1.0), nothing=(1e-9, 1e6))
+        require_within(self, reach=(1e-3, 1e3), elsewhere=(0.0, 0.99))
 
     def scores(
         self, inliers: Float64[np.ndarray, " j"], weights: Float64[np.ndarray, " j"]
@@ -78,7 +85,12 @@ def _squared(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "k j
     return np.einsum("kji,kil,kjl->kj", offset, information, offset)
 
 
-def verified(posterior: PosePosterior, found: Sequence[VerifiedPose], settings: Verification) -> PosePosterior:
+def verified(
+    posterior: PosePosterior,
+    found: Sequence[VerifiedPose],
+    settings: Verification,
+    mapped: MappedViews | None = None,
+) -> PosePosterior:
     """The posterior with the places that landmarks verify; as it is where there are none.
 
     Images of other places verify none, so one that does is of this place, however unlike the training images it is.
@@ -87,6 +99,7 @@ def verified(posterior: PosePosterior, found: Sequence[VerifiedPose], settings: 
         posterior: What the network says, with errors of verified places.
         found: The poses that landmarks verify, of the same image.
         settings: What that says of a place.
+        mapped: Where landmarks can verify places; None for everywhere.
     """
     of_verified = posterior.errors.verified
     if not found or of_verified is None:
@@ -103,6 +116,7 @@ def verified(posterior: PosePosterior, found: Sequence[VerifiedPose], settings: 
         weights=np.concatenate([scores, posterior.weights]) / total,
         verified=np.arange(len(found) + len(posterior.weights)) < len(found),
         unfamiliarity=min(posterior.unfamiliarity, FOREIGN),
+        mapped=mapped,
     )
 
 
@@ -112,6 +126,12 @@ class Landmarks:
 
     map: LandmarkMap
     verification: Verification = field(default_factory=Verification)
+
+    @cached_property
+    def mapped(self) -> MappedViews:
+        """Where it can verify places."""
+        settings = self.verification
+        return MappedViews(self.map.poses, self.map.depth_m, settings.reach, settings.elsewhere)
 
 
 class LandmarkVerifier:
@@ -176,7 +196,7 @@ class LandmarkVerifier:
         self.latest = self.find(image, camera, posterior)
         if posterior.errors.verified is None:
             posterior = replace(posterior, errors=replace(posterior.errors, verified=self._errors))
-        return verified(posterior, self.latest, self.landmarks.verification)
+        return verified(posterior, self.latest, self.landmarks.verification, self.landmarks.mapped)
 
     def shown(
         self,
@@ -215,6 +235,6 @@ class LandmarkVerifier:
 
 def grey_view(image: UInt8[np.ndarray, "h w 3"], camera: Camera) -> UInt8[np.ndarray, "height width"]:
     """The middle of an RGB image, grey, of a camera's size."""
-    covering = scale_to_cover(image, camera.width, camera.height)
-    grey = np.asarray(cv2.cvtColor(covering, cv2.COLOR_RGB2GRAY))
-    return np.ascontiguousarray(centre_crop(grey, camera.width, camera.height))
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+    covering = scale_to_cover(grey, camera.width, camera.height)
+    return np.ascontiguousarray(centre_crop(covering, camera.width, camera.height))

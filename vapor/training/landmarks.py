@@ -10,10 +10,13 @@ import numpy as np
 
 from filtering.se3 import Poses
 from vapor.calibration.camera_fit import fit_camera, typical_error_m
+from vapor.calibration.image_errors import LEAST_IMAGES
+from vapor.calibration.verification import fit_reach
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.scene_scale import flat_log_density
 from vapor.landmarks.build import BuiltMap, Material, build, gather
 from vapor.landmarks.localize import LandmarkLocalizer, query_features
+from vapor.landmarks.verify import Verification
 from vapor.landmarks.view_camera import ViewCamera
 from vapor.training.config import CameraChoice
 from vapor.training_data.ground import near_scale_m
@@ -29,12 +32,14 @@ class FoundLandmarks:
     Attributes:
         built: The map of all images that are learned from.
         verified: How poses err that it verifies.
+        verification: What is known so far of what it says of a place: where it can verify any.
         images: The images that it is of.
         notes: What was found, in sentences.
     """
 
     built: BuiltMap
     verified: VerifiedErrors
+    verification: Verification
     images: TrainingSet
     notes: tuple[str, ...]
 
@@ -78,7 +83,8 @@ def find_landmarks(
     left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
     verified = fit_verified_errors(left_out, poses, images.sequence, flat_log_density(poses))
     if verified is None:
-        return None, (*notes, _NONE.format(f"they verify the pose of {left_out.verified:.0%} of the images only"))
+        few = f"without what was taken near them in time they verify the poses of {len(left_out.right)} images only"
+        return None, (*notes, _NONE.format(f"{few}, and how poses err is found on {LEAST_IMAGES} or more"))
     found = (
         f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without what was taken near them"
         f" in time they verify the poses of {left_out.verified:.0%} of {len(left_out.image)} images, which then err by"
@@ -88,7 +94,8 @@ def find_landmarks(
         found += (
             f"; of {verified.elsewhere:.1%} of the images another place, which looks alike, shows the most landmarks"
         )
-    return FoundLandmarks(built, verified, images, (*notes, found)), (*notes, found)
+    verification = fit_reach(left_out, verified.effective_images)
+    return FoundLandmarks(built, verified, verification, images, (*notes, found)), (*notes, found)
 
 
 _NONE = "no landmarks: {}; places stay as coarse as the network says"
@@ -115,7 +122,7 @@ def _best_map(
     )
     if fit is None:
         return build(material, stated), ()
-    if choice == "auto" and not fit.is_better:
+    if fit.by_found is None or (choice == "auto" and not fit.is_better):
         return fit.by_stated, ()
     taken = "" if fit.errors_m is None else "; so it is taken (--camera stated: the stated one)"
     said = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)

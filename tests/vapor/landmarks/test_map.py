@@ -9,7 +9,7 @@ from filtering.se3 import Poses
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.landmarks.build import build, camera_found, gather
 from vapor.landmarks.localize import LandmarkLocalizer
-from vapor.landmarks.matching import mutual_matches
+from vapor.landmarks.matching import mutual_matches, mutual_matches_among, within
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
 from vapor.landmarks.tracks import find_sightings
 from vapor.landmarks.verify import grey_view
@@ -35,12 +35,24 @@ def test_matches_are_mutual_and_clearly_nearest():
     other = one[[2, 0, 0]]  # the first has two equal partners, the second none
     first, second = mutual_matches(one, other, 0.9)
     assert (first.tolist(), second.tolist()) == ([2], [0])
-    first, second = mutual_matches(one, other, 1.0, least=0.5)
-    assert (first.tolist(), second.tolist()) == ([0, 2], [1, 0])
-    apart = np.zeros((4, 3), bool)
-    apart[2] = True
-    assert mutual_matches(one, other, 1.0, apart=apart, least=0.5)[0].tolist() == [0]
     assert not len(mutual_matches(one[:0], other, 0.9)[0])
+    assert mutual_matches(one, other[:1], 0.9)[0].tolist() == [2]
+
+
+def test_matches_among_pairs_of_near_pixels_are_the_likest_of_both():
+    rng = np.random.default_rng(0)
+    one, other = rng.uniform(0, 30, (40, 2)), rng.uniform(0, 30, (60, 2))
+    i, j = within(one, other, 5.0)
+    near = np.abs(one[:, None] - other).max(axis=2) <= 5.0
+    assert sorted(zip(i, j, strict=True)) == [tuple(pair) for pair in np.argwhere(near)]
+    likeness = np.where(near, rng.uniform(size=near.shape), -1.0).astype(np.float32)
+    nearest = likeness.argmax(axis=1)
+    mutual = (likeness.argmax(axis=0)[nearest] == np.arange(40)) & near.any(axis=1)
+    first, second = mutual_matches_among(likeness[i, j], i, j)
+    assert (first.tolist(), second.tolist()) == (np.flatnonzero(mutual).tolist(), nearest[mutual].tolist())
+    assert 10 < len(first) < 40
+    assert not len(mutual_matches_among(likeness[:0, 0], i[:0], j[:0])[0])
+    assert not len(within(one, other[:0], 5.0)[0])
 
 
 def test_distortion_is_taken_away():

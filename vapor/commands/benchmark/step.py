@@ -36,7 +36,7 @@ _WAYS: Mapping[_Way, EngineConfig] = {
 
 @dataclass(frozen=True)
 class Options:
-    """Time the parts of a step: decoding, network, filter."""
+    """Time the parts of a step: decoding, network, landmarks, filter."""
 
     model: str = "staircase"
     """Model file, or name of a model that ships with the package."""
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str]) -> None:
     """Run the command."""
     o = parse("benchmark step", Options, arguments)
     frames, camera = ([], None) if o.sequence is None else _frames(o.sequence)
-    table = Table("part of a step", "median ms", "95 % ms")
+    table = Table("part of a step", "median ms", "95 % ms", "99 % ms")
     with limited_threads(o.threads):
         timings = time_step(
             _models(o, camera),
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str]) -> None:
             frames=frames,
         )
     for timing in timings:
-        table.add_row(timing.part, f"{timing.median_ms:.2f}", f"{timing.p95_ms:.2f}")
+        table.add_row(timing.part, f"{timing.median_ms:.2f}", f"{timing.p95_ms:.2f}", f"{timing.p99_ms:.2f}")
     show(table)
 
 
