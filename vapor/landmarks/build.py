@@ -12,9 +12,11 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from scipy.linalg import eigh
 
 from filtering.se3 import Poses
+from sequences.datasets.seen_points import SeenPoints
 from sequences.frame import Camera
 from vapor.landmarks.adjustment import Adjusted, adjusted
 from vapor.landmarks.features import Basis, Features, extract, stored, unit_vectors
+from vapor.landmarks.given_points import at_given_points, with_given_points
 from vapor.landmarks.landmark_map import LandmarkMap, summed_up
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
 from vapor.landmarks.tracks import Matches, find_sightings, matches_of, neighbours, typical_depth_m
@@ -40,6 +42,7 @@ _POSE_STD = 0.01  # depths and radians: what poses are taken to err by at first 
 _SAMPLED_KEYS, _RUN = 150, 25  # key images in which it is found, and how many in a row
 
 Advance = Callable[[int, int], None]
+Given = Callable[[int], SeenPoints | None]
 View = Callable[[int], UInt8[np.ndarray, "h w"]]
 
 
@@ -171,6 +174,7 @@ def gather(
     *,
     stated: bool = True,
     scale_m: float,
+    given: Given = lambda image: None,
     advance: Advance | None = None,
 ) -> Material | None:
     """Choose key images and find their features; None where no two images show the same from two sides.
@@ -181,6 +185,7 @@ def gather(
         camera: Their camera, at their size.
         stated: Whether that is stated, or a guess.
         scale_m: So much distance is as much of a difference as a radian, for a start.
+        given: Points of a reconstruction that a training image shows, by its number; None for none.
         advance: Called with the number of key images done and of all.
     """
     count = _FEATURES
@@ -208,8 +213,10 @@ def gather(
         reduced.append(basis.reduced(extract(view(image), count, longest=VIEW_PX) if many else raw(image)))
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
-    matches = matches_of(reduced, sorted(pairs))
-    return Material(camera if stated else None, key, own, tuple(reduced), basis, matches, depth_m)
+    matches, at = matches_of(reduced, sorted(pairs)), ViewCamera(camera)
+    placed = [at_given_points(each, given(image), at) for each, image in zip(reduced, key.tolist(), strict=True)]
+    matches = with_given_points(matches, [points for _, points in placed])
+    return Material(camera if stated else None, key, own, tuple(each for each, _ in placed), basis, matches, depth_m)
 
 
 def build(material: Material, camera: ViewCamera) -> BuiltMap | None:

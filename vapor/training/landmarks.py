@@ -72,6 +72,7 @@ def find_landmarks(
         stated.camera,
         stated=known,
         scale_m=near_scale_m(poses),
+        given=lambda image: images.seen_points[images.rows[image]] if images.seen_points else None,
         advance=advance,
     )
     if material is None:
