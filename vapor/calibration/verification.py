@@ -25,7 +25,7 @@ _OUTLIERS = 0.005, 0.9
 _REACHES = np.geomspace(0.1, 3.0, 35)
 _REACH_STD = 0.7  # of its logarithm, before
 _OF_SHOWN = np.linspace(0.5, 1.0, 11)  # so many images are verified of those whose place is shown
-_ELSEWHERE = 0.5, 10.0  # images that were seen before: in so many of so many another place was verified
+_ELSEWHERE = 0.5, 10.0  # images that were seen before: in so many of so many another place was verified, too
 _MOST_ELSEWHERE = 0.95
 
 
@@ -98,7 +98,6 @@ def fit_reach(left_out: LeftOut, effective: float) -> Verification:
     """
     right = np.zeros(len(left_out.found), bool)
     right[[row for row, _ in left_out.right]] = True
-    something = np.array([len(found) > 0 for found in left_out.found], bool)
     worth = min(1.0, effective / max(len(right), 1))
     before = Verification()
 
@@ -108,9 +107,8 @@ def fit_reach(left_out: LeftOut, effective: float) -> Verification:
         return worth * float(likelihood) - 0.5 * (np.log(reach / before.reach) / _REACH_STD) ** 2
 
     reach = float(max(_REACHES, key=log_posterior))
-    hidden = worth * np.where(right, 0.0, unshown(left_out.view_distance, reach))
     mistaken, of = _ELSEWHERE
-    elsewhere = (float(hidden[something].sum()) + mistaken) / (float(hidden.sum()) + of)
+    elsewhere = (worth * float(left_out.alike.sum()) + mistaken) / (worth * len(right) + of)
     return replace(before, reach=reach, elsewhere=min(elsewhere, _MOST_ELSEWHERE))
 
 

@@ -75,10 +75,16 @@ class LeftOut:
         return len(self.right) / max(len(self.found), 1)
 
     @property
+    def alike(self) -> Bool[np.ndarray, " n"]:
+        """Of which images landmarks verify another place, whether beside the right one or not, (n,)."""
+        return np.array(
+            [any(not self._is_at(each, row) for each in found) for row, found in enumerate(self.found)], bool
+        )
+
+    @property
     def elsewhere(self) -> float:
         """Fraction of the images of which a pose of another place was verified by more landmarks than any."""
-        first = [(row, found[0].world_from_camera) for row, found in enumerate(self.found) if found]
-        away = [row for row, pose in first if not self._is_right(*map(float, pose.distance(self.truth[row])))]
+        away = [row for row, found in enumerate(self.found) if found and not self._is_at(found[0], row)]
         return len(away) / max(len(self.found), 1)
 
     @property
@@ -88,6 +94,9 @@ class LeftOut:
             return np.empty(0), np.empty(0)
         poses = Poses.stack([pose.world_from_camera for _, pose in self.right])
         return poses.distance(self.truth[np.array([row for row, _ in self.right])])
+
+    def _is_at(self, found: VerifiedPose, row: int) -> bool:
+        return self._is_right(*map(float, found.world_from_camera.distance(self.truth[row])))
 
     def _is_right(self, metres: float, radians: float) -> bool:
         return bool(metres < _RIGHT[0] * self.depth_m and radians < _RIGHT[1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import cv2
@@ -39,6 +39,7 @@ _LEAST_DEPTH = 0.02  # in median depths
 _MOST_BYTES, _MOST_BYTES_OF_ALL = 18_000, 27_000_000  # of the map, a key image and all
 _BYTES_OF_POINT, _BYTES_OF_SIGHTING = 76, 4
 _POSE_STD = 0.01  # depths and radians: what poses are taken to err by at first where the camera is found
+_STATED_WITHIN = 0.015  # image widths: nearer to the stated one, a principal point is what errors of poses make of it
 _SAMPLED_KEYS, _RUN = 150, 25  # key images in which it is found, and how many in a row
 
 Advance = Callable[[int, int], None]
@@ -263,15 +264,21 @@ def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
     poses = material.poses[keys]
     features = [material.features[k] for k in keys.tolist()]
     camera_from_world, camera, found = poses.inverse(), stated, None
-    std = _POSE_STD
+    std, principal_point = _POSE_STD, True
     for most_px in (16.0, 4.0, 4.0):
+        off = np.abs(camera.centre - stated.centre).max() / stated.camera.width
+        if found is not None and off < _STATED_WITHIN:
+            principal_point = False
+            camera = replace(camera, camera=replace(camera.camera, cx=stated.camera.cx, cy=stated.camera.cy))
         sightings, _ = find_sightings(poses, features, camera, matches, depth_m=material.depth_m, most_px=most_px)
         outliers_px = 2.0 * most_px, 1.5 * most_px, most_px
         points, sightings = _points(camera, camera_from_world, sightings, material.depth_m, outliers_px)
         if len(points) < _LEAST_POINTS:
             return None
         pose_std = std * material.depth_m, std
-        found = adjusted(camera, camera_from_world, points, sightings, pose_std=pose_std)
+        found = adjusted(
+            camera, camera_from_world, points, sightings, pose_std=pose_std, principal_point=principal_point
+        )
         camera = found.camera
         away = (found.camera_from_world @ poses).log() / np.repeat([material.depth_m, 1.0], 3)
         std = float(np.clip(np.sqrt(np.square(away).mean()), _POSE_STD / 4.0, 4.0 * _POSE_STD))
