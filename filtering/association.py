@@ -117,9 +117,8 @@ def associate(
     support = np.bincount(hypothesis, near, minlength=count)
     excuse, outlier = posterior.excuse(belief.poses), posterior.outlier_probability
     possible = support / (support + errors.possible_fraction)
-    possible += (1.0 - possible) * excuse
-    log_evidence = np.log(outlier + (1.0 - outlier) * possible)
     outliers = outlier + (1.0 - outlier) * excuse
+    log_evidence = np.log(outliers + (1.0 - outliers) * possible)
 
     log_place_weights = np.log(np.maximum(posterior.weights, 1e-300))
     log_seen = np.log1p(-outliers)[hypothesis] + log_place_weights[place] + log_density

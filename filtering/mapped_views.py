@@ -12,6 +12,8 @@ from scipy.spatial import KDTree
 from filtering.se3 import Poses
 
 _STEEPNESS = 4.0
+MOST_ELSEWHERE = 0.6
+"""Beyond it nothing would be learned of having been carried off."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ class PosePosterior:
             nothing.
         growth: How much larger the variances are for that than those of the error model.
         verified: Which places landmarks have verified, and so err as `errors.verified` says, (k,); None for none.
-        mapped: Where landmarks can verify places; None for everywhere.
+        mapped: Where landmarks can verify places; None for everywhere. Only the particle filter asks for it.
     """
 
     means: Poses

@@ -14,6 +14,8 @@ from sequences.images.undistortion import Lens, rays_of
 
 _MOST = 20_000_000
 """Sightings of a model, in all; 24 bytes each."""
+POINTS_OF_A_MODEL = 2**32
+"""Those of another model are numbered from another multiple of this."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,7 @@ class SeenPoints:
     """Which points one image shows, and where.
 
     Attributes:
-        point: Their numbers, from 0, (k,).
+        point: Their numbers, from 0, or for another model from another multiple of `POINTS_OF_A_MODEL`, (k,).
         rays: x and y of the rays (x, y, 1) to them in the camera's frame, (k, 2): whatever is done to its pixels.
     """
 

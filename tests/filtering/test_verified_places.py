@@ -174,6 +174,17 @@ def test_look_alikes_do_not_take_over_where_the_map_cannot_show_the_place():
     assert walked(everywhere) == pytest.approx(53.9, abs=0.2)
 
 
+def test_a_belief_that_is_excused_is_not_taken_for_one_that_fits():
+    mapped = MappedViews(at(50.0), 2.0, 0.5, 0.6)
+    filtering = localizer()
+    filtering.update(seen([0.0], [0.0]), None)
+    for k in range(1, 10):
+        estimate = filtering.update(replace(seen((), [50.0 + 0.1 * k]), mapped=mapped), STEP)
+    assert estimate.modes[0].world_from_camera.translation[0] == pytest.approx(0.9, abs=0.1)
+    assert estimate.agreement < 0.5
+    assert estimate.status != "converged"
+
+
 def test_views_are_mapped_as_far_as_they_resemble_those_of_the_map():
     mapped = MappedViews(at(0.0, 1.0), 2.0, 0.5, 0.8)
     np.testing.assert_allclose(mapped.distances(at(0.0, 2.0, -4.0)), [0.0, 0.5, 2.0])

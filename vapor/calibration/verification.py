@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float64
 from scipy.optimize import minimize
 from scipy.stats import f as fisher
 
-from filtering.mapped_views import unshown
+from filtering.mapped_views import MOST_ELSEWHERE, unshown
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from vapor.calibration.verified_errors import LeftOut
@@ -26,7 +26,6 @@ _REACHES = np.geomspace(0.1, 3.0, 35)
 _REACH_STD = 0.7  # of its logarithm, before
 _OF_SHOWN = np.linspace(0.5, 1.0, 11)  # so many images are verified of those whose place is shown
 _ELSEWHERE = 0.5, 10.0  # images that were seen before: in so many of so many another place was verified, too
-_MOST_ELSEWHERE = 0.95
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def fit_reach(left_out: LeftOut, effective: float) -> Verification:
     reach = float(max(_REACHES, key=log_posterior))
     mistaken, of = _ELSEWHERE
     elsewhere = (worth * float(left_out.alike.sum()) + mistaken) / (worth * len(right) + of)
-    return replace(before, reach=reach, elsewhere=min(elsewhere, _MOST_ELSEWHERE))
+    return replace(before, reach=reach, elsewhere=min(elsewhere, MOST_ELSEWHERE))
 
 
 def fit_verification(images: Sequence[SeenPlaces], effective: float, before: Verification) -> Verification:
@@ -138,7 +137,7 @@ def fit_verification(images: Sequence[SeenPlaces], effective: float, before: Ver
 def evidence(
     images: Sequence[SeenPlaces], settings: Verification, outlier_probability: float, possible_fraction: float
 ) -> Float64[np.ndarray, " n"]:
-    """Log of how possible each image finds the true place, as the filter asks it (`filtering.association`)."""
+    """Log of how possible each image finds the true place, as the filter asks it where the map shows that."""
     support = np.array([each.support(settings) for each in images])
     possible = support / (support + possible_fraction)
     return np.log(outlier_probability + (1.0 - outlier_probability) * possible)

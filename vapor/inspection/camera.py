@@ -140,7 +140,7 @@ class CameraCheck:
             "stated": asdict(self.camera) if fit.known else None,
             "fits": None if found is None else asdict(found) | {"k1": fit.found.k1, "k2": fit.found.k2},
             "focal_std": fit.focal_std,
-            "median_distance_px": fit.apart_px if fit.known else None,
+            "median_distance_px": fit.apart_px * self.camera.width / fit.stated.camera.width if fit.known else None,
             "fits_clearly_better": fit.is_better,
             "matches_that_agree": {name: None if each is None else each.agreeing for name, each in maps.items()},
             "localization_error_m": {

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int64
 from scipy.spatial import KDTree
 
-from sequences.datasets.seen_points import SeenPoints
+from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
 from vapor.landmarks.features import Features
 from vapor.landmarks.tracks import Matches
 from vapor.landmarks.view_camera import ViewCamera
@@ -48,7 +48,7 @@ def at_given_points(
 
 
 def with_given_points(matches: Matches, points: Sequence[Int64[np.ndarray, " n"]]) -> Matches:
-    """Matches of views, in which features match that show the same point, and none that show two.
+    """Matches of views, in which features match that show the same point, and none that show two of one model.
 
     Args:
         matches: Of pairs of views, as their features look.
@@ -57,7 +57,7 @@ def with_given_points(matches: Matches, points: Sequence[Int64[np.ndarray, " n"]
     joined = {}
     for (i, j), (a, b) in matches.items():
         one, other = points[i][a], points[j][b]
-        fine = (one < 0) | (other < 0) | (one == other)
+        fine = (one < 0) | (other < 0) | (one == other) | (one // POINTS_OF_A_MODEL != other // POINTS_OF_A_MODEL)
         joined[i, j] = a[fine], b[fine]
     view = np.repeat(np.arange(len(points)), [len(each) for each in points])
     feature = np.concatenate([np.empty(0, np.int64), *(np.arange(len(each)) for each in points)])
@@ -72,8 +72,7 @@ def with_given_points(matches: Matches, points: Sequence[Int64[np.ndarray, " n"]
         if len(some):
             i, j = int(view[first[some[0]]]), int(view[second[some[0]]])
             before = joined.get((i, j), (np.empty(0, np.int64), np.empty(0, np.int64)))
-            joined[i, j] = (
-                np.concatenate([before[0], feature[first[some]]]),
-                np.concatenate([before[1], feature[second[some]]]),
-            )
+            new = feature[first[some]], feature[second[some]]
+            both = np.concatenate([np.stack(before), np.stack(new)], axis=1)
+            joined[i, j] = tuple(np.unique(both, axis=1))
     return joined

@@ -18,12 +18,10 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
 from vapor.landmarks.features import Features, extract, restored
-from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap
 from vapor.landmarks.matching import mutual_matches, mutual_matches_among, within
 from vapor.landmarks.points import by_pose, seen
 
-LEAST_INLIERS = 12
-"""Landmarks that a pose must be seen by to be one."""
 _QUERY_PX, _FEATURES = 230, 300
 _RATIO = 0.9
 _ALIKE = 16  # key images that look most like an image
@@ -184,8 +182,7 @@ class LandmarkLocalizer:
 
     def mapped(self, reach: float = 1.0, elsewhere: float = 0.0) -> MappedViews:
         """The views that it looks for things in, see `MappedViews`."""
-        poses = self.landmarks.poses[np.flatnonzero(~self._ignored)]
-        return MappedViews(poses, self.landmarks.depth_m, reach, elsewhere)
+        return self.landmarks.mapped(reach, elsewhere, self._ignored)
 
     def _near(self, pose: Poses, most: int) -> Int64[np.ndarray, " k"]:
         """Key images that may show what a camera at a pose sees, the nearest first."""

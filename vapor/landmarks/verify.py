@@ -18,15 +18,15 @@ from jaxtyping import Float64, UInt8
 from filtering.association import PLACE
 from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import require_within
-from filtering.mapped_views import MappedViews
+from filtering.mapped_views import MOST_ELSEWHERE, MappedViews
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.cameras import AsTakenBy, same_view
 from vapor.images import centre_crop, scale_to_cover
 from vapor.landmarks.features import Features
-from vapor.landmarks.landmark_map import LandmarkMap
-from vapor.landmarks.localize import LEAST_INLIERS, LandmarkLocalizer, VerifiedPose
+from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap
+from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
 from vapor.landmarks.shown import ShownLandmarks
 
 
@@ -49,7 +49,7 @@ class Verification:
 
     def __post_init__(self) -> None:
         require_within(self, gain=(1e-3, 1e6), power=(0.0, 5.0), unproposed=(1e-9, 1.0), nothing=(1e-9, 1e6))
-        require_within(self, reach=(1e-3, 1e3), elsewhere=(0.0, 0.99))
+        require_within(self, reach=(1e-3, 1e3), elsewhere=(0.0, MOST_ELSEWHERE))
 
     def scores(
         self, inliers: Float64[np.ndarray, " j"], weights: Float64[np.ndarray, " j"]
@@ -130,8 +130,7 @@ class Landmarks:
     @cached_property
     def mapped(self) -> MappedViews:
         """Where it can verify places."""
-        settings = self.verification
-        return MappedViews(self.map.poses, self.map.depth_m, settings.reach, settings.elsewhere)
+        return self.map.mapped(self.verification.reach, self.verification.elsewhere)
 
 
 class LandmarkVerifier:

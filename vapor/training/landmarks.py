@@ -96,6 +96,10 @@ def find_landmarks(
             f"; of {verified.elsewhere:.1%} of the images another place, which looks alike, shows the most landmarks"
         )
     verification = fit_reach(left_out, verified.effective_images)
+    found += (
+        f"; they reach views that differ by {verification.reach * built.material.depth_m:.1f} m, and beyond"
+        f" {verification.elsewhere:.0%} are taken for another place"
+    )
     return FoundLandmarks(built, verified, verification, images, (*notes, found)), (*notes, found)
 
 
@@ -125,6 +129,6 @@ def _best_map(
         return build(material, stated), ()
     if fit.by_found is None or (choice == "auto" and not fit.is_better):
         return fit.by_stated, ()
-    taken = "" if fit.errors_m is None else "; so it is taken (--camera stated: the stated one)"
+    taken = "" if choice == "estimated" or not known else "; so it is taken (--camera stated: the stated one)"
     said = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)
     return fit.by_found, (f"camera: {said}{taken}",)

@@ -12,7 +12,7 @@ import numpy as np
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.datasets.frames import PosedFrames
-from sequences.datasets.seen_points import SeenPoints
+from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
 from sequences.frame import Camera, Frame
 from vapor.cameras import AsTakenBy, described
 from vapor.images import centre_crop, scale_to_cover
@@ -58,7 +58,6 @@ def load_training_set(
     odometry: list[Odometry | None] = []
     colours: dict[str, Colours] = {}
     points: list[SeenPoints | None] = []
-    first_point = 0
     shape: tuple[int, ...] | None = None
     camera = camera or _commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
@@ -93,7 +92,7 @@ def load_training_set(
                 file.write(np.ascontiguousarray(image).data)
                 grey.take(frame)
                 of_image = given.pop(frame.time_ns, None) if frame.camera is not None else None
-                points.append(of_image and replace(of_image, point=of_image.point + first_point))
+                points.append(of_image and replace(of_image, point=of_image.point + index * POINTS_OF_A_MODEL))
                 matrices.append(frame.world_from_camera.as_matrix())
                 sources.append((index, frame.sequence))
                 times_ns.append(frame.time_ns)
@@ -105,7 +104,6 @@ def load_training_set(
             if isinstance(frames, PosedFrames):
                 skipped += frames.skipped
                 notices += frames.notices
-            first_point = 1 + max((int(each.point.max(initial=-1)) for each in points if each), default=-1)
             notices += said_of_views(name, agreeing.checks())
         if shape is None or camera_size is None or as_taken is None:
             raise TrainingError("no training data, expected at least one sequence")

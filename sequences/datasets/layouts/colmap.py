@@ -199,9 +199,9 @@ def _text_keypoints(file: Path) -> Iterator[tuple[str, Float64[np.ndarray, "k 2"
     """Name of each image, and X and Y of the keypoints that are of a point, with its POINT3D_ID."""
     for number, fields, keypoints in _text_images(file):
         where = f"{file}:{number + 1}"
-        of_points = [each for each in zip(*3 * [iter(keypoints)], strict=True) if each[2] != "-1"]
+        of_points = [each for each in zip(*3 * [iter(keypoints)], strict=True) if not each[2].startswith("-")]
         pixels = parse_numbers((value for each in of_points for value in each[:2]), where, "those of `X Y POINT3D_ID`")
-        points = [parse_whole(each[2], f"{where}: POINT3D_ID", -1, LARGEST_ID) for each in of_points]
+        points = [parse_whole(each[2], f"{where}: POINT3D_ID", 0, LARGEST_ID) for each in of_points]
         yield fields[-1], np.array(pixels, np.float64).reshape(-1, 2), np.array(points, np.int64)
 
 

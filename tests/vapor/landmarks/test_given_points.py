@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from sequences.datasets.seen_points import SeenPoints
+from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
 from tests.helpers.textured_room import CAMERA, walk
 from vapor.landmarks.build import build, gather
 from vapor.landmarks.features import Features
@@ -43,7 +43,9 @@ def test_features_of_one_point_match_and_features_of_two_do_not() -> None:
         pair: [*zip(*(each.tolist() for each in both), strict=True)]
         for pair, both in with_given_points(before, points).items()
     }
-    assert found == {(0, 1): [(1, 0), (2, 2), (1, 0)], (0, 2): [(0, 0)]}
+    assert found == {(0, 1): [(1, 0), (2, 2)], (0, 2): [(0, 0)]}
+    of_another_model = [points[0], points[1] + POINTS_OF_A_MODEL, points[2]]
+    assert with_given_points(before, of_another_model)[0, 1][0].tolist() == [0, 1, 2]  # which say nothing of these
     nothing = [np.full(3, -1)] * 3
     assert with_given_points(before, nothing)[0, 1][0].tolist() == [0, 1, 2]
     assert with_given_points({}, nothing) == {}
