@@ -22,8 +22,9 @@ from vapor.landmarks.pose_solver import INLIER_PX, ROBUST_PX, PoseSolver, lo_ran
 
 LEAST_INLIERS = 12
 """Landmarks that a pose must be seen by to be one."""
+RATIO, COSINE = 0.9, 0.65
+"""Of matches of an image and a map: see `LandmarkLocalizer`."""
 _QUERY_PX, _FEATURES = 230, 300
-_RATIO = 0.9
 _ALIKE = 16  # key images that look most like an image
 _NEAR = 6  # key images nearest to a pose that is proposed
 _SHARED = 8  # points that key images of one place share
@@ -31,7 +32,7 @@ _KNOWN = 0.2  # of the points of a key image: what shows more of what is seen fr
 _MOST_PLACES = 8  # that are looked at
 _MOST_POINTS = 1000  # of a place, that are matched
 _LEAST_MATCHES = 8
-_GUIDED_PX, _GUIDED_COSINE = 5.0, 0.65
+_GUIDED_PX = 5.0
 _GUIDED_FROM = 20  # key images near a pose, whose points are looked for
 _DAMPING, _MOST_CONDITION = 1e-9, 1e12
 _ROUNDS = 6
@@ -71,6 +72,8 @@ class LandmarkLocalizer:
         ignored: Key images of it that nothing is looked for in, (n,); None for none.
         extractor: What finds features, the one that found those of the map.
         solver: What finds a pose by matches, many of which are wrong.
+        ratio: Of the distances of a feature's nearest and second nearest descriptor of the map, in a match.
+        cosine: Of the descriptors of a match that lies where it must be.
     """
 
     def __init__(
@@ -80,10 +83,12 @@ class LandmarkLocalizer:
         *,
         extractor: Extractor = extract,
         solver: PoseSolver = lo_ransac,
+        ratio: float = RATIO,
+        cosine: float = COSINE,
     ) -> None:
         self.landmarks = landmarks
         self._ignored = np.zeros(len(landmarks.poses), bool) if ignored is None else ignored
-        self._extractor, self._solver = extractor, solver
+        self._extractor, self._solver, self._ratio, self._cosine = extractor, solver, ratio, cosine
 
     @cached_property
     def _times_shown(self) -> Int64[np.ndarray, " p"]:
@@ -165,8 +170,14 @@ class LandmarkLocalizer:
 
     def ignoring(self, ignored: Bool[np.ndarray, " n"]) -> LandmarkLocalizer:
         """The same that looks for nothing in some more key images."""
-        ignored = self._ignored | ignored
-        return LandmarkLocalizer(self.landmarks, ignored, extractor=self._extractor, solver=self._solver)
+        return LandmarkLocalizer(
+            self.landmarks,
+            self._ignored | ignored,
+            extractor=self._extractor,
+            solver=self._solver,
+            ratio=self._ratio,
+            cosine=self._cosine,
+        )
 
     def view_distances(self, pose: Poses) -> Float64[np.ndarray, " n"]:
         """How different key images are from what a camera at a pose sees, (n,): infinite where they show nothing of it.
@@ -201,7 +212,7 @@ class LandmarkLocalizer:
     def _first_pose(self, features: Features, images: Sequence[int]) -> Poses | None:
         """camera_from_world by the points of some key images; None where these are not what the image shows."""
         m, points = self.landmarks, self._points_of(images)
-        a, b = mutual_matches(features.descriptors, restored(m.descriptors[points]), _RATIO)
+        a, b = mutual_matches(features.descriptors, restored(m.descriptors[points]), self._ratio)
         if len(a) < _LEAST_MATCHES:
             return None
         at = m.points[points[b]].astype(np.float64)
@@ -217,7 +228,7 @@ class LandmarkLocalizer:
         points = points[inside]
         a, b = within(features.pixels, at[inside], _GUIDED_PX)
         likeness = np.vecdot(features.descriptors[a], restored(m.descriptors[points[b]]))
-        alike = likeness > _GUIDED_COSINE
+        alike = likeness > self._cosine
         a, b = mutual_matches_among(likeness[alike], a[alike], b[alike])
         if len(a) < LEAST_INLIERS:
             return None
