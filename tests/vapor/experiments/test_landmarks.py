@@ -1,4 +1,4 @@
-"""The experiment that chooses the parts of landmarks: synthetic images here, real ones where they are present."""
+"""The experiment that chooses the parts of landmarks, on synthetic images."""
 
 import json
 
