@@ -115,14 +115,15 @@ def associate(
     )
     near = posterior.support[place] * np.exp(-0.5 * squared / PLACE**2)
     support = np.bincount(hypothesis, near, minlength=count)
+    excuse, outlier = posterior.excuse(belief.poses), posterior.outlier_probability
     possible = support / (support + errors.possible_fraction)
-    outlier = posterior.outlier_probability
-    log_evidence = np.log(outlier + (1.0 - outlier) * possible)
+    outliers = outlier + (1.0 - outlier) * excuse
+    log_evidence = np.log(outliers + (1.0 - outliers) * possible)
 
     log_place_weights = np.log(np.maximum(posterior.weights, 1e-300))
-    log_seen = np.log1p(-outlier) + log_place_weights[place] + log_density
-    log_unseen = np.log(outlier) + errors.flat_log_density
-    log_total = _log_total(log_seen, hypothesis, log_unseen, count)
+    log_seen = np.log1p(-outliers)[hypothesis] + log_place_weights[place] + log_density
+    log_unseen = np.log(outliers) + errors.flat_log_density
+    log_total = _log_total(log_seen, hypothesis, log_unseen)
     log_weights = belief.log_weights + novelty * log_evidence
     unseen = np.exp(log_unseen - log_total)
     aside = np.flatnonzero(unseen > _LEAST)
@@ -233,11 +234,11 @@ def _within_gate(apart: np.ndarray, variance: np.ndarray, place_variance: np.nda
     return apart < _GATE * (variance[:, None] + place_variance)
 
 
-def _log_total(log_parts: np.ndarray, of: Int64[np.ndarray, " p"], log_rest: float, count: int) -> np.ndarray:
-    """Log of what the parts of each of so many add up to with a rest that each has."""
-    largest = np.full(count, log_rest)
+def _log_total(log_parts: np.ndarray, of: Int64[np.ndarray, " p"], log_rest: Float64[np.ndarray, " n"]) -> np.ndarray:
+    """Log of what the parts of each of so many add up to with the rest of each."""
+    largest = log_rest.copy()
     np.maximum.at(largest, of, log_parts)
-    parts = np.bincount(of, np.exp(log_parts - largest[of]), minlength=count)
+    parts = np.bincount(of, np.exp(log_parts - largest[of]), minlength=len(log_rest))
     return largest + np.log(parts + np.exp(log_rest - largest))
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import VaporTrackError
+from filtering.mapped_views import MappedViews
 from filtering.moments import group_moments
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
@@ -36,6 +37,7 @@ class PosePosterior:
             nothing.
         growth: How much larger the variances are for that than those of the error model.
         verified: Which places landmarks have verified, and so err as `errors.verified` says, (k,); None for none.
+        mapped: Where landmarks can verify places; None for everywhere. Only the particle filter asks for it.
     """
 
     means: Poses
@@ -46,6 +48,7 @@ class PosePosterior:
     unfamiliarity: float = 0.0
     growth: float = 1.0
     verified: Bool[np.ndarray, " k"] | None = None
+    mapped: MappedViews | None = None
 
     def __post_init__(self) -> None:
         count = len(self.means)
@@ -153,6 +156,12 @@ class PosePosterior:
         """Probability that the image says nothing: where places are verified, that none of these is the right one."""
         return (self.errors.finest if self.has_verified else self.errors).outlier_probability
 
+    def excuse(self, poses: Poses) -> Float64[np.ndarray, " n"]:
+        """How far it says nothing against each of n poses that landmarks verify other places, in [0, 1), (n,)."""
+        if self.mapped is None or not self.has_verified:
+            return np.zeros(len(poses))
+        return self.mapped.excuse(poses)
+
     @cached_property
     def possible(self) -> Float64[np.ndarray, " k"]:
         """How possible each place is, in [0, 1]: its weight, with the model's caution about weights.
@@ -229,6 +238,7 @@ class PosePosterior:
             means=self.means @ camera_from_reference,
             covariances=carry @ self.covariances @ carry.T,
             samples=self.samples @ camera_from_reference,
+            mapped=None if self.mapped is None else self.mapped.seen_from(reference_from_camera),
         )
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from sequences.datasets.layout_helpers.image_files import decoded_file
 from sequences.datasets.listing import is_recording, list_images
 from sequences.datasets.posed_images import PosedImages
+from sequences.datasets.seen_points import SeenPoints
 from sequences.errors import SequenceError
 from sequences.files.rows import Rows
 from sequences.frame import Camera, Frame
@@ -58,6 +59,21 @@ class PosedFrames(Iterator[Frame]):
         undistort = self._options is None or self._options.undistort
         known = [_used(camera, undistort) for camera in source[self._slice].cameras]
         return Counter(pinhole_of(camera) for camera in known if camera is not None)
+
+    def seen_points(self) -> dict[int, SeenPoints]:
+        """Which points of a reconstruction the images show, by their stamps; none where the data have none.
+
+        Raises:
+            SequenceError: as the first frame would, and where the points are damaged.
+        """
+        source = self._open()
+        if isinstance(source, SequenceReader) or source.read_points is None:
+            return {}
+        points = source.read_points(self._options is None or self._options.undistort)
+        self.notices += points.notices
+        images = source[self._slice]
+        stamps = zip(images.times_ns.tolist(), images.files, strict=True)
+        return {time_ns: points.of[file] for time_ns, file in stamps if file in points.of}
 
 
 def posed_frames(

@@ -11,6 +11,7 @@ from jaxtyping import Int64
 
 from filtering.se3 import Poses
 from sequences.datasets.layout_helpers.packed import ImageFile
+from sequences.datasets.seen_points import ReadPoints
 from sequences.frame import ASSUMED_HZ, Camera
 from sequences.images.undistortion import Lens
 
@@ -29,6 +30,7 @@ class PosedImages:
         skipped: Images and poses left out, by reason.
         sequence: Index of the sequence each image is from, (n,); None where all are from one.
         notices: What a person should know of what was left out.
+        read_points: Reads which points of a reconstruction the images show; None where there is none.
     """
 
     layout: str
@@ -40,6 +42,7 @@ class PosedImages:
     skipped: Counter[str] = field(default_factory=Counter)
     sequence: Int64[np.ndarray, " n"] | None = None
     notices: Sequence[str] = ()
+    read_points: ReadPoints | None = None
 
     @classmethod
     def numbered(
@@ -93,6 +96,7 @@ class PosedImages:
             self.skipped,
             None if self.sequence is None else self.sequence[indices],
             self.notices,
+            self.read_points,
         )
 
 

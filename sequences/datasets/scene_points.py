@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64, Int64, UInt8
 
-from sequences.datasets.layout_helpers.colmap_binary import point_rows
+from sequences.datasets.layout_helpers.colmap_binary import LARGEST_ID, point_rows
 from sequences.errors import SequenceError
 from sequences.files.text import read_lines
-from sequences.values import parse_numbers
+from sequences.values import parse_numbers, parse_whole
 
 _COLUMNS = "POINT3D_ID X Y Z R G B ERROR TRACK[]"
 _BRIGHTEST = 255
@@ -57,13 +58,26 @@ def read_points(file: Path) -> ScenePoints:
     Raises:
         SequenceError: it cannot be read, is cut off, or a line of it is damaged.
     """
-    rows = [row for _, row in (point_rows(file) if file.suffix == ".bin" else _text_rows(file))]
-    table = np.array(rows, np.float64).reshape(-1, 6)
+    table = np.array([row[1:] for row in _rows(file)], np.float64).reshape(-1, 6)
     table = table[np.isfinite(table).all(axis=1)]
     return ScenePoints(table[:, :3], np.clip(table[:, 3:], 0, _BRIGHTEST).astype(np.uint8))
 
 
-def _text_rows(file: Path) -> Iterator[tuple[int, tuple[float, ...]]]:
+def point_ids(file: Path) -> Int64[np.ndarray, " n"]:
+    """POINT3D_ID of each point of a `points3D.bin` or `points3D.txt` that is finite, as they come.
+
+    Raises:
+        SequenceError: it cannot be read, is cut off, or a line of it is damaged.
+    """
+    return np.fromiter((row[0] for row in _rows(file) if all(map(isfinite, row[1:]))), np.int64)
+
+
+def _rows(file: Path) -> Iterator[tuple[int, *tuple[float, ...]]]:
+    for _, row in point_rows(file) if file.suffix == ".bin" else _text_rows(file):
+        yield row
+
+
+def _text_rows(file: Path) -> Iterator[tuple[int, tuple[int, *tuple[float, ...]]]]:
     for number, line in read_lines(file, most=None):  # the images that show each point make it large
         fields = line.split(maxsplit=8)
         if not fields or fields[0].startswith("#"):
@@ -71,4 +85,6 @@ def _text_rows(file: Path) -> Iterator[tuple[int, tuple[float, ...]]]:
         where = f"{file}:{number}"
         if len(fields) < 8:
             raise SequenceError(f"{where}: {len(fields)} columns, expected `{_COLUMNS}`")
-        yield number, tuple(parse_numbers(fields[1:7], where, f"those of `{_COLUMNS}`"))
+        expected = f"those of `{_COLUMNS}`"
+        point_id = parse_whole(fields[0], f"{where}: POINT3D_ID", 0, LARGEST_ID)
+        yield number, (point_id, *parse_numbers(fields[1:7], where, expected))

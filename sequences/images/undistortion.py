@@ -26,6 +26,8 @@ _COUNTS: dict[str, tuple[int, ...]] = {
 _WIDEST = tan(np.pi / 3)  # half of the widest pinhole view, at distance 1: beyond 120° a pinhole image is mostly rim
 _ZOOMS = (0.05, 20.0)  # focal length of the pinhole camera over that of the lens
 _SAME_ASPECT = 0.02  # within which the sides of an image may differ from those stated: sizes are rounded
+_UNTIL = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 50, 1e-9)  # distortion is taken away from points
+_INVERTED_PX = 0.1  # so near a ray must come back to the pixel that it is of
 _RIM, _ALONG = 16, 24  # points on every edge of an image that are looked at, and on the way to each
 
 
@@ -147,6 +149,19 @@ def _sees_all_of(lens: Lens, pinhole: Camera) -> bool:
         return False
     offset = (points - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     return bool((np.diff(np.linalg.norm(offset, axis=-1), axis=0) > 0.0).all())
+
+
+def rays_of(pixels: Float64[np.ndarray, "n 2"], camera: Camera | Lens) -> Float64[np.ndarray, "n 2"]:
+    """The x and y of the rays (x, y, 1) that a camera sees at pixels; NaN where its distortion has no inverse."""
+    if not isinstance(camera, Lens):
+        return (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    if not len(pixels):
+        return np.empty((0, 2))
+    matrix, coefficients = _matrix(camera.camera), np.array(camera.coefficients, np.float64)
+    undo = cv2.fisheye.undistortPoints if camera.model == "equidistant" else cv2.undistortPoints
+    rays = np.asarray(undo(pixels[:, None], matrix, coefficients, criteria=_UNTIL), np.float64)[:, 0]
+    away = np.linalg.norm(_projected(camera, rays) - pixels, axis=1)
+    return np.where((away < _INVERTED_PX)[:, None], rays, np.nan)
 
 
 def _projected(lens: Lens, rays: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:

@@ -11,6 +11,7 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import posterior_modes
 from filtering.kalman import KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
+from filtering.mapped_views import MappedViews
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -153,3 +154,52 @@ def test_inflating_and_splitting_keep_sources_apart():
     assert larger.errors.verified == SHARP.inflated(9.0)
     assert posterior.only(1).errors == SHARP
     assert len(posterior.only(0).weights) == 2
+
+
+def walked(mapped):
+    """A camera leaves ground that the map shows; 2 m further on landmarks verify a place 50 m away, and no other."""
+    filtering = localizer()
+    filtering.update(seen([0.0], [0.0]), None)
+    for k in range(1, 30):
+        filtering.update(replace(seen([0.1 * k], [0.1 * k] if k < 10 else ()), mapped=mapped), STEP)
+    for k in range(30, 40):
+        estimate = filtering.update(replace(seen((), [50.0 + 0.1 * k]), mapped=mapped), STEP)
+    return estimate.modes[0].world_from_camera.translation[0]
+
+
+def test_look_alikes_do_not_take_over_where_the_map_cannot_show_the_place():
+    shown = MappedViews(at(*np.arange(0.0, 1.0, 0.1), *np.arange(50.0, 60.0, 0.1)), 2.0, 0.5, 0.7)
+    everywhere = replace(shown, poses=at(*np.arange(0.0, 60.0, 0.1)))
+    assert walked(shown) == pytest.approx(3.9, abs=0.2)
+    assert walked(everywhere) == pytest.approx(53.9, abs=0.2)
+
+
+def test_a_belief_that_is_excused_is_not_taken_for_one_that_fits():
+    mapped = MappedViews(at(50.0), 2.0, 0.5, 0.6)
+    filtering = localizer()
+    filtering.update(seen([0.0], [0.0]), None)
+    for k in range(1, 10):
+        estimate = filtering.update(replace(seen((), [50.0 + 0.1 * k]), mapped=mapped), STEP)
+    assert estimate.modes[0].world_from_camera.translation[0] == pytest.approx(0.9, abs=0.1)
+    assert estimate.agreement < 0.5
+    assert estimate.status != "converged"
+
+
+def test_views_are_mapped_as_far_as_they_resemble_those_of_the_map():
+    mapped = MappedViews(at(0.0, 1.0), 2.0, 0.5, 0.8)
+    np.testing.assert_allclose(mapped.distances(at(0.0, 2.0, -4.0)), [0.0, 0.5, 2.0])
+    assert mapped.excuse(at(0.0, 2.0, -4.0)) == pytest.approx([0.0, 0.4, 0.8], abs=0.01)
+    turned = Poses.exp(np.array([[0.0, 0.0, 0.0, 0.0, np.pi / 2, 0.0]]))
+    assert mapped.distances(turned)[0] == pytest.approx(np.sqrt(2.0))
+    rolled = Poses.exp(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]))  # an image that is turned shows the same
+    assert mapped.distances(rolled)[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_is_mapped_is_asked_of_poses_of_a_base_as_well():
+    base_from_camera = Poses.exp(np.array([0.3, -0.2, 0.5, 0.4, 0.1, -0.6]))
+    cameras = Poses.exp(np.random.default_rng(0).normal(size=(5, 6)))
+    mapped = MappedViews(at(0.0, 1.0), 2.0, 0.5, 0.8)
+    bases = cameras @ base_from_camera.inverse()
+    posterior = replace(seen([0.0], [0.0]), mapped=mapped).seen_from(base_from_camera)
+    np.testing.assert_allclose(posterior.excuse(bases), mapped.excuse(cameras))
+    assert not replace(seen([0.0]), mapped=mapped).excuse(cameras).any()

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
 from tests.fuzz.damage import in_order
 from tests.fuzz.reading import NUM_IMAGES, Content, Reading, require
@@ -18,8 +19,14 @@ from tests.helpers.sequence_files import CAMERA, Walk
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
+from vapor.checkpoints.stored_landmarks import landmark_arrays, landmarks_config
 from vapor.engines.onnx_file import describe_onnx
 from vapor.evaluation.validation import Validation
+from vapor.landmarks.features import SIFT_SIZE, SIZE, Features, restored, stored
+from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.localize import LandmarkLocalizer
+from vapor.landmarks.verify import Landmarks
+from vapor.landmarks.view_camera import ViewCamera
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity, description_size
 from vapor.regressors.network_config import NetworkConfig
@@ -48,6 +55,50 @@ def _regressor(network: NetworkConfig, box: SceneBox, rng: np.random.Generator) 
     return regressor
 
 
+def _landmarks() -> Landmarks:
+    """A wall of 5 x 6 points, 2 m ahead of three key images that show all of them."""
+    columns, rows = np.meshgrid(np.linspace(-0.6, 0.6, 6), np.linspace(-0.5, 0.5, 5))
+    points = np.stack([columns, rows, 2.0 + 0.3 * columns * rows], axis=-1).reshape(-1, 3).astype(np.float32)
+    looks = np.zeros((len(points), SIZE), np.float32)
+    looks[np.arange(len(points)), np.arange(len(points))] = 1.0
+    words = np.zeros((2, SIZE), np.float32)
+    words[[0, 1], [0, 1]] = 0.5
+    return Landmarks(
+        LandmarkMap(
+            CAMERA,
+            ViewCamera(CAMERA, 0.1, 0.0),
+            2.0,
+            points,
+            stored(looks),
+            np.tile(np.eye(3, dtype=np.float32), (3, 1, 1)),
+            np.array([[-0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], np.float32),
+            (np.arange(4) * len(points)).astype(np.int32),
+            np.tile(np.arange(len(points), dtype=np.int32), 3),
+            np.zeros(SIFT_SIZE, np.float32),
+            np.eye(SIFT_SIZE, SIZE, dtype=np.float32),
+            words,
+            np.eye(2 * SIZE, 4, dtype=np.float32),
+            np.full((3, 4), 0.5, np.float32),
+        )
+    )
+
+
+def _localized(landmarks: Landmarks) -> None:
+    """Localize an image by landmarks, which must give poses that are finite, or none."""
+    m = landmarks.map
+    number = min(len(m.points), 200)
+    looks = np.zeros((number, SIFT_SIZE), np.float32)
+    looks[:, : m.descriptors.shape[1]] = restored(m.descriptors[:number])
+    ahead = m.points[:number].astype(np.float64) + np.array([0.02, 0.01, 0.0])
+    with np.errstate(all="ignore"):  # where the image shows points is the test's own business
+        pixels = m.camera.focal * ahead[:, :2] / ahead[:, 2:] + m.camera.centre
+    pixels = np.clip(np.nan_to_num(pixels), -1e6, 1e6)
+    localizer = LandmarkLocalizer(m)
+    for each in localizer.localize(localizer.described(Features(pixels, looks))):
+        require(each.world_from_camera.is_finite(), "pose by landmarks", each.world_from_camera)
+        require(bool(np.isfinite(each.covariance).all()), "covariance by landmarks", each.covariance)
+
+
 def _checkpoint(*, retrieval: bool) -> Checkpoint:
     poses = Poses.stack([pose for _, pose in Walk(NUM_IMAGES).truth])
     box = SceneBox.around(poses)
@@ -68,8 +119,11 @@ def _checkpoint(*, retrieval: bool) -> Checkpoint:
     return Checkpoint(network, box, Calibration(), poses, regressor.state_dict(), **told)
 
 
-def make_model(folder: Path, *, retrieval: bool) -> Path:
+def make_model(folder: Path, *, retrieval: bool, landmarks: bool = False) -> Path:
     checkpoint = _checkpoint(retrieval=retrieval)
+    if landmarks:
+        calibration = Calibration(errors=replace(ErrorModel(), verified=ErrorModel()))
+        checkpoint = replace(checkpoint, calibration=calibration, landmarks=_landmarks())
     save_checkpoint(folder / "model.safetensors", checkpoint, store_float16=True)
     return _in_order(folder / "model.safetensors")
 
@@ -84,6 +138,10 @@ def load_model(path: Path) -> Reading:
     content = Content()
     content.add(loaded.network, loaded.box, loaded.calibration, loaded.camera, loaded.training)
     parts = [loaded.state_dict, *_fields(loaded.prior_poses, loaded.familiarity, loaded.memory)]
+    if loaded.landmarks is not None:
+        content.add(landmarks_config(loaded.landmarks))
+        parts.append(landmark_arrays(loaded.landmarks))
+        _localized(loaded.landmarks)
     count = _add_arrays(content, parts)
     return Reading(content.digest, count)
 

@@ -1,6 +1,7 @@
 """Every reader of files, each with a small sample made here, and what is to be known of a reading."""
 
 import json
+import struct
 from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -149,6 +150,23 @@ def _data_set(path: Path) -> Reading:
     return of_frames(frames, lambda: frames.skipped + Counter(f"notice: {notice}" for notice in frames.notices))
 
 
+def _with_points(path: Path) -> Reading:
+    frames = posed_frames(path)
+    frames.seen_points()
+    return of_frames(frames, lambda: frames.skipped + Counter(f"notice: {notice}" for notice in frames.notices))
+
+
+def _points(folder: Path, suffix: str) -> Path:
+    if suffix == ".bin":
+        root = phone_data_sets.make_colmap_binary(folder / "scene")
+        point = struct.pack("<Q3d3BdQ", 12, 1.0, 2.0, 3.0, 1, 2, 3, 0.5, 1) + struct.pack("<ii", 4, 5)
+        (root / "sparse" / "0" / "points3D.bin").write_bytes(struct.pack("<Q", 1) + point)
+        return root
+    root = data_sets.make_colmap(folder / "scene", "sparse/0", "images")
+    (root / "sparse" / "0" / "points3D.txt").write_text("58396 1 2 3 1 2 3 0.5 5 0\n")
+    return root
+
+
 def _with_intrinsics(folder: Path) -> Path:
     sequence = data_sets.make_ambiguous(folder / "scene") / "train" / "seq00"
     (sequence / "intrinsics.json").write_text(json.dumps(data_sets.INTRINSICS))
@@ -267,6 +285,8 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         "cambridge": _layout(lambda folder: data_sets.make_cambridge(folder / "scene") / "dataset_train.txt"),
         "colmap": _layout(lambda folder: data_sets.make_colmap(folder / "scene", "sparse/0", "images")),
         "colmap-binary": _layout(lambda folder: phone_data_sets.make_colmap_binary(folder / "scene")),
+        "colmap-points": Reader(partial(_points, suffix=".txt"), _with_points, counts_images=True),
+        "colmap-points-binary": Reader(partial(_points, suffix=".bin"), _with_points, counts_images=True),
         "euroc": _layout(lambda folder: phone_data_sets.make_euroc(folder / "MH_01", distorted=True)),
         "stray-scanner": _layout(lambda folder: phone_data_sets.make_stray(folder / "scan")),
         "stray-scanner-images": _layout(lambda folder: phone_data_sets.make_stray(folder / "scan", video=False)),
@@ -285,6 +305,7 @@ READERS: Mapping[str, Reader] = MappingProxyType(
         ),
         "model": Reader(partial(make_model, retrieval=False), load_model),
         "model-retrieval": Reader(partial(make_model, retrieval=True), load_model),
+        "model-landmarks": Reader(partial(make_model, retrieval=False, landmarks=True), load_model),
         "model-exported": Reader(make_exported, read_exported),
         "training-state": Reader(make_training_state, load_training),
     }

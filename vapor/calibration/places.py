@@ -104,12 +104,26 @@ class Places:
 
     def coverage(self, errors: ErrorModel) -> tuple[float, float, float]:
         """Fraction of the images whose true pose is in the 50, 90 and 95 % region of its likeliest place."""
+        squared = self._squared(errors)
+        fifty, ninety, most = (float((squared <= 6.0 * fisher.ppf(q, 6, errors.tail)).mean()) for q in REGIONS)
+        return fifty, ninety, most
+
+    def lacking(self, errors: ErrorModel, region: float) -> float:
+        """By how much variances must grow, 1 or more, so that a region of the likeliest place holds what its name says.
+
+        Args:
+            errors: The error model.
+            region: Probability of the region.
+        """
+        reached = float(np.quantile(self._squared(errors), region, method="higher"))
+        return max(1.0, reached / float(6.0 * fisher.ppf(region, 6, errors.tail)))
+
+    def _squared(self, errors: ErrorModel) -> Float64[np.ndarray, " n"]:
+        """Squared distance of the true pose from the likeliest place, in standard deviations, of each image."""
         best = self._likeliest(errors)
         covariance = errors.covariance(self.covariance[best])
         solved = np.linalg.solve(covariance, self.residual[best][..., None])[..., 0]
-        squared = np.einsum("ni,ni->n", self.residual[best], solved)
-        fifty, ninety, most = (float((squared <= 6.0 * fisher.ppf(q, 6, errors.tail)).mean()) for q in REGIONS)
-        return fifty, ninety, most
+        return np.einsum("ni,ni->n", self.residual[best], solved)
 
     def typical_std(self, errors: ErrorModel) -> Six:
         """Standard deviations of the error of the likeliest place, median over the images."""

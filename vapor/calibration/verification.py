@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.optimize import minimize
 from scipy.stats import f as fisher
 
+from filtering.mapped_views import MOST_ELSEWHERE, unshown
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from vapor.calibration.verified_errors import LeftOut
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import Verification, proposed_weights
 
@@ -20,6 +22,10 @@ _BELIEVED = np.array([1.5, 0.5, 1.0, 1.0])
 _REGION = 0.99
 _NONE_RIGHT = 0.5, 10.0  # images that were seen before: so many of so many were wrong
 _OUTLIERS = 0.005, 0.9
+_REACHES = np.geomspace(0.1, 3.0, 35)
+_REACH_STD = 0.7  # of its logarithm, before
+_OF_SHOWN = np.linspace(0.5, 1.0, 11)  # so many images are verified of those whose place is shown
+_ELSEWHERE = 0.5, 10.0  # images that were seen before: in so many of so many another place was verified, too
 
 
 @dataclass(frozen=True)
@@ -79,31 +85,59 @@ class SeenPlaces:
         return float(np.log((right if right > 0.0 else settings.nothing) / total))
 
 
-def fit_verification(images: Sequence[SeenPlaces], effective: float) -> Verification:
+def fit_reach(left_out: LeftOut, effective: float) -> Verification:
+    """Where landmarks can verify an image's place, and how often they verify another where they cannot.
+
+    Args:
+        left_out: Training images, localized without what was taken near them in time.
+        effective: How many independent images they are worth.
+
+    Returns:
+        Settings of which `reach` and `elsewhere` are found.
+    """
+    right = np.zeros(len(left_out.found), bool)
+    right[[row for row, _ in left_out.right]] = True
+    worth = min(1.0, effective / max(len(right), 1))
+    before = Verification()
+
+    def log_posterior(reach: float) -> float:
+        probability = np.clip(np.outer(_OF_SHOWN, 1.0 - unshown(left_out.view_distance, reach)), 1e-3, 1.0 - 1e-3)
+        likelihood = np.log(np.where(right, probability, 1.0 - probability)).sum(axis=1).max()
+        return worth * float(likelihood) - 0.5 * (np.log(reach / before.reach) / _REACH_STD) ** 2
+
+    reach = float(max(_REACHES, key=log_posterior))
+    mistaken, of = _ELSEWHERE
+    elsewhere = (worth * float(left_out.alike.sum()) + mistaken) / (worth * len(right) + of)
+    return replace(before, reach=reach, elsewhere=min(elsewhere, MOST_ELSEWHERE))
+
+
+def fit_verification(images: Sequence[SeenPlaces], effective: float, before: Verification) -> Verification:
     """What a verified place is worth, by maximum posterior probability.
 
     Args:
         images: Held-out images of which landmarks verify some place.
         effective: How many independent images they are worth.
+        before: What is believed before; what is not found here stays as it is there.
     """
-    before = _numbers(Verification())
     if not images:
-        return Verification()
+        return before
     worth = min(1.0, effective / len(images))
 
-    def cost(numbers: np.ndarray) -> float:
-        settings = _settings(numbers)
-        likelihood = worth * sum(each.log_likelihood(settings) for each in images)
-        return 0.5 * float(np.square((numbers - before) / _BELIEVED).sum()) - likelihood
+    start = _numbers(before)
 
-    found = minimize(cost, before, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3, "maxiter": 400})
-    return _settings(found.x)
+    def cost(numbers: np.ndarray) -> float:
+        settings = _settings(numbers, before)
+        likelihood = worth * sum(each.log_likelihood(settings) for each in images)
+        return 0.5 * float(np.square((numbers - start) / _BELIEVED).sum()) - likelihood
+
+    found = minimize(cost, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3, "maxiter": 400})
+    return _settings(found.x, before)
 
 
 def evidence(
     images: Sequence[SeenPlaces], settings: Verification, outlier_probability: float, possible_fraction: float
 ) -> Float64[np.ndarray, " n"]:
-    """Log of how possible each image finds the true place, as the filter asks it (`filtering.association`)."""
+    """Log of how possible each image finds the true place, as the filter asks it where the map shows that."""
     support = np.array([each.support(settings) for each in images])
     possible = support / (support + possible_fraction)
     return np.log(outlier_probability + (1.0 - outlier_probability) * possible)
@@ -126,6 +160,7 @@ def _numbers(settings: Verification) -> Float64[np.ndarray, "4"]:
     return np.array([np.log(settings.gain), settings.power, np.log(settings.unproposed), np.log(settings.nothing)])
 
 
-def _settings(numbers: Float64[np.ndarray, "4"]) -> Verification:
+def _settings(numbers: Float64[np.ndarray, "4"], others: Verification) -> Verification:
     gain, unproposed, nothing = (float(np.exp(np.clip(numbers[i], -6.0, 6.0))) for i in (0, 2, 3))
-    return Verification(gain, float(np.clip(numbers[1], 0.0, 5.0)), min(unproposed, 1.0), nothing)
+    power = float(np.clip(numbers[1], 0.0, 5.0))
+    return replace(others, gain=gain, power=power, unproposed=min(unproposed, 1.0), nothing=nothing)

@@ -31,6 +31,7 @@ _DEPTH_RAD = 2.0 * np.deg2rad(25.0)  # a turn that changes the view as much as a
 _LENGTHS, _USUAL_LENGTH = np.geomspace(0.05, 3.0, 13).tolist(), 0.4  # over which errors last, in depths
 _LEAST_LASTING, _MOST_LASTING = 0.5, 0.95  # of the variance: what is new with each image is little of it
 _NONE_RIGHT = 0.05  # of the images, which held-out ones then tell
+_HELD = 0.9  # of the images at least have their true pose in the region of this name
 _RIGHT = 0.5, 0.35  # depths and radians: what is further off is another place
 
 Advance = Callable[[int, int], None]
@@ -45,12 +46,14 @@ class LeftOut:
         image: Which images, in order of time, (n,).
         found: The poses that landmarks verify, of each.
         truth: True poses, (n,).
+        view_distance: How different each is from the likest view of the map, see `MappedViews.distances`, (n,).
         depth_m: How far away things are, metres.
     """
 
     image: Int64[np.ndarray, " n"]
     found: tuple[tuple[VerifiedPose, ...], ...]
     truth: Poses
+    view_distance: Float64[np.ndarray, " n"]
     depth_m: float
 
     @cached_property
@@ -72,10 +75,16 @@ class LeftOut:
         return len(self.right) / max(len(self.found), 1)
 
     @property
+    def alike(self) -> Bool[np.ndarray, " n"]:
+        """Of which images landmarks verify another place, whether beside the right one or not, (n,)."""
+        return np.array(
+            [any(not self._is_at(each, row) for each in found) for row, found in enumerate(self.found)], bool
+        )
+
+    @property
     def elsewhere(self) -> float:
         """Fraction of the images of which a pose of another place was verified by more landmarks than any."""
-        first = [(row, found[0].world_from_camera) for row, found in enumerate(self.found) if found]
-        away = [row for row, pose in first if not self._is_right(*map(float, pose.distance(self.truth[row])))]
+        away = [row for row, found in enumerate(self.found) if found and not self._is_at(found[0], row)]
         return len(away) / max(len(self.found), 1)
 
     @property
@@ -85,6 +94,9 @@ class LeftOut:
             return np.empty(0), np.empty(0)
         poses = Poses.stack([pose.world_from_camera for _, pose in self.right])
         return poses.distance(self.truth[np.array([row for row, _ in self.right])])
+
+    def _is_at(self, found: VerifiedPose, row: int) -> bool:
+        return self._is_right(*map(float, found.world_from_camera.distance(self.truth[row])))
 
     def _is_right(self, metres: float, radians: float) -> bool:
         return bool(metres < _RIGHT[0] * self.depth_m and radians < _RIGHT[1])
@@ -137,17 +149,20 @@ def _without(
 ) -> LeftOut:
     """Localize images without their stretches, a fifth of all stretches at a time."""
     found: dict[int, tuple[VerifiedPose, ...]] = {}
+    distance = np.zeros(len(poses))
     for fold in range(_FOLDS):
         own = chosen[stretch[chosen] % _FOLDS == fold]
         hidden = stretch[built.material.key] % _FOLDS == fold
         if not len(own) or hidden.all():
             continue
         localizer = LandmarkLocalizer(built.hiding(hidden))
+        distance[own] = localizer.mapped().distances(poses[own])
         for image in own.tolist():
             advance(len(found), len(chosen))
             found[image] = tuple(localizer.localize(localizer.described(features(image))))
     image = np.array(sorted(found), np.int64)
-    return LeftOut(image, tuple(found[i] for i in image.tolist()), poses[image], built.material.depth_m)
+    of_images = tuple(found[i] for i in image.tolist())
+    return LeftOut(image, of_images, poses[image], distance[image], built.material.depth_m)
 
 
 def _stretches(
@@ -220,6 +235,8 @@ def fit_verified_errors(
     lasting = _lasting(residuals, usable, travel, depth_m)
     effective = effective_images(travel, lasting)
     errors = cautious(errors, effective)
+    # What the likeliest errors take for outliers, up to half of the images, is no other place: all of these are right.
+    errors = errors.inflated(places.lacking(errors, _HELD))
     errors = replace(
         errors,
         outlier_probability=_NONE_RIGHT,

@@ -11,15 +11,13 @@ import numpy as np
 
 from filtering.errors import quoted
 from vapor.checkpoints.stored_config import parse_camera, parse_config
-from vapor.checkpoints.stored_tensors import Shapes
+from vapor.checkpoints.stored_tensors import LANDMARKS, Shapes
 from vapor.landmarks.features import SIFT_SIZE, SIZE
 from vapor.landmarks.landmark_map import LandmarkMap
 from vapor.landmarks.verify import Landmarks, Verification
 from vapor.landmarks.view_camera import ViewCamera
 from vapor.tensor_files import CheckpointError, StoredTensor
 
-LANDMARKS = "landmarks."
-"""What the names of their tensors begin with in a file."""
 _ARRAYS = (
     "points", "descriptors", "rotation", "translation", "begins", "shown", "mean", "axes", "words", "summary_axes",
     "summaries",

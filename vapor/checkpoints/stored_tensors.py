@@ -23,6 +23,10 @@ PRIOR_ROTATION, PRIOR_TRANSLATION = "prior_poses.rotation", "prior_poses.transla
 """Names of the tensors that hold the prior poses."""
 MEMORY_ROTATION, MEMORY_TRANSLATION = f"{MEMORY}rotation", f"{MEMORY}translation"
 """Names of the tensors that hold the poses of what is remembered."""
+LANDMARKS = "landmarks."
+"""What the names of the tensors of landmarks begin with in a file."""
+LANDMARKS_ROTATION = f"{LANDMARKS}rotation"
+"""Name of the tensor that holds the rotations of the key images."""
 MEMORY_FIELDS = "keys", "views", "translation", "rotation"
 """What is remembered of training images, in the order of `Memory`."""
 HALVED_MEMORY = "keys", "views"
@@ -65,7 +69,7 @@ def check_tensors(path: Path, tensors: Mapping[str, StoredTensor], beside_poses:
             raise CheckpointError(f"{path}: tensor {name} is of torch.{found.dtype}, expected {wanted}")
         if not np.isfinite(found.array()).all():
             raise CheckpointError(f"{path}: tensor {name} has values that are not finite")
-    for name in (PRIOR_ROTATION, *({MEMORY_ROTATION} & tensors.keys())):
+    for name in (PRIOR_ROTATION, *sorted({MEMORY_ROTATION, LANDMARKS_ROTATION} & tensors.keys())):
         _require_rotations(path, name, tensors[name].array())
 
 

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from sequences.reading.counts import ImageCounts
 from vapor.commands.console import images_said, show, show_notices, skipped_lines
+from vapor.inspection.camera import CameraCheck
 from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.inspect import Inspection
@@ -49,6 +50,7 @@ def parts(found: Inspection) -> Iterator[Part]:
     yield Part("Odometry", [*_odometry_lines(found), *_clock_lines(found.clocks)])
     if views := [*_view_lines(found.walks)]:
         yield Part("Images against poses", views)
+    yield Part("Camera", [*_camera_lines(found.camera)])
     if found.predictions is not None:
         yield Part("The model", [*_model_lines(found.predictions, found.coverage)])
     yield Part("Verdict", [f"{number}. {sentence}" for number, sentence in enumerate(found.verdict, 1)])
@@ -159,6 +161,17 @@ def _clock_lines(clocks: Sequence[ImageClock]) -> Iterator[str]:
     if known:
         late = ", ".join(f"{clock.late_ms:+.0f} ms ({clock.name}, {clock.against})" for clock in known[:_NAMED])
         yield f"clock of the images, late by: {late}{', ...' if len(known) > _NAMED else ''}"
+
+
+def _camera_lines(check: CameraCheck) -> Iterator[str]:
+    yield check.said
+    if (camera := check.found) is not None and check.fit is not None:
+        yield (
+            f"what fits at {camera.width} x {camera.height} pixels: fx {camera.fx:.1f}, fy {camera.fy:.1f}, cx"
+            f" {camera.cx:.1f}, cy {camera.cy:.1f}, k1 {check.fit.found.k1:.3f}, k2 {check.fit.found.k2:.3f}, found in"
+            f" {check.images} images"
+            f"{'' if check.of_all else '; those of other cameras were not looked at'}"
+        )
 
 
 def _check_lines(check: OdometryCheck) -> Iterator[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from vapor.experiments.landmarks import PartsConfig
 from vapor.experiments.local_features import SIFT
 from vapor.experiments.pose_solvers import POSELIB
-from vapor.landmarks.localize import LEAST_INLIERS
+from vapor.landmarks.landmark_map import LEAST_INLIERS
 
 MANY_INLIERS = 25
 """Landmarks with which a pose is hardly ever wrong."""

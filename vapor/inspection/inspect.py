@@ -12,6 +12,7 @@ import numpy as np
 from filtering.posterior import ObservationModel
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
+from vapor.inspection.camera import CameraCheck, CameraViews
 from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck, check_odometry
@@ -35,6 +36,7 @@ class Inspection:
         coverage: What they show; None without true poses.
         odometry: How it compares with true poses; None without both.
         clocks: How the images' stamps compare with those of odometry or true poses, of each recording.
+        camera: How the stated intrinsics compare with those that fit images and true poses.
         predictions: What a model says of the images; None without a model.
         notices: What a person should know of the true poses.
         verdict: Sentences, the most important first.
@@ -44,6 +46,7 @@ class Inspection:
     coverage: Coverage | None
     odometry: OdometryCheck | None
     clocks: tuple[ImageClock, ...]
+    camera: CameraCheck
     predictions: Predictions | None
     notices: tuple[str, ...]
     verdict: tuple[str, ...]
@@ -55,6 +58,7 @@ class Inspection:
             "coverage": None if self.coverage is None else self.coverage.as_json(),
             "odometry": None if self.odometry is None else self.odometry.as_json(),
             "clocks": [clock.as_json() for clock in self.clocks],
+            "camera": self.camera.as_json(),
             "model": None if self.predictions is None else self.predictions.as_json(self.coverage),
             "notices": list(self.notices),
             "verdict": list(self.verdict),
@@ -86,10 +90,12 @@ def inspect(
     """
     said: list[Said] = []
     some = SomeImages()
+    views = CameraViews()
     rng = np.random.default_rng(seed)
 
     def take(frame: Frame) -> None:
         see(frame)
+        views.take(frame)
         if model is not None:
             some.add(frame.image, frame.camera)
             said.append(Said.of(model.observe(frame.image, rng=rng)))
@@ -104,11 +110,12 @@ def inspect(
         progress("odometry", 0, None)
         odometry = check_odometry(images)
         notices = tuple(too_far(images.poses))
+    camera = views.check(lambda done, total: progress("the camera", done, total))
     if model is not None:
         posed = np.concatenate([walk.posed for walk in walks])
         predictions = Predictions.of(said, images.poses if images is not None else walks[0].poses, posed)
         if predictions.foreign > _MOST and isinstance(model, VaporObservationModel):
             predictions = replace(predictions, why_foreign=why_unrecognised(some, model.unfamiliarity))
     clocks = tuple(ImageClock.of(walk) for walk in walks)
-    found = verdict(walks, coverage, odometry, clocks, predictions)
-    return Inspection(tuple(walks), coverage, odometry, clocks, predictions, notices, found)
+    found = verdict(walks, coverage, odometry, clocks, predictions, camera)
+    return Inspection(tuple(walks), coverage, odometry, clocks, camera, predictions, notices, found)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from vapor.inspection.camera import CameraCheck
 from vapor.inspection.clocks import ImageClock
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.odometry import OdometryCheck
@@ -37,15 +39,21 @@ def verdict(
     odometry: OdometryCheck | None,
     clocks: Sequence[ImageClock],
     predictions: Predictions | None,
+    camera: CameraCheck | None = None,
 ) -> tuple[str, ...]:
     """Sentences, each with what to do; one that says that it is good enough where there is nothing."""
-    found = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks)]
+    found = [*_useless(walks, coverage), *_clocks(odometry, clocks), *_views(walks, odometry, clocks, camera)]
     if odometry is not None:
         found += _odometry(odometry, any(_poses_are_named(walk) for walk in walks))
     if coverage is not None:
         found += _coverage(coverage)
     for walk in walks:
         found += _images(walk)
+    if camera is not None and camera.disagrees:
+        found.append(
+            "correct the intrinsics (camera_info, intrinsics.json), or leave them to `train`, which takes for landmarks"
+            f" what fits: {camera.said}"
+        )
     found += _without(walks)
     if coverage is not None and predictions is not None:
         found += _model(coverage, predictions)
@@ -73,16 +81,23 @@ def _useless(walks: Sequence[Walk], coverage: Coverage | None) -> Iterator[str]:
         )
 
 
-def _views(walks: Sequence[Walk], odometry: OdometryCheck | None, clocks: Sequence[ImageClock]) -> Iterator[str]:
+def _views(
+    walks: Sequence[Walk],
+    odometry: OdometryCheck | None,
+    clocks: Sequence[ImageClock],
+    camera: CameraCheck | None,
+) -> Iterator[str]:
     """Images and poses that contradict each other, and colours that do."""
+    is_told = camera is not None and camera.disagrees and camera.of_all  # of focal lengths, and better
     explained = {clock.name for clock in clocks if clock.as_stated and abs(clock.late_ms or 0.0) >= _IMAGES_LATE_MS}
     units_are_told = odometry is not None and odometry.axes is not None and odometry.axes.unit is not None
     for walk in walks:
+        own = [replace(check, focal=None) for check in walk.views] if is_told else walk.views
         if walk.name in explained:
-            views = [check for check in walk.views if check.orientations]  # others agree once clocks do
+            views = [check for check in own if check.orientations]  # others agree once clocks do
             yield from (f"or else, with clocks as they are: {each}" for each in said_of_views(walk.name, views))
         else:
-            yield from said_of_views(walk.name, walk.views)
+            yield from said_of_views(walk.name, own)
         speed = walk.speed_m_per_s
         if speed is not None and speed > _TOO_FAST_M_PER_S and not units_are_told:
             yield (

@@ -22,6 +22,7 @@ _PIXEL = 1.0  # scale of the robust cost
 _DAMPING = 1e-4
 _INTRINSICS_STD = np.array([1.0, 0.03, 0.03, 0.3, 0.5])
 """What is known of a camera before: log focal length, principal point in image widths, k₁, k₂."""
+_FIXED = 1e9  # information, per px²
 _DENSE = 3000  # unknowns, up to which a dense solution is faster
 
 
@@ -51,6 +52,7 @@ def adjusted(
     of: Sightings,
     *,
     pose_std: tuple[float, float],
+    principal_point: bool = True,
 ) -> Adjusted:
     """Fit camera, poses and points to what views see.
 
@@ -60,10 +62,13 @@ def adjusted(
         points: To start from.
         of: Sightings, m.
         pose_std: How far poses may be from stated ones, standard deviations, metres and radians.
+        principal_point: Whether that of the camera is found, too, or stays.
     """
     count, stated = len(camera_from_world), camera_from_world
     first, values = camera, np.zeros(5)
     prior = 1.0 / np.square(_INTRINSICS_STD * [1.0, camera.camera.width, camera.camera.width, 1.0, 1.0])
+    if not principal_point:
+        prior[1:3] = _FIXED
     pose_prior = np.repeat(1.0 / np.square(pose_std), 3)
     information = np.eye(5)
     for _ in range(_ROUNDS):

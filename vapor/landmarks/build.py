@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from scipy.linalg import eigh
 
 from filtering.se3 import Poses
+from sequences.datasets.seen_points import SeenPoints
 from sequences.frame import Camera
 from vapor.landmarks.adjustment import Adjusted, adjusted
 from vapor.landmarks.features import Basis, Extractor, Features, extract, stored, unit_vectors
+from vapor.landmarks.given_points import at_given_points, with_given_points
 from vapor.landmarks.landmark_map import LandmarkMap, summed_up
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
 from vapor.landmarks.tracks import Matches, find_sightings, matches_of, neighbours, typical_depth_m
@@ -36,9 +39,11 @@ _LEAST_DEPTH = 0.02  # in median depths
 _MOST_BYTES, _MOST_BYTES_OF_ALL = 18_000, 27_000_000  # of the map, a key image and all
 _BYTES_OF_POINT, _BYTES_OF_SIGHTING = 76, 4
 _POSE_STD = 0.01  # depths and radians: what poses are taken to err by at first where the camera is found
+_STATED_WITHIN = 0.015  # image widths: nearer to the stated one, a principal point is what errors of poses make of it
 _SAMPLED_KEYS, _RUN = 150, 25  # key images in which it is found, and how many in a row
 
 Advance = Callable[[int, int], None]
+Given = Callable[[int], SeenPoints | None]
 View = Callable[[int], UInt8[np.ndarray, "h w"]]
 
 
@@ -157,8 +162,9 @@ class BuiltMap:
         cv2.setRNGSeed(0)
         words = np.asarray(cv2.kmeans(sampled, count, None, stop, 1, cv2.KMEANS_PP_CENTERS)[2], np.float32)  # pyright: ignore
         whole = np.stack([summed_up(each.descriptors, words) for each in self.material.features])
-        _, axes = np.linalg.eigh(whole.T @ whole)
-        axes = axes[:, ::-1][:, :_SUMMARY].astype(np.float16).astype(np.float32)
+        size = whole.shape[1]
+        _, axes = eigh(whole.T @ whole, subset_by_index=(max(0, size - _SUMMARY), size - 1))
+        axes = axes[:, ::-1].astype(np.float16).astype(np.float32)
         return words, axes, unit_vectors(whole @ axes)
 
 
@@ -169,6 +175,7 @@ def gather(
     *,
     stated: bool = True,
     scale_m: float,
+    given: Given = lambda image: None,
     extractor: Extractor = extract,
     advance: Advance | None = None,
 ) -> Material | None:
@@ -180,6 +187,7 @@ def gather(
         camera: Their camera, at their size.
         stated: Whether that is stated, or a guess.
         scale_m: So much distance is as much of a difference as a radian, for a start.
+        given: Points of a reconstruction that a training image shows, by its number; None for none.
         extractor: What finds features.
         advance: Called with the number of key images done and of all.
     """
@@ -208,8 +216,10 @@ def gather(
         reduced.append(basis.reduced(extractor(view(image), count, longest=VIEW_PX) if many else raw(image)))
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
-    matches = matches_of(reduced, sorted(pairs))
-    return Material(camera if stated else None, key, own, tuple(reduced), basis, matches, depth_m)
+    matches, at = matches_of(reduced, sorted(pairs)), ViewCamera(camera)
+    placed = [at_given_points(each, given(image), at) for each, image in zip(reduced, key.tolist(), strict=True)]
+    matches = with_given_points(matches, [points for _, points in placed])
+    return Material(camera if stated else None, key, own, tuple(each for each, _ in placed), basis, matches, depth_m)
 
 
 def build(material: Material, camera: ViewCamera) -> BuiltMap | None:
@@ -256,15 +266,21 @@ def camera_found(material: Material, stated: ViewCamera) -> Adjusted | None:
     poses = material.poses[keys]
     features = [material.features[k] for k in keys.tolist()]
     camera_from_world, camera, found = poses.inverse(), stated, None
-    std = _POSE_STD
+    std, principal_point = _POSE_STD, True
     for most_px in (16.0, 4.0, 4.0):
+        off = np.abs(camera.centre - stated.centre).max() / stated.camera.width
+        if found is not None and off < _STATED_WITHIN:
+            principal_point = False
+            camera = replace(camera, camera=replace(camera.camera, cx=stated.camera.cx, cy=stated.camera.cy))
         sightings, _ = find_sightings(poses, features, camera, matches, depth_m=material.depth_m, most_px=most_px)
         outliers_px = 2.0 * most_px, 1.5 * most_px, most_px
         points, sightings = _points(camera, camera_from_world, sightings, material.depth_m, outliers_px)
         if len(points) < _LEAST_POINTS:
             return None
         pose_std = std * material.depth_m, std
-        found = adjusted(camera, camera_from_world, points, sightings, pose_std=pose_std)
+        found = adjusted(
+            camera, camera_from_world, points, sightings, pose_std=pose_std, principal_point=principal_point
+        )
         camera = found.camera
         away = (found.camera_from_world @ poses).log() / np.repeat([material.depth_m, 1.0], 3)
         std = float(np.clip(np.sqrt(np.square(away).mean()), _POSE_STD / 4.0, 4.0 * _POSE_STD))

@@ -6,12 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Int8, Int32
+from jaxtyping import Bool, Float32, Int8, Int32
 
+from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.landmarks.features import Basis, Features, unit_vectors
 from vapor.landmarks.view_camera import ViewCamera
+
+LEAST_INLIERS = 12
+"""Landmarks that a pose must be seen by to be one."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,21 @@ class LandmarkMap:
     def shown_by(self, image: int) -> Int32[np.ndarray, " k"]:
         """The points that a key image shows."""
         return self.shown[self.begins[image] : self.begins[image + 1]]
+
+    def mapped(
+        self, reach: float = 1.0, elsewhere: float = 0.0, ignored: Bool[np.ndarray, " n"] | None = None
+    ) -> MappedViews:
+        """The views of key images that show as many points as a pose needs, see `MappedViews`.
+
+        Args:
+            reach: As there.
+            elsewhere: As there.
+            ignored: Key images that do not count, (n,); None for none.
+        """
+        used = np.diff(self.begins) >= LEAST_INLIERS
+        if ignored is not None:
+            used &= ~ignored
+        return MappedViews(self.poses[np.flatnonzero(used)], self.depth_m, reach, elsewhere)
 
     def summary(self, features: Features) -> Float32[np.ndarray, " k"]:
         """What an image looks like as a whole, by its features in the map's basis; a unit vector."""

@@ -13,15 +13,14 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
+from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
 from vapor.landmarks.features import Extractor, Features, extract, restored
-from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap
 from vapor.landmarks.matching import mutual_matches, mutual_matches_among, within
 from vapor.landmarks.points import by_pose, seen
 from vapor.landmarks.pose_solver import INLIER_PX, ROBUST_PX, PoseSolver, lo_ransac
 
-LEAST_INLIERS = 12
-"""Landmarks that a pose must be seen by to be one."""
 RATIO, COSINE = 0.9, 0.65
 """Of matches of an image and a map: see `LandmarkLocalizer`."""
 _QUERY_PX, _FEATURES = 230, 300
@@ -122,7 +121,8 @@ class LandmarkLocalizer:
             return found
         shown = np.zeros(len(self.landmarks.points), bool)  # where poses are that are verified
         for images in self._places(features, proposed):
-            if found and shown[self.landmarks.shown_by(images[0])].mean() > _KNOWN:
+            own = self.landmarks.shown_by(images[0])
+            if np.count_nonzero(shown[own]) > _KNOWN * len(own):
                 continue
             pose = self._first_pose(features, images)
             if pose is None or self._is_known(pose.inverse(), found):
@@ -190,6 +190,10 @@ class LandmarkLocalizer:
         distance = np.sqrt(np.vecdot(away, away) / self.landmarks.depth_m**2 + np.maximum(2.0 * (1.0 - along), 0.0))
         distance[(along < _LOOKS_ALONG) | self._ignored] = np.inf
         return distance
+
+    def mapped(self, reach: float = 1.0, elsewhere: float = 0.0) -> MappedViews:
+        """The views that it looks for things in, see `MappedViews`."""
+        return self.landmarks.mapped(reach, elsewhere, self._ignored)
 
     def _near(self, pose: Poses, most: int) -> Int64[np.ndarray, " k"]:
         """Key images that may show what a camera at a pose sees, the nearest first."""

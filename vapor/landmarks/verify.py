@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -17,14 +18,16 @@ from jaxtyping import Float64, UInt8
 from filtering.association import PLACE
 from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import require_within
+from filtering.mapped_views import MOST_ELSEWHERE, MappedViews
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.cameras import AsTakenBy, same_view
 from vapor.images import centre_crop, scale_to_cover
 from vapor.landmarks.features import Features
-from vapor.landmarks.landmark_map import LandmarkMap
-from vapor.landmarks.localize import LEAST_INLIERS, LandmarkLocalizer, VerifiedPose
+from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap
+from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose
+from vapor.landmarks.shown import ShownLandmarks
 
 
 @dataclass(frozen=True)
@@ -39,9 +42,14 @@ class Verification:
     """Weight of a verified place that the network did not propose."""
     nothing: float = 0.5
     """Of "none of these": a place of weight 1 that is not verified outweighs it by the inverse."""
+    reach: float = 0.5
+    """How different a view is from the likest of the map's, 1 for a depth or a radian, of which half are verified."""
+    elsewhere: float = 0.05
+    """Probability that landmarks verify another place of an image whose own the map does not show."""
 
     def __post_init__(self) -> None:
         require_within(self, gain=(1e-3, 1e6), power=(0.0, 5.0), unproposed=(1e-9, 1.0), nothing=(1e-9, 1e6))
+        require_within(self, reach=(1e-3, 1e3), elsewhere=(0.0, MOST_ELSEWHERE))
 
     def scores(
         self, inliers: Float64[np.ndarray, " j"], weights: Float64[np.ndarray, " j"]
@@ -77,7 +85,12 @@ def _squared(posterior: PosePosterior, poses: Poses) -> Float64[np.ndarray, "k j
     return np.einsum("kji,kil,kjl->kj", offset, information, offset)
 
 
-def verified(posterior: PosePosterior, found: Sequence[VerifiedPose], settings: Verification) -> PosePosterior:
+def verified(
+    posterior: PosePosterior,
+    found: Sequence[VerifiedPose],
+    settings: Verification,
+    mapped: MappedViews | None = None,
+) -> PosePosterior:
     """The posterior with the places that landmarks verify; as it is where there are none.
 
     Images of other places verify none, so one that does is of this place, however unlike the training images it is.
@@ -86,6 +99,7 @@ def verified(posterior: PosePosterior, found: Sequence[VerifiedPose], settings: 
         posterior: What the network says, with errors of verified places.
         found: The poses that landmarks verify, of the same image.
         settings: What that says of a place.
+        mapped: Where landmarks can verify places; None for everywhere.
     """
     of_verified = posterior.errors.verified
     if not found or of_verified is None:
@@ -102,6 +116,7 @@ def verified(posterior: PosePosterior, found: Sequence[VerifiedPose], settings: 
         weights=np.concatenate([scores, posterior.weights]) / total,
         verified=np.arange(len(found) + len(posterior.weights)) < len(found),
         unfamiliarity=min(posterior.unfamiliarity, FOREIGN),
+        mapped=mapped,
     )
 
 
@@ -111,6 +126,11 @@ class Landmarks:
 
     map: LandmarkMap
     verification: Verification = field(default_factory=Verification)
+
+    @cached_property
+    def mapped(self) -> MappedViews:
+        """Where it can verify places."""
+        return self.map.mapped(self.verification.reach, self.verification.elsewhere)
 
 
 class LandmarkVerifier:
@@ -132,17 +152,22 @@ class LandmarkVerifier:
         pinhole = landmarks.map.camera.camera
         self._as_found = AsTakenBy(pinhole, (pinhole.width, pinhole.height))
 
-    def _features(self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None) -> Features:
-        """Features as of the camera of the key images.
+    def _view(
+        self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None
+    ) -> tuple[UInt8[np.ndarray, "h2 w2 3"], bool]:
+        """The image as of the camera of the key images, and whether that camera's lens distorts it.
 
         An image of which the same is stated as of these was taken by that camera. Any other image is resampled, by its
         own intrinsics, to a pinhole camera like that.
         """
-        m = self.landmarks.map
-        pinhole = m.camera.camera
-        if camera is None or (m.stated is not None and same_view(camera, m.stated)):
-            return self._localizer.features(grey_view(image, pinhole))
-        return self._localizer.features(grey_view(self._as_found(image, camera), pinhole), distorted=False)
+        stated = self.landmarks.map.stated
+        if camera is None or (stated is not None and same_view(camera, stated)):
+            return image, True
+        return self._as_found(image, camera), False
+
+    def _features(self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None) -> Features:
+        view, distorted = self._view(image, camera)
+        return self._localizer.features(grey_view(view, self.landmarks.map.camera.camera), distorted=distorted)
 
     def find(
         self, image: UInt8[np.ndarray, "h w 3"], camera: Camera | None, posterior: PosePosterior
@@ -170,7 +195,41 @@ class LandmarkVerifier:
         self.latest = self.find(image, camera, posterior)
         if posterior.errors.verified is None:
             posterior = replace(posterior, errors=replace(posterior.errors, verified=self._errors))
-        return verified(posterior, self.latest, self.landmarks.verification)
+        return verified(posterior, self.latest, self.landmarks.verification, self.landmarks.mapped)
+
+    def shown(
+        self,
+        image: UInt8[np.ndarray, "h w 3"],
+        camera: Camera | None,
+        found: Sequence[VerifiedPose],
+        *,
+        which: int = 0,
+        number: int = 0,
+    ) -> ShownLandmarks:
+        """What an image shows of the landmarks that verify one of its poses.
+
+        Args:
+            image: RGB, undistorted.
+            camera: That took it; None where unknown.
+            found: The poses that landmarks verify of it.
+            which: Of these.
+            number: Of the image in its run.
+        """
+        of_map, pose = self.landmarks.map.camera, found[which]
+        view, distorted = self._view(image, camera)
+
+        def on_view(undistorted: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+            return of_map.pixels(of_map.without_distortion().rays(undistorted)) if distorted else undistorted
+
+        width, height = of_map.camera.width, of_map.camera.height
+        return ShownLandmarks(
+            centre_crop(scale_to_cover(view, width, height), width, height).copy(),
+            on_view(self._features(image, camera).pixels),
+            on_view(pose.pixels),
+            on_view(pose.pixels + pose.residuals),
+            tuple(each.inliers for i, each in enumerate(found) if i != which),
+            number,
+        )
 
 
 def grey_view(image: UInt8[np.ndarray, "h w 3"], camera: Camera) -> UInt8[np.ndarray, "height width"]:

@@ -52,6 +52,11 @@ class ViewCamera:
             ray = seen / np.maximum(1.0 + squared * (self.k1 + self.k2 * squared), 0.2)
         return ray
 
+    def pixels(self, rays: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
+        """Where rays (x, y, 1) are seen, of which their x and y are given."""
+        squared = np.square(rays).sum(axis=1, keepdims=True)
+        return self.focal * (1.0 + squared * (self.k1 + self.k2 * squared)) * rays + self.centre
+
     def without_distortion(self) -> ViewCamera:
         """The pinhole camera that sees the same rays at `undistorted` pixels."""
         return ViewCamera(self.camera)

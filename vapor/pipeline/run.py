@@ -17,6 +17,7 @@ from vapor.pipeline.localize import localize
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.pipeline.results import RESULTS, RunResult, write_results
 from vapor.pipeline.unrecognised import SomeImages, are_unrecognised, why_unrecognised
+from vapor.pipeline.verified_images import VerifiedImages
 from vapor.reporting.rerun_place import Place
 from vapor.threads import limited_threads
 from vapor.training_data.ground import told_unshown
@@ -79,6 +80,7 @@ def run_into(
     observation = model.observation.seen_by(reader.camera)
 
     some = SomeImages()
+    verified = VerifiedImages(observation)
 
     def seen(frame: Frame) -> np.ndarray:
         observation.camera = frame.camera  # which may zoom
@@ -90,7 +92,7 @@ def run_into(
         fit = calibration.odometry if config.fitted_odometry else None
         record = localize(
             reader,
-            observation,
+            verified,
             directory,
             config,
             calibration.errors,
@@ -101,6 +103,7 @@ def run_into(
             progress=progress,
             observed=seen,
         )
+        record = replace(record, landmarks=verified.middle(record.methods["filter"].poses))
         engine = {"device": observation.engine.device, "engine": observation.engine.name}
         settings = {"run": asdict(config) | engine, "reading": asdict(reading) | reader.resolved}
         settings = {

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from filtering.config import LocalizerConfig
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
 from vapor.reporting.html.page import Page
@@ -30,7 +31,9 @@ class OutputsBeside:
 
     def add(self, frame: Frame, step: Step) -> None:
         """See `RunOutputs.add`."""
-        self._process.send("add", frame, step)
+        # Nothing written tells of the map, which is as large as a thousand images' posteriors.
+        posterior = unchecked_replace(step.posterior, mapped=None)
+        self._process.send("add", frame, replace(step, posterior=posterior))
 
     def finish(
         self, *, skipped: Mapping[str, int], images: ImageCounts, at_end: Mapping[str, Poses] | None = None

@@ -13,6 +13,7 @@ from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.reading.counts import ImageCounts
+from vapor.landmarks.shown import ShownLandmarks
 from vapor.reporting.keyframes import Keyframe
 from vapor.reporting.moments import Moment
 from vapor.tracking.methods import in_order
@@ -47,6 +48,7 @@ class RunRecord:
         floors: Of the building; None where there is one only, or it is not known.
         floor_belief: Fraction of the filter's belief on each of the f floors, (n, f); None without floors.
         verified: How many of the images landmarks verified a place of; None without a map of landmarks.
+        landmarks: What one of these images shows of the landmarks; None without any.
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -70,6 +72,7 @@ class RunRecord:
     floors: Floors | None = None
     floor_belief: Float64[np.ndarray, "n f"] | None = None
     verified: int | None = None
+    landmarks: ShownLandmarks | None = None
 
     def with_methods(
         self, poses: Mapping[str, Poses], *, smoothed_agreement: Float64[np.ndarray, " n"] | None = None

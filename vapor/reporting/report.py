@@ -133,7 +133,7 @@ def method_table(report: Mapping[str, Any], *, tail: bool = False) -> tuple[list
         *(name.replace("m/", " m\n").replace("deg", "°") for name in thresholds),
         "right\nfrom",
     ]
-    digits = 3 if tail else 2
+    digits = 1 if tail else 0
     rows: list[list[str]] = []
     for name, metrics in in_order(report).items():
         converged_at_s = metrics.get("converged_at_s")
@@ -141,8 +141,8 @@ def method_table(report: Mapping[str, Any], *, tail: bool = False) -> tuple[list
         rows.append(
             [
                 METHODS[name].label,
-                f"{metrics['median_translation_m']:.{digits}f} m  {metrics['median_rotation_deg']:5.1f}°",
-                *(f"{100 * part:.{digits - 2}f} %" for part in metrics["worse_than" if tail else "recall"].values()),
+                f"{metrics['median_translation_m']:.3f} m  {metrics['median_rotation_deg']:5.1f}°",
+                *(f"{100 * part:.{digits}f} %" for part in metrics["worse_than" if tail else "recall"].values()),
                 right_from,
             ]
         )

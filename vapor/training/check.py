@@ -100,7 +100,9 @@ def check(
             ) -> PosePosterior:
                 samples, scores, verified_poses = of_run
                 coarse = posterior_of(samples[image], errors, float(scores[image]))
-                return verified(coarse, verified_poses[image], landmarks.verification) if landmarks else coarse
+                if landmarks is None:
+                    return coarse
+                return verified(coarse, verified_poses[image], landmarks.verification, landmarks.mapped)
 
             passage = Passage(images.times_ns[rows], odometry[: len(rows)], images.poses[rows], posterior)
             passage = passage.restated(fit)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.spatial import KDTree
 
+from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
 from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.familiarity import extract_features
@@ -54,6 +56,11 @@ class HeldOutLandmarks:
     none_right: float = _NONE_RIGHT
     mistaken_lengths: float = 4.0
 
+    @cached_property
+    def mapped(self) -> MappedViews:
+        """Where it can verify places."""
+        return self.localizer.mapped(self.verification.reach, self.verification.elsewhere)
+
     @staticmethod
     def of(
         landmarks: FoundLandmarks,
@@ -65,7 +72,7 @@ class HeldOutLandmarks:
     ) -> HeldOutLandmarks:
         """Find on the held-out images what a verified place is worth."""
         localizer, hidden = landmarks.without(split.training)
-        held = HeldOutLandmarks(localizer, hidden, Verification())
+        held = HeldOutLandmarks(localizer, hidden, landmarks.verification)
         rows = np.flatnonzero(split.held_out_mask)
         rows = rows[spaced(len(rows), _IMAGES)]
         if not len(rows):
@@ -87,7 +94,7 @@ class HeldOutLandmarks:
         lasting = LastingErrors(1.0, longer * errors.length_m, longer * errors.length_rad)
         travel = Travel.along(split.source.poses, pass_numbers(split.source))[np.array(which)]
         effective = effective_images(travel, lasting)
-        verification, wrong = fit_verification(seen, effective), none_right(seen, effective)
+        verification, wrong = fit_verification(seen, effective, landmarks.verification), none_right(seen, effective)
         said = evidence(seen, verification, wrong, errors.possible_fraction)
         lengths = LastingErrors(1.0, own.length_m, own.length_rad)
         mistaken = max(mistaken_lengths(said, travel, lengths), _NEW_VIEW * depth_m / own.length_m)

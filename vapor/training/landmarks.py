@@ -9,17 +9,18 @@ from functools import cache
 import numpy as np
 
 from filtering.se3 import Poses
+from vapor.calibration.camera_fit import fit_camera, typical_error_m
+from vapor.calibration.image_errors import LEAST_IMAGES
+from vapor.calibration.verification import fit_reach
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
 from vapor.checkpoints.scene_scale import flat_log_density
-from vapor.landmarks.build import BuiltMap, Material, build, camera_found, gather
+from vapor.landmarks.build import BuiltMap, Material, build, gather
 from vapor.landmarks.localize import LandmarkLocalizer, query_features
+from vapor.landmarks.verify import Verification
 from vapor.landmarks.view_camera import ViewCamera
 from vapor.training.config import CameraChoice
 from vapor.training_data.ground import near_scale_m
 from vapor.training_data.training_set import TrainingSet
-
-_COMPARED = 60  # images by which two cameras are compared
-_CLEARLY = 0.95  # times the error, with which another camera fits clearly better
 
 Advance = Callable[[int, int], None]
 
@@ -31,12 +32,14 @@ class FoundLandmarks:
     Attributes:
         built: The map of all images that are learned from.
         verified: How poses err that it verifies.
+        verification: What is known so far of what it says of a place: where it can verify any.
         images: The images that it is of.
         notes: What was found, in sentences.
     """
 
     built: BuiltMap
     verified: VerifiedErrors
+    verification: Verification
     images: TrainingSet
     notes: tuple[str, ...]
 
@@ -69,6 +72,7 @@ def find_landmarks(
         stated.camera,
         stated=known,
         scale_m=near_scale_m(poses),
+        given=lambda image: images.seen_points[images.rows[image]] if images.seen_points else None,
         advance=advance,
     )
     if material is None:
@@ -80,7 +84,8 @@ def find_landmarks(
     left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
     verified = fit_verified_errors(left_out, poses, images.sequence, flat_log_density(poses))
     if verified is None:
-        return None, (*notes, _NONE.format(f"they verify the pose of {left_out.verified:.0%} of the images only"))
+        few = f"without what was taken near them in time they verify the poses of {len(left_out.right)} images only"
+        return None, (*notes, _NONE.format(f"{few}, and how poses err is found on {LEAST_IMAGES} or more"))
     found = (
         f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without what was taken near them"
         f" in time they verify the poses of {left_out.verified:.0%} of {len(left_out.image)} images, which then err by"
@@ -90,7 +95,12 @@ def find_landmarks(
         found += (
             f"; of {verified.elsewhere:.1%} of the images another place, which looks alike, shows the most landmarks"
         )
-    return FoundLandmarks(built, verified, images, (*notes, found)), (*notes, found)
+    verification = fit_reach(left_out, verified.effective_images)
+    found += (
+        f"; they reach views that differ by {verification.reach * built.material.depth_m:.1f} m, and beyond"
+        f" {verification.elsewhere:.0%} are taken for another place"
+    )
+    return FoundLandmarks(built, verified, verification, images, (*notes, found)), (*notes, found)
 
 
 _NONE = "no landmarks: {}; places stay as coarse as the network says"
@@ -106,37 +116,19 @@ def _best_map(
     known: bool,
 ) -> tuple[BuiltMap | None, tuple[str, ...]]:
     """The map by the camera that fits, and what was found of it."""
-    found = None if choice == "stated" else camera_found(material, stated)
-    by_stated = build(material, stated) if choice != "estimated" or found is None else None
-    if found is None:
-        return by_stated, ()
-    by_found = build(material, found.camera)
-    width = (images.camera_size[0] if images.camera_size else stated.camera.width) / stated.camera.width
-    fits, told = width * found.camera.camera.fx, width * stated.camera.fx
-    if choice == "estimated" or by_stated is None or by_found is None:
-        what = f"{told:.0f} px stated, " if known else "no focal length is stated, "
-        return by_found or by_stated, (f"camera: {what}{fits:.0f} px fit the images{_distortion(found.camera)}",)
-    errors = [_typical_error_m(images, features, each) for each in (by_stated, by_found)]
-    better = errors[1] < _CLEARLY * errors[0]
-    if not better:
-        return by_stated, ()
-    before = f"instead of {100 * errors[0]:.1f} cm" if np.isfinite(errors[0]) else "instead of hardly at all"
-    note = (
-        f"camera: {told:.0f} px stated, {fits:.0f} px{_distortion(found.camera)} fit the images:"
-        f" {by_found.agreeing:.0%} instead of {by_stated.agreeing:.0%} of matches agree, and images are localized"
-        f" within {100 * errors[1]:.1f} cm {before}; so it is taken (--camera stated: the"
-        " stated one)"
+    if choice == "stated":
+        return build(material, stated), ()
+    fit = fit_camera(
+        material,
+        stated,
+        lambda built: typical_error_m(built, features, images.poses, images.sequence),
+        known=known,
+        compare=choice == "auto",
     )
-    return by_found, (note,)
-
-
-def _distortion(camera: ViewCamera) -> str:
-    return f" and distortion k1 {camera.k1:.3f}, k2 {camera.k2:.3f}"
-
-
-def _typical_error_m(images: TrainingSet, features: QueryFeatures, built: BuiltMap) -> float:
-    """Median error of left-out images; infinite of those of which no pose of the right place is verified."""
-    left_out = leave_out(built, features, images.poses, images.sequence, most=_COMPARED, stretches=(1.0,))
-    metres, _ = left_out.errors
-    every = np.concatenate([metres, np.full(len(left_out.image) - len(metres), np.inf)])
-    return float(np.median(every)) if len(every) else np.inf
+    if fit is None:
+        return build(material, stated), ()
+    if fit.by_found is None or (choice == "auto" and not fit.is_better):
+        return fit.by_stated, ()
+    taken = "" if choice == "estimated" or not known else "; so it is taken (--camera stated: the stated one)"
+    said = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)
+    return fit.by_found, (f"camera: {said}{taken}",)

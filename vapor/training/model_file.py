@@ -78,7 +78,8 @@ def calibrate_and_check(
     if not config.calibrate:
         calibration = replace(calibration, errors=replace(calibration.errors, verified=verified))
         return HeldOutFindings(
-            calibration, landmarks=None if landmarks is None else Landmarks(landmarks.built.landmarks)
+            calibration,
+            landmarks=None if landmarks is None else Landmarks(landmarks.built.landmarks, landmarks.verification),
         )
     familiarity = _familiarity(model, split.training, evaluated)
     calibrated = calibrate(

@@ -45,9 +45,7 @@ class GreyViews:
         if self._file is None:
             return
         if self.camera is None:
-            height, width = frame.image.shape[:2]
-            focal = _USUAL_FOCAL * max(width, height)
-            self.camera = shrunk(Camera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1)))
+            self.camera = shrunk(usual_camera(frame.image.shape[1], frame.image.shape[0]))
         if self._as_taken is None:
             self._as_taken = AsTakenBy(self.camera, (self.camera.width, self.camera.height))
         self._file.write(grey_view(self._as_taken(frame.image, frame.camera), self.camera).data)
@@ -59,6 +57,12 @@ class GreyViews:
             return np.zeros((0, 1, 1), np.uint8)
         self._file.flush()
         return np.memmap(self._file, np.uint8, mode="r", shape=(self._count, self.camera.height, self.camera.width))
+
+
+def usual_camera(width: int, height: int) -> Camera:
+    """A guess at the camera of images of so many pixels, of which nothing is stated."""
+    focal = _USUAL_FOCAL * max(width, height)
+    return Camera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
 
 def shrunk(camera: Camera) -> Camera:

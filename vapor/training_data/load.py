@@ -5,12 +5,14 @@ from __future__ import annotations
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.datasets.frames import PosedFrames
+from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
 from sequences.frame import Camera, Frame
 from vapor.cameras import AsTakenBy, described
 from vapor.images import centre_crop, scale_to_cover
@@ -55,6 +57,7 @@ def load_training_set(
     times_ns: list[int] = []
     odometry: list[Odometry | None] = []
     colours: dict[str, Colours] = {}
+    points: list[SeenPoints | None] = []
     shape: tuple[int, ...] | None = None
     camera = camera or _commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
@@ -63,6 +66,7 @@ def load_training_set(
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
             num_before, agreeing = len(sources), Views()
+            given = frames.seen_points() if views and isinstance(frames, PosedFrames) else {}
             colours[name] = Colours()
             for frame in frames:
                 agreeing.take(frame)
@@ -87,6 +91,8 @@ def load_training_set(
                 colours[name].take(frame.image)
                 file.write(np.ascontiguousarray(image).data)
                 grey.take(frame)
+                of_image = given.pop(frame.time_ns, None) if frame.camera is not None else None
+                points.append(of_image and replace(of_image, point=of_image.point + index * POINTS_OF_A_MODEL))
                 matrices.append(frame.world_from_camera.as_matrix())
                 sources.append((index, frame.sequence))
                 times_ns.append(frame.time_ns)
@@ -122,6 +128,7 @@ def load_training_set(
         as_taken.camera,
         kept,
         view_camera,
+        tuple(points) if any(points) else (),
     )
 
 

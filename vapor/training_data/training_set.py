@@ -12,6 +12,7 @@ from jaxtyping import Int64, UInt8
 from filtering.errors import VaporTrackError
 from filtering.motion import Odometry
 from filtering.se3 import Poses
+from sequences.datasets.seen_points import SeenPoints
 from sequences.frame import Camera
 
 
@@ -38,6 +39,7 @@ class TrainingSet:
         camera: The camera that took the images, or to which they were resampled; None where unknown.
         views: The same images grey and larger, in which landmarks are found, memory-mapped; none if not asked for.
         view_camera: Their camera as stated; where none is, with a guessed focal length.
+        seen_points: Points of a reconstruction that each of `images` shows, m of them; none where the data have none.
     """
 
     images: UInt8[np.ndarray, "m h w 3"]
@@ -53,6 +55,7 @@ class TrainingSet:
     camera: Camera | None = None
     views: UInt8[np.ndarray, "v h2 w2"] = field(default_factory=lambda: np.zeros((0, 1, 1), np.uint8))
     view_camera: Camera | None = None
+    seen_points: tuple[SeenPoints | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.sequence)

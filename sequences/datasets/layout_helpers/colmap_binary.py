@@ -7,6 +7,9 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float64, Int64
+
 from filtering.errors import quoted
 from sequences.errors import SequenceError
 
@@ -39,8 +42,10 @@ UNDISTORTER = (
 )
 """The way out for images of other models than can be undistorted here."""
 _MODELS = tuple(NUM_PARAMETERS.items())
-_KEYPOINT_BYTES, _TRACK_BYTES = 24, 8
-_LONGEST_NAME = 4096
+_KEYPOINT, _TRACK_BYTES = np.dtype([("pixel", "<f8", 2), ("point", "<i8")]), 8
+LARGEST_ID = 2**63 - 2
+"""Of a point; the next is that of none."""
+_LONGEST_NAME, _MOST_KEYPOINTS = 4096, 1_000_000
 
 
 def camera_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
@@ -72,21 +77,38 @@ def image_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
         for number in range(1, records.take("Q")[0] + 1):
             image_id, *pose, camera_id = records.take("i7di")
             name = records.text()
-            records.skip(_KEYPOINT_BYTES * records.take("Q")[0])
+            records.skip(_KEYPOINT.itemsize * records.take("Q")[0])
             yield number, [str(image_id), *map(repr, pose), str(camera_id), name]
 
 
-def point_rows(file: Path) -> Iterator[tuple[int, tuple[float, ...]]]:
-    """Number and `X Y Z R G B` of each point; the images that show it are passed over.
+def keypoint_rows(file: Path) -> Iterator[tuple[str, Float64[np.ndarray, "k 2"], Int64[np.ndarray, " k"]]]:
+    """Name of each image, and X and Y of the keypoints that are of a point, with its POINT3D_ID.
+
+    Raises:
+        SequenceError: the file cannot be read or is cut off, a name is no UTF-8, or an image has too many keypoints.
+    """
+    with _Records(file) as records:
+        for _ in range(records.take("Q")[0]):
+            records.take("i7di")
+            name = records.text()
+            if (count := records.take("Q")[0]) > _MOST_KEYPOINTS:
+                raise SequenceError(f"{file}: {quoted(name)} has {count} keypoints, expected {_MOST_KEYPOINTS} at most")
+            keypoints = records.array(_KEYPOINT, count)
+            keypoints = keypoints[keypoints["point"] >= 0]
+            yield name, keypoints["pixel"].astype(np.float64), keypoints["point"].astype(np.int64)
+
+
+def point_rows(file: Path) -> Iterator[tuple[int, tuple[int, *tuple[float, ...]]]]:
+    """Number and `POINT3D_ID X Y Z R G B` of each point; the images that show it are passed over.
 
     Raises:
         SequenceError: the file cannot be read or is cut off.
     """
     with _Records(file) as records:
         for number in range(1, records.take("Q")[0] + 1):
-            _, *point, _, num_images = records.take("Q3d3BdQ")
+            point_id, *point, _, num_images = records.take("q3d3BdQ")
             records.skip(_TRACK_BYTES * num_images)
-            yield number, tuple(point)
+            yield number, (point_id, *point)
 
 
 class _Records:
@@ -121,6 +143,12 @@ class _Records:
             return found.decode("utf-8")
         except UnicodeDecodeError as error:
             raise SequenceError(f"{self._file}: name {quoted(bytes(found))} is no UTF-8 text") from error
+
+    def array(self, kind: np.dtype, count: int) -> np.ndarray:
+        """The next records of one kind; it is known first that the file has so many."""
+        if (size := kind.itemsize * count) > self._size - self._stream.tell():
+            self._cut_off()
+        return np.frombuffer(self._bytes(size), kind)
 
     def skip(self, count: int) -> None:
         """Pass over some bytes."""

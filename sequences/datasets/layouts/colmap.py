@@ -1,4 +1,4 @@
-"""COLMAP's model, binary or text: `images`, `cameras` and usually `points3D`, which only `scene_points` reads.
+"""COLMAP's model, binary or text: `images`, `cameras` and usually `points3D`, whose points the images' keypoints name.
 
 Where both are, the binary one is read, as by COLMAP itself. In `images.txt` two lines are an image: `IMAGE_ID QW QX QY
 QZ TX TY TZ CAMERA_ID NAME`, the pose world-to-camera, and its keypoints, which may be none. Names are relative to a
@@ -14,25 +14,38 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64
 
 from filtering.errors import quoted
 from filtering.se3 import Poses
 from sequences.datasets.layout import Layout
-from sequences.datasets.layout_helpers.colmap_binary import NUM_PARAMETERS, UNDISTORTER, camera_rows, image_rows
+from sequences.datasets.layout_helpers.colmap_binary import (
+    LARGEST_ID,
+    NUM_PARAMETERS,
+    UNDISTORTER,
+    camera_rows,
+    image_rows,
+    keypoint_rows,
+)
 from sequences.datasets.layout_helpers.intrinsics import camera_of, lens_of, scaled_to
 from sequences.datasets.layout_helpers.named import list_named
 from sequences.datasets.layout_helpers.packed import ImageFile
 from sequences.datasets.layout_helpers.pose_rows import read_pose_row
 from sequences.datasets.posed_images import PosedImages
+from sequences.datasets.scene_points import point_ids
+from sequences.datasets.seen_points import PointsOfImages, seen_points
 from sequences.errors import SequenceError
 from sequences.files.rows import Rows
 from sequences.files.text import read_lines, read_rows
 from sequences.frame import Camera
 from sequences.images.undistortion import DistortionModel, Lens
-from sequences.values import parse_numbers
+from sequences.values import parse_numbers, parse_whole
 
 _NAME = "COLMAP"
 _IMAGE_COLUMNS = "id qw qx qy qz tx ty tz camera name"
@@ -81,11 +94,27 @@ def list_images(path: Path) -> PosedImages | None:
     images = list_named(_NAME, base, root, poses, folders, rows.notices)
     ids: dict[ImageFile, str] = {root / name: camera_id for name, camera_id in camera_ids.items()}
     used = [ids[file] for file in images.files]
+    by_name = {name: cameras[camera_id] for name, camera_id in camera_ids.items()}
     scaled = {
         camera_id: scaled_to(cameras[camera_id], (f for f, i in zip(images.files, used, strict=True) if i == camera_id))
         for camera_id in set(used)
     }
-    return replace(images, cameras=[scaled[camera_id] for camera_id in used], skipped=images.skipped + skipped)
+    points = found[1].with_stem("points3D")
+    return replace(
+        images,
+        cameras=[scaled[camera_id] for camera_id in used],
+        skipped=images.skipped + skipped,
+        read_points=partial(_read_points, found[1], points, root, by_name) if points.is_file() else None,
+    )
+
+
+def _read_points(
+    file: Path, points: Path, root: Path, cameras: Mapping[str, Camera | Lens], undistort: bool
+) -> PointsOfImages:
+    """The points that images show, of those that there are; cameras by the names of the images."""
+    keypoints = keypoint_rows(file) if file.suffix == ".bin" else _text_keypoints(file)
+    stated = ((root / name, cameras[name], at - 0.5, point) for name, at, point in keypoints if name in cameras)
+    return seen_points(str(file), stated, point_ids(points), undistort)
 
 
 def _read_cameras(file: Path) -> dict[str, Camera | Lens]:
@@ -133,7 +162,7 @@ def _read_images(
     camera_ids: dict[str, str] = {}
     seen: dict[str, int] = {}
     binary = file.suffix == ".bin"
-    for number, fields in rows.each(image_rows(file) if binary else _text_images(file)):
+    for number, fields in rows.each(image_rows(file) if binary else _text_rows(file)):
         where = f"{file}:{number}"
         camera_from_world = rows.use(read_pose_row, fields, _IMAGE_COLUMNS, where)
         if isinstance(camera_from_world, str) and len(fields) != len(_IMAGE_COLUMNS.split()):
@@ -160,20 +189,36 @@ def _text_cameras(file: Path) -> Iterator[tuple[int, list[str]]]:
         yield number, line.split()
 
 
-def _text_images(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line and fields of each image; names may hold blanks."""
+def _text_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Line and fields of each image."""
+    for number, fields, _ in _text_images(file):
+        yield number, fields
+
+
+def _text_keypoints(file: Path) -> Iterator[tuple[str, Float64[np.ndarray, "k 2"], Int64[np.ndarray, " k"]]]:
+    """Name of each image, and X and Y of the keypoints that are of a point, with its POINT3D_ID."""
+    for number, fields, keypoints in _text_images(file):
+        where = f"{file}:{number + 1}"
+        of_points = [each for each in zip(*3 * [iter(keypoints)], strict=True) if not each[2].startswith("-")]
+        pixels = parse_numbers((value for each in of_points for value in each[:2]), where, "those of `X Y POINT3D_ID`")
+        points = [parse_whole(each[2], f"{where}: POINT3D_ID", 0, LARGEST_ID) for each in of_points]
+        yield fields[-1], np.array(pixels, np.float64).reshape(-1, 2), np.array(points, np.int64)
+
+
+def _text_images(file: Path) -> Iterator[tuple[int, list[str], list[str]]]:
+    """Line and fields of each image, and those of its keypoints; names may hold blanks."""
     lines = (row for row in read_lines(file, most=None) if not row[1].startswith("#"))  # keypoints make it large
     for number, line in lines:
         if not line.strip():
             continue
         fields = [field.strip() for field in line.split(maxsplit=9)]
-        yield number, fields
-        next_number, keypoints = next(lines, (number + 1, ""))
-        if (num_columns := len(keypoints.split())) % 3:
+        next_number, line = next(lines, (number + 1, ""))
+        if len(keypoints := line.split()) % 3:
             raise SequenceError(
-                f"{file}:{next_number}: {num_columns} columns, expected keypoints of {quoted(fields[-1])}: `X Y"
+                f"{file}:{next_number}: {len(keypoints)} columns, expected keypoints of {quoted(fields[-1])}: `X Y"
                 " POINT3D_ID`, none or more of them"
             )
+        yield number, fields, keypoints
 
 
 def _image_folder(file: Path, names: dict[str, str]) -> tuple[Path, Path]:

@@ -92,6 +92,7 @@ def _tensor(name, change):
         (_tensor("shown", lambda t: t + 25), "landmarks.shown has .* expected 0 to 29"),
         (_tensor("begins", lambda t: t.flip(0)), "landmarks.begins does not split"),
         (_tensor("points", lambda t: t * float("nan")), "landmarks.points has values that are not finite"),
+        (_tensor("rotation", lambda t: 2.0 * t), "landmarks.rotation has 4 matrices that are not rotations"),
         (_tensor("descriptors", lambda t: t[:, :10].contiguous()), "landmarks.descriptors has shape"),
         (_tensor("descriptors", lambda t: t.float()), "landmarks.descriptors is of torch.float32, expected torch.int8"),
         (lambda t, m: ({k: v for k, v in t.items() if k != "landmarks.words"}, m), "lacks tensor landmarks.words"),

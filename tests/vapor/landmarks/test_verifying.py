@@ -9,8 +9,8 @@ from filtering.error_model import ErrorModel
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.textured_room import CAMERA, Room, walk
-from vapor.calibration.verification import SeenPlaces, evidence, fit_verification, none_right
-from vapor.calibration.verified_errors import fit_verified_errors, leave_out
+from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_verification, none_right
+from vapor.calibration.verified_errors import LeftOut, fit_verified_errors, leave_out
 from vapor.landmarks.build import build
 from vapor.landmarks.features import Features, restored
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
@@ -116,6 +116,19 @@ def test_errors_are_found_on_images_without_those_near_them_in_time(room, built)
     assert fit_verified_errors(none, poses, np.zeros(60, int), -6.0) is None
 
 
+def test_regions_hold_the_left_out_images_though_most_are_exact_and_some_are_far_off():
+    """As where recordings do not agree: no part of the images of the right place is taken for outliers."""
+    rng = np.random.default_rng(0)
+    poses = walk(100)
+    away = 0.001 * rng.standard_normal((100, 6))
+    away[::3] += rng.uniform(-0.5, 0.5, (34, 6)) * np.repeat([1.0, 0.2], 3)
+    found = tuple((replace(found_at(0.0), world_from_camera=poses[i] @ Poses.exp(away[i])),) for i in range(100))
+    left_out = LeftOut(np.arange(100), found, poses, np.zeros(100), 2.0)
+    errors = fit_verified_errors(left_out, poses, np.zeros(100, int), -6.0)
+    assert len(left_out.right) == 100
+    assert errors.coverage[1] >= 0.9
+
+
 def test_what_a_verified_place_is_worth_follows_from_held_out_images():
     """Where landmarks verify the wrong of two places as often, they are worth less; the network then decides."""
 
@@ -123,12 +136,34 @@ def test_what_a_verified_place_is_worth_follows_from_held_out_images():
         inliers = np.array([60.0, 50.0]) if right else np.array([50.0, 60.0])
         return SeenPlaces(inliers, np.array([0.5, 0.5]), np.array([True, False]), 1.0, 0.5)
 
-    always = fit_verification([seen(True)] * 200, 200.0)
-    half = fit_verification([seen(True), seen(False)] * 100, 200.0)
+    before = Verification(reach=0.7, elsewhere=0.3)
+    always = fit_verification([seen(True)] * 200, 200.0, before)
+    half = fit_verification([seen(True), seen(False)] * 100, 200.0, before)
     assert always.power > half.power
-    assert fit_verification([], 1.0) == Verification()
+    assert (always.reach, always.elsewhere) == (0.7, 0.3)
+    assert fit_verification([], 1.0, before) == before
     outside = SeenPlaces(np.array([12.0]), np.array([0.0]), np.array([False]), 1.0, 1.0)
-    assert fit_verification([outside] * 200, 200.0).gain < Verification().gain / 2
+    assert fit_verification([outside] * 200, 200.0, before).gain < Verification().gain / 2
+
+
+def test_where_landmarks_reach_is_found_on_images_at_all_distances():
+    """Right up to 0.8 depths, and a place 20 m off is verified in every second image, or in none."""
+    distance = np.linspace(0.05, 2.0, 400)
+    truth = Poses(np.tile(np.eye(3), (400, 1, 1)), np.zeros((400, 3)))
+
+    def left_out(every):
+        alike = [(found_at(20.0),) if every and i % every == 0 else () for i in range(400)]
+        found = tuple((found_at(0.0), *alike[i]) if distance[i] < 0.8 else alike[i] for i in range(400))
+        return LeftOut(np.arange(400), found, truth, distance, 2.0)
+
+    alike, alone = fit_reach(left_out(2), 400.0), fit_reach(left_out(0), 400.0)
+    assert alike.reach == alone.reach == pytest.approx(0.8, rel=0.1)
+    assert alike.elsewhere == pytest.approx(0.5, abs=0.05)
+    assert alone.elsewhere < 0.01
+    assert fit_reach(left_out(2), 1.0).elsewhere < 0.15  # one image's worth says little
+    none = fit_reach(LeftOut(np.arange(0), (), truth[:0], distance[:0], 2.0), 0.0)
+    assert none.reach == pytest.approx(Verification().reach, rel=0.1)
+    assert none.elsewhere == Verification().elsewhere
 
 
 def test_how_often_all_verified_places_are_wrong_is_found_with_caution():

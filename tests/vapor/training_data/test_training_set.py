@@ -7,7 +7,7 @@ import pytest
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
-from tests.helpers.data_sets import make_7scenes
+from tests.helpers.data_sets import make_7scenes, make_colmap
 from tests.helpers.sequence_files import Walk, as_split_folder
 from tests.helpers.tiny_training import TINY, make_frames, pose
 from vapor.evaluation.validation import predict
@@ -189,3 +189,17 @@ def test_few_images_are_learned_from_and_told(tmp_path):
     assert train_on(_variety(100), tmp_path / "n.safetensors", config).notices == (none,)
     config = replace(config, landmarks=False)
     assert train_on(_variety(100), tmp_path / "n.safetensors", config).notices == ()
+
+
+def test_points_of_two_reconstructions_are_not_taken_for_the_same(tmp_path) -> None:
+    roots = [make_colmap(tmp_path / name, "sparse/0", "images") for name in "ab"]
+    for root in roots:
+        images = root / "sparse" / "0" / "images.txt"
+        images.write_text(images.read_text().replace("2362.39 248.498 58396 1784.7 268.254 -1", "31 20 7 32 24 900"))
+        (root / "sparse" / "0" / "points3D.txt").write_text("900 0 0 1 1 1 1 0\n7 1 0 1 1 1 1 0\n")
+    loaded = load_training_set(open_sequences(roots), (32, 24), views=True)
+    shown = [set(seen.point.tolist()) for seen in loaded.seen_points if seen and len(seen.point)]
+    assert [len(each) for each in shown] == [2, 2]
+    assert not shown[0] & shown[1]
+    assert len(loaded.seen_points) == len(loaded) == 6
+    assert load_training_set(open_sequences(roots), (32, 24)).seen_points == ()  # they are for landmarks only

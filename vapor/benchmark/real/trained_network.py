@@ -165,7 +165,9 @@ def posterior_of_recorded(recording: Recording, checkpoint: Checkpoint) -> Calla
 
     def posterior(image: int) -> PosePosterior:
         coarse = posterior_of(recording.posterior_poses(image), errors, float(recording.unfamiliarity[image]))
-        return coarse if landmarks is None else verified(coarse, recording.verified[image], landmarks.verification)
+        if landmarks is None:
+            return coarse
+        return verified(coarse, recording.verified[image], landmarks.verification, landmarks.mapped)
 
     return posterior
 

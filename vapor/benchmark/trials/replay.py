@@ -139,7 +139,9 @@ def follow_replay(
     def posterior(image: int) -> PosePosterior:
         coarse = posterior_of(replay.posterior_poses(image), errors, float(replay.unfamiliarity[image]))
         landmarks = checkpoint.landmarks
-        return coarse if landmarks is None else verified(coarse, replay.verified_poses(image), landmarks.verification)
+        if landmarks is None:
+            return coarse
+        return verified(coarse, replay.verified_poses(image), landmarks.verification, landmarks.mapped)
 
     passage = Passage(replay.times_ns, replay.odometry, replay.truth, posterior).restated(fit)
     return follow(

@@ -8,9 +8,10 @@ from typing import Any
 
 from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
-from vapor.reporting.html.page import Block, Code, Folded, Page, Section, Table, Text
+from vapor.reporting.html.page import Block, Code, Folded, Page, Picture, Section, Table, Text
 from vapor.reporting.html.run_charts import StatusStrip, belief_plot, error_plot
 from vapor.reporting.html.run_scene import RunScene
+from vapor.reporting.landmark_picture import landmark_caption, landmark_picture
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import method_table
 from vapor.tracking.methods import METHODS, in_order
@@ -97,6 +98,8 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
         sections.append(Section("How good", [Table(columns, rows, told, ours)]))
         over_time.append(errors)
     sections.append(Section("Over time", [*over_time, belief_plot(record)]))
+    if record.verified is not None:
+        sections.append(Section("Landmarks", _landmarks(record, record.verified)))
     if (trust := _trust(report)) is not None:
         sections.append(Section("Is its confidence true", trust))
     if report.get("floors") is not None:
@@ -114,6 +117,20 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
     blocks.append(Folded("Settings", [Code(json.dumps(rest, indent=2))]))
     sections.append(Section("How it was made", blocks))
     return sections
+
+
+def _landmarks(record: RunRecord, verified: int) -> list[Block]:
+    blocks: list[Block] = [
+        Text(
+            f"Landmarks verified a place in {100 * verified / len(record.times_ns):.0f} % of the images: from there"
+            " they are seen where the image shows them, and the pose is as sharp as that tells."
+        )
+    ]
+    if (shown := record.landmarks) is not None:
+        seconds = int(record.times_ns[shown.number] - record.times_ns[0]) / 1e9
+        alt = "An image with its features, and the landmarks among them"
+        blocks.append(Picture(landmark_picture(shown), alt, landmark_caption(shown, seconds)))
+    return blocks
 
 
 def _trust(report: Mapping[str, Any]) -> list[Block] | None:

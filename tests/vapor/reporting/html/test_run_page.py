@@ -32,7 +32,7 @@ def test_the_table_has_the_numbers_of_the_report(record):
     row = page.cells.index("particle filter")
     metrics = report["filter"]
     assert page.cells[row + 1].split() == [
-        f"{metrics['median_translation_m']:.2f}",
+        f"{metrics['median_translation_m']:.3f}",
         "m",
         f"{metrics['median_rotation_deg']:.1f}°",
     ]

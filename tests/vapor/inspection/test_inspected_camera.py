@@ -1,0 +1,113 @@
+"""Intrinsics in an inspection: those that fit images and their true poses, beside those that are stated."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filtering.se3 import Poses
+from sequences.frame import Frame
+from sequences.writer import SequenceWriter
+from tests.helpers.inspected import BEGIN_NS, only
+from tests.helpers.textured_room import CAMERA, Room, walk
+from vapor.commands.inspect_tables import parts
+from vapor.inspection.camera import CameraViews
+from vapor.inspection.inspect import inspect
+
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+_WRONG = replace(CAMERA, fx=0.85 * CAMERA.fx, fy=0.85 * CAMERA.fy)
+
+
+@pytest.fixture(autouse=True)
+def few_features(monkeypatch):
+    """Maps of fewer features are made in a third of the time."""
+    monkeypatch.setattr("vapor.landmarks.build._FEATURES", 350)
+
+
+@pytest.fixture(scope="module")
+def room():
+    return Room()
+
+
+def _checked(room, poses, *, stated, image=None):
+    views = CameraViews()
+    for number, pose in enumerate(poses[i] for i in range(len(poses))):
+        shown = room.view(pose) if image is None else image
+        views.take(Frame(number, shown, None, pose, stated))
+    return views.check()
+
+
+def test_intrinsics_that_are_right_are_not_doubted(room):
+    found = _checked(room, walk(40), stated=CAMERA)
+    assert not found.disagrees
+    assert found.said.startswith("200 px stated, ")
+    assert found.fit.apart_px < 0.5
+    assert found.found.fx == pytest.approx(CAMERA.fx, rel=0.02)
+
+
+def test_a_wrong_focal_length_is_said_once_with_what_fits(room, tmp_path):
+    path, poses = tmp_path / "w.mcap", walk(40)
+    with SequenceWriter(path, camera=_WRONG, base_from_camera=Poses.identity(), metadata={}) as writer:
+        for i in range(len(poses)):
+            writer.write_image(BEGIN_NS + i * 10**8, room.view(poses[i]))
+            writer.write_true_pose(BEGIN_NS + i * 10**8, poses[i])
+    found = inspect([path])
+    assert any(check.focal is not None for walk in found.walks for check in walk.views)
+    sentence = only(found, "intrinsics")
+    assert sentence.startswith("correct the intrinsics (camera_info, intrinsics.json)")
+    assert "170 px stated, " in sentence
+    (part,) = [part for part in parts(found) if part.title == "Camera"]
+    assert sentence.endswith(part.lines[0])
+    report = json.loads(json.dumps(found.as_json(), allow_nan=False))["camera"]
+    assert report["stated"]["fx"] == _WRONG.fx
+    assert report["fits"]["fx"] == pytest.approx(CAMERA.fx, rel=0.02)
+    assert report["fits_clearly_better"]
+    assert report["median_distance_px"] > 10.0
+    errors_m = report["localization_error_m"]
+    assert errors_m["fits"] < 0.03
+    assert errors_m["stated"] is None or errors_m["stated"] > 2.0 * errors_m["fits"]
+
+
+def test_what_tells_nothing_of_a_camera_is_no_failure(room):
+    white = np.full((CAMERA.height, CAMERA.width, 3), 255, np.uint8)
+    turned = walk(20, moves=False)
+    others = Poses(np.swapaxes(turned.rotation, 1, 2), walk(20, seed=3).translation)
+    for found, why in (
+        (CameraViews().check(), "there are no true poses"),
+        (_checked(room, walk(20)[:1], stated=CAMERA), "there is one image only"),
+        (_checked(room, walk(20), stated=CAMERA, image=white), "no two images show the same from two sides"),
+        (_checked(room, turned, stated=CAMERA), "no two images show the same from two sides"),
+        (_checked(room, others, stated=CAMERA, image=room.view(turned[0])), ""),
+    ):
+        assert found.fit is None
+        assert not found.disagrees
+        assert found.said.startswith(f"nothing can be said: {why}")
+        assert set(found.as_json()) == {"images", "unknown"}
+
+
+def test_of_a_long_recording_runs_are_looked_at_that_are_spread_over_it():
+    views, image = CameraViews(), np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
+    for number in range(5000):
+        views.take(Frame(number, image, None, Poses.identity(), CAMERA))
+    kept = np.array([view.number for view in views._views])
+    assert 150 <= len(kept) <= 300
+    runs = np.split(kept, np.flatnonzero(np.diff(kept) > 1) + 1)
+    assert {len(run) for run in runs[:-1]} == {30}
+    assert np.diff([run[0] for run in runs]).std() == 0.0
+    assert kept[-1] > 4000
+
+
+def test_where_none_are_stated_of_most_images_those_that_fit_these_are_said(room):
+    views, poses = CameraViews(), walk(40)
+    zoomed = replace(CAMERA, fx=300.0, fy=300.0)
+    for number in range(40):
+        stated = zoomed if number < 8 else None
+        views.take(Frame(number, room.view(poses[number], stated or CAMERA), None, poses[number], stated))
+    found = views.check()
+    assert (found.images, found.of_all) == (32, False)
+    assert found.found.fx == pytest.approx(CAMERA.fx, rel=0.02)
+    assert found.said.startswith("no focal length is stated, ")
+    assert not found.disagrees
+    assert found.as_json()["stated"] is None

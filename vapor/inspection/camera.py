@@ -1,0 +1,150 @@
+"""Whether the stated intrinsics fit what images show from their true poses, and which do."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
+
+from filtering.se3 import Poses
+from sequences.frame import Camera, Frame
+from vapor.calibration.camera_fit import CameraFit, fit_camera, typical_error_m
+from vapor.landmarks.build import gather
+from vapor.landmarks.localize import query_features
+from vapor.landmarks.verify import grey_view
+from vapor.landmarks.view_camera import ViewCamera
+from vapor.training_data.grey_views import shrunk, usual_camera
+from vapor.training_data.ground import near_scale_m
+
+_RUN, _MOST_IMAGES = 30, 300  # images in a row, and in all
+_SAME_PX = 1.0  # median distance, at the size at which features are found: nearer is as stated
+
+
+class _View(NamedTuple):
+    number: int  # among the images with a true pose
+    grey: UInt8[np.ndarray, "h w"]
+    pose: Poses
+    camera: Camera  # at the size of the image
+    is_stated: bool
+
+
+class CameraViews:
+    """Images with true poses as they come, of which runs are kept that are spread over all of them: 300 at most."""
+
+    def __init__(self) -> None:
+        self._views: list[_View] = []
+        self._count, self._every = 0, 1
+
+    def take(self, frame: Frame) -> None:
+        """The next image."""
+        if frame.world_from_camera is None or not frame.image.size:
+            return
+        number, self._count = self._count, self._count + 1
+        if not self._is_kept(number):
+            return
+        height, width = frame.image.shape[:2]
+        camera = usual_camera(width, height) if frame.camera is None else frame.camera
+        grey = grey_view(frame.image, shrunk(camera))
+        self._views.append(_View(number, grey, frame.world_from_camera, camera, frame.camera is not None))
+        while len(self._views) > _MOST_IMAGES:
+            self._every *= 2
+            self._views = [view for view in self._views if self._is_kept(view.number)]
+
+    def _is_kept(self, number: int) -> bool:
+        return number // _RUN % self._every == 0
+
+    def check(self, advance: Callable[[int, int], None] = lambda done, total: None) -> CameraCheck:
+        """What fits the images of the camera that most of those kept are of.
+
+        Args:
+            advance: Called with the number of key images done and of all.
+        """
+        cameras = Counter((view.camera, view.is_stated) for view in self._views)
+        if not cameras:
+            return CameraCheck(0, None, None, False, "there are no true poses")
+        (camera, is_stated), count = cameras.most_common(1)[0]
+
+        def unknown(why: str) -> CameraCheck:
+            return CameraCheck(count, camera, None, len(cameras) == 1, why)
+
+        if count == 1:
+            return unknown("there is one image only")
+        views = [view for view in self._views if (view.camera, view.is_stated) == (camera, is_stated)]
+        poses, start = Poses.stack([view.pose for view in views]), ViewCamera(shrunk(camera))
+        material = gather(
+            lambda image: views[image].grey, poses, start.camera, scale_m=near_scale_m(poses), advance=advance
+        )
+        if material is None:
+            return unknown("no two images show the same from two sides")
+        features = cache(lambda image: query_features(views[image].grey))
+        run = np.cumsum(np.diff([view.number for view in views], prepend=-1) > 1)
+        fit = fit_camera(material, start, lambda built: typical_error_m(built, features, poses, run), known=is_stated)
+        if fit is None:
+            return unknown("too few points are seen from two sides")
+        if fit.by_stated is None and fit.by_found is None:
+            return unknown("hardly any point is seen where the true poses say that it must be, whatever the camera")
+        return CameraCheck(count, camera, fit, len(cameras) == 1, None)
+
+
+@dataclass(frozen=True)
+class CameraCheck:
+    """The stated intrinsics beside those that fit images and true poses.
+
+    Attributes:
+        images: How many images it was looked for in.
+        camera: What is stated of these, at their size, a guess where nothing is; None without true poses.
+        fit: What was found; None where nothing can be said.
+        of_all: Whether all images are of this camera.
+        unknown: Why nothing can be said; None where something can.
+    """
+
+    images: int
+    camera: Camera | None
+    fit: CameraFit | None
+    of_all: bool
+    unknown: str | None
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether others than the stated intrinsics fit clearly better, which are not almost the same."""
+        return self.fit is not None and self.fit.known and self.fit.is_better and self.fit.apart_px > _SAME_PX
+
+    @property
+    def said(self) -> str:
+        """What was found, in a sentence without its end."""
+        if self.fit is None or self.camera is None:
+            return f"nothing can be said: {self.unknown}"
+        return self.fit.said(self.camera.width)
+
+    @property
+    def found(self) -> Camera | None:
+        """The pinhole camera that fits, at the size of the images; None where nothing can be said, or none fits."""
+        if self.fit is None or self.fit.by_found is None or self.camera is None:
+            return None
+        return self.fit.found.camera.scaled(self.camera.width, self.camera.height)
+
+    def as_json(self) -> dict[str, Any]:
+        """Figures for the report."""
+        fit, found = self.fit, self.found
+        if fit is None or self.camera is None:
+            return {"images": self.images, "unknown": self.unknown}
+        errors = (None, None) if fit.errors_m is None else fit.errors_m
+        maps = {"stated": fit.by_stated, "fits": fit.by_found}
+        return {
+            "images": self.images,
+            "stated": asdict(self.camera) if fit.known else None,
+            "fits": None if found is None else asdict(found) | {"k1": fit.found.k1, "k2": fit.found.k2},
+            "focal_std": fit.focal_std,
+            "median_distance_px": fit.apart_px * self.camera.width / fit.stated.camera.width if fit.known else None,
+            "fits_clearly_better": fit.is_better,
+            "matches_that_agree": {name: None if each is None else each.agreeing for name, each in maps.items()},
+            "localization_error_m": {
+                name: float(error) if error is not None and np.isfinite(error) else None
+                for name, error in zip(maps, errors, strict=True)
+            },
+        }
