@@ -7,6 +7,7 @@ Zisserman, "Three things everyone should know to improve object retrieval", CVPR
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -35,6 +36,15 @@ class Features:
         return len(self.pixels)
 
 
+@runtime_checkable
+class Extractor(Protocol):
+    """Finds the strongest features of a grey image, as `extract` does; all of one kind, as unit vectors."""
+
+    def __call__(self, view: UInt8[np.ndarray, "h w"], count: int, *, longest: int) -> Features:
+        """See `extract`."""
+        ...
+
+
 def extract(view: UInt8[np.ndarray, "h w"], count: int, *, longest: int) -> Features:
     """The strongest features of a grey image, with all numbers of SIFT.
 
@@ -43,18 +53,30 @@ def extract(view: UInt8[np.ndarray, "h w"], count: int, *, longest: int) -> Feat
         count: At most.
         longest: The image is shrunk to so many pixels along its longer edge where it is larger: time goes with size.
     """
-    scale = min(1.0, longest / max(view.shape))
-    height, width = (max(1, round(scale * edge)) for edge in view.shape)
-    shrunk = view if scale == 1.0 else np.asarray(cv2.resize(view, (width, height), interpolation=cv2.INTER_AREA))
+    small = shrunk(view, longest)
     sift: cv2.SIFT = cv2.SIFT.create(nfeatures=count, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
-    found, described = sift.detectAndCompute(shrunk, None)
+    found, described = sift.detectAndCompute(small, None)
     if not found:
         return Features(np.empty((0, 2)), np.empty((0, SIFT_SIZE), np.float32))
     at = np.array(cv2.KeyPoint.convert(found), np.float64)
-    zoom = np.array([view.shape[1] / width, view.shape[0] / height])
     described = np.asarray(described, np.float32)
     roots = np.sqrt(described / np.maximum(described.sum(axis=1, keepdims=True), 1e-9))
-    return Features((at + 0.5) * zoom - 0.5, roots)
+    return Features(in_full_size(at, small, view), roots)
+
+
+def shrunk(view: UInt8[np.ndarray, "h w"], longest: int) -> UInt8[np.ndarray, "h2 w2"]:
+    """A grey image with at most so many pixels along its longer edge, shrunk by areas where it has more."""
+    scale = min(1.0, longest / max(view.shape))
+    height, width = (max(1, round(scale * edge)) for edge in view.shape)
+    return view if scale == 1.0 else np.asarray(cv2.resize(view, (width, height), interpolation=cv2.INTER_AREA))
+
+
+def in_full_size(
+    pixels: Float64[np.ndarray, "n 2"], small: UInt8[np.ndarray, "h2 w2"], view: UInt8[np.ndarray, "h w"]
+) -> Float64[np.ndarray, "n 2"]:
+    """Where pixels of an image are in the one that it was resized from."""
+    zoom = np.array([view.shape[1] / small.shape[1], view.shape[0] / small.shape[0]])
+    return (pixels + 0.5) * zoom - 0.5
 
 
 @dataclass(frozen=True)
@@ -62,7 +84,7 @@ class Basis:
     """The principal components of a place's descriptors: half the numbers tell as much.
 
     Attributes:
-        mean: Of the roots of SIFT descriptors, (128,).
+        mean: Of the roots of SIFT descriptors, (128,); of other descriptors as many numbers as these have.
         axes: Principal axes, (128, 64).
     """
 

@@ -1,8 +1,7 @@
 """An image and a map -> poses of the camera, each verified by landmarks.
 
-Sources: Arandjelović and Zisserman, "All about VLAD", CVPR 2013 (which images look alike); Larsson et al., PoseLib (P3P
-in locally optimised RANSAC); Sattler, Leibe and Kobbelt, "Efficient and effective prioritized matching", 2017
-(landmarks found through others, by where they must be seen).
+Sources: Arandjelović and Zisserman, "All about VLAD", CVPR 2013 (which images look alike); Sattler, Leibe and Kobbelt,
+"Efficient and effective prioritized matching", 2017 (landmarks found through others, by where they must be seen).
 """
 
 from __future__ import annotations
@@ -12,34 +11,32 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import poselib
 from jaxtyping import Bool, Float64, Int64, UInt8
 
 from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
-from vapor.landmarks.features import Features, extract, restored
+from vapor.landmarks.features import Extractor, Features, extract, restored
 from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap
 from vapor.landmarks.matching import mutual_matches, mutual_matches_among, within
 from vapor.landmarks.points import by_pose, seen
+from vapor.landmarks.pose_solver import INLIER_PX, ROBUST_PX, PoseSolver, lo_ransac
 
+RATIO, COSINE = 0.9, 0.65
+"""Of matches of an image and a map: see `LandmarkLocalizer`."""
 _QUERY_PX, _FEATURES = 230, 300
-_RATIO = 0.9
 _ALIKE = 16  # key images that look most like an image
 _NEAR = 6  # key images nearest to a pose that is proposed
 _SHARED = 8  # points that key images of one place share
 _KNOWN = 0.2  # of the points of a key image: what shows more of what is seen from a verified pose is not looked at
 _MOST_PLACES = 8  # that are looked at
 _MOST_POINTS = 1000  # of a place, that are matched
-_LEAST_MATCHES, _LEAST_SUPPORT = 8, 8
-_INLIER_PX = 3.0
-_GUIDED_PX, _GUIDED_COSINE = 5.0, 0.65
+_LEAST_MATCHES = 8
+_GUIDED_PX = 5.0
 _GUIDED_FROM = 20  # key images near a pose, whose points are looked for
 _DAMPING, _MOST_CONDITION = 1e-9, 1e12
-_ROUNDS, _ROBUST_PX = 6, 1.0
+_ROUNDS = 6
 _LOOKS_ALONG = 0.7  # cosine between the axes of two cameras that may show the same
 _APART = 0.25, 0.2  # depths and radians: poses within are one
-_TRIES = {"max_reproj_error": _INLIER_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
-_LOSS = {"loss_type": "CAUCHY", "loss_scale": _ROBUST_PX}
 
 
 @dataclass(frozen=True)
@@ -61,9 +58,9 @@ class VerifiedPose:
     residuals: Float64[np.ndarray, "k 2"]
 
 
-def query_features(view: UInt8[np.ndarray, "h w"]) -> Features:
-    """Features of a grey image to be localized, with all numbers of SIFT."""
-    return extract(view, _FEATURES, longest=_QUERY_PX)
+def query_features(view: UInt8[np.ndarray, "h w"], extractor: Extractor = extract) -> Features:
+    """Features of a grey image to be localized, with all numbers of SIFT, or as an extractor describes them."""
+    return extractor(view, _FEATURES, longest=_QUERY_PX)
 
 
 class LandmarkLocalizer:
@@ -72,18 +69,25 @@ class LandmarkLocalizer:
     Args:
         landmarks: The map.
         ignored: Key images of it that nothing is looked for in, (n,); None for none.
+        extractor: What finds features, the one that found those of the map.
+        solver: What finds a pose by matches, many of which are wrong.
+        ratio: Of the distances of a feature's nearest and second nearest descriptor of the map, in a match.
+        cosine: Of the descriptors of a match that lies where it must be.
     """
 
-    def __init__(self, landmarks: LandmarkMap, ignored: Bool[np.ndarray, " n"] | None = None) -> None:
+    def __init__(
+        self,
+        landmarks: LandmarkMap,
+        ignored: Bool[np.ndarray, " n"] | None = None,
+        *,
+        extractor: Extractor = extract,
+        solver: PoseSolver = lo_ransac,
+        ratio: float = RATIO,
+        cosine: float = COSINE,
+    ) -> None:
         self.landmarks = landmarks
         self._ignored = np.zeros(len(landmarks.poses), bool) if ignored is None else ignored
-        camera = landmarks.camera.camera
-        self._pinhole = {
-            "model": "PINHOLE",
-            "width": camera.width,
-            "height": camera.height,
-            "params": [camera.fx, camera.fy, camera.cx, camera.cy],
-        }
+        self._extractor, self._solver, self._ratio, self._cosine = extractor, solver, ratio, cosine
 
     @cached_property
     def _times_shown(self) -> Int64[np.ndarray, " p"]:
@@ -96,7 +100,7 @@ class LandmarkLocalizer:
             view: Of the map's camera.
             distorted: Whether its lens distorts it, as it does the key images; else it is a pinhole camera's.
         """
-        return self.described(query_features(view), distorted=distorted)
+        return self.described(query_features(view, self._extractor), distorted=distorted)
 
     def described(self, found: Features, *, distorted: bool = True) -> Features:
         """The same of features from `query_features`."""
@@ -166,7 +170,14 @@ class LandmarkLocalizer:
 
     def ignoring(self, ignored: Bool[np.ndarray, " n"]) -> LandmarkLocalizer:
         """The same that looks for nothing in some more key images."""
-        return LandmarkLocalizer(self.landmarks, self._ignored | ignored)
+        return LandmarkLocalizer(
+            self.landmarks,
+            self._ignored | ignored,
+            extractor=self._extractor,
+            solver=self._solver,
+            ratio=self._ratio,
+            cosine=self._cosine,
+        )
 
     def view_distances(self, pose: Poses) -> Float64[np.ndarray, " n"]:
         """How different key images are from what a camera at a pose sees, (n,): infinite where they show nothing of it.
@@ -205,14 +216,11 @@ class LandmarkLocalizer:
     def _first_pose(self, features: Features, images: Sequence[int]) -> Poses | None:
         """camera_from_world by the points of some key images; None where these are not what the image shows."""
         m, points = self.landmarks, self._points_of(images)
-        a, b = mutual_matches(features.descriptors, restored(m.descriptors[points]), _RATIO)
+        a, b = mutual_matches(features.descriptors, restored(m.descriptors[points]), self._ratio)
         if len(a) < _LEAST_MATCHES:
             return None
         at = m.points[points[b]].astype(np.float64)
-        pose, said = poselib.estimate_absolute_pose(features.pixels[a], at, self._pinhole, _TRIES, _LOSS)
-        if said["num_inliers"] < _LEAST_SUPPORT:
-            return None
-        return Poses(np.asarray(pose.R, np.float64), np.asarray(pose.t, np.float64)).orthonormal()
+        return self._solver(features.pixels[a], at, m.camera.camera)
 
     def _refined(self, features: Features, camera_from_world: Poses) -> VerifiedPose | None:
         """A pose by all landmarks that must be seen from it, looked for where they must be seen."""
@@ -224,7 +232,7 @@ class LandmarkLocalizer:
         points = points[inside]
         a, b = within(features.pixels, at[inside], _GUIDED_PX)
         likeness = np.vecdot(features.descriptors[a], restored(m.descriptors[points[b]]))
-        alike = likeness > _GUIDED_COSINE
+        alike = likeness > self._cosine
         a, b = mutual_matches_among(likeness[alike], a[alike], b[alike])
         if len(a) < LEAST_INLIERS:
             return None
@@ -233,7 +241,7 @@ class LandmarkLocalizer:
         for _ in range(_ROUNDS):
             found = seen(camera_from_world, at)
             residual = found.at * camera.focal + camera.centre - pixels
-            weight = 1.0 / (1.0 + np.square(residual).sum(axis=1) / _ROBUST_PX**2)
+            weight = 1.0 / (1.0 + np.square(residual).sum(axis=1) / ROBUST_PX**2)
             jacobian = camera.focal[:, None] * by_pose(found)
             weighted = (jacobian * weight[:, None, None]).reshape(-1, 6)
             information = weighted.T @ jacobian.reshape(-1, 6)
@@ -250,7 +258,7 @@ class LandmarkLocalizer:
                 break
         camera_from_world = camera_from_world.orthonormal()
         residual = seen(camera_from_world, at).at * camera.focal + camera.centre - pixels
-        inlier = np.square(residual).sum(axis=1) < _INLIER_PX**2
+        inlier = np.square(residual).sum(axis=1) < INLIER_PX**2
         if np.count_nonzero(inlier) < LEAST_INLIERS:
             return None
         spread = float(np.square(residual[inlier]).sum() / (2.0 * np.count_nonzero(inlier) - 6.0))

@@ -26,6 +26,7 @@ OUTPUTS = {
     "real": ["benchmark", "real", "--data", "real", "--only", "stairs_hloc", "--output"],
     "alpha": ["experiment", "alpha", "round-table", "--output"],
     "decay": ["experiment", "decay", "--output"],
+    "landmarks": ["experiment", "landmarks", "--data", "real", "--output"],
     "schedule": ["experiment", "schedule", "--output"],
     "table": ["experiment", "table", "round-table", "--output"],
     "synthesize": ["synthesize", "round-table"],
@@ -62,6 +63,7 @@ def belongings(walk_of_25, tiny_model, earlier, monkeypatch) -> Path:
     for file in ("stairs_test.txt", "estimates/stairs_hloc.txt"):
         (folder / "real" / "7scenes_stairs" / file).parent.mkdir(parents=True, exist_ok=True)
         (folder / "real" / "7scenes_stairs" / file).write_text("mine")
+    (folder / "real" / "7scenes_redkitchen" / "seq-01").mkdir(parents=True)
     return folder
 
 
@@ -148,6 +150,7 @@ READ = {
     "faults": (OUTPUTS["faults"], ["."]),
     "recorded faults": (OUTPUTS["recorded faults"], ["."]),
     "real": (["benchmark", "real", "--data", "real", "--output"], [".", "real/7scenes_stairs"]),
+    "landmarks": (OUTPUTS["landmarks"], [".", "real/7scenes_stairs"]),
     "alpha": ([*OUTPUTS["alpha"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
     "decay": ([*OUTPUTS["decay"][:-1], "--train.pretrained-weights", "m.safetensors", "--output"], ["."]),
     "schedule": ([*OUTPUTS["schedule"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
