@@ -26,7 +26,7 @@ def test_a_page_beside_the_figures_has_them_too(tmp_path, monkeypatch, capsys):
     page = ReadPage.of((tmp_path / "figures.html").read_text())
     assert "Right from the first image on, 4.0 cm and 0.0° off in the median." in page.words
     assert "vapor-track evaluate run --output figures.json" in page.words
-    assert page.cells[page.cells.index("particle filter") + 1].split() == ["0.04", "m", "0.0°"]
+    assert page.cells[page.cells.index("particle filter") + 1].split() == ["0.040", "m", "0.0°"]
     assert main(["evaluate", "run", "--output", "figures.json"]) == 0, "its own page is replaced"
     (tmp_path / "mine.html").write_text("<p>mine</p>")
     refuse(["evaluate", "run", "--output", "mine.json"], capsys, "mine.html")

@@ -9,6 +9,7 @@ import torch
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
+from tests.helpers.full import full
 from tests.helpers.pages import ReadPage
 from tests.helpers.textured_room import CAMERA, Room, walk
 from vapor.experiments import landmarks as experiment
@@ -58,6 +59,7 @@ CONFIG = PartsConfig(
 )
 
 
+@full
 def test_each_choice_of_parts_is_measured_once_and_kept(rooms, tmp_path, monkeypatch):
     cells = [cell for of_map in measured([rooms], tmp_path, CONFIG, Workers(1)) for cell in of_map]
     assert len(cells) == 2 * 2 * 2

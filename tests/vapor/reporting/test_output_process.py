@@ -98,7 +98,7 @@ def test_an_error_of_what_is_written_comes_with_a_later_image_or_at_the_end_and_
     pid = pid_of()
     with pytest.raises(VaporTrackError, match=r"expected the folder .*absent to exist"):
         write(tmp_path / "absent", steps[:1])
-    broken = [(steps[0][0], None)]
+    broken = [(steps[0][0], replace(steps[0][1], estimate=None))]
     with pytest.raises(RuntimeError, match=r"in the process that writes the results:\n(.*\n)*AttributeError"):
         write(tmp_path, broken + steps)
     assert list(tmp_path.iterdir()) == []
