@@ -182,8 +182,8 @@ def _without_torchvision() -> Any:
         return made
 
     root, models = ModuleType("torchvision"), ModuleType("torchvision.models")
-    root.ops = SimpleNamespace(deform_conv2d=deformable_convolution)  # type: ignore[attr-defined]
-    models.resnet = SimpleNamespace(conv1x1=convolution(1), conv3x3=convolution(3))  # type: ignore[attr-defined]
+    vars(root)["ops"] = SimpleNamespace(deform_conv2d=deformable_convolution)
+    vars(models)["resnet"] = SimpleNamespace(conv1x1=convolution(1), conv3x3=convolution(3))
     sys.modules |= {"torchvision": root, "torchvision.models": models}
     try:
         yield

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float64
-from scipy.spatial import KDTree
+from jaxtyping import Bool
 
 from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
@@ -125,14 +124,7 @@ class HeldOutLandmarks:
             return ignored
         around = np.flatnonzero(localizer.view_distances(found) < _AROUND)
         moved = (truth @ found.inverse()) @ localizer.landmarks.poses[around]
-        apart = [_view_distances(moved, others, depth_m) for others in (self.hidden, localizer.landmarks.poses)]
+        views = (MappedViews(others, depth_m, 1.0, 0.0) for others in (self.hidden, localizer.landmarks.poses))
+        apart = [each.distances(moved) for each in views]
         ignored[around] = apart[0] < apart[1]
         return ignored
-
-
-def _view_distances(poses: Poses, others: Poses, depth_m: float) -> Float64[np.ndarray, " m"]:
-    """How different what a camera at each pose (m,) sees is from the likest of what others see (n,)."""
-    if not len(poses) or not len(others):
-        return np.full(len(poses), np.inf)
-    places, own = (np.hstack([each.translation / depth_m, each.rotation[:, :, 2]]) for each in (others, poses))
-    return KDTree(places).query(own)[0]
