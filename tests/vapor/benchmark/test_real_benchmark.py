@@ -154,7 +154,8 @@ def test_a_place_stands_twice_and_what_is_there_once_in_the_copy_walked_in(tmp_p
     monkeypatch.setattr(real_benchmark, "ROWS", (copied,))
     assert run(tmp_path, tmp_path / "out", "--seeds", "2") == 0
     rows = summary_of(tmp_path / "out")["summary"]
-    assert rows.keys() == {"copied, before", "copied, after"}
+    assert rows.keys() == {"copied, before", "copied, 2 s after", "copied, after"}
+    assert rows["copied, 2 s after"]["images"] == 1
     assert rows["copied, after"]["whole_draws"]["right"].keys() == rows["copied, after"]["methods"].keys()
     assert "copied places: draws in which every image is right" in capsys.readouterr().out
 

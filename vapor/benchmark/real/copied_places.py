@@ -114,11 +114,12 @@ class CopiedPlaces:
         motions = [track.between(before, now, MotionNoise()) for before, now in pairwise(times_ns.tolist())]
         fit = checkpoint.calibration.odometry
         since = times_ns - times_ns[first]
+        after = since >= round(_AFTER_S * 1e9)
         return Draw(
             Passage(times_ns, (None, *motions), truth[images], lambda i: of_recorded(int(images[i]))).restated(fit),
             checkpoint.calibration.errors,
             config if fit is None else replace(config, slow_errors=fit.slow_errors),
-            {"before": since < 0, "after": since >= round(_AFTER_S * 1e9)},
+            {"before": since < 0, f"{_AFTER_S:g} s after": after & (np.cumsum(after) == 1), "after": after},
             self.unit_m,
             in_sequences=False,
         )

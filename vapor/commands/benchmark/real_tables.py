@@ -101,7 +101,10 @@ def _copied(summary: Summary) -> Table:
     """Of each method in how many draws it is right throughout, before the part that is there once is seen and after."""
     columns = [*map(label, LOCALIZING), "converged\nthroughout", "never\nconverged"]
     table = _table("copied places: draws in which every image is right, %", *columns)
-    table.caption = "images are real, the places are copies; before: chance; after: from 2 s after it is seen on"
+    table.caption = (
+        "images are real, the places are copies; before what is there once is seen: chance;"
+        " 2 s after: that image alone; after: from it on"
+    )
     for name, row in summary.items():
         draws = row["whole_draws"]
         figures = [*(draws["right"][method] for method in LOCALIZING), draws["converged"], draws["never_converged"]]
