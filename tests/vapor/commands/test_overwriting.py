@@ -20,7 +20,6 @@ OUTPUTS = {
     "demo": ["demo", "--output"],
     "inspect": ["inspect", "walk.mcap", "--output"],
     "benchmark": ["benchmark", "localization", "ceiling", "--models", "m.safetensors", "--output"],
-    "textbook": ["benchmark", "textbook", "ceiling", "--models", "m.safetensors", "--output"],
     "faults": ["benchmark", "faults", "ceiling", "--models", "m.safetensors", "--output"],
     "recorded faults": ["benchmark", "faults", "--recordings", "walk.mcap", "--models", "m.safetensors", "--output"],
     "real": ["benchmark", "real", "--data", "real", "--only", "stairs_hloc", "--output"],

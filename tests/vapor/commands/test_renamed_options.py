@@ -65,7 +65,7 @@ def test_a_wrong_value_is_told_by_the_new_name(capsys):
 
 KINDS = {
     "experiment": ("alpha", "decay", "landmarks", "schedule", "table"),
-    "benchmark": ("step", "familiarity", "real", "localization", "textbook", "faults"),
+    "benchmark": ("step", "familiarity", "real", "localization", "faults"),
 }
 
 

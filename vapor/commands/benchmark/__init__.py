@@ -8,7 +8,7 @@ from importlib import import_module
 from vapor.commands.console import usage_error
 from vapor.commands.terminal import overview, write
 
-KINDS = ("step", "localization", "textbook", "faults", "familiarity", "real", "cluster", "live", "live-faults")
+KINDS = ("step", "localization", "faults", "familiarity", "real", "live", "live-faults")
 """Names of the modules here that each have `Options`, with a docstring that says what is measured, and `main`."""
 
 
