@@ -16,7 +16,6 @@ from sequences.atomic import atomic_output
 from sequences.outputs.claims import claim_folder
 from sequences.scenes import SCENES
 from vapor.commands.console import OutputPath, Overwrite, SharedOutputPath, command_line, show, usage_error
-from vapor.commands.experiment_landmarks import LandmarksOptions, run_landmarks
 from vapor.commands.experiment_progress import render, settings_of, trained
 from vapor.commands.experiment_sweeps import AlphaOptions, DecayOptions, run_alpha, run_decay
 from vapor.commands.named_settings import Preset, parse_named
@@ -80,7 +79,6 @@ class ScheduleOptions:
 KINDS = {
     "alpha": AlphaOptions,
     "decay": DecayOptions,
-    "landmarks": LandmarksOptions,
     "schedule": ScheduleOptions,
     "table": TableOptions,
 }
@@ -92,17 +90,12 @@ def main(arguments: Sequence[str]) -> None:
     kinds = {
         "alpha": run_alpha,
         "decay": run_decay,
-        "landmarks": run_landmarks,
         "schedule": _schedule,
         "table": _table,
     }
     if arguments[:1] in (["-h"], ["--help"]):
         meanings = {kind: (options.__doc__ or "").split("\n", 1)[0] for kind, options in KINDS.items()}
-        write(
-            overview(
-                "vapor-track experiment KIND", "Many training runs, or maps; each kind has its own --help.", meanings
-            )
-        )
+        write(overview("vapor-track experiment KIND", "Many training runs; each kind has its own --help.", meanings))
         return
     if not arguments or arguments[0] not in kinds:
         usage_error("experiment", f"expected one of {', '.join(kinds)} first")

@@ -206,4 +206,4 @@ def test_the_decay_experiment_judges_test_and_training_images_and_goes_on(tmp_pa
 def test_another_kind_of_experiment_is_refused(capfd):
     with pytest.raises(SystemExit, match="2"):
         main(["experiment", "beta"])
-    assert "expected one of alpha, decay, landmarks, schedule, table first" in capfd.readouterr().err
+    assert "expected one of alpha, decay, schedule, table first" in capfd.readouterr().err
