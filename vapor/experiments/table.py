@@ -134,7 +134,7 @@ class TableExperiment:
         c = self.config
         yield from carry_out(
             [
-                TrainingRun(scene, method, self._train_config(method, seed), c.gamma, c.num_samples, c.localize, True)
+                TrainingRun(scene, method, self._train_config(method, seed), c.gamma, c.num_samples, c.localize)
                 for seed in range(c.first_seed, c.first_seed + c.seeds)
                 for scene in self._scenes.values()
                 for method in c.methods

@@ -9,15 +9,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from filtering.se3 import Poses
 from sequences.atomic import atomic_output, workspace
-from sequences.files.structured import read_arrays, read_json
-from vapor.benchmark.recordings.storage import from_rows, to_rows
+from sequences.files.structured import read_json
 from vapor.cache import digest
 from vapor.checkpoints.file_format import load_checkpoint
-from vapor.checkpoints.thinning import spaced
 from vapor.engines.device import resolve_device
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import exact_log_density, predict
@@ -35,7 +30,6 @@ from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingError, TrainingSet
 
 _RESULTS = 2  # counts up when the same training gives other results than before
-_SHOWN = 25  # test images whose samples are kept for pictures, evenly spaced
 
 
 @dataclass(frozen=True)
@@ -49,8 +43,6 @@ class TrainingRun:
         gamma: Fraction of an image's samples that must be near its true pose.
         num_samples: Posterior samples per test image.
         localize: Whether the particle filter runs over the test sequences, too.
-        keep_model: Whether the model stays, so that testing it in another way does not take training again.
-        training_images: Images of those trained on that are evaluated as well, evenly spaced.
     """
 
     scene: Scene
@@ -59,23 +51,20 @@ class TrainingRun:
     gamma: float
     num_samples: int
     localize: bool = False
-    keep_model: bool = False
-    training_images: int = 0
 
     def model_file(self, directory: Path) -> Path:
-        """Where the model lies, named after all that training depends on."""
+        """Where the model lies, named after all that training depends on: another test takes no other training."""
         return directory / "runs" / f"{self._name}-{digest(trained_from(self.scene, self.config))}.safetensors"
 
-    def file(self, directory: Path, suffix: str) -> Path:
+    def result_file(self, directory: Path) -> Path:
         """Where its result lies, named after all that it depends on."""
         tested = {
             "test": identities(self.scene.test),
             "gamma": self.gamma,
             "num_samples": self.num_samples,
             "localize": self.localize,
-            "training_images": self.training_images,
         }
-        return directory / "runs" / f"{self._name}-{digest(trained_from(self.scene, self.config) | tested)}{suffix}"
+        return directory / "runs" / f"{self._name}-{digest(trained_from(self.scene, self.config) | tested)}.json"
 
     @property
     def _name(self) -> str:
@@ -94,23 +83,15 @@ def carry_out(runs: Sequence[TrainingRun], directory: Path, workers: Workers) ->
     A training whose worker dies goes on from its last epoch, on whichever worker is next to take it up: its state lies
     beside where its model will, until it is done.
 
-    JSON: `scene`, `label`, `seed`; `seconds` of training and `images_seen`, all of `posterior_metrics`, with
-    `training_images` the same of these as `training`, and with `localize` `filter`, the report of every test sequence;
-    or `error`, why it could not be trained.
+    JSON: `scene`, `label`, `seed`; `seconds` of training and `images_seen`, all of `posterior_metrics`, and with
+    `localize` `filter`, the report of every test sequence; or `error`, why it could not be trained.
     """
     (directory / "runs").mkdir(parents=True, exist_ok=True)
     yield from in_parallel(_result, [(replace(run, scene=run.scene.anywhere), directory) for run in runs], workers)
 
 
-def cached_samples(training: TrainingRun, directory: Path) -> tuple[Poses, list[Poses]]:
-    """True poses of some test images, and the posterior samples of each, of a run that is done."""
-    stored = read_arrays(fetched(training.file(directory, ".npz")))
-    rows = {name: stored[name].astype(np.float64) for name in ("truth", "samples")}
-    return from_rows(rows["truth"]), [from_rows(image) for image in rows["samples"]]
-
-
 def _result(training: TrainingRun, directory: Path) -> dict[str, Any]:
-    file = fetched(training.file(directory, ".json"))
+    file = fetched(training.result_file(directory))
     if file.is_file():
         return read_json(file)
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -122,12 +103,11 @@ def _result(training: TrainingRun, directory: Path) -> dict[str, Any]:
         except TrainingError as error:
             result["error"] = str(error)
         else:
-            result |= _test(training, directory, model, folder)
+            result |= _test(training, model, folder)
     with atomic_output(file) as partial:
         partial.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     published(file)
-    for done_with in (state_path(model), *(() if training.keep_model else (model, model.with_suffix(".json")))):
-        withdrawn(done_with)
+    withdrawn(state_path(model))
     return result
 
 
@@ -162,42 +142,22 @@ def _train(training: TrainingRun, model: Path) -> dict[str, float]:
     return cost
 
 
-def _test(training: TrainingRun, directory: Path, model: Path, folder: Path) -> dict[str, Any]:
+def _test(training: TrainingRun, model: Path, folder: Path) -> dict[str, Any]:
     seed, scene = training.config.seed, training.scene
     checkpoint = load_checkpoint(model)
     network = checkpoint.build_network().to(resolve_device(training.config.device))
-
-    def evaluate(images: TrainingSet, kept: dict[int, Poses]) -> dict[str, Any]:
-        def posteriors() -> Iterator[Poses]:
-            for index, posterior in enumerate(predict(network, images, training.num_samples, seed)):
-                if index in kept:
-                    kept[index] = posterior
-                yield posterior
-
-        return posterior_metrics(
-            posteriors(),
-            images.poses,
-            checkpoint.calibration,
-            gamma=training.gamma,
-            exact_log_density=exact_log_density(network, images),
-        )
-
-    size = training.config.network.frame_size
-    test = _images(scene.test, size)
-    shown = spaced(len(test), _SHOWN)
-    kept = dict.fromkeys(shown.tolist(), Poses.identity())
-    result = evaluate(test, kept)
-    if training.training_images:
-        seen = _images(scene.train, size)
-        result["training"] = evaluate(seen.select(spaced(len(seen), training.training_images)), {})
+    images = _images(scene.test, training.config.network.frame_size)
+    result = posterior_metrics(
+        predict(network, images, training.num_samples, seed),
+        images.poses,
+        checkpoint.calibration,
+        gamma=training.gamma,
+        exact_log_density=exact_log_density(network, images),
+    )
     if training.localize:
         config = RunConfig(seed, recording=False, num_samples=training.num_samples, device=training.config.device)
         result["filter"] = [
             run(parse_entry(entry)[0], str(model), folder / f"run-{k}", config).report
             for k, entry in enumerate(scene.test)
         ]
-    with atomic_output(training.file(directory, ".npz")) as partial, partial.open("wb") as out:
-        rows = np.stack([to_rows(kept[i]) for i in shown.tolist()])
-        np.savez(out, truth=to_rows(test.poses[shown]), samples=rows.astype(np.float32))
-    published(training.file(directory, ".npz"))
     return result

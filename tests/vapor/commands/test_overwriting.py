@@ -23,9 +23,6 @@ OUTPUTS = {
     "faults": ["benchmark", "faults", "ceiling", "--models", "m.safetensors", "--output"],
     "recorded faults": ["benchmark", "faults", "--recordings", "walk.mcap", "--models", "m.safetensors", "--output"],
     "real": ["benchmark", "real", "--data", "real", "--only", "stairs_hloc", "--output"],
-    "alpha": ["experiment", "alpha", "round-table", "--output"],
-    "decay": ["experiment", "decay", "--output"],
-    "schedule": ["experiment", "schedule", "--output"],
     "table": ["experiment", "table", "round-table", "--output"],
     "synthesize": ["synthesize", "round-table"],
     "convert": ["convert", "data"],
@@ -148,9 +145,11 @@ READ = {
     "faults": (OUTPUTS["faults"], ["."]),
     "recorded faults": (OUTPUTS["recorded faults"], ["."]),
     "real": (["benchmark", "real", "--data", "real", "--output"], [".", "real/7scenes_stairs"]),
-    "alpha": ([*OUTPUTS["alpha"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
-    "decay": ([*OUTPUTS["decay"][:-1], "--train.pretrained-weights", "m.safetensors", "--output"], ["."]),
-    "schedule": ([*OUTPUTS["schedule"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
+    "table's model": ([*OUTPUTS["table"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
+    "table's weights": (
+        [*OUTPUTS["table"][:-1], "--train.pretrained-weights", "m.safetensors", "--output"],
+        ["."],
+    ),
     "table": (["experiment", "table", "own=data=walk.mcap", "--output"], [".", "data/seq-01"]),
 }
 """Words of a command that reads, and outputs that are read, or that hold or lie in what is."""

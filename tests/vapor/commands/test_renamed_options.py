@@ -64,7 +64,7 @@ def test_a_wrong_value_is_told_by_the_new_name(capsys):
 
 
 KINDS = {
-    "experiment": ("alpha", "decay", "schedule", "table"),
+    "experiment": ("table",),
     "benchmark": ("step", "familiarity", "real", "localization", "faults"),
 }
 

@@ -1,5 +1,6 @@
 """Methods side by side, in a table."""
 
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +14,10 @@ from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_experiments import TINY_TRAIN
 from vapor.commands import experiment as experiment_command
 from vapor.experiments import training_runs as runs_module
-from vapor.experiments.scenes import Scene
+from vapor.experiments.scenes import Scene, rendered_height
 from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
 from vapor.experiments.training_runs import TrainingRun
+from vapor.regressors.network_config import NetworkConfig
 from vapor.track import main
 from vapor.training.presets import PRESETS
 
@@ -50,6 +52,32 @@ def test_methods_are_trained_and_drive_the_filter(tmp_path):
     rows = [line.count("|") for line in text.splitlines() if line.startswith("|")]
     assert len(rows) == 4
     assert len(set(rows)) == 1
+
+
+def test_images_are_read_once_for_many_trainings_and_again_when_a_file_changes(tmp_path, monkeypatch):
+    read = []
+    load = runs_module.load_training_set
+    monkeypatch.setattr(runs_module, "load_training_set", lambda s, *a, **k: read.append(list(s)) or load(s, *a, **k))
+    monkeypatch.setattr(runs_module, "in_parallel", lambda function, jobs, _: (function(*job) for job in jobs))
+    experiment = TableExperiment([parse_scene("round-table")], tmp_path, replace(TINY_TABLE, localize=False))
+    list(experiment.render())
+    list(experiment.train())
+    assert len(read) == 2  # to train on and to test on, for two trainings
+    (walk,) = (tmp_path / "images").glob("*-train-*")
+    os.utime(walk)
+    list(experiment.train())
+    assert [len(names) for names in read] == [1, 1, 1]
+    assert "train" in read[2][0]
+
+
+@pytest.mark.parametrize(
+    "network",
+    [NetworkConfig(), PRESETS["tables"].network, PRESETS["resnet18"].network, NetworkConfig(image_width=320)],
+)
+def test_synthetic_images_are_never_enlarged_for_a_network(network):
+    height = rendered_height(network.frame_size)
+    assert height > network.frame_size[1]
+    assert round(height * 4 / 3) > network.frame_size[0]
 
 
 def test_the_table_gives_medians_and_the_range_of_the_seeds():
@@ -137,18 +165,13 @@ def test_the_same_scene_twice_is_refused(tmp_path):
         TableExperiment([parse_scene("ceiling")] * 2, tmp_path, TINY_TABLE)
 
 
-@pytest.mark.parametrize(
-    ("words", "experiment"),
-    [
-        (["table", "round-table", "--preset", "demo", "--preset", "tables", "--train.epochs", "3"], "TableExperiment"),
-        (["schedule", "--preset=tables", "--train.epochs=3"], "ScheduleExperiment"),
-    ],
-)
-def test_a_table_and_a_schedule_start_from_a_preset(words, experiment, monkeypatch, tmp_path):
+@pytest.mark.parametrize("words", [["--preset", "demo", "--preset", "tables"], ["--preset=tables"]])
+def test_a_table_starts_from_a_preset(words, monkeypatch, tmp_path):
     given = []
-    monkeypatch.setattr(experiment_command, experiment, lambda *arguments: given.append(arguments[2]) or sys.exit(0))
+    experiment = lambda *arguments: given.append(arguments[2]) or sys.exit(0)  # noqa: E731
+    monkeypatch.setattr(experiment_command, "TableExperiment", experiment)
     with pytest.raises(SystemExit):
-        main(["experiment", *words, "--output", str(tmp_path)])
+        main(["experiment", "table", "round-table", *words, "--train.epochs", "3", "--output", str(tmp_path)])
     assert given[0].train == replace(PRESETS["tables"], epochs=3)
 
 
@@ -172,11 +195,11 @@ def test_results_of_other_data_of_the_same_name_are_not_taken_for_these(tmp_path
         files.append(
             TrainingRun(Scene("desk", (f"{tmp_path}/{folder}/TrainSplit.txt",), ("t",)), "x", TINY_TRAIN, 0.1, 10)
         )
-    assert files[0].file(tmp_path, ".json") != files[1].file(tmp_path, ".json")
+    assert files[0].result_file(tmp_path) != files[1].result_file(tmp_path)
     assert files[0].model_file(tmp_path) != files[1].model_file(tmp_path)
-    before = files[0].file(tmp_path, ".json")
+    before = files[0].result_file(tmp_path)
     (tmp_path / "chess" / "TrainSplit.txt").write_text("another one")
-    assert files[0].file(tmp_path, ".json") != before
+    assert files[0].result_file(tmp_path) != before
 
 
 @pytest.mark.parametrize("entry", ["TrainSplit.txt", "seq-01", "seq-01@2:5", ""])
@@ -184,14 +207,14 @@ def test_a_file_changed_inside_a_data_set_makes_another_training(entry, tmp_path
     scene = make_7scenes(tmp_path / "chess")
     (scene / "TrainSplit.txt").write_text("sequence1")
     training = TrainingRun(Scene("desk", (str(scene / entry),), (str(tmp_path / "t"),)), "x", TINY_TRAIN, 0.1, 10)
-    before = training.file(tmp_path, ".json"), training.model_file(tmp_path)
+    before = training.result_file(tmp_path), training.model_file(tmp_path)
     monkeypatch.chdir(tmp_path)
     relative = replace(training, scene=Scene("desk", (str(Path("chess") / entry),), (str(tmp_path / "t"),)))
     assert before[1] == relative.model_file(tmp_path)
-    assert before == (training.file(tmp_path, ".json"), training.model_file(tmp_path))
+    assert before == (training.result_file(tmp_path), training.model_file(tmp_path))
     with open(scene / "seq-01" / "frame-000003.pose.txt", "a") as pose:
         pose.write("\n")
-    after = training.file(tmp_path, ".json"), training.model_file(tmp_path)
+    after = training.result_file(tmp_path), training.model_file(tmp_path)
     assert before[0] != after[0]
     assert before[1] != after[1]
 
