@@ -10,17 +10,17 @@ from pathlib import Path
 import fsspec
 import pytest
 
+from tests.helpers.command_line import main
 from tests.helpers.full import full
 from tests.helpers.tiny_experiments import TINY_TRAIN
 from tests.helpers.tiny_model import SMALL
 from vapor.benchmark.recordings import record as record_module
+from vapor.benchmark.regressors import training_runs as runs_module
+from vapor.benchmark.regressors.scenes import _render, render_scenes
+from vapor.benchmark.regressors.table import TableConfig, TableExperiment, parse_scene
 from vapor.benchmark.trials import run as run_module
-from vapor.experiments import training_runs as runs_module
-from vapor.experiments.scenes import _render, render_scenes
-from vapor.experiments.table import TableConfig, TableExperiment, parse_scene
 from vapor.parallel.jobs import Workers
 from vapor.storage import StorageError, absent, fetched, listed, local_path, published, url_of, withdrawn
-from vapor.track import main
 from vapor.training import saving as saving_module
 from vapor.training import state as state_module
 from vapor.training.state import state_path
@@ -86,14 +86,14 @@ def test_storage_that_cannot_be_used_is_told_in_one_line(machine, capsys):
     assert "Protocol not known" in err
     with pytest.raises(SystemExit):
         main(["run", "x.mcap", "--model", "ceiling", "--output", "s3://bucket/out"])
-    assert "only experiment and benchmark write to URLs" in capsys.readouterr().err
+    assert "only vapor-benchmark writes to URLs" in capsys.readouterr().err
 
 
 @full
 @pytest.mark.usefixtures("unchecked")
 def test_a_benchmark_under_a_url_goes_on_from_any_machine(machine, tiny_model, monkeypatch, capsys):
     fsspec.filesystem("memory").put(str(tiny_model), "/models/tiny.safetensors")
-    words = ["benchmark", "localization", "ceiling", "--models", "memory://models/tiny.safetensors", "--output"]
+    words = ["vapor-benchmark", "localization", "ceiling", "--models", "memory://models/tiny.safetensors", "--output"]
     words += ["memory://bench", "--kinds", "no-cue", "--runs", "1", "--frames", "50", "--width", "32"]
     words += ["--height", "24", "--workers", "1", "--num-samples", "40", "--localizer.max-hypotheses", "30"]
     assert main(words) == 0

@@ -1,4 +1,4 @@
-"""`vapor-track benchmark localization` from end to end, with a network that knows nothing."""
+"""`vapor-benchmark localization` from end to end, with a network that knows nothing."""
 
 import json
 from collections import Counter
@@ -11,12 +11,12 @@ from sequences.scenes.scene import Scene
 from tests.helpers.checks import no_checks
 from tests.helpers.full import full
 from tests.helpers.pages import ReadPage
+from vapor.benchmark.__main__ import main
 from vapor.benchmark.localization.summary import failed
 from vapor.benchmark.recordings import record
 from vapor.benchmark.trials import kinds, setup
 from vapor.benchmark.trials import run as trial_run
 from vapor.checkpoints.file_format import load_checkpoint
-from vapor.track import main
 from vapor.tracking.methods import METHODS
 
 pytestmark = pytest.mark.usefixtures("unchecked", "rough_light_in_module")
@@ -60,7 +60,7 @@ def calls(monkeypatch):
 
 
 def run(folder, tiny_model, *more: str) -> int:
-    words = ["benchmark", "localization", "ceiling", "--models", str(tiny_model), "--output", str(folder)]
+    words = ["localization", "ceiling", "--models", str(tiny_model), "--output", str(folder)]
     return main([*words, *OPTIONS, *more])
 
 
@@ -164,7 +164,7 @@ def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, 
 
 
 def test_walks_where_floors_look_alike_are_evaluated_but_for_the_floor_and_once_on_it(tiny_model, tmp_path, capsys):
-    words = ["benchmark", "localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
+    words = ["localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
     assert main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "0.02"]) == 0
     out = capsys.readouterr().out
     assert "corridor, whole walks, something unique early: 1 runs" in out

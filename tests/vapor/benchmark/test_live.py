@@ -18,6 +18,7 @@ from sequences.recordings.messages import odometry_from_message
 from tests.helpers.fake_transport import FakeTransport
 from tests.helpers.full import full
 from tests.helpers.tiny_model import SMALL
+from vapor.benchmark.__main__ import main
 from vapor.benchmark.live.measure import first_and_last, latency_of, require_alone
 from vapor.benchmark.live.traffic import (
     ODOMETRY,
@@ -30,7 +31,6 @@ from vapor.benchmark.live.traffic import (
     stamp_of,
     with_stamp,
 )
-from vapor.track import main
 
 
 def test_one_goes_there_and_back_again():
@@ -133,7 +133,7 @@ def test_nobody_else_may_be_in_the_domain():
 def test_the_command_measures_live(
     walk_of_25: Path, tiny_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    words = ["benchmark", "live", "--model", str(tiny_model), "--sequence", str(walk_of_25), "--rates", "20"]
+    words = ["live", "--model", str(tiny_model), "--sequence", str(walk_of_25), "--rates", "20"]
     words += ["--sizes", "160x120", "--minutes", "0.05", "--domain", str(1 + os.getpid() % 100)]
     assert main([*words, f"--live={shlex.join(SMALL)}", "--output", str(tmp_path / "out")]) == 0
     assert "160x120" in capsys.readouterr().out
@@ -156,5 +156,5 @@ def test_the_command_measures_live(
 )
 def test_options_that_make_no_sense(word: str, value: str, said: str, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit):
-        main(["benchmark", "live", "--model", "staircase", "--sequence", "x.mcap", word, value])
+        main(["live", "--model", "staircase", "--sequence", "x.mcap", word, value])
     assert said in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What the draws of each row of `benchmark real` add up to."""
+"""What the draws of each row of `vapor-benchmark real` add up to."""
 
 from __future__ import annotations
 

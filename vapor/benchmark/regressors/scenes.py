@@ -1,4 +1,4 @@
-"""Data of an experiment: scenes to train and test on, rendered where they are synthetic, and what identifies them."""
+"""Scenes to train and test on, rendered where they are synthetic, and what identifies them."""
 
 from __future__ import annotations
 

@@ -13,9 +13,9 @@ import numpy as np
 from filtering.errors import VaporTrackError, require_within
 from sequences.reader import SequenceReader
 from sequences.scenes import is_scene, scene_names
+from vapor.benchmark.regressors.scenes import Scene, render_scenes, rendered_height
+from vapor.benchmark.regressors.training_runs import TrainingRun, carry_out
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
-from vapor.experiments.scenes import Scene, render_scenes, rendered_height
-from vapor.experiments.training_runs import TrainingRun, carry_out
 from vapor.parallel.jobs import Workers
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS

@@ -1,4 +1,4 @@
-"""`vapor-track benchmark step`."""
+"""`vapor-benchmark step`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rich.table import Table
 from filtering.errors import VaporTrackError, require_within
 from sequences.frame import Camera, Frame
 from sequences.reader import SequenceReader
+from vapor.benchmark import PROGRAM
 from vapor.benchmark.timing import time_step, untrained
 from vapor.commands.console import parse, show
 from vapor.engines.device import Device
@@ -75,7 +76,7 @@ class Options:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    o = parse("benchmark step", Options, arguments)
+    o = parse("step", Options, arguments, program=PROGRAM)
     frames, camera = ([], None) if o.sequence is None else _frames(o.sequence)
     table = Table("part of a step", "median ms", "95 % ms", "99 % ms")
     with limited_threads(o.threads):

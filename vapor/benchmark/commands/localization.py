@@ -1,4 +1,4 @@
-"""`vapor-track benchmark localization`."""
+"""`vapor-benchmark localization`."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
+from vapor.benchmark import PROGRAM
+from vapor.benchmark.commands.localization_tables import Summary, failures, said, tables
+from vapor.benchmark.commands.outputs import claim_shared, publish_results
+from vapor.benchmark.commands.scenes import SceneOptions, listed, with_help, write_summary
 from vapor.benchmark.localization.benchmark import LocalizationBenchmark, LocalizationConfig
 from vapor.benchmark.localization.summary import summarise
 from vapor.benchmark.trials.kinds import KINDS
-from vapor.commands.benchmark.localization_tables import Summary, failures, said, tables
-from vapor.commands.benchmark.scenes import SceneOptions, listed, with_help, write_summary
 from vapor.commands.console import command_line, parse, show
 from vapor.commands.progress import progress
-from vapor.commands.workers import claim_shared, publish_results, workers_for
+from vapor.commands.workers import workers_for
 from vapor.parallel.jobs import Workers
 from vapor.reporting.html.findings_page import findings_page
 from vapor.reporting.html.page import Page, write_page
@@ -39,14 +41,14 @@ class Options(SceneOptions):
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    o = parse("benchmark localization", Options, arguments)
-    with workers_for("benchmark localization", o.config.workers, o.scheduler) as workers:
-        _measure(o, workers, command_line("benchmark", ["localization", *arguments]))
+    o = parse("localization", Options, arguments, program=PROGRAM)
+    with workers_for("localization", o.config.workers, o.scheduler, PROGRAM) as workers:
+        _measure(o, workers, command_line("localization", arguments, PROGRAM))
 
 
 def _measure(o: Options, workers: Workers, command: str) -> None:
     benchmark = LocalizationBenchmark(o.model_of, o.output, o.config, o.replaced, workers)
-    claim_shared(o.output, "benchmark localization", workers, reads=o.files_read, overwrite=o.overwrite)
+    claim_shared(o.output, "localization", workers, reads=o.files_read, overwrite=o.overwrite)
     with progress("choosing", "runs") as advance:
         trials = benchmark.choose(advance)
     with progress("rendering", "walks") as advance:

@@ -1,4 +1,4 @@
-"""The tables of `vapor-track benchmark localization`."""
+"""The tables of `vapor-benchmark localization`."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 
 from rich.table import Table
 
+from vapor.benchmark.commands.cells import Aggregate, figure, fraction, interval, new_table, over
 from vapor.benchmark.localization.summary import OFTEN, WITHIN_IMAGES
 from vapor.benchmark.methods import METHODS, OURS, label, ours_first
 from vapor.benchmark.trials.kinds import KINDS
-from vapor.commands.benchmark.cells import Aggregate, figure, fraction, interval, new_table, over
 from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.intervals import dissent
 from vapor.evaluation.sequential import LAST, SUCCESS_M

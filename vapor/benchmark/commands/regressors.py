@@ -1,4 +1,4 @@
-"""`vapor-track experiment`: methods side by side."""
+"""`vapor-benchmark regressors`: methods side by side."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from sequences.atomic import atomic_output
-from vapor.commands.console import Overwrite, SharedOutputPath, command_line, show, usage_error
+from vapor.benchmark import PROGRAM
+from vapor.benchmark.commands.outputs import SharedOutputPath, claim_shared, publish_results
+from vapor.benchmark.regressors.table import TableConfig, TableExperiment, failures, markdown, parse_scene, scene_tables
+from vapor.commands.console import Overwrite, command_line, show
 from vapor.commands.named_settings import Preset, parse_named
 from vapor.commands.progress import progress
-from vapor.commands.terminal import overview, write
-from vapor.commands.workers import Scheduler, claim_shared, publish_results, workers_for
+from vapor.commands.workers import Scheduler, workers_for
 from vapor.evaluation.trajectory import RIGHT
-from vapor.experiments.table import TableConfig, TableExperiment, failures, markdown, parse_scene, scene_tables
 from vapor.parallel.jobs import Workers
 from vapor.reporting.html import page as html
 from vapor.reporting.html.findings_page import findings_page
@@ -31,13 +32,13 @@ from vapor.training_data.entries import files_read
 
 
 @dataclass(frozen=True)
-class TableOptions:
+class Options:
     """Train every method on every scene, and measure recall, errors and densities."""
 
     scenes: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="SCENE ...")]
     """Synthetic scenes by name, or your own data: NAME=TRAIN,...=TEST,... with whatever `train` reads."""
     output: SharedOutputPath
-    """Directory for images, results, report.html, table.json and table.md, or its URL; an interrupted experiment goes
+    """Directory for images, results, report.html, table.json and table.md, or its URL; an interrupted call goes
     on."""
     overwrite: Overwrite = False
     scheduler: Scheduler = None
@@ -47,36 +48,17 @@ class TableOptions:
     config: Annotated[TableConfig, tyro.conf.arg(name="")] = field(default_factory=TableConfig)
 
 
-KINDS = {
-    "table": TableOptions,
-}
-"""The kinds by name, with their options, whose docstring says what they do."""
-
-
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    kinds = {
-        "table": _table,
-    }
-    if arguments[:1] in (["-h"], ["--help"]):
-        meanings = {kind: (options.__doc__ or "").split("\n", 1)[0] for kind, options in KINDS.items()}
-        write(overview("vapor-track experiment KIND", "Many training runs; each kind has its own --help.", meanings))
-        return
-    if not arguments or arguments[0] not in kinds:
-        usage_error("experiment", f"expected one of {', '.join(kinds)} first")
-    kinds[arguments[0]](arguments[1:])
+    o = parse_named("regressors", Options, arguments, ("preset",), _config, PROGRAM)
+    with workers_for("regressors", o.config.workers, o.scheduler, PROGRAM) as workers:
+        _fill_table(o, workers, command_line("regressors", arguments, PROGRAM))
 
 
-def _table(arguments: Sequence[str]) -> None:
-    o = parse_named("experiment table", TableOptions, arguments, ("preset",), _table_config)
-    with workers_for("experiment table", o.config.workers, o.scheduler) as workers:
-        _fill_table(o, workers, arguments)
-
-
-def _fill_table(o: TableOptions, workers: Workers, arguments: Sequence[str]) -> None:
+def _fill_table(o: Options, workers: Workers, command: str) -> None:
     scenes = [parse_scene(text) for text in o.scenes]
     reads = chain(o.config.train.files_read, files_read([entry for s in scenes for entry in (*s.train, *s.test)]))
-    claim_shared(o.output, "experiment table", workers, reads=reads, overwrite=o.overwrite)
+    claim_shared(o.output, "regressors", workers, reads=reads, overwrite=o.overwrite)
     experiment = TableExperiment(scenes, o.output, o.config, workers)
     order = {method: k for k, method in enumerate(o.config.methods)}
     settings = asdict(o.config) | {"train": _stored(o.config.train), "scenes": list(o.scenes)}
@@ -92,7 +74,6 @@ def _fill_table(o: TableOptions, workers: Workers, arguments: Sequence[str]) -> 
             with atomic_output(o.output / "table.md") as partial:
                 partial.write_text(markdown(results, o.config.gamma), encoding="utf-8")
             advance(len(results), len(o.scenes) * len(o.config.methods) * o.config.seeds)
-    command = command_line("experiment", ["table", *arguments])
     write_page(o.output / "report.html", _table_page(results, o.config.gamma, settings, command))
     publish_results(o.output)
     for each in scene_tables(results, o.config.gamma):
@@ -119,5 +100,5 @@ def _stored(config: TrainConfig) -> dict[str, Any]:
     return {key: str(value) if isinstance(value, Path) else value for key, value in config.as_stored().items()}
 
 
-def _table_config(preset: str) -> TableConfig:
+def _config(preset: str) -> TableConfig:
     return TableConfig(train=PRESETS[preset])

@@ -1,4 +1,4 @@
-"""The tables of `vapor-track benchmark faults`."""
+"""The tables of `vapor-benchmark faults`."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 
 from rich.table import Table
 
+from vapor.benchmark.commands.cells import Aggregate, fraction, new_table, percent
 from vapor.benchmark.faults.table import FAULTS, NONE
 from vapor.benchmark.faults.timing import FAULT_S, LONG_S, NOTICED_S, SETTLED_S
 from vapor.benchmark.methods import OURS, ours_first, short_label
-from vapor.commands.benchmark.cells import Aggregate, fraction, new_table, percent
 
 
 def fault_tables(summary: Mapping[str, Mapping[str, Aggregate]]) -> Iterator[Table]:

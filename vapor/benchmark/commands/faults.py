@@ -1,4 +1,4 @@
-"""`vapor-track benchmark faults`."""
+"""`vapor-benchmark faults`."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ import tyro
 from filtering.errors import VaporTrackError
 from sequences.datasets import listing
 from sequences.options import SequenceOptions
+from vapor.benchmark import PROGRAM
+from vapor.benchmark.commands.fault_tables import fault_failures, fault_tables
+from vapor.benchmark.commands.outputs import claim_shared, publish_results
+from vapor.benchmark.commands.scenes import SCENE_NAMES, SceneOptions, listed, with_help, write_summary
 from vapor.benchmark.faults.benchmark import FaultBenchmark, FaultsConfig
 from vapor.benchmark.faults.summary import summarise_faults
 from vapor.benchmark.faults.table import FAULTS
 from vapor.checkpoints.shipped_models import find_model
-from vapor.commands.benchmark.fault_tables import fault_failures, fault_tables
-from vapor.commands.benchmark.scenes import SCENE_NAMES, SceneOptions, listed, with_help, write_summary
 from vapor.commands.console import InputPath, parse, show
 from vapor.commands.progress import progress
-from vapor.commands.workers import claim_shared, publish_results, workers_for
+from vapor.commands.workers import workers_for
 from vapor.parallel.jobs import Workers
 from vapor.pipeline.find_sequences import unique_names
 from vapor.storage import fetched, url_of
@@ -88,8 +90,8 @@ class Options(SceneOptions):
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    o = parse("benchmark faults", Options, arguments)
-    with workers_for("benchmark faults", o.config.workers, o.scheduler) as workers:
+    o = parse("faults", Options, arguments, program=PROGRAM)
+    with workers_for("faults", o.config.workers, o.scheduler, PROGRAM) as workers:
         _measure(o, workers)
 
 
@@ -105,7 +107,7 @@ def _measure(o: Options, workers: Workers) -> None:
         reading=o.reading,
         workers=workers,
     )
-    claim_shared(o.output, "benchmark faults", workers, reads=o.files_read, overwrite=o.overwrite)
+    claim_shared(o.output, "faults", workers, reads=o.files_read, overwrite=o.overwrite)
     with progress("choosing", "walks") as advance:
         chosen, unused = benchmark.choose(advance)
     with progress("rendering", "walks") as advance:

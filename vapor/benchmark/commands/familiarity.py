@@ -1,4 +1,4 @@
-"""`vapor-track benchmark familiarity`."""
+"""`vapor-benchmark familiarity`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import tyro
 from rich.table import Table
 
 from filtering.errors import VaporTrackError, require_within
+from vapor.benchmark import PROGRAM
 from vapor.benchmark.foreign_images import IN_A_ROW, evaluate_flags
 from vapor.commands.console import parse, show
 from vapor.commands.progress import progress
@@ -47,7 +48,7 @@ class Options:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    o = parse("benchmark familiarity", Options, arguments)
+    o = parse("familiarity", Options, arguments, program=PROGRAM)
     model = VaporObservationModel.from_checkpoint(
         o.model, num_samples=1, device=o.device, engine=o.network.engine, precision=o.network.precision
     )

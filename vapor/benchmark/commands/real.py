@@ -1,4 +1,4 @@
-"""`vapor-track benchmark real`."""
+"""`vapor-benchmark real`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from typing import Annotated, Any
 import tyro
 
 from filtering.errors import require_within
+from vapor.benchmark import PROGRAM
+from vapor.benchmark.commands.outputs import SharedOutputPath, claim_shared, publish_results
+from vapor.benchmark.commands.real_tables import tables
 from vapor.benchmark.real.benchmark import RealConfig, choose, measure, measure_rows
 from vapor.benchmark.real.row import Row, RowContext
 from vapor.benchmark.real.summary import summarise
-from vapor.commands.benchmark.real_tables import tables
-from vapor.commands.console import Overwrite, SharedOutputPath, parse, show
+from vapor.commands.console import Overwrite, parse, show
 from vapor.commands.progress import progress
-from vapor.commands.workers import Scheduler, claim_shared, publish_results, workers_for
+from vapor.commands.workers import Scheduler, workers_for
 from vapor.parallel.jobs import Workers
 from vapor.reporting.report import write_report
 from vapor.stored_names import with_stored_names
@@ -45,10 +47,10 @@ class Options:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    o = parse("benchmark real", Options, arguments)
+    o = parse("real", Options, arguments, program=PROGRAM)
     rows, missing = choose(o.data, o.only)
-    with workers_for("benchmark real", o.workers, o.scheduler) as workers:
-        claim_shared(o.output, "benchmark real", workers, reads=[o.data], overwrite=o.overwrite)
+    with workers_for("real", o.workers, o.scheduler, PROGRAM) as workers:
+        claim_shared(o.output, "real", workers, reads=[o.data], overwrite=o.overwrite)
         for name, needs in missing.items():
             show(f"left out: {name}, for want of {', '.join(needs)}")
         results = _one_by_one(o, rows) if workers.are_this_process else _in_parallel(o, rows, workers)

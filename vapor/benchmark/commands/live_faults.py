@@ -1,4 +1,4 @@
-"""`vapor-track benchmark live-faults`."""
+"""`vapor-benchmark live-faults`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from dataclasses import asdict, dataclass
 
 from filtering.errors import VaporTrackError, require_within
 from sequences.live.options import MAX_DOMAIN
+from vapor.benchmark import PROGRAM
+from vapor.benchmark.commands.cells import new_table
 from vapor.benchmark.live.faults import FAULTS, Outcome, run_fault
 from vapor.benchmark.live.traffic import read_walk
-from vapor.commands.benchmark.cells import new_table
 from vapor.commands.console import InputPath, parse, show
 from vapor.commands.progress import progress
 from vapor.commands.terminal import write
@@ -44,7 +45,7 @@ class Options:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    options = parse("benchmark live-faults", Options, arguments)
+    options = parse("live-faults", Options, arguments, program=PROGRAM)
     recording = fetched(options.sequence)
     walk = read_walk(recording)
     if walk.world_from_camera is None:

@@ -1,4 +1,4 @@
-"""The tables of `vapor-track benchmark real`."""
+"""The tables of `vapor-benchmark real`."""
 
 from __future__ import annotations
 

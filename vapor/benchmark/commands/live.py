@@ -1,4 +1,4 @@
-"""`vapor-track benchmark live`."""
+"""`vapor-benchmark live`."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from rich.table import Table
 from filtering.errors import VaporTrackError, require_within
 from sequences.live.options import MAX_DOMAIN
 from sequences.outputs.claims import claim_folder
+from vapor.benchmark import PROGRAM
+from vapor.benchmark.commands.cells import new_table
 from vapor.benchmark.live.measure import Latency, Measured, measure
 from vapor.benchmark.live.traffic import Encoding, read_walk
-from vapor.commands.benchmark.cells import new_table
 from vapor.commands.console import InputPath, OutputPath, Overwrite, parse, show
 from vapor.commands.progress import progress
 from vapor.reporting.report import write_report
@@ -83,10 +84,10 @@ class Options:
 
 def main(arguments: Sequence[str]) -> None:
     """Run the command."""
-    o = parse("benchmark live", Options, arguments)
+    o = parse("live", Options, arguments, program=PROGRAM)
     recording = fetched(o.sequence)
     if o.output is not None:
-        claim_folder(o.output, "benchmark live", reads=[recording], overwrite=o.overwrite)
+        claim_folder(o.output, f"{PROGRAM} live", reads=[recording], overwrite=o.overwrite)
     walk = read_walk(recording)
     words = ["--model", o.model, *shlex.split(o.live)]
     measured: list[Measured] = []

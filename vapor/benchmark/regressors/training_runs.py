@@ -1,4 +1,4 @@
-"""Training runs of an experiment: from sequences to figures on other ones, each done once and cached."""
+"""Training runs: from sequences to figures on other ones, each done once and cached."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import Any
 
 from sequences.atomic import atomic_output, workspace
 from sequences.files.structured import read_json
+from vapor.benchmark.regressors.scenes import Scene, identities, identity
 from vapor.cache import digest
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.engines.device import resolve_device
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import exact_log_density, predict
-from vapor.experiments.scenes import Scene, identities, identity
 from vapor.parallel.jobs import Workers, in_parallel
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.run import run
@@ -38,7 +38,7 @@ class TrainingRun:
 
     Attributes:
         scene: Its data.
-        label: What sets it apart from the other runs of the experiment; part of a file name.
+        label: What sets it apart from the other runs; part of a file name.
         config: How it is trained; its seed is that of the run.
         gamma: Fraction of an image's samples that must be near its true pose.
         num_samples: Posterior samples per test image.

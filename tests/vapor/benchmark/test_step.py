@@ -1,9 +1,9 @@
-"""`vapor-track benchmark step`: the network and the filter are timed, each without the other, and a whole step."""
+"""`vapor-benchmark step`: the network and the filter are timed, each without the other, and a whole step."""
 
 from tests.helpers.command_line import refuse
-from vapor.track import main
+from vapor.benchmark.__main__ import main
 
-QUICK = ["benchmark", "step", "--repetitions", "1", "--num-samples", "10"]
+QUICK = ["step", "--repetitions", "1", "--num-samples", "10"]
 
 
 def test_the_network_of_a_preset_is_timed_without_a_model_and_without_the_filter(capsys):
@@ -30,4 +30,4 @@ def test_whole_steps_are_timed_on_the_images_of_a_recording(tiny_model, walk_of_
 
 
 def test_a_recording_that_is_not_there_is_refused(capsys):
-    refuse([*QUICK, "--sequence", "a.mcap"], capsys, "a.mcap")
+    refuse(["vapor-benchmark", *QUICK, "--sequence", "a.mcap"], capsys, "a.mcap")

@@ -12,13 +12,13 @@ from tests.helpers.data_sets import make_7scenes
 from tests.helpers.full import full
 from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_experiments import TINY_TRAIN
-from vapor.commands import experiment as experiment_command
-from vapor.experiments import training_runs as runs_module
-from vapor.experiments.scenes import Scene, rendered_height
-from vapor.experiments.table import TableConfig, TableExperiment, markdown, parse_scene
-from vapor.experiments.training_runs import TrainingRun
+from vapor.benchmark.__main__ import main
+from vapor.benchmark.commands import regressors as command
+from vapor.benchmark.regressors import training_runs as runs_module
+from vapor.benchmark.regressors.scenes import Scene, rendered_height
+from vapor.benchmark.regressors.table import TableConfig, TableExperiment, markdown, parse_scene
+from vapor.benchmark.regressors.training_runs import TrainingRun
 from vapor.regressors.network_config import NetworkConfig
-from vapor.track import main
 from vapor.training.presets import PRESETS
 
 pytestmark = pytest.mark.usefixtures("unchecked", "rough_light")
@@ -168,17 +168,16 @@ def test_the_same_scene_twice_is_refused(tmp_path):
 @pytest.mark.parametrize("words", [["--preset", "demo", "--preset", "tables"], ["--preset=tables"]])
 def test_a_table_starts_from_a_preset(words, monkeypatch, tmp_path):
     given = []
-    experiment = lambda *arguments: given.append(arguments[2]) or sys.exit(0)  # noqa: E731
-    monkeypatch.setattr(experiment_command, "TableExperiment", experiment)
+    monkeypatch.setattr(command, "TableExperiment", lambda *arguments: given.append(arguments[2]) or sys.exit(0))
     with pytest.raises(SystemExit):
-        main(["experiment", "table", "round-table", *words, "--train.epochs", "3", "--output", str(tmp_path)])
+        main(["regressors", "round-table", *words, "--train.epochs", "3", "--output", str(tmp_path)])
     assert given[0].train == replace(PRESETS["tables"], epochs=3)
 
 
 def test_an_unknown_preset_of_a_table_is_told(tmp_path, capfd):
     with pytest.raises(SystemExit, match="2"):
-        main(["experiment", "table", "round-table", "--preset", "quick", "--output", str(tmp_path)])
-    assert "vapor-track experiment table: unknown preset 'quick', expected one of auto," in capfd.readouterr().err
+        main(["regressors", "round-table", "--preset", "quick", "--output", str(tmp_path)])
+    assert "vapor-benchmark regressors: unknown preset 'quick', expected one of auto," in capfd.readouterr().err
 
 
 def test_data_that_the_filter_cannot_read_is_refused_before_anything_is_trained(tmp_path):
