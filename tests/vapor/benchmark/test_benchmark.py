@@ -2,7 +2,6 @@
 
 import json
 from collections import Counter
-from dataclasses import replace
 
 import pytest
 
@@ -113,7 +112,6 @@ def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model,
 @pytest.mark.parametrize(
     ("more", "again"),
     [
-        (("--errors.tail", "30"), "localize"),
         (("--localizer.switch-ratio", "2"), "localize"),
         (("--num-samples", "21"), "record_synthetic"),
     ],
@@ -131,27 +129,6 @@ def test_ablations_are_compared_in_a_table_of_their_own(folder, tiny_model, call
     assert len([line for line in out.splitlines() if line.split()[:1] in (["full"], ["no-tails"])]) == 2
     summary = json.loads((folder / "summary.json").read_text())["summary"]["ceiling"]["no-cue"]
     assert summary.keys() == {"full", "no-tails"}
-
-
-def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_model, monkeypatch, capsys):
-    told = []
-    update = ParticleLocalizer.update
-
-    def watched(localizer, posterior, odometry, **timing):
-        told.append(posterior.errors)
-        return update(localizer, posterior, odometry, **timing)
-
-    monkeypatch.setattr(ParticleLocalizer, "update", watched)
-    monkeypatch.setattr(setup, "results_code", lambda: "of errors")
-    floor = ["0.01", "0.02", "0.03", "0.04", "0.05", "0.06"]
-    more = ["--kinds", "no-cue", "--errors.outlier-probability", "0.25", "--errors.floor", *floor]
-    assert run(folder, tiny_model, *more) == 0
-    own = load_checkpoint(tiny_model).calibration.errors
-    assert set(told) == {replace(own, outlier_probability=0.25, floor=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06))}
-    settings = json.loads((folder / "summary.json").read_text())["settings"]
-    assert settings["errors"] == {"outlier_share": 0.25, "floor": [float(value) for value in floor]}
-    assert run(folder, tiny_model, "--kinds", "no-cue", "--errors.outlier-probability", "2") == 1
-    assert "outlier_probability is 2" in capsys.readouterr().err
 
 
 @full

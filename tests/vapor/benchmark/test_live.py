@@ -21,6 +21,7 @@ from tests.helpers.tiny_model import SMALL
 from vapor.benchmark.__main__ import main
 from vapor.benchmark.live.measure import first_and_last, latency_of, require_alone
 from vapor.benchmark.live.traffic import (
+    IMAGE,
     ODOMETRY,
     Timeline,
     Traffic,
@@ -76,7 +77,7 @@ def test_the_odometry_that_is_played_leads_from_image_to_image_as_recorded(walk_
     assert traffic.timeline.speed == pytest.approx(3.0)
     transport, at_s, images = FakeTransport(), [], 0
     for sent in play(transport, traffic):
-        images += sent.topic == traffic.image
+        images += sent.topic == IMAGE
         at_s.append(sent.at_ns * 1e-9)
         if images == 6:
             break
@@ -85,7 +86,7 @@ def test_the_odometry_that_is_played_leads_from_image_to_image_as_recorded(walk_
     assert (info.width, info.height, info.k[0]) == (64, 48, pytest.approx(walk.camera.fx * 64 / walk.camera.width))
     messages = [decoder("nav_msgs/Odometry")(data) for data in transport.published[ODOMETRY]]
     samples = [odometry_from_message(message) for message in messages]
-    stamps_ns = [stamp_of(data) for data in transport.published[traffic.image]]
+    stamps_ns = [stamp_of(data) for data in transport.published[IMAGE]]
     np.testing.assert_allclose(np.diff(stamps_ns), 1e9 / 30, rtol=1e-3)
     first, last = (min(samples, key=lambda sample: abs(sample.time_ns - t)) for t in (stamps_ns[0], stamps_ns[-1]))
     frames = list(islice(SequenceReader(walk_of_25), 6))

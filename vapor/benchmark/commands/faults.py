@@ -17,7 +17,7 @@ from vapor.benchmark.commands.fault_tables import fault_failures, fault_tables
 from vapor.benchmark.commands.outputs import claim_shared, publish_results
 from vapor.benchmark.commands.scenes import SCENE_NAMES, SceneOptions, listed, with_help, write_summary
 from vapor.benchmark.faults.benchmark import FaultBenchmark, FaultsConfig
-from vapor.benchmark.faults.summary import summarise_faults
+from vapor.benchmark.faults.metrics import summarise_faults
 from vapor.benchmark.faults.table import FAULTS
 from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import InputPath, parse, show
@@ -101,7 +101,6 @@ def _measure(o: Options, workers: Workers) -> None:
         o.model_of,
         o.output,
         o.config,
-        o.replaced,
         recordings=o.named,
         model=model,
         reading=o.reading,

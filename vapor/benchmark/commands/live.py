@@ -18,7 +18,7 @@ from sequences.outputs.claims import claim_folder
 from vapor.benchmark import PROGRAM
 from vapor.benchmark.commands.cells import new_table
 from vapor.benchmark.live.measure import Latency, Measured, measure
-from vapor.benchmark.live.traffic import Encoding, read_walk
+from vapor.benchmark.live.traffic import read_walk
 from vapor.commands.console import InputPath, OutputPath, Overwrite, parse, show
 from vapor.commands.progress import progress
 from vapor.reporting.report import write_report
@@ -58,8 +58,6 @@ class Options:
     """Images a second, each for itself; at more than the recording has it is played as much faster."""
     sizes: tuple[Size, ...] = ((320, 240), (1280, 720))
     """Sizes that the images are brought to, each for itself."""
-    encoding: Encoding = "jpeg"
-    """Of the images: sensor_msgs/CompressedImage, or sensor_msgs/Image."""
     minutes: float = 2.0
     """How long each is measured, from the first answer on."""
     domain: int = 60
@@ -101,7 +99,6 @@ def main(arguments: Sequence[str]) -> None:
                         domain=o.domain,
                         rate=rate,
                         size=size,
-                        encoding=o.encoding,
                         duration_s=60.0 * o.minutes,
                         advance=advance,
                     )
@@ -115,7 +112,6 @@ def _write(o: Options, output: Path, measured: Sequence[Measured]) -> None:
     settings = {
         "model": o.model,
         "sequence": str(o.sequence),
-        "encoding": o.encoding,
         "minutes": o.minutes,
         "live": o.live,
     }
@@ -124,7 +120,7 @@ def _write(o: Options, output: Path, measured: Sequence[Measured]) -> None:
 
 def _table(o: Options, measured: Sequence[Measured]) -> Table:
     table = new_table(
-        f"{o.model}, {o.encoding}, {o.minutes:g} min each: latencies are median, 99 % and longest, ms",
+        f"{o.model}, {o.minutes:g} min each: latencies are median, 99 % and longest, ms",
         "camera",
         *("played", "images\nsent", "answered", "image to pose", "odometry to\nbase pose", "memory, MB\nfirst, last"),
         *("processor", "published\nlate, 99 %"),

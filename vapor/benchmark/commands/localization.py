@@ -47,7 +47,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _measure(o: Options, workers: Workers, command: str) -> None:
-    benchmark = LocalizationBenchmark(o.model_of, o.output, o.config, o.replaced, workers)
+    benchmark = LocalizationBenchmark(o.model_of, o.output, o.config, workers)
     claim_shared(o.output, "localization", workers, reads=o.files_read, overwrite=o.overwrite)
     with progress("choosing", "runs") as advance:
         trials = benchmark.choose(advance)

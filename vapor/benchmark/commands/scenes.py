@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, make_dataclass
+from dataclasses import dataclass, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 
-from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
 from sequences.scenes import find_scene, is_scene, scene_names
 from vapor.benchmark.commands.outputs import SharedOutputPath
@@ -23,17 +22,6 @@ Config = TypeVar("Config")
 
 SCENE_NAMES = scene_names(with_cues=True)
 """Scenes to choose from: others show nothing by which the filter could find itself."""
-
-_Override = make_dataclass(
-    "ErrorsOverride",
-    [
-        (name, Annotated[kind | None, tyro.conf.arg(help="As the model says if not given.")], None)
-        for name, kind in get_type_hints(ErrorModel).items()
-        if name != "verified"
-    ],
-    frozen=True,
-)
-"""An error model; what is not given is taken from the model file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +41,6 @@ class SceneOptions:
     """Model file, or name of a model that ships, for each scene. Default: the scenes' names; none ships for the
     corridor or for a building."""
     scheduler: Scheduler = None
-    errors: Annotated[Any, tyro.conf.arg(constructor=_Override)] = field(default_factory=_Override)
-    """What replaces numbers of the models' own error models."""
 
     def __post_init__(self) -> None:
         if not self.scenes or len(set(self.scenes)) < len(self.scenes):
@@ -74,11 +60,6 @@ class SceneOptions:
     def files_read(self) -> list[Path]:
         """The model files."""
         return [find_model(model) for model in self.model_of.values()]
-
-    @property
-    def replaced(self) -> dict[str, Any]:
-        """Numbers of the error model that are given, by name."""
-        return {name: value for name, value in asdict(self.errors).items() if value is not None}
 
 
 def with_help(config: type[Config], **texts: str) -> type[Config]:
@@ -103,6 +84,5 @@ def write_summary(
     settings = {
         **with_stored_names(settings),
         "models": o.model_of or o.models,
-        "errors": with_stored_names(o.replaced),
     }
     write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "runs": results, **more})
