@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping
 from rich.table import Table
 
 from vapor.benchmark.commands.cells import Aggregate, figure, fraction, interval, new_table, over
+from vapor.benchmark.evaluation.intervals import dissent
+from vapor.benchmark.evaluation.sequential import LAST, SUCCESS_M
 from vapor.benchmark.localization.summary import OFTEN, WITHIN_IMAGES
 from vapor.benchmark.methods import METHODS, OURS, label, ours_first
 from vapor.benchmark.trials.kinds import KINDS
 from vapor.evaluation.consistency import REGIONS
-from vapor.evaluation.intervals import dissent
-from vapor.evaluation.sequential import LAST, SUCCESS_M
 from vapor.evaluation.trajectory import POSITION_M, THRESHOLDS
 
 Summary = Mapping[str, Mapping[str, Mapping[str, Aggregate]]]

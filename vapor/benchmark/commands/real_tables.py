@@ -8,10 +8,10 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from vapor.benchmark.evaluation.sequential import LAST, SUCCESS_M
 from vapor.benchmark.methods import LOCALIZING, OURS, label
 from vapor.benchmark.real.summary import Figure
 from vapor.evaluation.consistency import REGIONS
-from vapor.evaluation.sequential import LAST, SUCCESS_M
 
 Summary = Mapping[str, Mapping[str, Any]]
 

@@ -26,6 +26,7 @@ from vapor.storage import fetched
 _MAX_SEED = 2**62
 _CODE = (
     "sequences.odometry_fit",
+    "vapor.benchmark.evaluation",
     "vapor.benchmark.recordings",
     "vapor.benchmark.trials",
     "vapor.checkpoints",

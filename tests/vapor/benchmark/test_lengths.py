@@ -12,11 +12,11 @@ from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 from sequences.scenes import find_scene
 from tests.helpers.corridors import corridor
+from vapor.benchmark.evaluation.comparison import Comparison
+from vapor.benchmark.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry
 from vapor.benchmark.trials import run as trial_run
 from vapor.benchmark.trials.trial import Segment, Trial
 from vapor.checkpoints.calibration import Calibration
-from vapor.evaluation.comparison import Comparison
-from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry
 from vapor.tracking.belief import Belief
 from vapor.tracking.methods import METHODS
 

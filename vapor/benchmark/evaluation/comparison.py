@@ -12,9 +12,9 @@ from filtering.estimate import Mode
 from filtering.floors import Floors
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
+from vapor.benchmark.evaluation.lengths import scaled_belief, scaled_mode, scaled_poses
 from vapor.evaluation.consistency import evaluate_belief, truth_among_modes
 from vapor.evaluation.floors import evaluate_floor, floor_accuracy
-from vapor.evaluation.lengths import scaled_belief, scaled_mode, scaled_poses
 from vapor.evaluation.trajectory import evaluate_trajectory
 from vapor.tracking.belief import Belief
 from vapor.tracking.follow import Followed

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vapor.evaluation.intervals import Walks, dissent
+from vapor.benchmark.evaluation.intervals import Walks, dissent
 
 RNG = np.random.default_rng
 
