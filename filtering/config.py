@@ -43,7 +43,7 @@ class GapConfig:
 class LocalizerConfig:
     """Settings of the filter; lengths follow from how the images err (`ErrorModel`).
 
-    Whatever is stated in metres is also scaled in `vapor.evaluation.lengths`.
+    Whatever is stated in metres is also scaled in `vapor.benchmark.evaluation.lengths`.
     """
 
     max_hypotheses: int = 50
