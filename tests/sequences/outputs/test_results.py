@@ -118,13 +118,14 @@ def test_results_in_the_working_directory_are_replaced_within_it(tmp_path, monke
     assert set(os.listdir(tmp_path)) == {"a.tum", "b.json", MANIFEST}
 
 
-@pytest.mark.usefixtures("one_by_one")
-def test_where_folders_cannot_be_exchanged_files_are_replaced(tmp_path):
-    out = tmp_path / "out"
-    write(out, "first", sometimes=True)
-    write(out, "second")
-    assert whole(out) == "second"
-    assert set(os.listdir(out)) == {"a.tum", "b.json", MANIFEST}
+def test_a_folder_that_somebody_makes_during_the_work_is_written_to(tmp_path):
+    def make() -> None:
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "notes.txt").write_text("mine")
+
+    write(tmp_path / "out", "first", meanwhile=make)
+    assert whole(tmp_path / "out") == "first"
+    assert contents(tmp_path / "out")["notes.txt"] == "mine"
     assert os.listdir(tmp_path) == ["out"]
 
 
