@@ -7,8 +7,7 @@ import numpy as np
 from sequences.rendering import texture
 from sequences.rendering.mesh import Part, Placement
 from sequences.rendering.texture import Canvas, Material, band, blend, plain, weathered
-from sequences.scenes.mounting import HELMET
-from sequences.scenes.scene import Scene
+from sequences.scenes.scene import HELMET, Scene
 from sequences.scenes.table_room import OAK, TABLE_HEIGHT, TOP, circle_table, room, turned
 
 LENGTH, BREADTH = 1.8, 0.9  # metres

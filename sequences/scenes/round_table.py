@@ -6,8 +6,7 @@ import numpy as np
 
 from sequences.rendering.mesh import Part, Placement
 from sequences.rendering.texture import plain
-from sequences.scenes.mounting import HELMET
-from sequences.scenes.scene import Scene
+from sequences.scenes.scene import HELMET, Scene
 from sequences.scenes.table_room import OAK, TABLE_HEIGHT, TOP, circle_table, room, turned
 
 RADIUS, CORNERS = 0.6, 16  # metres; of a regular polygon

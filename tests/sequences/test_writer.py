@@ -13,7 +13,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.reader import SequenceReader
-from sequences.recordings.estimate_writer import EstimateWriter
+from sequences.recordings.estimate_messages import EstimateWriter
 from sequences.recordings.messages import covariance_from_ros
 from sequences.writer import SequenceWriter
 

@@ -11,7 +11,7 @@ from types import TracebackType
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
-from sequences.recordings.estimate_writer import EstimateWriter
+from sequences.recordings.estimate_messages import EstimateWriter
 from vapor.reporting.peak_memory import peak_rss_mb
 from vapor.reporting.record import RunRecord
 from vapor.reporting.recorder import RunRecorder
