@@ -73,7 +73,7 @@ def workspace(place: Path, name: str) -> Iterator[Path]:
 
 
 def is_workspace(name: str) -> bool:
-    """Whether a file or folder of this name is one that `workspace` made, or atomic outputs of earlier versions."""
+    """Whether a folder of this name is one that `workspace` made."""
     return _HIDDEN.fullmatch(name) is not None
 
 
@@ -119,9 +119,6 @@ def move_in(work: Path, names: Iterable[str], *, instead_of: Iterable[str]) -> N
 
 
 def _clear(work: Path) -> None:
-    if not work.is_dir():  # of an earlier version
-        work.unlink()
-        return
     if (work / _REPLACED).is_dir() and any((work / NEW).iterdir()):
         _put_back(work)
     shutil.rmtree(work)

@@ -1,28 +1,27 @@
 """Folders of results: whole or not there, and only replaced by results.
 
-A folder that holds exactly what its manifest lists is exchanged for the new one as a whole. Where that cannot be, files
-are replaced one by one and the manifest is gone meanwhile; what a killed process left half replaced is put back by the
-next that reads or writes there.
+A new folder appears as a whole. In an existing one files are replaced one by one, and the manifest is gone meanwhile;
+what a killed process left half replaced is put back by the next that reads or writes there.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from sequences.atomic import NEW, workspace
+from sequences.atomic import NEW, move_in, workspace
 from sequences.errors import SequenceError
 from sequences.outputs.folders import folder_to_write, foreign_files, names_told, writing
-from sequences.outputs.manifest import MANIFEST, Listed, write_manifest
-from sequences.outputs.replacing import is_exchangeable, replace_files, replace_folder
+from sequences.outputs.manifest import MANIFEST, Listed, own_manifest, write_manifest
 
 
 @contextmanager
 def results_folder(
     directory: Path, command: str, *, writes: Collection[str], reads: Iterable[Path] = (), overwrite: bool = False
 ) -> Iterator[Path]:
-    """Give a hidden folder to write to; on success it takes the place of `directory`, with a manifest.
+    """Give a hidden folder to write to; on success its files are those of `directory`, with a manifest.
 
     Args:
         directory: Absent, empty or results; made with the folders above it. A link to a folder is followed.
@@ -36,12 +35,12 @@ def results_folder(
             All but failing disks are found before anything is written.
     """
     reads = list(reads) if directory.exists() else []
-    given, (directory, one_by_one) = directory, require_replaceable(directory, writes, reads, overwrite=overwrite)
+    given, directory = directory, require_replaceable(directory, writes, reads, overwrite=overwrite)
     with ExitStack() as stack:
         with writing(given):
             above = [folder for folder in directory.parents if not folder.exists()]
             stack.callback(_remove_empty, above)
-            place = directory if one_by_one else directory.parent
+            place = directory if directory.exists() else directory.parent
             place.mkdir(parents=True, exist_ok=True)
             work = stack.enter_context(workspace(place, directory.name))
             new = work / NEW
@@ -49,20 +48,19 @@ def results_folder(
         yield new
         with writing(given):
             write_manifest(new, command, {file.name: Listed.of(file) for file in sorted(new.iterdir())})
-            if one_by_one:
-                replace_files(work, writes if overwrite else (), reads)
-            else:
-                replace_folder(work, directory, writes if overwrite else (), reads)
+            if place != directory and not directory.exists():
+                os.rename(new, directory)
+                return
+            if place != directory:  # it was made meanwhile
+                work = stack.enter_context(workspace(directory, directory.name))
+                os.rename(new, work / NEW)
+            _replace_files(work, writes if overwrite else (), reads)
 
 
 def require_replaceable(
     directory: Path, writes: Collection[str], reads: Iterable[Path] = (), *, overwrite: bool = False
-) -> tuple[Path, bool]:
-    """Raise where `results_folder` would, but for failing disks.
-
-    Returns:
-        The folder that is meant; and whether its files can only be replaced one by one.
-    """
+) -> Path:
+    """The folder that is meant. Raises where `results_folder` would, but for failing disks."""
     with writing(directory):
         given, directory = directory, folder_to_write(directory)
         reads = list(reads) if directory.exists() else []
@@ -73,7 +71,7 @@ def require_replaceable(
                 " --overwrite replaces files of the results' names only"
             )
         _refuse_lost(directory, foreign, reads, writes)
-        return directory, bool(foreign) or not is_exchangeable(directory)
+        return directory
 
 
 def _refuse_lost(directory: Path, foreign: Collection[str], reads: Iterable[Path], writes: Collection[str]) -> None:
@@ -89,6 +87,29 @@ def _refuse_lost(directory: Path, foreign: Collection[str], reads: Iterable[Path
     for name in names:
         if (directory / name).is_dir():
             raise SequenceError(f"{directory / name}: is a folder, expected none of a file's name")
+
+
+def _replace_files(work: Path, names: Collection[str], reads: Iterable[Path]) -> None:
+    """Replace files one by one: those that the earlier manifest lists, and those of some names."""
+    directory = work.parent
+    manifest = own_manifest(directory)
+    before = {} if manifest is None else manifest["files"] or {}
+    read = {path.resolve() for path in reads}
+    new = sorted(file.name for file in (work / NEW).iterdir() if file.name != MANIFEST)
+    for name in new:
+        file = directory / name
+        if file.exists() and name not in names and not (name in before and before[name].is_of(file)):
+            raise SequenceError(f"{file}: was written meanwhile, expected no other than the results")
+    gone = [
+        name
+        for name, listed in before.items()
+        if name not in new
+        and (directory / name).exists()
+        and listed.is_of(directory / name)
+        and (directory / name).resolve() not in read
+    ]
+    first = [MANIFEST] if (directory / MANIFEST).exists() else []
+    move_in(work, [*new, MANIFEST], instead_of=[*first, *gone])
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:

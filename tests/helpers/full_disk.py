@@ -10,8 +10,6 @@ from typing import Any
 
 import pytest
 
-from sequences.outputs import replacing
-
 ENOUGH = 10**9
 """Room for anything."""
 
@@ -72,7 +70,6 @@ def filling(room: int) -> Iterator[Disk]:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("mkdir", "rename", "replace"):
             patch.setattr(os, name, disk.taking(getattr(os, name)))
-        patch.setattr(replacing, "exchange", disk.taking(replacing.exchange))
         for module in (io, builtins):
             patch.setattr(module, "open", open_file)
         yield disk

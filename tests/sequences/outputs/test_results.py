@@ -118,13 +118,16 @@ def test_results_in_the_working_directory_are_replaced_within_it(tmp_path, monke
     assert set(os.listdir(tmp_path)) == {"a.tum", "b.json", MANIFEST}
 
 
-@pytest.mark.usefixtures("one_by_one")
-def test_where_folders_cannot_be_exchanged_files_are_replaced(tmp_path):
+def test_a_folder_that_someone_makes_during_the_work_gets_the_results_beside_what_it_holds(tmp_path):
     out = tmp_path / "out"
-    write(out, "first", sometimes=True)
-    write(out, "second")
-    assert whole(out) == "second"
-    assert set(os.listdir(out)) == {"a.tum", "b.json", MANIFEST}
+
+    def make() -> None:
+        out.mkdir()
+        (out / "notes.txt").write_text("mine")
+
+    write(out, "first", meanwhile=make)
+    assert contents(out)["notes.txt"] == "mine"
+    assert whole(out) == "first"
     assert os.listdir(tmp_path) == ["out"]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
-from sequences.rendering.render import depth_and_quads, pixel_rays, render, sees_cue
+from sequences.rendering.render import pixel_rays, render, sees_cue
 from sequences.rendering.surface import LitScene
 from sequences.scenes import SCENES, find_scene, scene_names
 from sequences.scenes.ceiling import dimensions as ceiling
@@ -19,6 +19,7 @@ from sequences.scenes.staircase import dimensions as staircase
 from sequences.scenes.staircase.scene import walk_stairs
 from sequences.scenes.table_room import circle_table
 from sequences.synthesize import synthesize
+from tests.helpers.rendered_depth import depth_and_quads
 
 CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 
