@@ -16,11 +16,10 @@ from sequences.images.decoding import decode_compressed_image, decode_image
 from sequences.images.streams import ImageStream, Stills
 from sequences.images.video import Video
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse, pose_of_numbers
-from sequences.reading.extrinsics import Extrinsics, find_extrinsics
+from sequences.reading.extrinsics import Extrinsics, Rig, find_extrinsics
 from sequences.reading.linked_poses import poses_of_topic
 from sequences.reading.pose_routes import PoseRoute, tree_odometry
 from sequences.reading.pose_source import PoseSource
-from sequences.reading.rig import Rig
 from sequences.reading.timeline import Key, Timeline
 from sequences.reading.true_poses import find_true_poses
 from sequences.recordings.messages import frame_name

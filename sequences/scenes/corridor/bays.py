@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sequences.rendering import pictures, texture
+from sequences.rendering import texture
 from sequences.rendering.mesh import Part
 from sequences.rendering.texture import Material, plain
 from sequences.scenes.corridor.dimensions import (
@@ -85,7 +85,7 @@ def frame(part: Part | None = None) -> Part:
 def bay(stain: tuple[float, float, float]) -> Part:
     """A frame, and a door of one colour in each wall: further on in the wall at high y."""
     part = frame()
-    door = Material(lambda canvas: pictures.door(canvas) * np.array(stain, np.float32))
+    door = Material(lambda canvas: texture.door(canvas) * np.array(stain, np.float32))
     for high_y, x0 in zip((False, True), DOORS_AT, strict=True):
         x1, trim, knob = x0 + DOOR_WIDTH, 0.07, x0 + (DOOR_WIDTH - 0.12 if high_y else 0.06)
         quad_on_wall(part, x0, x1, 0.0, DOOR_HEIGHT, 0.012, high_y, door)
@@ -118,7 +118,7 @@ def window_end() -> Part:
     part.quad((deep, y1, z0), (-deep, 0, 0), (0, 0, z1 - z0), white)
     for y in (y0, (y0 + y1) / 2, y1):
         part.box((deep, y - 0.035, z0), (deep + 0.06, y + 0.035, z1), TRIM, "XyY")
-    part.box((0, 0.6, 0.15), (0.1, 1.8, 0.75), Material(pictures.radiator, gloss=0.2), "XyYZ")
+    part.box((0, 0.6, 0.15), (0.1, 1.8, 0.75), Material(texture.radiator, gloss=0.2), "XyYZ")
     return part
 
 

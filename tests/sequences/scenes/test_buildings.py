@@ -12,10 +12,9 @@ from sequences.frame import Camera
 from sequences.reader import SequenceReader
 from sequences.rendering import surface
 from sequences.rendering.light import Sampling
-from sequences.rendering.mesh import assemble
+from sequences.rendering.mesh import Tracer, assemble
 from sequences.rendering.render import render, sees_cue
 from sequences.rendering.surface import LitScene
-from sequences.rendering.tracer import Tracer
 from sequences.scenes import find_scene, is_scene
 from sequences.scenes.building import scene as building
 from sequences.scenes.building.cues import unique_things

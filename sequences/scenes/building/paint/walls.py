@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sequences.rendering import pictures, texture
+from sequences.rendering import texture
 from sequences.rendering.texture import Canvas, Material, band, blend, inside, step, weathered
 from sequences.scenes.building.paint.colours import WALL_TEXEL_M, Rgb, colour, grey, light_colour, scaled
 
@@ -134,7 +134,7 @@ def draw_door(rng: np.random.Generator) -> Material:
     """How a door's leaf is painted: wood, or one colour."""
     if rng.random() < 0.45:
         stain = rng.uniform(0.5, 2.2, 3) * rng.uniform(0.7, 1.3)
-        return Material(lambda canvas: pictures.door(canvas) * stain.astype(np.float32), gloss=0.3, texel_m=0.01)
+        return Material(lambda canvas: texture.door(canvas) * stain.astype(np.float32), gloss=0.3, texel_m=0.01)
     rgb = colour(rng, 0.7, 0.3) if rng.random() < 0.6 else grey(rng)
     return painted_door(rgb)
 
