@@ -21,13 +21,13 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
 
-_APART = 2.0  # way between two images that are compared, lengths: nearer ones err alike
+_APART = 2.0  # normalized distance between two images that are compared: nearer ones err alike
 _LEAST = 0.1  # of the variance
 _DRAWS = 20_000
 _OUTLIER = 6.0  # times the variance expected: further off is another place, or an image that errs in a way of its own
 _BELIEVED = 5.0  # comparisons that the model is worth before the first one
 _REMEMBERED = 50.0  # comparisons
-_LATELY = 5.0  # way that a belief's information comes from, lengths
+_LATELY = 5.0  # normalized distance that a belief's information comes from
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class ErrorScale:
         place: world_from_camera by the image that the next one is compared with, one pose; None where there is none.
         covariance: Of its error, (6, 6).
         since: Motion of the camera since.
-        way: How far that is, in lengths over which the errors of images change.
+        normalized_distance: Of that motion, in lengths over which the errors of images are correlated.
         total: Sum of the squared differences found, each over what the model expects of it.
         count: Their number; old ones are forgotten.
         information: What an image told lately, over what one tells whose errors are as large as modelled: more where
@@ -50,7 +50,7 @@ class ErrorScale:
     place: Poses | None = None
     covariance: Float64[np.ndarray, "6 6"] | None = None
     since: Odometry | None = None
-    way: float = 0.0
+    normalized_distance: float = 0.0
     total: float = _BELIEVED
     count: float = _BELIEVED
     information: float = 1.0
@@ -65,16 +65,16 @@ class ErrorScale:
         constant = errors.constant_fraction / max(self.information, 1e-3)
         return unchecked_replace(errors, constant_fraction=min(constant, 1e3)).inflated(self.factor)
 
-    def moved(self, camera_motion: Odometry, way: float) -> ErrorScale:
-        """After a motion of the camera, and its way in lengths."""
+    def predict(self, camera_motion: Odometry, normalized_distance: float) -> ErrorScale:
+        """After a motion of the camera."""
         if self.place is None:
             return self
         since = camera_motion if self.since is None else self.since.then(camera_motion)
-        return replace(self, since=since, way=self.way + way)
+        return replace(self, since=since, normalized_distance=self.normalized_distance + normalized_distance)
 
-    def looked(self, posterior: PosePosterior, way: float) -> ErrorScale:
-        """After an image of the camera that says something; `way` since the last one, in lengths."""
-        follow = -np.expm1(-way / _LATELY)
+    def observe(self, posterior: PosePosterior, normalized_distance: float) -> ErrorScale:
+        """After an informative image of the camera, which moved so far since the last one."""
+        follow = -np.expm1(-normalized_distance / _LATELY)
         information = self.information + follow * (1.0 / posterior.growth - self.information)
         return replace(self, information=float(information))._compared(posterior)
 
@@ -82,12 +82,12 @@ class ErrorScale:
         heaviest = int(np.argmax(posterior.weights))
         if self.place is None or self.covariance is None:
             return self._from(posterior, heaviest)
-        if self.way < _APART or self.since is None:
+        if self.normalized_distance < _APART or self.since is None:
             return self
         expected = self.place @ self.since.previous_from_current
         difference = expected.between(posterior.means).log()
         carry = self.since.carry
-        new = 1.0 - posterior.errors.lasting_fraction * np.exp(-self.way)
+        new = 1.0 - posterior.errors.lasting_fraction * np.exp(-self.normalized_distance)
         of_images = new * (carry @ self.covariance @ carry.T + posterior.covariances)
         expected_covariance = of_images + self.since.noise
         settle(expected_covariance)
@@ -105,7 +105,7 @@ class ErrorScale:
 
     def _from(self, posterior: PosePosterior, place: int) -> ErrorScale:
         pose, covariance = posterior.means[place], posterior.covariances[place]
-        return replace(self, place=pose, covariance=covariance, since=None, way=0.0)
+        return replace(self, place=pose, covariance=covariance, since=None, normalized_distance=0.0)
 
 
 @cache

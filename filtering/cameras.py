@@ -9,7 +9,7 @@ import numpy as np
 from filtering.adaptation import ErrorScale
 from filtering.error_model import ErrorModel
 from filtering.motion import Odometry
-from filtering.novelty import ViewMeter
+from filtering.novelty import NoveltyTracker
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.unchecked import unchecked_replace
@@ -37,25 +37,25 @@ class Source:
     Attributes:
         number: Of its lasting error in the state of a hypothesis.
         errors: How its places err.
-        meter: How far the camera came, in lengths over which these errors last.
-        places: Likewise, in lengths over which one place is mistaken for another.
+        tracker: Of the camera's motion, in lengths over which these errors are correlated.
+        place_tracker: Likewise, in lengths over which one place is mistaken for another.
         scale: Whether its places err more or less than their model says.
     """
 
     number: int
     errors: ErrorModel
-    meter: ViewMeter
-    places: ViewMeter
+    tracker: NoveltyTracker
+    place_tracker: NoveltyTracker
     scale: ErrorScale
 
     @staticmethod
     def first_seen(errors: ErrorModel, number: int, *, unknown: float, adapts: bool) -> Source:
         """A source before its first place counts; the camera may have come so many lengths since any view before."""
-        meter, places = (
-            ViewMeter(lengths * errors.length_m, lengths * errors.length_rad, unknown=unknown)
+        tracker, place_tracker = (
+            NoveltyTracker(lengths * errors.length_m, lengths * errors.length_rad, unknown=unknown)
             for lengths in (1.0, errors.mistaken_lengths)
         )
-        return Source(number, errors, meter, places, ErrorScale(adapts))
+        return Source(number, errors, tracker, place_tracker, ErrorScale(adapts))
 
     @property
     def applied(self) -> ErrorModel:
@@ -68,25 +68,26 @@ class Source:
         return replace(self, scale=replace(self.scale, place=None))
 
     def across_gap(self, distance_m: float, angle_rad: float) -> tuple[Source, float]:
-        """After a motion of which only the likely distance and angle are known; that way in lengths."""
-        meter, way = self.meter.across_gap(distance_m, angle_rad)
-        places, _ = self.places.across_gap(distance_m, angle_rad)
-        return replace(self.unlinked, meter=meter, places=places), way
+        """After a motion of which only the likely distance and angle are known; its normalized distance."""
+        tracker, moved = self.tracker.across_gap(distance_m, angle_rad)
+        place_tracker, _ = self.place_tracker.across_gap(distance_m, angle_rad)
+        return replace(self.unlinked, tracker=tracker, place_tracker=place_tracker), moved
 
-    def moved(self, odom: Odometry, camera_motion: Odometry) -> tuple[Source, float]:
-        """After a motion of the reference frame, and so of the camera; the way in lengths."""
-        meter, way = self.meter.moved(odom.previous_from_current)
-        places, _ = self.places.moved(odom.previous_from_current)
-        return replace(self, meter=meter, places=places, scale=self.scale.moved(camera_motion, way)), way
+    def predict(self, odom: Odometry, camera_motion: Odometry) -> tuple[Source, float]:
+        """After a motion of the reference frame, and so of the camera; its normalized distance."""
+        tracker, moved = self.tracker.predict(odom.previous_from_current)
+        place_tracker, _ = self.place_tracker.predict(odom.previous_from_current)
+        scale = self.scale.predict(camera_motion, moved)
+        return replace(self, tracker=tracker, place_tracker=place_tracker, scale=scale), moved
 
-    def looked(self, posterior: PosePosterior) -> Source:
+    def observe(self, posterior: PosePosterior) -> Source:
         """After an image in which it has places."""
-        scale = self.scale.looked(posterior, self.meter.way)
-        return replace(self, meter=self.meter.looked()[0], scale=scale)
+        scale = self.scale.observe(posterior, self.tracker.normalized_distance)
+        return replace(self, tracker=self.tracker.observe()[0], scale=scale)
 
 
 @dataclass(frozen=True)
-class SeenCamera:
+class CameraMemory:
     """A camera that was seen before.
 
     Attributes:
@@ -99,7 +100,7 @@ class SeenCamera:
     reference_from_camera: Poses
 
     @staticmethod
-    def first_seen(view: View, number: int, *, unknown: float, adapts: bool) -> SeenCamera:
+    def first_seen(view: View, number: int, *, unknown: float, adapts: bool) -> CameraMemory:
         """A camera before its first image counts.
 
         Args:
@@ -109,10 +110,10 @@ class SeenCamera:
             adapts: Whether odometry may say that its images err otherwise than modelled.
         """
         network = Source.first_seen(view.posterior.errors, number, unknown=unknown, adapts=adapts)
-        camera = SeenCamera((network,), view.reference_from_camera)
+        camera = CameraMemory((network,), view.reference_from_camera)
         return camera.with_landmarks(view, number + 1, unknown=unknown, adapts=adapts)
 
-    def with_landmarks(self, view: View, number: int, *, unknown: float, adapts: bool) -> SeenCamera:
+    def with_landmarks(self, view: View, number: int, *, unknown: float, adapts: bool) -> CameraMemory:
         """The same with landmarks as a second source, where there is a map of them and they are not one yet."""
         errors = view.posterior.errors.verified
         if errors is None or len(self.sources) > 1:
@@ -125,12 +126,12 @@ class SeenCamera:
         network = self.sources[0].applied
         return network if len(self.sources) == 1 else unchecked_replace(network, verified=self.sources[1].applied)
 
-    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[SeenCamera, list[float]]:
-        """After a motion of which only the likely distance and angle are known; that way in lengths of each source."""
+    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[CameraMemory, list[float]]:
+        """After a motion of which only the likely distance and angle are known; its normalized distance by source."""
         after = [source.across_gap(distance_m, angle_rad) for source in self.sources]
-        return replace(self, sources=tuple(source for source, _ in after)), [way for _, way in after]
+        return replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
 
-    def seen_through(self, reference_from_camera: Poses) -> SeenCamera:
+    def seen_through(self, reference_from_camera: Poses) -> CameraMemory:
         """The same on its mount of now; where that was turned, no image of before is compared with those that come."""
         mount = self.reference_from_camera
         if mount is reference_from_camera or np.array_equal(mount.as_matrix(), reference_from_camera.as_matrix()):
@@ -138,24 +139,25 @@ class SeenCamera:
         sources = tuple(source.unlinked for source in self.sources)
         return replace(self, reference_from_camera=reference_from_camera, sources=sources)
 
-    def moved(self, odom: Odometry) -> tuple[SeenCamera, list[float]]:
-        """After a motion of the reference frame; the way in lengths of each source."""
+    def predict(self, odom: Odometry) -> tuple[CameraMemory, list[float]]:
+        """After a motion of the reference frame; its normalized distance by source."""
         motion = odom if self.reference_from_camera.is_identity else odom.of_another_frame(self.reference_from_camera)
-        after = [source.moved(odom, motion) for source in self.sources]
-        return replace(self, sources=tuple(source for source, _ in after)), [way for _, way in after]
+        after = [source.predict(odom, motion) for source in self.sources]
+        return replace(self, sources=tuple(source for source, _ in after)), [moved for _, moved in after]
 
-    def looked(self, posterior: PosePosterior) -> tuple[SeenCamera, float, float]:
-        """After an image; a source that has no place in it has not looked.
+    def observe(self, posterior: PosePosterior) -> tuple[CameraMemory, float, float]:
+        """After an image; a source without a place in it has not observed.
 
         Returns:
-            The camera, how new the view was, and how much of what the image says about the place was not said before,
-            both in [0, 1]: where landmarks verify a place, what they say.
+            The camera, the novelty of the view, and how much of what the image says about the place was not said
+            before, both in [0, 1]: where landmarks verify a place, what they say.
         """
-        after, new = [], []
+        after, novelty = [], []
         for number, source in enumerate(self.sources):
-            says = len(posterior.sources[number]) > 0
-            places, found = source.places.looked() if says or number == 0 else (source.places, 0.0)
-            source = source.looked(posterior.only(number)) if says else source
-            after.append(replace(source, places=places))
-            new.append(found)
-        return replace(self, sources=tuple(after)), new[0], new[1 if posterior.has_verified else 0]
+            has_places = len(posterior.sources[number]) > 0
+            observes = has_places or number == 0
+            place_tracker, new = source.place_tracker.observe() if observes else (source.place_tracker, 0.0)
+            source = source.observe(posterior.only(number)) if has_places else source
+            after.append(replace(source, place_tracker=place_tracker))
+            novelty.append(new)
+        return replace(self, sources=tuple(after)), novelty[0], novelty[1 if posterior.has_verified else 0]

@@ -11,6 +11,9 @@ from filtering.error_model import ErrorModel
 from filtering.errors import require_within
 from filtering.estimate import ModeConfig
 from filtering.motion import SlowErrors
+from filtering.resampling import Resampling
+
+Births = Literal["rate", "augmented-mcl"]
 
 _FARTHEST = 1e6  # metres or radians: further than that a gap leads nowhere in particular
 
@@ -40,7 +43,7 @@ class GapConfig:
 class LocalizerConfig:
     """Settings of the filter; lengths follow from how the images err (`ErrorModel`).
 
-    Whatever is stated in metres is also scaled in `vapor.evaluation.lengths`.
+    Whatever is stated in metres is also scaled in `vapor.benchmark.evaluation.lengths`.
     """
 
     max_hypotheses: int = 50
@@ -50,12 +53,17 @@ class LocalizerConfig:
     the belief an image draws anew."""
     max_kidnap_per_view: float = 0.1
     """The same for one that does not fit at all; between the two in equal ratios. 0 for both: never."""
+    births: Births = "rate"
+    """Draw anew at those rates, or as in augmented Monte Carlo localization: only while images agree with the belief
+    less than usual."""
     adapt_errors: bool = True
     """Take images to err more than their model says where odometry shows it."""
     merge_divergence: float = 0.5
     """Hypotheses that differ by no more than this, in nats, are one."""
     least_weight: float = 1e-8
     """Hypotheses of smaller weight are dropped."""
+    resampling: Resampling = "optimal"
+    """How hypotheses that are too many are chosen from: without bias and with the least variance, or the heaviest."""
     converged_weight: float = 0.9
     """Status is "converged" from this weight of the best mode on."""
     converged_std: float = 3.0

@@ -92,7 +92,8 @@ class Estimate:
         log_weights: Their normalised log weights, (n,).
         agreement: Share of the belief that the latest images fitted, in [0, 1].
         novelty: How much of what the image says was not said by the images before it, in [0, 1].
-        way: How far the camera came since the image before, in lengths over which the errors of its images change.
+        normalized_distance: That the camera moved since the image before, in lengths over which the errors of its
+            images are correlated.
         unfamiliarity: Of the image, see `PosePosterior`; 0 where there was none.
     """
 
@@ -103,7 +104,7 @@ class Estimate:
     log_weights: Float64[np.ndarray, " n"]
     agreement: float
     novelty: float
-    way: float
+    normalized_distance: float
     unfamiliarity: float
 
     @property

@@ -15,16 +15,17 @@ from filterpy.kalman import KalmanFilter
 from jaxtyping import Float64
 from scipy.special import fdtri
 
-from filtering.association import UNUSUAL
-from filtering.cameras import SeenCamera, Source
+from filtering.association import Link, corrected_poses, pair
+from filtering.cameras import CameraMemory, Source
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
-from filtering.hypotheses import POSE, Hypotheses, bias, born, corrected_poses, motion_of_state, widened, with_source
+from filtering.hypotheses import POSE, Hypotheses, birth, with_source
 from filtering.moments import settle
 from filtering.motion import Odometry, SlowErrors, require_duration, require_odometry
 from filtering.posterior import PosePosterior
+from filtering.prediction import inflate, motion_of_state
 from filtering.se3 import Poses
 
 
@@ -91,17 +92,17 @@ class KalmanLocalizer:
             self._predict(self._pose, odom, elapsed_s)
             if not posterior.says_nothing:
                 self._know(posterior.errors)
-                ways = [source.meter.way for source in self._sources]
+                links = [Link(source.number, source.tracker.normalized_distance) for source in self._sources]
                 self._sources = tuple(
-                    source.looked(posterior.only(number)) if len(posterior.sources[number]) else source
+                    source.observe(posterior.only(number)) if len(posterior.sources[number]) else source
                     for number, source in enumerate(self._sources)
                 )
                 posterior = posterior.inflated(*(source.scale.factor for source in self._sources))
-                if not self._correct(posterior, ways):
+                if not self._correct(posterior, links):
                     self._reject(posterior, elapsed_s if odom is None else odom.duration_s)
         pose, covariance = self._pose, self._filter.P[POSE, POSE]
         assert pose is not None
-        errors = SeenCamera(self._sources, Poses.identity()).errors
+        errors = CameraMemory(self._sources, Poses.identity()).errors
         return Mode(pose, covariance + errors.constant_covariance(covariance), 1.0)
 
     def _know(self, errors: ErrorModel) -> None:
@@ -127,12 +128,12 @@ class KalmanLocalizer:
             Source.first_seen(each, number, unknown=0.0, adapts=adapts) for number, each in enumerate(errors)
         )
         self._sources = tuple(
-            replace(source, scale=replace(known[number].scale, place=None, since=None, way=0.0))
+            replace(source, scale=replace(known[number].scale, place=None, since=None, normalized_distance=0.0))
             if number < len(known)
             else source
             for number, source in enumerate(self._sources)
         )
-        places = born(posterior, 0, len(errors), self.config.slow_errors, before, len(errors) - 1)
+        places = birth(posterior, 0, len(errors), self.config.slow_errors, before, len(errors) - 1)
         heaviest = int(np.argmax(posterior.weights))
         self._pose = places.poses[heaviest]
         self._filter = KalmanFilter(dim_x=13 + 6 * len(errors), dim_z=6)
@@ -146,57 +147,48 @@ class KalmanLocalizer:
             gap = self.config.gap
             likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
             after = [source.across_gap(*likely) for source in self._sources]
-            self._filter.P = widened(self._hypothesis(pose), gap.covariance(elapsed_s)).covariance[0]
+            self._filter.P = inflate(self._hypothesis(pose), gap.covariance(elapsed_s)).covariance[0]
             odom = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s)
         else:
-            after = [source.moved(odom, odom) for source in self._sources]
+            after = [source.predict(odom, odom) for source in self._sources]
         self._sources = tuple(source for source, _ in after)
-        transition, noise = motion_of_state(odom, self.config.slow_errors, [way for _, way in after])
+        transition, noise = motion_of_state(odom, self.config.slow_errors, [moved for _, moved in after])
         self._filter.predict(F=transition, Q=noise)
         settle(self._filter.P)
         self._fold((pose @ odom.previous_from_current).orthonormal())
 
-    def _correct(self, posterior: PosePosterior, ways: Sequence[float]) -> bool:
+    def _correct(self, posterior: PosePosterior, links: Sequence[Link]) -> bool:
         """Take the nearest place for what the image shows, if it is near enough; returns whether it is.
 
         Args:
             posterior: Of the image.
-            ways: How far the camera came since the last image of each source, in lengths.
+            links: Of each source of places.
         """
         pose = self._pose
         assert pose is not None
-        difference = pose.between(posterior.means).log()
-        count, size = len(posterior.weights), len(self._filter.x)
-        shows = np.zeros((count, 6, size))  # error of the pose + factor · bias + fresh noise
-        shows[:, :, POSE] = np.eye(6)
-        fresh, tail, source_of = np.empty((count, 6, 6)), np.empty(count), np.zeros(count, np.int64)
-        for source, places in enumerate(posterior.sources):
-            errors = posterior.errors_of(source)
-            if len(places):
-                shows[places, :, bias(source)] = np.sqrt(errors.lasting_fraction) * posterior.factors[places]
-            fresh[places] = (1.0 - errors.lasting_fraction) * posterior.covariances[places]
-            tail[places], source_of[places] = errors.tail, source
-        innovation = difference - shows @ self._filter.x[:, 0]
-        covariance = shows @ self._filter.P @ np.swapaxes(shows, 1, 2) + fresh
-        squared = np.einsum("ki,ki->k", innovation, np.linalg.solve(covariance, innovation[:, :, None])[:, :, 0])
-        inside = squared <= [_gate(self.config.gate_probability, each) for each in tail.tolist()]
-        if not inside.any():
+        hypothesis, nearest = self._hypothesis(pose), None
+        for source, link in enumerate(links):
+            places = posterior.sources[source]
+            if len(places) == 0:
+                continue
+            pairs = pair(hypothesis, posterior, source, link, np.zeros(len(places), np.int64), places)
+            k = int(np.argmin(pairs.squared))
+            # A verified place inside its gate says more than one that the network proposes.
+            if pairs.squared[k] <= _gate(self.config.gate_probability, posterior.errors_of(source).tail):
+                nearest = pairs, k
+        if nearest is None:
             return False
-        # A verified place inside its gate says more than one that the network proposes.
-        most = source_of[inside].max()
-        k = int(np.argmin(np.where(inside & (source_of == most), squared, np.inf)))
-        source, error = int(source_of[k]), fresh[k]
-        larger = (tail[k] + squared[k]) / (tail[k] + 6.0)
-        if larger > UNUSUAL:
-            # An image that errs in a way of its own, which lasts: over a way of 2 it is worth one image.
-            shows[k, :, bias(source)] = 0.0
-            error = larger * max(1.0, 2.0 / max(ways[source], 1e-6)) * posterior.covariances[k]
+        pairs, k = nearest
+        measurement, taken = pairs.measurement, np.array([k])
+        shows = np.zeros((6, len(self._filter.x)))
+        for part, matrix in measurement.jacobian:
+            shows[:, part] = np.eye(6) if matrix is None else matrix[k]
+        expected = shows @ self._filter.x[:, 0]
         before = self._filter.P.diagonal().copy()
-        self._filter.update(difference[k][:, None], R=error, H=shows[k])  # in Joseph's form
+        self._filter.update((measurement.innovation[k] + expected)[:, None], R=measurement.noise[k], H=shows)
         settle(self._filter.P, before)
         change = self._filter.x[POSE].T
-        at, place = (Poses.stack([each]) for each in (pose, posterior.means[k]))
-        self._pose = corrected_poses(at, place, difference[k : k + 1], change, self._filter.SI[None])[0]
+        self._pose = corrected_poses(hypothesis.poses, posterior.means, pairs, taken, change)[0]
         self._filter.x[POSE] = 0.0
         self._rejected_s = None
         return True

@@ -1,4 +1,4 @@
-"""How new a view is, from the motion alone: what neighbouring images tell twice must not count twice."""
+"""Novelty of views from the motion alone: what neighbouring images show twice must not count twice."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ _STEP = 0.1  # of a length: what moves less is jitter
 
 
 @dataclass(frozen=True)
-class ViewMeter:
+class NoveltyTracker:
     """Measures motion in lengths over which a camera's view becomes a new one.
 
-    Two things are told. `looked`: how much of what an image says was not said before. It grows with the distance from
-    the nearest of the views remembered and is spent as it grows, so that one length moved is worth one image whatever
-    the rate, and standing, trembling or pacing up and down is worth nothing. `moved`: how far the camera has come, by
-    which the errors of its images change. That counts in steps of a tenth of a length, so that jitter is no way.
+    `observe` gives the novelty of a view: how much of what its image says was not said before. It grows with the
+    distance from the nearest of the views remembered and is spent as it grows, so that one length moved is worth one
+    image whatever the rate, and standing, trembling or pacing up and down is worth nothing. `predict` gives the
+    normalized distance that the camera moved, over which the errors of its images lose their correlation. It grows in
+    steps of a tenth of a length, so that jitter adds no distance.
 
     Attributes:
         length_m: Distance that makes a view a new one, metres.
@@ -30,7 +31,7 @@ class ViewMeter:
         anchor: Where the last step ended.
         reached: How far from it the camera has been, in lengths.
         unknown: How far the camera may have come since the last view without odometry, in lengths.
-        way: How far it has come since the last image, in lengths.
+        normalized_distance: Of the camera since the last image, in lengths.
     """
 
     length_m: float
@@ -41,33 +42,35 @@ class ViewMeter:
     anchor: Poses = field(default_factory=Poses.identity)
     reached: float = 0.0
     unknown: float = 0.0
-    way: float = 0.0
+    normalized_distance: float = 0.0
 
-    def moved(self, previous_from_current: Poses) -> tuple[ViewMeter, float]:
-        """The meter after a motion (one pose), and how far the camera came, in lengths."""
+    def predict(self, previous_from_current: Poses) -> tuple[NoveltyTracker, float]:
+        """The tracker after a motion (one pose), and the normalized distance of the motion."""
         pose = self.pose @ previous_from_current
         distance = float(self._lengths(self.anchor, pose))
-        way = max(distance - self.reached, 0.0)
+        moved = max(distance - self.reached, 0.0)
+        in_all = self.normalized_distance + moved
         if distance >= _STEP:
-            return replace(self, pose=pose, anchor=pose, reached=0.0, way=self.way + way), way
-        return replace(self, pose=pose, reached=max(self.reached, distance), way=self.way + way), way
+            return replace(self, pose=pose, anchor=pose, reached=0.0, normalized_distance=in_all), moved
+        return replace(self, pose=pose, reached=max(self.reached, distance), normalized_distance=in_all), moved
 
-    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[ViewMeter, float]:
-        """The meter after a motion of which only the likely distance and angle are known, and that way in lengths."""
-        way = float(np.hypot(distance_m / self.length_m, angle_rad / self.length_rad))
-        return replace(self, unknown=self.unknown + way, way=self.way + way), way
+    def across_gap(self, distance_m: float, angle_rad: float) -> tuple[NoveltyTracker, float]:
+        """The same after a motion of which only the likely distance and angle are known."""
+        moved = float(np.hypot(distance_m / self.length_m, angle_rad / self.length_rad))
+        in_all = self.normalized_distance + moved
+        return replace(self, unknown=self.unknown + moved, normalized_distance=in_all), moved
 
-    def looked(self) -> tuple[ViewMeter, float]:
-        """The meter after an image, and how new its view was, in [0, 1]."""
+    def observe(self) -> tuple[NoveltyTracker, float]:
+        """The tracker after an image, and the novelty of its view, in [0, 1]."""
         distance = float(self._lengths(self.views, self.pose).min()) + self.unknown
-        new = min(max(distance - self.spent, 0.0), 1.0)
+        novelty = min(max(distance - self.spent, 0.0), 1.0)
         if distance < 1.0:
-            return replace(self, spent=max(self.spent, distance), way=0.0), new
+            return replace(self, spent=max(self.spent, distance), normalized_distance=0.0), novelty
         # What lies before a gap is nowhere in particular.
         before = self.views if self.unknown == 0.0 else Poses.identity(0)
         here = Poses(self.pose.rotation[None], self.pose.translation[None])
         views = Poses.concatenate([before, here])[-_REMEMBERED:]
-        return replace(self, views=views, spent=0.0, unknown=0.0, way=0.0), new
+        return replace(self, views=views, spent=0.0, unknown=0.0, normalized_distance=0.0), novelty
 
     def _lengths(self, one: Poses, other: Poses) -> np.ndarray:
         translation_m, rotation_rad = one.distance(other)

@@ -1,9 +1,15 @@
-"""Weights -> fewer weighted particles, without bias."""
+"""Weights -> fewer weighted particles."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Literal
+
 import numpy as np
 from jaxtyping import Float64, Int64
+
+Resampling = Literal["optimal", "heaviest"]
 
 
 def systematic(weights: Float64[np.ndarray, " n"], count: int, *, rng: np.random.Generator) -> Int64[np.ndarray, " k"]:
@@ -13,7 +19,7 @@ def systematic(weights: Float64[np.ndarray, " n"], count: int, *, rng: np.random
     return np.minimum(np.searchsorted(cumulative, points, side="right"), len(weights) - 1)
 
 
-def thin_out(
+def optimal_resample(
     log_weights: Float64[np.ndarray, " n"], count: int, *, rng: np.random.Generator
 ) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
     """The best choice of fewer weighted particles (Fearnhead and Clifford, 2003): no other unbiased one errs less.
@@ -39,3 +45,18 @@ def thin_out(
     drawn = heavy + systematic(weights[heavy:], count - heavy, rng=rng)
     kept = np.concatenate([order[:heavy], order[drawn]])
     return kept, np.concatenate([log_weights[order[:heavy]], np.full(count - heavy, np.log(threshold))])
+
+
+def heaviest(
+    log_weights: Float64[np.ndarray, " n"], count: int, *, rng: np.random.Generator
+) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+    """The heaviest particles, as `optimal_resample` gives its own: the mixture is truncated, which is biased."""
+    kept = np.argsort(-log_weights, kind="stable")[:count]
+    return kept, log_weights[kept]
+
+
+# To add one: a function, its name here and in `Resampling`.
+RESAMPLING: Mapping[Resampling, Callable[..., tuple[np.ndarray, np.ndarray]]] = MappingProxyType(
+    {"optimal": optimal_resample, "heaviest": heaviest}
+)
+"""Ways to choose k of n weighted particles, by name."""

@@ -23,8 +23,9 @@ from filtering.config import LocalizerConfig
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import Mode
-from filtering.hypotheses import POSE, SLOW, motion_of_state
+from filtering.hypotheses import POSE, SLOW
 from filtering.motion import Odometry, SlowErrors
+from filtering.prediction import motion_of_state
 from filtering.se3 import Poses
 
 SMOOTHED_MODES = 6
@@ -33,7 +34,7 @@ SMOOTHED_MODES = 6
 _ABOUT_NS, _ABOUT_IMAGES = 500_000_000, 5  # what is about an image, to each side
 _REGULAR = 1e-8 * np.eye(6)  # a tenth of a millimetre and of a milliradian keep modes of equal samples regular
 _FAR = 10.0
-_STANDING = 1e-9  # lengths: no way is shorter, which keeps correlations regular
+_STANDING = 1e-9  # lengths: no distance is shorter, which keeps correlations regular
 _ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
 
 
@@ -52,24 +53,24 @@ class SmoothingConfig:
         require_within(self, rounds=(1, 1000), cover_s=(0.0, 1e9))
 
 
-def independence(ways: Float64[np.ndarray, " n"], lasting_fraction: float) -> Float64[np.ndarray, " n"]:
+def independence(distances: Float64[np.ndarray, " n"], lasting_fraction: float) -> Float64[np.ndarray, " n"]:
     """How much of an independent measurement each image of a sequence is, in (0, 1].
 
     These are the weights K⁻¹ 1 by which the images tell of one pose as precisely as can be, and their sum 1ᵀ K⁻¹ 1 is
-    how many independent images they are worth. K are the correlations of their errors, `lasting_fraction` · exp(−way
-    between them). Images taken standing are worth 1 / lasting_fraction together, and on a long way in even steps g
-    each is worth 1 / (1 − lasting_fraction + lasting_fraction · coth(g/2)).
+    how many independent images they are worth. K are the correlations of their errors, `lasting_fraction` ·
+    exp(−distance between them). Images taken standing are worth 1 / lasting_fraction together, and on a long path in
+    even steps g each is worth 1 / (1 − lasting_fraction + lasting_fraction · coth(g/2)).
 
     Args:
-        ways: How far the camera came since the image before, in lengths over which the errors of images change; the
-            first is not used.
+        distances: Normalized distance that the camera moved since the image before, see `Estimate`; the first is not
+            used.
         lasting_fraction: Fraction of the error's variance that lasts, in [0, 1).
     """
-    n = len(ways)
+    n = len(distances)
     if n < 2:
         return np.ones(n)
     # K = l C + (1 − l), where C⁻¹ has three diagonals: (l + (1 − l) C⁻¹) w = C⁻¹ 1.
-    steps = np.maximum(ways[1:], _STANDING)
+    steps = np.maximum(distances[1:], _STANDING)
     kept, inverse = np.exp(-steps), -1.0 / np.expm1(-2.0 * steps)
     diagonal, alone = np.ones(n), np.ones(n)  # of C⁻¹, and C⁻¹ 1
     for part in (slice(1, None), slice(None, -1)):
@@ -84,7 +85,7 @@ def independence(ways: Float64[np.ndarray, " n"], lasting_fraction: float) -> Fl
 def smooth(
     image_modes: Sequence[tuple[Mode, ...]],
     odometry: Sequence[Odometry | None],
-    ways: Float64[np.ndarray, " n"],
+    distances: Float64[np.ndarray, " n"],
     filtered: Poses,
     converged: Bool[np.ndarray, " n"],
     errors: ErrorModel,
@@ -95,8 +96,8 @@ def smooth(
     Args:
         image_modes: For every image the modes of its own posterior, n of them; none for one that says nothing.
         odometry: Motion since the previous image, n; the first is not used. None splits the trajectory.
-        ways: How far the camera came since the image before, in lengths over which the errors of images change
-            (`Estimate.way`), (n,).
+        distances: Normalized distance that the camera moved since the image before
+            (`Estimate.normalized_distance`), (n,).
         filtered: Best modes of the filter, world_from_camera, batch (n,).
         converged: Which of them the filter was sure of, (n,).
         errors: How the images err.
@@ -109,10 +110,10 @@ def smooth(
         VaporTrackError: the lengths differ.
     """
     config = config or SmoothingConfig()
-    if not len(image_modes) == len(odometry) == len(ways) == len(filtered) == len(converged):
+    if not len(image_modes) == len(odometry) == len(distances) == len(filtered) == len(converged):
         raise VaporTrackError(
-            f"smoothing needs as many mode lists, odometry increments, ways, poses and flags, got {len(image_modes)}, "
-            f"{len(odometry)}, {len(ways)}, {len(filtered)} and {len(converged)}"
+            "smoothing needs as many mode lists, odometry increments, distances, poses and flags, got "
+            f"{len(image_modes)}, {len(odometry)}, {len(distances)}, {len(filtered)} and {len(converged)}"
         )
     if len(filtered) == 0:
         return filtered
@@ -120,7 +121,7 @@ def smooth(
     parts = []
     for start, stop in itertools.pairwise(breaks):
         steps = [odom for odom in odometry[start + 1 : stop] if odom is not None]
-        modes = _ImageModes(image_modes[start:stop], ways[start:stop], errors)
+        modes = _ImageModes(image_modes[start:stop], distances[start:stop], errors)
         guesses = _initial_guesses(filtered[start:stop], steps, converged[start:stop])
         solutions = [_optimise(guess, modes, steps, config) for guess in guesses]
         parts.append(min(solutions, key=lambda solution: solution[1])[0])
@@ -210,7 +211,9 @@ class _ImageModes:
     kernel on the residual by a covariance that is narrower than the mode's at the middle.
     """
 
-    def __init__(self, modes: Sequence[tuple[Mode, ...]], ways: Float64[np.ndarray, " n"], errors: ErrorModel) -> None:
+    def __init__(
+        self, modes: Sequence[tuple[Mode, ...]], distances: Float64[np.ndarray, " n"], errors: ErrorModel
+    ) -> None:
         flat = [mode for choices in modes for mode in choices]
         counts = np.array([len(choices) for choices in modes])
         self.images = np.flatnonzero(counts)
@@ -221,7 +224,7 @@ class _ImageModes:
         verified = np.array([mode.verified for mode in flat], bool)
         tail = np.where(verified, errors.finest.tail, errors.tail)
         of_image = np.ones(len(modes))
-        travelled = np.cumsum(ways)
+        travelled = np.cumsum(distances)
         since = np.diff(travelled[self.images], prepend=0.0)
         of_image[self.images] = independence(since, errors.lasting_fraction)
         exact = np.unique(self._image[verified])  # images of which landmarks say something

@@ -76,9 +76,14 @@ def no_odometry_fit(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def no_views(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_views(no_camera: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Images are not compared with poses, where a test does not look at that: it takes some milliseconds an image."""
     monkeypatch.setattr("vapor.training_data.views.Views.take", lambda views, frame: None)
+
+
+@pytest.fixture
+def no_camera(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inspections estimate no camera, where a test does not look at it: it takes seconds."""
     monkeypatch.setattr("vapor.inspection.camera.CameraViews.take", lambda views, frame: None)
 
 

@@ -24,8 +24,6 @@ COMMANDS = {
     "convert": "write a data set of images with true poses as an MCAP sequence",
     "posterior": "draw the posterior of one image",
     "evaluate": "measure the trajectories of a run against true poses",
-    "experiment": "train many networks: methods side by side, recall over α, weight decay, schedules",
-    "benchmark": "time a step, localize many sequences, synthetic or real, with or without faults, and count successes",
 }
 """Name -> what it does; each is a module of `vapor.commands`, imported only when it is called."""
 WRITE_RUNS = ("run", "demo", "fuse")
@@ -42,20 +40,41 @@ def main(arguments: list[str] | None = None) -> int:
         Exit status: 0 on success, 1 for input that cannot be used, 2 for wrong arguments, 128 + n when ended by signal
         n, such as 130 by Ctrl-C.
     """
+    about = "Particle-filter camera localization that consumes learned pose posteriors."
+    return run_program("vapor-track", about, COMMANDS, "vapor.commands", arguments)
+
+
+def run_program(program: str, about: str, commands: dict[str, str], package: str, arguments: list[str] | None) -> int:
+    """Run the command line of a program that has commands.
+
+    Args:
+        program: As it is typed.
+        about: What it is for, a sentence.
+        commands: What each does, by name.
+        package: Where they are: modules of their names that have a `main`.
+        arguments: As for `main`.
+
+    Returns:
+        Exit status, as `main`.
+    """
     if arguments is None and _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # ends the process as SIGTERM does, until `take` below
     from vapor.commands.signals import Signals
-    from vapor.commands.terminal import encode_anything, flush_output, say
+    from vapor.commands.terminal import encode_anything, flush_output, overview, say, wrapped, write
 
     words = list(sys.argv[1:] if arguments is None else arguments)
-    prefix = " ".join(["vapor-track", *(word for word in words[:1] if word in COMMANDS)])
+    prefix = " ".join([program, *(word for word in words[:1] if word in commands)])
     signals = Signals(prefix)
     if arguments is None:
         signals.take()
     encode_anything()
     try:
         try:
-            return _run(words, signals)
+            if not words or words[0] in ("-h", "--help"):
+                write(f"{overview(f'{program} COMMAND', about, commands)}\n")
+                write(wrapped(f"`{program} COMMAND --help` lists a command's options."))
+                return 0 if words else 2
+            return _run(program, commands, package, words, signals)
         finally:
             flush_output()
     except BrokenPipeError:
@@ -72,26 +91,23 @@ def main(arguments: list[str] | None = None) -> int:
         signals.working, signals.silent = False, True
 
 
-def _run(words: list[str], signals: Signals) -> int:
+def _run(program: str, commands: dict[str, str], package: str, words: list[str], signals: Signals) -> int:
     """Run the command that the words name; gives the exit status."""
     import importlib
 
     from filtering.errors import shortened
     from vapor.commands.terminal import say, write
 
-    if not words or words[0] in ("-h", "--help"):
-        write(_overview())
-        return 0 if words else 2
-    if words[0] == "--version":
-        write(f"vapor-track {importlib.import_module('importlib.metadata').version('vapor-track')}")
-        return 0
     name, rest = words[0], words[1:]
-    if name not in COMMANDS:
-        say(f"vapor-track: unknown command {shortened(repr(name), 60)}, expected one of {', '.join(COMMANDS)}")
+    if name == "--version":
+        write(f"{program} {importlib.import_module('importlib.metadata').version('vapor-track')}")
+        return 0
+    if name not in commands:
+        say(f"{program}: unknown command {shortened(repr(name), 60)}, expected one of {', '.join(commands)}")
         return 2
     if name in WRITE_RUNS and not {"-h", "--help"} & set(rest):
         importlib.import_module("vapor.reporting.output_process").start_output_process()
-    command = importlib.import_module(f"vapor.commands.{name}").main
+    command = importlib.import_module(f"{package}.{name.replace('-', '_')}").main
     signals.working = True
     command(rest)
     signals.complete = True
@@ -118,14 +134,6 @@ def _shortage(error: Exception) -> str | None:
     if isinstance(error, MemoryError) or kind == "OutOfMemoryError" or any(sign in text for sign in signs):
         return "not enough memory; smaller images, batches or numbers of samples and particles need less"
     return None
-
-
-def _overview() -> str:
-    from vapor.commands.terminal import overview, wrapped
-
-    said = "Particle-filter camera localization that consumes learned pose posteriors."
-    listed = overview("vapor-track COMMAND", said, COMMANDS)
-    return "\n\n".join([listed, wrapped("`vapor-track COMMAND --help` lists a command's options.")])
 
 
 if __name__ == "__main__":

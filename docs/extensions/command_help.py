@@ -1,6 +1,6 @@
 """The directive `command-help`: what a command does and its options, from the parser that reads the command line.
 
-    ```{command-help} train
+    ```{command-help} vapor-track train
     ```
 
 Nothing is written down twice: an option that is added, renamed or given another default is so on the page, too.
@@ -14,7 +14,6 @@ from argparse import Action, ArgumentParser
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
 from inspect import cleandoc
 from typing import Any, NoReturn
 from unittest.mock import patch
@@ -24,7 +23,11 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from vapor.track import COMMANDS, main
+from vapor import track
+from vapor.benchmark import __main__ as benchmark
+
+PROGRAMS = {"vapor-track": track, "vapor-benchmark": benchmark}
+"""Each with its `COMMANDS` and its `main`."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,10 @@ class Option:
 
 @dataclass(frozen=True)
 class Command:
-    """A command, or one kind of a command such as `experiment table`."""
+    """A command."""
 
     words: str
+    """With its program, as one types it."""
     meaning: str
     groups: Mapping[str, tuple[str, Sequence[Option]]]
     """Name of a group of options, such as `localizer.gap` → what they are about, and the options."""
@@ -56,22 +60,17 @@ class Command:
         return {name for _, options in self.groups.values() for option in options for name in option.names}
 
 
-def kinds_of(name: str) -> Sequence[str]:
-    """The kinds of a command, such as `experiment table`; itself where there are none."""
-    kinds = getattr(import_module(f"vapor.commands.{name}"), "KINDS", ())
-    return [f"{name} {kind}" for kind in kinds] or [name]
-
-
 @cache
 def command(words: str) -> Command:
     """What the command line knows of a command.
 
     Args:
-        words: `train`, or `experiment table`.
+        words: Such as `vapor-track train`.
     """
+    program, name = words.split()
     with patch.object(tyro, "cli", _given):
         try:
-            main([*words.split(), "--help"])
+            PROGRAMS[program].main([name, "--help"])
         except _Given as given:
             options, default = given.options, given.default
     with warnings.catch_warnings():  # no other function of tyro's gives options as data
@@ -111,23 +110,24 @@ def _option(action: Action) -> Option:
 
 
 class CommandHelp(SphinxDirective):
-    """What a command does, how it is called, and a section for each group of options."""
+    """What a command does, how it is called, and a section for each group of options; of a program, every command."""
 
     required_arguments = 1
     final_argument_whitespace = True
 
     def run(self) -> list[nodes.Node]:
         """What the directive stands for."""
-        kinds = kinds_of(self.arguments[0])
-        if len(kinds) == 1:
-            return self._parts(command(kinds[0]))
-        return [self._section(words.split()[1], words, self._parts(command(words))) for words in kinds]
+        program, *name = self.arguments[0].split()
+        if name:
+            return self._parts(command(self.arguments[0]))
+        words = {name: f"{program} {name}" for name in PROGRAMS[program].COMMANDS}
+        return [self._section(name, each, self._parts(command(each))) for name, each in words.items()]
 
     def _parts(self, shown: Command) -> list[nodes.Node]:
         parts = self._parsed(shown.meaning)
         parts.append(nodes.literal_block("", _usage(shown), language="text", classes=["usage"]))
         for name, (meaning, options) in shown.groups.items():
-            entries = "\n".join([f"```{{program}} vapor-track {shown.words}\n```\n", *map(_entry, options)])
+            entries = "\n".join([f"```{{program}} {shown.words}\n```\n", *map(_entry, options)])
             content = [*self._parsed(meaning), *self.parse_text_to_nodes(entries)]
             parts.append(self._section(_HEADINGS.get(name, f"--{name}.*"), f"{shown.words} {name}", content))
         return parts
@@ -143,11 +143,11 @@ class CommandHelp(SphinxDirective):
 
 
 class CommandList(SphinxDirective):
-    """A list of all commands, each with what it does."""
+    """A list of all commands of `vapor-track`, each with what it does."""
 
     def run(self) -> list[nodes.Node]:
         """What the directive stands for."""
-        entries = [f"[{name}](commands/{name}.md)\n: {meaning}\n" for name, meaning in COMMANDS.items()]
+        entries = [f"[{name}](commands/{name}.md)\n: {meaning}\n" for name, meaning in track.COMMANDS.items()]
         return self.parse_text_to_nodes("\n".join(entries))
 
 
@@ -158,7 +158,7 @@ def _usage(shown: Command) -> str:
     options = [option for _, group in shown.groups.values() for option in group]
     arguments = [option.value for option in options if not option.names]
     needed = [f"{option.names[0]} {option.value}" for option in options if option.names and option.required]
-    return " ".join(["vapor-track", shown.words, *arguments, *needed, "[OPTIONS]"])
+    return " ".join([shown.words, *arguments, *needed, "[OPTIONS]"])
 
 
 def _entry(option: Option) -> str:

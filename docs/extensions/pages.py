@@ -7,8 +7,7 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from docs.extensions.command_help import command, kinds_of
-from vapor.track import COMMANDS
+from docs.extensions.command_help import PROGRAMS, command
 
 _BLOCK = re.compile(
     r"(?:<!-- (?P<mark>[^\n]*?) -->\n\s*)?^(?P<fence>```+|:::+)(?P<language>[^\n`]*)\n(?P<text>.*?)^(?P=fence)$",
@@ -39,34 +38,27 @@ def shell(page: str) -> Iterator[str]:
     for block in blocks(page):
         if block.language == "sh" or (block.language.startswith("{code-cell}") and "%%bash" in block.text):
             yield block.text
-    yield from re.findall(rf"`(vapor-track (?:{'|'.join(COMMANDS)}) [^`\n]+)`", _BLOCK.sub("", page))
+    for program, module in PROGRAMS.items():
+        yield from re.findall(rf"`({program} (?:{'|'.join(module.COMMANDS)}) [^`\n]+)`", _BLOCK.sub("", page))
 
 
 def unknown(text: str) -> Iterator[str]:
-    """What shell asks of `vapor-track` that its parser does not know: a sentence for each command, kind and option."""
+    """What shell asks of our programs that their parsers do not know: a sentence for each command and option."""
     for words in _simple_commands(text):
-        if words[0].rpartition("/")[2] == "vapor-track":
-            yield from _unknown_words(words[1:])
+        if (program := words[0].rpartition("/")[2]) in PROGRAMS:
+            yield from _unknown_words(program, words[1:])
         elif "vapor.track" in words:
-            yield from _unknown_words(words[words.index("vapor.track") + 1 :])
+            yield from _unknown_words("vapor-track", words[words.index("vapor.track") + 1 :])
 
 
-def _unknown_words(words: list[str]) -> Iterator[str]:
+def _unknown_words(program: str, words: list[str]) -> Iterator[str]:
     name, *rest = words or [""]
     if name in ("", "--help", "--version") or name.isupper():  # COMMAND stands for any
         return
-    if name not in COMMANDS:
-        yield f"there is no command {name!r}"
+    if name not in PROGRAMS[program].COMMANDS:
+        yield f"{program} has no command {name!r}"
         return
-    kinds = kinds_of(name)
-    if kinds != [name] and rest and rest[0] != "--help":
-        if f"{name} {rest[0]}" not in kinds:
-            yield f"{name} has no kind {rest[0]!r}"
-            return
-        name = f"{name} {rest[0]}"
-    elif kinds != [name]:
-        return
-    known = command(name).names | {"--help"}
+    known = command(f"{program} {name}").names | {"--help"}
     for word in rest:
         option = word.partition("=")[0]
         if re.match(r"--\w", option) and option not in known:

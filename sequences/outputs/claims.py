@@ -19,7 +19,7 @@ def claim_folder(directory: Path, command: str, *, reads: Iterable[Path] = (), o
 
     Args:
         directory: Absent, empty or such a folder; made with the folders above it.
-        command: What writes there.
+        command: What writes there, as one types it.
         reads: Files and folders that it reads: none may lie in the folder, nor the folder among what is in them.
         overwrite: Take any other folder.
 
@@ -43,7 +43,7 @@ def claim_folder(directory: Path, command: str, *, reads: Iterable[Path] = (), o
         names = [name for name in entries if not (is_workspace(name) or name == CACHE)]
         if names and not overwrite:
             raise SequenceError(
-                f"{given}: {names_told(names)}, expected an empty folder or one of `vapor-track {command}`; --overwrite"
+                f"{given}: {names_told(names)}, expected an empty folder or one of `{command}`; --overwrite"
                 " uses it all the same"
             )
         if names and (around := [path for path in reads if directory.resolve().is_relative_to(path)]):

@@ -60,6 +60,4 @@ SCENE = Scene(
     field_of_view_deg=60.0,
     base_from_camera=HELMET,
     has_cues=False,
-    modes=2,
-    outline_m=np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * (LENGTH / 2, BREADTH / 2),
 )

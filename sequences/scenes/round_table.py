@@ -37,8 +37,6 @@ def _round_quarter() -> Part:
     return part
 
 
-_OUTLINE_ANGLE = np.linspace(0, 2 * np.pi, CORNERS + 1)
-
 SCENE = Scene(
     name="round-table",
     seed_numbers=(2,),
@@ -47,6 +45,4 @@ SCENE = Scene(
     field_of_view_deg=60.0,
     base_from_camera=HELMET,
     has_cues=False,
-    modes=4,
-    outline_m=RADIUS * np.column_stack([np.cos(_OUTLINE_ANGLE), np.sin(_OUTLINE_ANGLE)]),
 )

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import cache, lru_cache
 
 import numpy as np
-from jaxtyping import Float64
 
 from filtering.se3 import Poses
 from sequences.odometry import OdometryNoise
@@ -36,8 +35,6 @@ class Scene:
         rate_hz: Images a second where no other rate is asked for.
         noise: Of the odometry where none is asked for.
         floor_height_m: From floor to floor along z where all floors look alike from end to end; None elsewhere.
-        modes: How many camera poses look exactly the same, wherever the camera is; None where that depends on where.
-        outline_m: What stands in the middle, seen from above, as a closed line to draw positions around; or None.
         changes: Whether what stands in it, or its light, differs from walk to walk.
         paint_seed: Of stains, grain and light samples.
         sampling: How finely light is sampled; None for as usual.
@@ -53,8 +50,6 @@ class Scene:
     rate_hz: float = 10.0
     noise: OdometryNoise = field(default_factory=OdometryNoise)
     floor_height_m: float | None = None
-    modes: int | None = None
-    outline_m: Float64[np.ndarray, "n 2"] | None = None
     changes: bool = False
     paint_seed: int = 0
     sampling: Sampling | None = None

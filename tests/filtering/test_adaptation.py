@@ -9,7 +9,7 @@ from filtering.adaptation import ErrorScale
 from filtering.localizer import ParticleLocalizer
 from filtering.se3 import Poses
 from tests.helpers.modelled_walk import ERRORS
-from tests.helpers.scaled_errors import AHEAD, APART, looked, scale_along, shifted, simulated, understated
+from tests.helpers.scaled_errors import AHEAD, APART, observed, scale_along, shifted, simulated, understated
 from tests.helpers.simulation import lifted, motion, seen_at
 
 pytestmark = pytest.mark.usefixtures("unchecked")
@@ -19,11 +19,11 @@ STAY = motion(0, 0, 0, 0, 0, 0)
 THERE = Poses.identity(1)
 
 
-def compared(difference, *, errors=ERRORS, way=APART, start=None):
-    """The scale after two images some way apart, the second of which is so many standard deviations off along x."""
-    scale = looked(start or ErrorScale(), seen_at(THERE, errors=errors)).moved(AHEAD, way)
+def compared(difference, *, errors=ERRORS, distance=APART, start=None):
+    """The scale after two images, of which the second is so many standard deviations off along x."""
+    scale = observed(start or ErrorScale(), seen_at(THERE, errors=errors)).predict(AHEAD, distance)
     pose = THERE @ AHEAD.previous_from_current @ Poses.exp(np.array([0.1 * difference, 0, 0, 0, 0, 0]))
-    return looked(scale, seen_at(pose, errors=errors))
+    return observed(scale, seen_at(pose, errors=errors))
 
 
 # --- how much larger or smaller -------------------------------------------------------------------
@@ -54,7 +54,7 @@ def test_errors_are_never_taken_as_less_than_a_tenth_of_the_variance():
     scale, pose = ErrorScale(), THERE
     for _ in range(100):
         pose = pose @ exact.previous_from_current
-        scale = looked(scale.moved(exact, APART), seen_at(pose))
+        scale = observed(scale.predict(exact, APART), seen_at(pose))
     assert scale.factor == 0.1
 
 
@@ -78,14 +78,14 @@ def test_standing_changes_nothing_however_the_images_differ():
     assert factor > 1.0
     for _ in range(100):
         seen = seen_at(Poses.exp(0.3 * rng.standard_normal((1, 6))))
-        scale = looked(scale.moved(STAY, 0.0), seen, 0.0)
+        scale = observed(scale.predict(STAY, 0.0), seen, 0.0)
         estimate = localizer.update(seen, STAY)
     assert scale.factor == factor
     assert estimate.modes[0].widest_std_m < 0.2
 
 
 def test_images_less_than_two_lengths_apart_are_not_compared():
-    near, far = compared(5.0, way=1.9), compared(5.0, way=2.1)
+    near, far = compared(5.0, distance=1.9), compared(5.0, distance=2.1)
     assert near.count == ErrorScale().count
     assert far.count == pytest.approx(ErrorScale().count + 1.0, abs=0.01)
     assert far.factor > near.factor == 1.0
@@ -93,10 +93,10 @@ def test_images_less_than_two_lengths_apart_are_not_compared():
 
 def test_the_first_image_after_the_way_is_compared_and_the_next_ones_with_it():
     scale = compared(5.0)
-    again = looked(scale, seen_at(THERE), 0.0)  # at once, so no comparison
+    again = observed(scale, seen_at(THERE), 0.0)  # at once, so no comparison
     assert again == scale
     assert scale.place.translation[0] == pytest.approx(1.0)
-    assert scale.way == 0.0
+    assert scale.normalized_distance == 0.0
     assert scale.since is None
 
 
@@ -116,7 +116,7 @@ def test_an_image_of_another_place_is_where_the_next_comparison_begins():
     scale = compared(90.0)
     assert scale.place.translation[0] == pytest.approx(9.5)
     following = Poses(scale.place.rotation[None], scale.place.translation[None]) @ AHEAD.previous_from_current
-    later = looked(scale.moved(AHEAD, APART), seen_at(following))
+    later = observed(scale.predict(AHEAD, APART), seen_at(following))
     assert later.count == pytest.approx(ErrorScale().count + 1.0, abs=0.01)
     assert later.factor < 1.0
 
@@ -135,16 +135,16 @@ def test_heavy_tails_that_are_modelled_are_neither_larger_nor_smaller_errors(tai
     for _ in range(400):
         pose = pose @ exact.previous_from_current
         error = np.array([0.1] * 3 + [0.05] * 3) * rng.standard_normal(6) / np.sqrt(rng.chisquare(tail) / tail)
-        scale = looked(scale.moved(exact, APART), seen_at(pose @ Poses.exp(error), errors=errors))
+        scale = observed(scale.predict(exact, APART), seen_at(pose @ Poses.exp(error), errors=errors))
         factors.append(scale.factor)
     assert 0.8 < np.mean(factors) < 1.2
 
 
 def test_of_several_places_the_one_nearest_to_what_odometry_expects_is_compared():
-    scale = looked(ErrorScale(), seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.4, 0.6)))
+    scale = observed(ErrorScale(), seen_at(lifted(Poses.identity(), (0.0, 3.0)), (0.4, 0.6)))
     assert scale.place.translation[2] == pytest.approx(3.0)  # the heaviest begins
     ahead = AHEAD.previous_from_current
-    scale = looked(scale.moved(AHEAD, APART), seen_at(lifted(ahead, (0.0, 3.1, 6.0)), (0.8, 0.1, 0.1)))
+    scale = observed(scale.predict(AHEAD, APART), seen_at(lifted(ahead, (0.0, 3.1, 6.0)), (0.8, 0.1, 0.1)))
     assert scale.count == pytest.approx(ErrorScale().count + 1.0, abs=0.01)
     assert scale.place.translation[2] == pytest.approx(3.1)
     assert scale.factor < 1.0
@@ -166,8 +166,8 @@ def test_places_a_floor_apart_tell_of_the_errors_as_one_place_does():
 
 def test_odometry_that_knows_little_of_the_way_raises_nothing():
     vague = motion(0.5, 0, 0, 0, 0, 0, std=np.full(6, 3.0))
-    scale = looked(ErrorScale(), seen_at(THERE)).moved(vague, APART)
-    assert looked(scale, seen_at(THERE @ Poses.exp(np.array([0.9, 0, 0, 0, 0, 0])))).factor == pytest.approx(
+    scale = observed(ErrorScale(), seen_at(THERE)).predict(vague, APART)
+    assert observed(scale, seen_at(THERE @ Poses.exp(np.array([0.9, 0, 0, 0, 0, 0])))).factor == pytest.approx(
         1.0, abs=0.01
     )
 
@@ -175,9 +175,9 @@ def test_odometry_that_knows_little_of_the_way_raises_nothing():
 def test_a_motion_in_parts_is_compared_as_the_whole_is():
     half = motion(0.25, 0, 0, 0, 0, 0, std=np.zeros(6))
     whole = motion(0.5, 0, 0, 0, 0, 0, std=np.zeros(6))
-    start, end = looked(ErrorScale(), seen_at(THERE)), seen_at(THERE)
-    in_parts = looked(start.moved(half, 0.5 * APART).moved(half, 0.5 * APART), end)
-    assert in_parts.factor == pytest.approx(looked(start.moved(whole, APART), end).factor)
+    start, end = observed(ErrorScale(), seen_at(THERE)), seen_at(THERE)
+    in_parts = observed(start.predict(half, 0.5 * APART).predict(half, 0.5 * APART), end)
+    assert in_parts.factor == pytest.approx(observed(start.predict(whole, APART), end).factor)
 
 
 def familiar_to(power_of_growth, *, errors=ERRORS):
@@ -191,11 +191,11 @@ def familiar_to(power_of_growth, *, errors=ERRORS):
 def test_what_images_tell_is_followed_over_five_lengths_at_any_rate(per_length):
     scale = ErrorScale()
     for _ in range(5 * per_length):
-        scale = looked(scale, familiar_to(0.25), 1.0 / per_length)
+        scale = observed(scale, familiar_to(0.25), 1.0 / per_length)
     assert scale.information == pytest.approx(4.0 - 3.0 / np.e)
     standing = scale
     for _ in range(50):
-        standing = looked(standing, familiar_to(9.0), 0.0)
+        standing = observed(standing, familiar_to(9.0), 0.0)
     assert standing.information == scale.information
 
 
@@ -203,7 +203,7 @@ def test_of_images_of_different_growth_the_harmonic_mean_counts():
     """One that tells much among others that tell little: what they tell adds up, not their variances."""
     scale = ErrorScale()
     for i in range(2000):
-        scale = looked(scale, familiar_to((0.5, 8.0)[i % 2]), 0.05)
+        scale = observed(scale, familiar_to((0.5, 8.0)[i % 2]), 0.05)
     assert 1.0 / scale.information == pytest.approx(1.0 / np.mean([2.0, 0.125]), rel=0.01)
 
 

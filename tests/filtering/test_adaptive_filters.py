@@ -14,7 +14,7 @@ from filtering.localizer import ParticleLocalizer
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from tests.helpers.modelled_walk import SLOW
-from tests.helpers.scaled_errors import AHEAD, APART, looked, scale_along, shifted, simulated, understated
+from tests.helpers.scaled_errors import AHEAD, APART, observed, scale_along, shifted, simulated, understated
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -95,7 +95,7 @@ def test_a_gap_forgets_the_place_compared_with_and_keeps_what_was_found():
     after = localizer.update(nothing, None, elapsed_s=0.0)
     np.testing.assert_allclose(after.covariances, estimate.covariances, rtol=1e-9)
     scale = scale_along(path)
-    forgotten = looked(replace(scale, place=None).moved(AHEAD, APART), path.posteriors[0])
+    forgotten = observed(replace(scale, place=None).predict(AHEAD, APART), path.posteriors[0])
     assert (forgotten.total, forgotten.count) == (scale.total, scale.count)
     assert forgotten.place.translation == pytest.approx(path.posteriors[0].means.translation[0])
 

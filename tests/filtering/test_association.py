@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from filtering.association import associate
-from filtering.hypotheses import born, concatenate, log_sum, with_source
+from filtering.hypotheses import birth, concatenate, log_sum, with_source
 from filtering.motion import SlowErrors
 from filtering.se3 import Poses
+from tests.helpers.associated import associate
 from tests.helpers.simulation import ERRORS, STD, lifted, seen_at
 
 NEVER = SlowErrors(scale=0.0, relative_drift=0.0)
@@ -16,7 +16,7 @@ GAUSSIAN = replace(ERRORS, tail=1e6, outlier_probability=1e-6, flat_log_density=
 
 def believed(heights_m, shares, *, std=STD, errors=ERRORS):
     """Hypotheses one above the other whose uncertainty has nothing to do with the next image's errors."""
-    h = born(seen_at(lifted(Poses.identity(), heights_m), shares, std=std, errors=errors), 0, 1, NEVER, None)
+    h = birth(seen_at(lifted(Poses.identity(), heights_m), shares, std=std, errors=errors), 0, 1, NEVER, None)
     covariance = h.covariance.copy()
     covariance[:, :6, 13:] = covariance[:, 13:, :6] = 0.0
     return replace(h, covariance=covariance).with_log_weights(np.log(shares))
@@ -36,7 +36,7 @@ def test_one_place_and_one_hypothesis_are_a_kalman_update_whose_noise_lasts_in_p
     covariance = belief.covariance.copy()
     covariance[0, :6, 13:] = covariance[0, 13:, :6] = -0.3 * np.diag(STD)
     belief = replace(belief, covariance=covariance)
-    result = associate(belief, at(0.12, errors=GAUSSIAN), 0, novelty=0.7, way=2.0)
+    result = associate(belief, at(0.12, errors=GAUSSIAN), 0, novelty=0.7, distance=2.0)
     assert len(result.hypotheses) == 1
     share = GAUSSIAN.lasting_fraction
     h = np.hstack([np.eye(6), np.zeros((6, 7)), np.sqrt(share) * np.diag(STD)])
@@ -54,7 +54,7 @@ def test_hypotheses_go_on_with_the_weight_they_had_times_the_evidence_to_the_pow
     belief = believed([0.0, 5.0], [0.6, 0.4])
     posterior = seen_at(lifted(Poses.identity(), [0.0, 9.0]), (0.8, 0.2))
     for novelty in (0.0, 0.3, 1.0):
-        result = associate(belief, posterior, 0, novelty=novelty, way=2.0)
+        result = associate(belief, posterior, 0, novelty=novelty, distance=2.0)
         expected = belief.log_weights + novelty * result.log_evidence
         for height_m, log_weight in zip((0.0, 5.0), expected, strict=True):
             near = np.abs(result.hypotheses.poses.translation[:, 2] - height_m) < 1.0
@@ -63,23 +63,25 @@ def test_hypotheses_go_on_with_the_weight_they_had_times_the_evidence_to_the_pow
 
 def test_evidence_lies_between_the_outlier_share_and_one():
     belief = believed([0.0, 5.0], [0.6, 0.4])
-    result = associate(belief, seen_at(Poses.identity(1)), 0, novelty=1.0, way=2.0)
+    result = associate(belief, seen_at(Poses.identity(1)), 0, novelty=1.0, distance=2.0)
     np.testing.assert_allclose(result.log_evidence, [np.log(0.05 + 0.95 / 1.05), np.log(0.05)], atol=1e-12)
 
 
 def test_an_old_view_changes_no_weights_of_places():
     belief = believed([0.0, 5.0], [0.6, 0.4])
-    after = associate(belief, seen_at(Poses.identity(1)), 0, novelty=0.0, way=2.0).hypotheses
+    after = associate(belief, seen_at(Poses.identity(1)), 0, novelty=0.0, distance=2.0).hypotheses
     assert mass_at(after, 0.0) == pytest.approx(0.6, abs=1e-3)
     assert mass_at(after, 5.0) == pytest.approx(0.4, abs=1e-3)
 
 
 def test_the_agreement_is_how_possible_the_belief_is_by_the_image():
     belief = believed([0.0, 5.0], [0.6, 0.4])
-    assert associate(belief, seen_at(Poses.identity(1)), 0, novelty=0.0, way=2.0).agreement == pytest.approx(0.6 / 1.05)
+    assert associate(belief, seen_at(Poses.identity(1)), 0, novelty=0.0, distance=2.0).agreement == pytest.approx(
+        0.6 / 1.05
+    )
     both = seen_at(lifted(Poses.identity(), [0.0, 5.0]), (0.5, 0.5))
-    assert associate(belief, both, 0, novelty=1.0, way=2.0).agreement == pytest.approx(0.5 / 0.55)
-    assert associate(belief, seen_at(lifted(Poses.identity(), [80.0])), 0, novelty=1.0, way=2.0).agreement == 0.0
+    assert associate(belief, both, 0, novelty=1.0, distance=2.0).agreement == pytest.approx(0.5 / 0.55)
+    assert associate(belief, seen_at(lifted(Poses.identity(), [80.0])), 0, novelty=1.0, distance=2.0).agreement == 0.0
 
 
 def test_details_finer_than_the_error_do_not_tell_one_place_from_another():
@@ -87,14 +89,14 @@ def test_details_finer_than_the_error_do_not_tell_one_place_from_another():
     belief = believed([0.0, 5.0], [0.5, 0.5])
     means = lifted(Poses.identity(), [0.0, 5.0])
     means.translation[1, 0] = 0.15
-    after = associate(belief, seen_at(means, (0.5, 0.5)), 0, novelty=1.0, way=2.0).hypotheses
+    after = associate(belief, seen_at(means, (0.5, 0.5)), 0, novelty=1.0, distance=2.0).hypotheses
     assert 0.48 < mass_at(after, 5.0) / after.weights.sum() < 0.5
 
 
 def test_an_image_with_two_places_near_one_wide_hypothesis_makes_two_of_it_by_their_shares():
     belief = believed([0.0], [1.0], std=np.array([2.0, 2, 2, 0.05, 0.05, 0.05]))
     after = associate(
-        belief, seen_at(lifted(Poses.identity(), [-1.0, 1.0]), (0.3, 0.6)), 0, novelty=1.0, way=2.0
+        belief, seen_at(lifted(Poses.identity(), [-1.0, 1.0]), (0.3, 0.6)), 0, novelty=1.0, distance=2.0
     ).hypotheses
     up, down = (mass_at(after, height_m, within=0.2) for height_m in (1.0, -1.0))
     assert up / down == pytest.approx(2.0, rel=0.01)
@@ -104,7 +106,7 @@ def test_an_image_with_two_places_near_one_wide_hypothesis_makes_two_of_it_by_th
 def test_a_share_of_each_hypothesis_goes_on_as_it_was_by_how_likely_the_image_says_nothing():
     errors = replace(ERRORS, outlier_probability=0.2, flat_log_density=9.0)
     belief = believed([0.0], [1.0], errors=errors)
-    after = associate(belief, at(0.0, errors=errors), 0, novelty=0.0, way=2.0).hypotheses
+    after = associate(belief, at(0.0, errors=errors), 0, novelty=0.0, distance=2.0).hypotheses
     assert len(after) == 2
     same = int(np.argmin(np.abs(after.covariance - belief.covariance[0]).sum(axis=(1, 2))))
     np.testing.assert_array_equal(after.covariance[same], belief.covariance[0])
@@ -116,7 +118,7 @@ def test_a_share_of_each_hypothesis_goes_on_as_it_was_by_how_likely_the_image_sa
 
 def test_places_too_far_to_be_seen_leave_the_belief_as_it_was():
     belief = believed([0.0, 5.0], [0.6, 0.4])
-    after = associate(belief, seen_at(lifted(Poses.identity(), [80.0])), 0, novelty=0.0, way=2.0).hypotheses
+    after = associate(belief, seen_at(lifted(Poses.identity(), [80.0])), 0, novelty=0.0, distance=2.0).hypotheses
     np.testing.assert_array_equal(after.poses.translation, belief.poses.translation)
     np.testing.assert_array_equal(after.covariance, belief.covariance)
     np.testing.assert_allclose(after.log_weights, belief.log_weights, atol=1e-12)
@@ -128,7 +130,8 @@ def test_a_place_far_off_for_its_error_pulls_less_than_a_gaussian_would_and_conv
     pulls, stds = [], []
     for x in (0.05, 0.7):
         results = [
-            associate(belief, at(x, errors=errors), 0, novelty=1.0, way=2.0).hypotheses for errors in (heavy, GAUSSIAN)
+            associate(belief, at(x, errors=errors), 0, novelty=1.0, distance=2.0).hypotheses
+            for errors in (heavy, GAUSSIAN)
         ]
         tails, gaussian = (h[np.argsort(-h.log_weights)[:1]] for h in results)
         pulls.append(tails.poses.translation[0, 0] / gaussian.poses.translation[0, 0])
@@ -141,25 +144,25 @@ def test_a_place_far_off_for_its_error_pulls_less_than_a_gaussian_would_and_conv
 
 def test_a_second_image_of_the_same_view_errs_as_the_first_did():
     """Only the fresh share is averaged: of a hundred equal images the pose learns the lasting share's worth."""
-    belief = born(seen_at(Poses.identity(1), errors=GAUSSIAN), 0, 1, NEVER, None)
+    belief = birth(seen_at(Poses.identity(1), errors=GAUSSIAN), 0, 1, NEVER, None)
     for _ in range(100):
-        belief = associate(belief, at(0.0, errors=GAUSSIAN), 0, novelty=0.0, way=2.0).hypotheses
+        belief = associate(belief, at(0.0, errors=GAUSSIAN), 0, novelty=0.0, distance=2.0).hypotheses
     share = np.diag(belief.covariance[0])[:6] / STD**2
     assert (share > GAUSSIAN.lasting_fraction).all()
     assert (share < GAUSSIAN.lasting_fraction + 0.01).all()
 
 
 def test_another_cameras_image_of_the_same_view_has_errors_of_its_own():
-    belief = with_source(born(seen_at(Poses.identity(1), errors=GAUSSIAN), 0, 1, NEVER, None))
-    after = associate(belief, at(0.0, errors=GAUSSIAN), 1, novelty=1.0, way=2.0).hypotheses
+    belief = with_source(birth(seen_at(Poses.identity(1), errors=GAUSSIAN), 0, 1, NEVER, None))
+    after = associate(belief, at(0.0, errors=GAUSSIAN), 1, novelty=1.0, distance=2.0).hypotheses
     np.testing.assert_allclose(np.diag(after.covariance[0])[:6], STD**2 / 2, rtol=1e-3)
 
 
 def test_hypotheses_do_not_depend_on_each_others_presence():
     belief = believed([0.0, 5.0, 30.0], [0.5, 0.3, 0.2])
     posterior = seen_at(lifted(Poses.identity(), [0.1, 5.2]), (0.5, 0.4))
-    together = associate(belief, posterior, 0, novelty=0.5, way=2.0)
-    alone = [associate(belief[k : k + 1], posterior, 0, novelty=0.5, way=2.0) for k in range(3)]
+    together = associate(belief, posterior, 0, novelty=0.5, distance=2.0)
+    alone = [associate(belief[k : k + 1], posterior, 0, novelty=0.5, distance=2.0) for k in range(3)]
     np.testing.assert_allclose(together.log_evidence, np.concatenate([a.log_evidence for a in alone]), atol=1e-12)
     parts = concatenate([a.hypotheses for a in alone])
     np.testing.assert_allclose(np.sort(together.hypotheses.log_weights), np.sort(parts.log_weights), atol=1e-12)
@@ -168,7 +171,7 @@ def test_hypotheses_do_not_depend_on_each_others_presence():
 def test_a_hypothesis_wider_than_the_map_believes_an_image_as_one_that_knows_the_map():
     """Else an image that is clear would be taken for an outlier, since nothing was expected of it anywhere."""
     belief = believed([0.0], [1.0], std=np.array([900.0, 900, 900, 2, 2, 2]))
-    after = associate(belief, seen_at(lifted(Poses.identity(), [300.0])), 0, novelty=1.0, way=2.0).hypotheses
+    after = associate(belief, seen_at(lifted(Poses.identity(), [300.0])), 0, novelty=1.0, distance=2.0).hypotheses
     assert mass_at(after, 300.0) / after.weights.sum() == pytest.approx(0.95, abs=0.01)
 
 
@@ -176,11 +179,11 @@ def test_hypotheses_of_a_large_belief_see_what_each_would_see_alone():
     heights = np.linspace(-1.0, 1.0, 300)
     belief = believed(heights, np.full(300, 1 / 300))
     posterior = seen_at(lifted(Poses.identity(), [-0.8, 0.0, 0.9]), (0.2, 0.5, 0.3))
-    together = associate(belief, posterior, 0, novelty=0.5, way=1.0)
+    together = associate(belief, posterior, 0, novelty=0.5, distance=1.0)
     uneven = together.hypotheses.covariance - np.swapaxes(together.hypotheses.covariance, 1, 2)
     assert not uneven.any()  # what rounding leaves would grow from image to image
     for i in (0, 150, 299):
-        alone = associate(belief[i : i + 1], posterior, 0, novelty=0.5, way=1.0)
+        alone = associate(belief[i : i + 1], posterior, 0, novelty=0.5, distance=1.0)
         assert alone.log_evidence[0] == pytest.approx(together.log_evidence[i], abs=1e-12)
         for pose, covariance in zip(alone.hypotheses.poses.translation, alone.hypotheses.covariance, strict=True):
             apart = np.abs(together.hypotheses.poses.translation - pose).max(axis=1)

@@ -32,8 +32,8 @@ def assert_same(one, other):
     np.testing.assert_array_equal(one.particles.translation, other.particles.translation)
     np.testing.assert_array_equal(one.log_weights, other.log_weights)
     np.testing.assert_array_equal(one.covariances, other.covariances)
-    assert (one.status, one.agreement, one.novelty, one.way) == (
-        other.status, other.agreement, other.novelty, other.way
+    assert (one.status, one.agreement, one.novelty, one.normalized_distance) == (
+        other.status, other.agreement, other.novelty, other.normalized_distance
     )  # fmt: skip
 
 
@@ -299,14 +299,14 @@ def test_an_update_that_raises_draws_nothing(monkeypatch):
         localizers.append(localizer)
     step = increment(translation=(0.3, 0, 0))
     seen = seen_at(lifted(Poses.exp(np.array([0.3, 0, 0, 0, 0, 0])), 3.0 * np.arange(6)), [0.15] * 6)
-    drawn = localizers[0]._filter_rng.bit_generator.state
+    drawn = localizers[0].belief.random.bit_generator.state
 
-    def broken(*arguments):
-        assert localizers[0]._filter_rng.bit_generator.state != drawn  # precondition: it has drawn
+    def broken(belief, *arguments):
+        assert belief.random.bit_generator.state != drawn  # precondition: it has drawn
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("filtering.localizer.describe_modes", broken)
+        patched.setattr("filtering.step.describe", broken)
         with pytest.raises(KeyboardInterrupt):
             localizers[0].update(seen, step)
     for _ in range(3):

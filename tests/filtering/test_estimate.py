@@ -3,7 +3,7 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, ModeConfig, describe_modes, posterior_modes
-from filtering.hypotheses import born
+from filtering.hypotheses import birth
 from filtering.motion import SlowErrors
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
@@ -13,7 +13,7 @@ CONFIG = ModeConfig()
 
 
 def believed(poses, weights):
-    h = born(seen_at(poses, np.full(len(poses), 1 / len(poses))), 0, 1, SlowErrors(), None)
+    h = birth(seen_at(poses, np.full(len(poses), 1 / len(poses))), 0, 1, SlowErrors(), None)
     return h.with_log_weights(np.log(weights))
 
 

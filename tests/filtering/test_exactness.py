@@ -77,7 +77,7 @@ def test_with_one_place_and_gaussian_errors_pose_slow_and_lasting_errors_are_tho
         kalman.update(measured[:, None], H=seen_by(0, 19))
         true = true + 0.96 * STEP + rng.standard_normal(6) * MOTION_STD
 
-        belief = localizer._belief
+        belief = localizer.belief.hypotheses
         assert len(belief) == 1
         std = np.sqrt(np.diag(kalman.P))
         state = np.concatenate([belief.poses[0].log(), belief.mean[0]])
@@ -109,7 +109,7 @@ def test_two_cameras_are_the_kalman_filter_with_two_independent_lasting_errors()
             kalman.x = kalman.x + control
         for camera in range(2):
             kalman.update(measured[camera][:, None], H=seen_by(camera, 25))
-        belief = localizer._belief
+        belief = localizer.belief.hypotheses
         assert len(belief) == 1
         std = np.sqrt(np.diag(kalman.P))
         state = np.concatenate([belief.poses[0].log(), belief.mean[0]])

@@ -7,21 +7,10 @@ from hypothesis import strategies as st
 
 from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError
-from filtering.hypotheses import (
-    POSE,
-    SLOW,
-    Hypotheses,
-    bias,
-    born,
-    concatenate,
-    log_sum,
-    motion_of_state,
-    moved,
-    reduced,
-    widened,
-    with_source,
-)
+from filtering.hypotheses import POSE, SLOW, Hypotheses, bias, birth, concatenate, log_sum, with_source
+from filtering.mixture_reduction import reduce_mixture
 from filtering.motion import Odometry, SlowErrors
+from filtering.prediction import inflate, motion_of_state, predict
 from filtering.se3 import Poses
 from tests.helpers.simulation import ERRORS, STD, motion, seen_at
 
@@ -82,7 +71,7 @@ def test_the_log_of_a_sum_neither_overflows_nor_vanishes():
 
 def test_a_newborn_errs_as_the_image_does_and_its_error_goes_with_the_images_lasting_one():
     posterior = seen_at(Poses.identity(2), (0.7, 0.2))
-    h = born(posterior, 0, 1, SlowErrors(scale=0.03), None)
+    h = birth(posterior, 0, 1, SlowErrors(scale=0.03), None)
     assert (h.weights / h.weights[0]).tolist() == pytest.approx([1.0, (0.2 / 0.25) / (0.7 / 0.75)])
     np.testing.assert_array_equal(h.pose_covariance, posterior.covariances)
     np.testing.assert_allclose(h.covariance[:, 6, 6], 0.03**2)
@@ -98,7 +87,7 @@ def test_a_newborn_errs_as_the_image_does_and_its_error_goes_with_the_images_las
 
 def test_a_newborn_knows_of_the_odometrys_errors_what_the_heaviest_hypothesis_knows():
     belief = bank(3, weights=[0.2, 0.7, 0.1])
-    h = born(seen_at(Poses.identity(1)), 0, 1, SlowErrors(), belief)
+    h = birth(seen_at(Poses.identity(1)), 0, 1, SlowErrors(), belief)
     np.testing.assert_array_equal(h.mean[0, :7], belief.mean[1, :7])
     np.testing.assert_array_equal(h.covariance[0, SLOW, SLOW], belief.covariance[1, SLOW, SLOW])
     assert not h.mean[0, 7:].any()
@@ -124,7 +113,7 @@ def test_what_moves_is_what_happens_to_draws_of_the_state():
     slow = SlowErrors(scale=0.03, drift=(0.05, 0.04, 0.03, 0.02, 0.03, 0.04), time_s=5.0)
     covariance = random_covariances(1, 6, seed=1, scale=0.02)[0]
     step = Odometry(Poses.exp(np.array([0.4, -0.1, 0.2, 0.1, 0.3, -0.2])), covariance, 0.8)
-    after = moved(h, step, slow, [0.6])
+    after = predict(h, step, slow, [0.6])
 
     count = 40_000
     draws = rng.standard_normal((count, 19)) @ np.linalg.cholesky(h.covariance[0]).T
@@ -150,7 +139,7 @@ def test_many_hypotheses_move_as_the_transition_of_the_state_says():
     h, slow = bank(300), SlowErrors(scale=0.05, relative_drift=0.5)
     odometry = motion(0.3, 0.1, 0, 0.2, 0.1, 0.3)
     transition, noise = motion_of_state(odometry, slow, [0.7])
-    after = moved(h, odometry, slow, [0.7]).covariance
+    after = predict(h, odometry, slow, [0.7]).covariance
     np.testing.assert_allclose(after, transition @ h.covariance @ transition.T + noise, atol=1e-12)
 
 
@@ -162,17 +151,17 @@ def test_many_hypotheses_move_as_the_transition_of_the_state_says():
 def test_two_motions_are_one_motion_that_is_both(seed, cuts):
     """Without slow errors, hypotheses after the parts equal those after `then`."""
     rng = np.random.default_rng(seed)
-    start = born(seen_at(Poses.exp(rng.standard_normal((3, 6))), (0.5, 0.3, 0.2)), 0, 1, NEVER, None)
+    start = birth(seen_at(Poses.exp(rng.standard_normal((3, 6))), (0.5, 0.3, 0.2)), 0, 1, NEVER, None)
     parts = [
         Odometry(Poses.exp(0.3 * rng.standard_normal(6)), random_covariances(1, 6, seed=seed + k, scale=0.05)[0], cut)
         for k, cut in enumerate(cuts)
     ]
     whole = parts[0]
-    one = moved(start, parts[0], NEVER, [0.1])
+    one = predict(start, parts[0], NEVER, [0.1])
     for part in parts[1:]:
         whole = whole.then(part)
-        one = moved(one, part, NEVER, [0.1])
-    both = moved(start, whole, NEVER, [0.1 * len(parts)])
+        one = predict(one, part, NEVER, [0.1])
+    both = predict(start, whole, NEVER, [0.1 * len(parts)])
     np.testing.assert_allclose(one.poses.as_matrix(), both.poses.as_matrix(), atol=1e-9)
     np.testing.assert_allclose(one.covariance, both.covariance, atol=1e-9)
     np.testing.assert_allclose(one.mean, both.mean, atol=1e-12)
@@ -184,9 +173,9 @@ def test_a_steady_motion_in_any_parts_leaves_the_same_belief_slow_errors_and_all
     std, tangent = np.array([0.02, 0.01, 0.01, 0.005, 0.005, 0.01]), np.array([2.0, 0, 0.1, 0, 0, 0.1])
     stds = []
     for count in (1, 3, 30):
-        h = born(seen_at(Poses.identity(1)), 0, 1, slow, None)
+        h = birth(seen_at(Poses.identity(1)), 0, 1, slow, None)
         for _ in range(count):
-            h = moved(
+            h = predict(
                 h, motion(*(tangent / count), std=std / np.sqrt(count), duration_s=2.0 / count), slow, [4 / count]
             )
         stds.append(np.sqrt(np.diag(h.covariance[0])))
@@ -197,33 +186,33 @@ def test_a_steady_motion_in_any_parts_leaves_the_same_belief_slow_errors_and_all
 
 def test_odometry_that_is_sure_of_one_axis_leaves_it_sure():
     std = np.array([0.10, 0.002, 0.002, 1e-4, 1e-4, 1e-4])
-    h = born(seen_at(Poses.identity(1), std=[1e-3] * 6), 0, 1, NEVER, None)
+    h = birth(seen_at(Poses.identity(1), std=[1e-3] * 6), 0, 1, NEVER, None)
     for _ in range(10):
-        h = moved(h, motion(0.5, 0, 0, 0, 0, 0, std=std), NEVER, [1.0])
+        h = predict(h, motion(0.5, 0, 0, 0, 0, 0, std=std), NEVER, [1.0])
     stds = np.sqrt(np.diag(h.pose_covariance[0]))
     assert stds[0] == pytest.approx(0.1 * np.sqrt(10), rel=0.01)
     assert (stds[1:3] < 0.015).all()
 
 
 def test_after_a_quarter_turn_what_was_ahead_is_beside():
-    h = born(seen_at(Poses.identity(1), std=[0.5, 0.01, 0.02, 0.001, 0.001, 0.001]), 0, 1, NEVER, None)
-    turned = moved(h, motion(0, 0, 0, 0, 0, np.pi / 2, std=np.zeros(6)), NEVER, [0.0])
+    h = birth(seen_at(Poses.identity(1), std=[0.5, 0.01, 0.02, 0.001, 0.001, 0.001]), 0, 1, NEVER, None)
+    turned = predict(h, motion(0, 0, 0, 0, 0, np.pi / 2, std=np.zeros(6)), NEVER, [0.0])
     np.testing.assert_allclose(np.sqrt(np.diag(turned.pose_covariance[0]))[:3], [0.01, 0.5, 0.02], rtol=1e-6)
 
 
 def test_a_known_scale_error_shortens_what_is_reported_too_long():
-    h = born(seen_at(Poses.identity(1)), 0, 1, NEVER, None)
+    h = birth(seen_at(Poses.identity(1)), 0, 1, NEVER, None)
     mean = h.mean.copy()
     mean[:, 0] = 0.05
-    after = moved(replace(h, mean=mean), motion(2.0, 0, 0, 0, 0, 0), NEVER, [0.0])
+    after = predict(replace(h, mean=mean), motion(2.0, 0, 0, 0, 0, 0), NEVER, [0.0])
     assert after.poses[0].translation[0] == pytest.approx(1.9)
 
 
 def test_the_errors_of_standing_stay_and_those_of_a_way_fade():
-    h = born(seen_at(Poses.identity(1)), 0, 1, NEVER, None)
-    stood = moved(h, motion(0, 0, 0, 0, 0, 0, std=np.zeros(6), duration_s=3600.0), NEVER, [0.0])
+    h = birth(seen_at(Poses.identity(1)), 0, 1, NEVER, None)
+    stood = predict(h, motion(0, 0, 0, 0, 0, 0, std=np.zeros(6), duration_s=3600.0), NEVER, [0.0])
     np.testing.assert_allclose(stood.covariance[0][:6, 13:], h.covariance[0][:6, 13:])
-    walked = moved(h, motion(0, 0, 0, 0, 0, 0, std=np.zeros(6)), NEVER, [2.0])
+    walked = predict(h, motion(0, 0, 0, 0, 0, 0, std=np.zeros(6)), NEVER, [2.0])
     np.testing.assert_allclose(walked.covariance[0][:6, 13:], np.exp(-2.0) * h.covariance[0][:6, 13:])
     np.testing.assert_allclose(np.diag(walked.covariance[0])[13:], 1.0)
 
@@ -231,10 +220,10 @@ def test_the_errors_of_standing_stay_and_those_of_a_way_fade():
 def test_an_unknown_motion_adds_its_covariance_and_no_direction_is_known_less_than_none():
     h = bank(2)
     growth = np.diag([0.25] * 3 + [0.01] * 3)
-    grown = widened(h, growth)
+    grown = inflate(h, growth)
     np.testing.assert_allclose(grown.pose_covariance, h.pose_covariance + growth)
     np.testing.assert_array_equal(grown.covariance[:, 6:, 6:], h.covariance[:, 6:, 6:])
-    wide = widened(h, np.diag([1e6] * 3 + [9e4] * 3))
+    wide = inflate(h, np.diag([1e6] * 3 + [9e4] * 3))
     np.testing.assert_allclose(np.sqrt(wide.covariance[0, range(3, 6), range(3, 6)]), 2.0)
     assert np.linalg.eigvalsh(wide.covariance).min() > -1e-9
 
@@ -243,7 +232,14 @@ def test_an_unknown_motion_adds_its_covariance_and_no_direction_is_known_less_th
 
 
 def fewer(h, *, divergence=0.5, least_weight=0.0, most=100, seed=0):
-    return reduced(h, divergence=divergence, least_weight=least_weight, most=most, rng=np.random.default_rng(seed))
+    return reduce_mixture(
+        h,
+        divergence=divergence,
+        least_weight=least_weight,
+        most=most,
+        resampling="optimal",
+        rng=np.random.default_rng(seed),
+    )
 
 
 def test_merging_keeps_weight_mean_and_covariance_of_the_mixture():
@@ -318,5 +314,5 @@ def test_what_is_lighter_than_the_least_weight_goes_but_the_heaviest_stays():
 
 
 def test_an_error_model_without_lasting_errors_ties_a_newborn_to_no_bias():
-    h = born(seen_at(Poses.identity(1), errors=ErrorModel(lasting_fraction=0.0)), 0, 1, NEVER, None)
+    h = birth(seen_at(Poses.identity(1), errors=ErrorModel(lasting_fraction=0.0)), 0, 1, NEVER, None)
     assert not h.covariance[0, POSE, bias(0)].any()

@@ -122,8 +122,8 @@ def walk_at_rates(seed, rates, seconds=6):
     """The last estimate at each rate, of one walk past like places whose images err as the model says."""
     rng, count = RNG(seed), seconds * FASTEST + 1
     step = Poses.exp(STEP_PER_S / FASTEST)
-    way = np.hypot(1.0 / ERRORS.length_m, 0.2 / ERRORS.length_rad) / FASTEST
-    error = image_errors([way] * (count - 1), ERRORS, rng=rng)
+    distance = np.hypot(1.0 / ERRORS.length_m, 0.2 / ERRORS.length_rad) / FASTEST
+    error = image_errors([distance] * (count - 1), ERRORS, rng=rng)
     truth = [Poses.identity()]
     odometry = []
     for _ in range(count - 1):
@@ -168,8 +168,8 @@ def squared_error(seed, rate, errors, config, *, outlier_probability=0.0, second
     """Squared Mahalanobis distance of the truth at the end of a walk of which all is drawn as the models say."""
     rng, count = RNG(seed), seconds * rate + 1
     step = Poses.exp(STEP_PER_S / rate)
-    way = np.hypot(1.0 / errors.length_m, 0.2 / errors.length_rad) / rate
-    error = image_errors([way] * (count - 1), errors, rng=rng)
+    distance = np.hypot(1.0 / errors.length_m, 0.2 / errors.length_rad) / rate
+    error = image_errors([distance] * (count - 1), errors, rng=rng)
     constant = np.sqrt(np.diag(errors.least_covariance)) * rng.standard_normal(6)
     scale = SLOW.scale * rng.standard_normal() * np.array([1.0, 1, 1, 0, 0, 0]) * STEP_PER_S
     drift = wandering([1 / rate / SLOW.time_s] * (count - 1), 6, rng=rng) * np.array(SLOW.drift)

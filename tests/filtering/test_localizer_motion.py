@@ -68,6 +68,30 @@ def test_odometry_that_is_5_percent_off_is_found_out(too_long):
     assert far.translation[0] - begin == pytest.approx(20.0, abs=20 * 0.015)  # the scale is found as well
 
 
+def test_the_normalized_distance_is_that_since_the_last_image_however_it_was_predicted():
+    def forward(metres):
+        return motion(metres, 0, 0, 0, 0, 0)
+
+    seen = [seen_at(Poses.exp(np.array([[x, 0.0, 0, 0, 0, 0]]))) for x in (0.0, 0.4, 0.8)]
+    whole, parts = (ParticleLocalizer(None, rng=RNG(0)) for _ in range(2))
+    for localizer in (whole, parts):
+        assert localizer.update(seen[0], None).normalized_distance == 0.0
+        assert localizer.update(seen[1], forward(0.4)).normalized_distance == pytest.approx(0.4 / ERRORS.length_m)
+    assert parts.predict(forward(0.3)).normalized_distance == pytest.approx(0.3 / ERRORS.length_m)
+    assert parts.predicted(forward(0.1)).normalized_distance == pytest.approx(0.4 / ERRORS.length_m)
+    assert parts.update(seen[2], forward(0.1)).normalized_distance == pytest.approx(0.4 / ERRORS.length_m)
+    assert whole.update(seen[2], forward(0.4)).normalized_distance == pytest.approx(0.4 / ERRORS.length_m)
+
+
+def test_what_is_predicted_changes_no_belief():
+    localizer = ParticleLocalizer(None, rng=RNG(0))
+    localizer.update(seen_at(Poses.identity(1)), None)
+    belief = localizer.belief
+    later = localizer.predicted(AHEAD)
+    assert localizer.belief is belief
+    np.testing.assert_array_equal(localizer.predict(AHEAD).particles.translation, later.particles.translation)
+
+
 # --- unit of length -------------------------------------------------------------------------------
 
 
@@ -108,7 +132,10 @@ def test_nothing_depends_on_the_unit_of_length(factor):
             other.particles.translation / factor, one.particles.translation, rtol=1e-6, atol=1e-6
         )
         np.testing.assert_allclose(
-            [other.agreement, other.novelty, other.way], [one.agreement, one.novelty, one.way], rtol=1e-6, atol=1e-9
+            [other.agreement, other.novelty, other.normalized_distance],
+            [one.agreement, one.novelty, one.normalized_distance],
+            rtol=1e-6,
+            atol=1e-9,
         )
         for mode, larger in zip(one.modes, other.modes, strict=True):
             assert larger.weight == pytest.approx(mode.weight, rel=1e-6)

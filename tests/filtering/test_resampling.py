@@ -4,7 +4,7 @@ from filterpy.monte_carlo import systematic_resample
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filtering.resampling import systematic, thin_out
+from filtering.resampling import heaviest, optimal_resample, systematic
 
 WEIGHTS = [
     np.random.default_rng(5).dirichlet(np.ones(8)),
@@ -65,7 +65,7 @@ def test_thinning_out_keeps_exactly_as_many_as_asked_each_once_and_the_sum_of_we
     count = 1 + int(kept * (size - 2))
     weights = rng.dirichlet(np.full(size, concentration)) + 1e-12
     weights /= weights.sum()
-    index, log_weights = thin_out(np.log(weights), count, rng=rng)
+    index, log_weights = optimal_resample(np.log(weights), count, rng=rng)
     assert len(index) == len(log_weights) == count
     assert len(set(index)) == count
     assert np.exp(log_weights).sum() == pytest.approx(1.0)
@@ -84,7 +84,7 @@ def test_the_expected_weight_of_each_is_what_it_was(weights, count):
     rng, repeats = np.random.default_rng(7), 4000
     after = np.zeros((repeats, len(weights)))
     for row in after:
-        index, log_weights = thin_out(np.log(weights), count, rng=rng)
+        index, log_weights = optimal_resample(np.log(weights), count, rng=rng)
         row[index] = np.exp(log_weights)
     error = 4 * after.std(axis=0) / np.sqrt(repeats) + 1e-3 * weights.max()
     assert (np.abs(after.mean(axis=0) - weights) <= error + 1e-12).all()
@@ -93,7 +93,7 @@ def test_the_expected_weight_of_each_is_what_it_was(weights, count):
 def test_the_heavy_are_never_up_for_the_draw():
     weights = np.array([0.5, 0.3] + [0.2 / 50] * 50)
     for seed in range(50):
-        index, log_weights = thin_out(np.log(weights), 10, rng=np.random.default_rng(seed))
+        index, log_weights = optimal_resample(np.log(weights), 10, rng=np.random.default_rng(seed))
         assert {0, 1} <= set(index)
         np.testing.assert_allclose(np.exp(log_weights), [0.5, 0.3, *[0.2 / 8] * 8])
 
@@ -101,5 +101,12 @@ def test_the_heavy_are_never_up_for_the_draw():
 def test_what_weighs_nothing_is_never_kept_while_enough_else_is_there():
     weights = np.array([0.0, 0.6, 0.0, 0.3, 0.1])
     for seed in range(50):
-        index, _ = thin_out(log(weights), 2, rng=np.random.default_rng(seed))
+        index, _ = optimal_resample(log(weights), 2, rng=np.random.default_rng(seed))
         assert set(index) <= {1, 3, 4}
+
+
+def test_the_heaviest_are_kept_with_their_weights():
+    weights = np.array([0.1, 0.4, 0.05, 0.3, 0.15])
+    kept, log_weights = heaviest(np.log(weights), 3, rng=np.random.default_rng(0))
+    assert kept.tolist() == [1, 3, 4]
+    np.testing.assert_allclose(np.exp(log_weights), weights[kept])

@@ -24,17 +24,17 @@ def filtered_and_smoothed(path, errors=ERRORS, modes=None):
     estimates = [localizer.update(p, odom) for p, odom in zip(path.posteriors, path.odometry, strict=True)]
     filtered = Poses.stack([estimate.modes[0].world_from_camera for estimate in estimates])
     sure = np.array([estimate.status == "converged" for estimate in estimates])
-    ways = np.array([estimate.way for estimate in estimates])
+    distances = np.array([estimate.normalized_distance for estimate in estimates])
     modes = modes or [posterior_modes(posterior) for posterior in path.posteriors]
-    return filtered, smooth(modes, path.odometry, ways, filtered, sure, errors, CONFIG)
+    return filtered, smooth(modes, path.odometry, distances, filtered, sure, errors, CONFIG)
 
 
 # --- what an image is worth --------------------------------------------------------------------------
 
 
-def of_one_pose(ways, lasting_fraction):
+def of_one_pose(distances, lasting_fraction):
     """What the images say together of one pose, in independent images: 1ᵀ K⁻¹ 1."""
-    along = np.cumsum(ways)
+    along = np.cumsum(distances)
     correlation = lasting_fraction * np.exp(-np.abs(along[:, None] - along))
     np.fill_diagonal(correlation, 1.0)
     return np.linalg.inv(correlation).sum()
@@ -57,12 +57,12 @@ def test_on_a_long_way_an_image_is_worth_what_the_inverse_of_the_correlations_sa
 
 def test_a_stand_takes_nothing_from_images_on_the_way():
     """A stand of a hundred images counts as one of a single image does."""
-    ways = np.concatenate([np.full(20, 0.7), np.zeros(99), np.full(20, 0.7)])
-    worth = independence(ways, 0.8)
+    distances = np.concatenate([np.full(20, 0.7), np.zeros(99), np.full(20, 0.7)])
+    worth = independence(distances, 0.8)
     once = independence(np.full(40, 0.7), 0.8)
     np.testing.assert_allclose(worth[:18], once[:18], rtol=0.05)
     assert once[19] <= worth[19:119].sum() < 1.5 * once[19]
-    np.testing.assert_allclose(worth.sum(), of_one_pose(np.maximum(ways, 1e-6), 0.8), rtol=1e-4)
+    np.testing.assert_allclose(worth.sum(), of_one_pose(np.maximum(distances, 1e-6), 0.8), rtol=1e-4)
 
 
 def test_one_image_is_one_and_errors_that_do_not_last_are_independent():
@@ -96,21 +96,23 @@ def test_images_without_modes_are_no_measurement():
     modes = [posterior_modes(p) if i < 20 or i >= 40 else () for i, p in enumerate(path.posteriors)]
     _, smoothed = filtered_and_smoothed(path, modes=modes)
     assert smoothed.distance(path.truth)[0].max() < 0.4
-    unseen = smooth([()] * 60, path.odometry, path.ways, path.truth[np.arange(60)], np.ones(60, bool), ERRORS, CONFIG)
+    unseen = smooth(
+        [()] * 60, path.odometry, path.distances, path.truth[np.arange(60)], np.ones(60, bool), ERRORS, CONFIG
+    )
     assert np.isfinite(unseen.translation).all()
 
 
 def test_a_standing_camera_does_not_outvote_the_others():
-    """One stretch of the way counts the same whether the camera took one image there or a hundred."""
+    """One stretch of the path counts the same whether the camera took one image there or a hundred."""
     path = walk(40, rng=np.random.default_rng(2), speed_m=0.3)
     modes = [posterior_modes(posterior) for posterior in path.posteriors]
     still = type(path.odometry[1])(Poses.identity(), 1e-12 * np.eye(6), 0.0)
     repeated = [*modes[:20], *[modes[20]] * 100, *modes[20:]]
     odometry = [*path.odometry[:21], *[still] * 100, *path.odometry[21:]]
-    ways = np.concatenate([path.ways[:21], np.zeros(100), path.ways[21:]])
+    distances = np.concatenate([path.distances[:21], np.zeros(100), path.distances[21:]])
     index = np.concatenate([np.arange(20), np.full(100, 20), np.arange(20, 40)])
-    once = smooth(modes, path.odometry, path.ways, path.truth, np.ones(40, bool), ERRORS, CONFIG)
-    often = smooth(repeated, odometry, ways, path.truth[index], np.ones(140, bool), ERRORS, CONFIG)
+    once = smooth(modes, path.odometry, path.distances, path.truth, np.ones(40, bool), ERRORS, CONFIG)
+    often = smooth(repeated, odometry, distances, path.truth[index], np.ones(140, bool), ERRORS, CONFIG)
     assert once.distance(often[np.concatenate([np.arange(20), np.arange(120, 140)])])[0].max() < 0.04
 
 
@@ -129,10 +131,10 @@ def test_a_gap_splits_the_trajectory():
     modes = [posterior_modes(posterior) for posterior in path.posteriors]
     odometry = [None if i == 30 else motion for i, motion in enumerate(path.odometry)]
     sure = np.ones(60, bool)
-    whole = smooth(modes, odometry, path.ways, path.truth, sure, ERRORS, CONFIG)
+    whole = smooth(modes, odometry, path.distances, path.truth, sure, ERRORS, CONFIG)
     first, second = slice(0, 30), slice(30, 60)
     for part in (first, second):
-        alone = smooth(modes[part], odometry[part], path.ways[part], path.truth[part], sure[part], ERRORS, CONFIG)
+        alone = smooth(modes[part], odometry[part], path.distances[part], path.truth[part], sure[part], ERRORS, CONFIG)
         np.testing.assert_allclose(whole[part].translation, alone.translation, atol=1e-12)
 
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
 from filtering.estimate import Mode, posterior_modes
-from filtering.gaussian_sum import GaussianSumLocalizer
 from filtering.kalman import KalmanLocalizer
 from filtering.localizer import ParticleLocalizer
 from filtering.moments import require_sound, settle
@@ -19,6 +18,7 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from filtering.smoothing import agreement, smooth
 from tests.helpers.simulation import ERRORS, lifted, seen_at
+from vapor.tracking.baselines import gaussian_sum
 
 NOISE = MotionNoise()
 CENTURY_S = 3e9
@@ -75,10 +75,10 @@ def taken(found):
 @given(found=steps)
 def test_whatever_odometry_says_poses_are_finite_and_covariances_positive_definite(found):
     config = LocalizerConfig()
-    filters = [kind(None, config, rng=np.random.default_rng(0)) for kind in (ParticleLocalizer, GaussianSumLocalizer)]
+    filters = [ParticleLocalizer(None, each, rng=np.random.default_rng(0)) for each in (config, gaussian_sum(config))]
     kalman = KalmanLocalizer()
     first = seen_at(lifted(Poses.identity(), [0.0, 3.0, 6.0]), [0.5, 0.3, 0.2])
-    images, motions, ways, best = [], [], [], []
+    images, motions, distances, best = [], [], [], []
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for posterior, odom, elapsed_s in [(first, None, 0.1), *taken(found)]:
@@ -91,11 +91,11 @@ def test_whatever_odometry_says_poses_are_finite_and_covariances_positive_defini
             assert_sound(mode.world_from_camera, mode.covariance)
             images.append(posterior)
             motions.append(odom)
-            ways.append(estimate.way)
+            distances.append(estimate.normalized_distance)
             best.append(estimate.modes[0].world_from_camera)
         modes = [posterior_modes(image) for image in images]
         sure = np.zeros(len(images), bool)
-        smoothed = smooth(modes, motions, np.array(ways), Poses.stack(best), sure, ERRORS)
+        smoothed = smooth(modes, motions, np.array(distances), Poses.stack(best), sure, ERRORS)
         assert smoothed.is_finite().all()
         fits = agreement(smoothed, np.arange(len(images)) * 100_000_000, modes, ERRORS)
     assert ((fits >= 0.0) & (fits <= 1.0)).all()

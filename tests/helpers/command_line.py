@@ -6,7 +6,17 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.tiny_model import SMALL
-from vapor.track import main
+from vapor import track
+from vapor.benchmark import PROGRAM
+from vapor.benchmark import __main__ as benchmark
+
+EVERY_COMMAND = [*([name] for name in track.COMMANDS), *([PROGRAM, name] for name in benchmark.COMMANDS)]
+"""The words that name each command, for `main`."""
+
+
+def main(words: list[str]) -> int:
+    """The exit status of a command: of `vapor-benchmark` where that is the first word, else of `vapor-track`."""
+    return benchmark.main(words[1:]) if words[:1] == [PROGRAM] else track.main(words)
 
 
 def words_of_run(sequence: Path | str, model: Path | str, output: Path) -> list[str]:
@@ -24,7 +34,7 @@ def refuse(words: list[str], capsys: pytest.CaptureFixture[str], *said: object) 
     out, err = capsys.readouterr()
     assert status == 1, err
     assert out == ""
-    assert err.startswith(f"vapor-track {words[0]}: ")
+    assert err.startswith(f"{PROGRAM} {words[1]}: " if words[0] == PROGRAM else f"vapor-track {words[0]}: ")
     assert err.endswith("\n")
     assert err.count("\n") == 1
     for words_said in said:

@@ -13,12 +13,12 @@ from typing import Any
 
 from sequences.atomic import is_workspace
 from sequences.outputs.manifest import MANIFEST, read_manifest
+from tests.helpers.command_line import main
 from tests.helpers.exported import take_apart
 from tests.helpers.pages import ReadPage
 from tests.helpers.tiny_model import SMALL
 from vapor.engines.onnx_file import describe_onnx
 from vapor.tensor_files import CHECKSUM, read_safetensors
-from vapor.track import main
 
 LOADED = [
     *(
@@ -30,10 +30,8 @@ LOADED = [
     ),
     *("rerun", "pandas", "pyarrow.compute", "matplotlib.backends.backend_agg", "tyro._backends._argparse_formatter"),
     *("torch.onnx.utils", "onnx", "onnxruntime"),
-    *(
-        f"vapor.commands.{name}"
-        for name in ("run", "train", "calibrate", "export", "benchmark.localization", "experiment")
-    ),
+    *(f"vapor.commands.{name}" for name in ("run", "train", "calibrate", "export")),
+    *(f"vapor.benchmark.commands.{name}" for name in ("localization", "regressors")),
 ]
 
 TINY = [
@@ -51,7 +49,7 @@ class Call:
     """A small call of a command that writes `out/result`, with or without a suffix.
 
     Attributes:
-        words: After `vapor-track`, in a folder that holds what is read.
+        words: After `vapor-track`, or after and with `vapor-benchmark`, in a folder that holds what is read.
         again: Options without which a call on top of the result would have nothing to do.
         grows: Whether the result is a folder that grows file by file; else it is replaced as one.
     """
@@ -70,17 +68,17 @@ CALLS = {
     "export": Call(("export", "tiny.safetensors", "out/result.onnx")),
     "benchmark": Call(
         (
-            *("benchmark", "localization", "ceiling", "--models", "tiny.safetensors", "--output", "out/result"),
+            *("vapor-benchmark", "localization", "ceiling", "--models", "tiny.safetensors", "--output", "out/result"),
             *("--kinds", "no-cue", "--runs", "1", "--frames", "50", "--width", "32", "--height", "24"),
             *("--workers", "1", "--first-seed", "700", "--num-samples", "40", "--localizer.max-hypotheses", "30"),
         ),
         again=("--localizer.switch-ratio", "2"),
         grows=True,
     ),
-    "experiment": Call(
+    "regressors": Call(
         (
-            *("experiment", "table", "dinner-table", "--methods", "variational", "--seeds", "1", "--workers", "1"),
-            *("--sequences", "1", "--frames", "32", "--test-sequences", "1", "--test-frames", "6"),
+            *("vapor-benchmark", "regressors", "dinner-table", "--methods", "variational", "--seeds", "1"),
+            *("--workers", "1", "--sequences", "1", "--frames", "32", "--test-sequences", "1", "--test-frames", "6"),
             *("--num-samples", "20", "--output", "out/result", "--train.no-calibrate"),
             *(word.replace("--", "--train.") for word in TINY),
         ),

@@ -36,9 +36,9 @@ def walk(localizer, count, *, shares=(1.0,), heights_m=(0.0,), pose=None, seed=0
     """Estimates along a walk whose images err as the model says, and the true pose at its end."""
     rng = RNG(seed)
     pose = Poses.identity() if pose is None else pose
-    way = float(np.hypot(*(np.linalg.norm(part) for part in np.split(step.previous_from_current.log(), 2)))) / 0.45
+    distance = float(np.hypot(*(np.linalg.norm(part) for part in np.split(step.previous_from_current.log(), 2)))) / 0.45
     estimates = []
-    for error in image_errors([way] * (count - 1), errors, rng=rng):
+    for error in image_errors([distance] * (count - 1), errors, rng=rng):
         pose = pose @ step.previous_from_current
         seen = lifted(pose @ Poses.exp(error), heights_m)
         estimates.append(localizer.update(seen_at(seen, shares, errors=errors), step))

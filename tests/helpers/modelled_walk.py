@@ -6,7 +6,7 @@ import numpy as np
 
 from filtering.error_model import ErrorModel
 from filtering.motion import Odometry, SlowErrors
-from filtering.novelty import ViewMeter
+from filtering.novelty import NoveltyTracker
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 
@@ -28,7 +28,7 @@ class Walk:
     truth: Poses
     odometry: list[Odometry | None]
     posteriors: list[PosePosterior]
-    ways: np.ndarray
+    distances: np.ndarray
 
 
 def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=SLOW, speed_m=0.05, unit=1.0):
@@ -39,8 +39,8 @@ def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=SLOW, s
     errors, lengths = errors.scaled(unit), np.array([unit] * 3 + [1.0] * 3)
     std = np.asarray(errors.floor)
     scale, drift = slow.scale * rng.standard_normal(), rng.standard_normal(6)
-    bias, meter = rng.standard_normal(6), ViewMeter(errors.length_m, errors.length_rad)
-    truth, odometry, posteriors, ways = [Poses.identity()], [None], [], [0.0]
+    bias, tracker = rng.standard_normal(6), NoveltyTracker(errors.length_m, errors.length_rad)
+    truth, odometry, posteriors, distances = [Poses.identity()], [None], [], [0.0]
     step_s = 0.1
     for i in range(num_images):
         if i:
@@ -53,9 +53,9 @@ def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=SLOW, s
             reported = Poses.exp(step) @ Poses.exp(wrong)
             truth.append(truth[-1] @ Poses.exp(step))
             odometry.append(Odometry(reported, np.diag(noise**2), step_s))
-            meter, way = meter.moved(reported)
-            ways.append(way)
-            bias = np.exp(-way) * bias + np.sqrt(-np.expm1(-2 * way)) * rng.standard_normal(6)
+            tracker, distance = tracker.predict(reported)
+            distances.append(distance)
+            bias = np.exp(-distance) * bias + np.sqrt(-np.expm1(-2 * distance)) * rng.standard_normal(6)
         fresh = rng.standard_normal(6)
         error = std * (np.sqrt(errors.lasting_fraction) * bias + np.sqrt(1 - errors.lasting_fraction) * fresh)
         seen = truth[-1] @ Poses.exp(error)
@@ -65,4 +65,4 @@ def walk(num_images, *, rng, lifts=lambda i: (0.0,), errors=ERRORS, slow=SLOW, s
         covariances = np.repeat(np.diag(std**2)[None], len(heights), 0)
         shares = np.full(len(heights), 1.0 / max(len(heights), 1))
         posteriors.append(PosePosterior(means, covariances, shares, errors, means))
-    return Walk(Poses.stack(truth), odometry, posteriors, np.array(ways))
+    return Walk(Poses.stack(truth), odometry, posteriors, np.array(distances))

@@ -30,9 +30,9 @@ def understated(path, factor):
 
 def scale_along(path, scale=None):
     scale = scale or ErrorScale()
-    for posterior, odometry, way in zip(path.posteriors, path.odometry, path.ways, strict=True):
-        scale = scale if odometry is None else scale.moved(odometry, way)
-        scale = scale.looked(posterior, way)
+    for posterior, odometry, distance in zip(path.posteriors, path.odometry, path.distances, strict=True):
+        scale = scale if odometry is None else scale.predict(odometry, distance)
+        scale = scale.observe(posterior, distance)
     return scale
 
 
@@ -41,5 +41,5 @@ def shifted(posterior, offset):
     return replace(posterior, means=means, samples=means)
 
 
-def looked(scale, posterior, way=APART):
-    return scale.looked(posterior, way)
+def observed(scale, posterior, distance=APART):
+    return scale.observe(posterior, distance)

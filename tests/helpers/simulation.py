@@ -35,19 +35,19 @@ def seen_at(means, shares=(1.0,), *, std=STD, errors=ERRORS, unfamiliarity=0.0):
     return PosePosterior(means, covariances, np.array(shares, np.float64), errors, means, unfamiliarity)
 
 
-def wandering(ways, size, *, rng):
-    """An Ornstein-Uhlenbeck process (n, size) of unit variance along a way, n − 1 steps apart."""
+def wandering(distances, size, *, rng):
+    """An Ornstein-Uhlenbeck process (n, size) of unit variance along a distance, n − 1 steps apart."""
     values = [rng.standard_normal(size)]
-    for way in ways:
-        kept = np.exp(-way)
+    for distance in distances:
+        kept = np.exp(-distance)
         values.append(kept * values[-1] + np.sqrt(1.0 - kept**2) * rng.standard_normal(size))
     return np.array(values)
 
 
-def image_errors(ways, errors, *, std=STD, rng):
-    """Errors ξ (n, 6) of images taken along a way, the steps of which are told in lengths: lasting and fresh ones."""
-    lasting = wandering(ways, 6, rng=rng)
-    fresh = rng.standard_normal((len(ways) + 1, 6))
+def image_errors(distances, errors, *, std=STD, rng):
+    """Errors ξ (n, 6) of images taken taken at distances, in lengths, from the one before: lasting and fresh ones."""
+    lasting = wandering(distances, 6, rng=rng)
+    fresh = rng.standard_normal((len(distances) + 1, 6))
     share = errors.lasting_fraction
     return std * (np.sqrt(share) * lasting + np.sqrt(1.0 - share) * fresh)
 

@@ -1,4 +1,4 @@
-"""Settings of experiments that take seconds."""
+"""Settings of trainings that take seconds."""
 
 from vapor.regressors.network_config import NetworkConfig
 from vapor.training.config import TrainConfig

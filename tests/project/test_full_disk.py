@@ -13,12 +13,12 @@ from filtering.errors import MAX_MESSAGE
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
+from tests.helpers.command_line import main
 from tests.helpers.full import FULL, some
 from tests.helpers.full_disk import ENOUGH, filling
 from tests.helpers.killed_commands import CALLS, Call, Killing
 from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_model import SMALL, write_tiny_model
-from vapor.track import main
 
 MORE = {
     "synthesize": Call(
@@ -48,7 +48,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("name", some(5, sorted(ALL, key=["train", "benchmark", "experiment"].__contains__)))
+@pytest.mark.parametrize("name", some(5, sorted(ALL, key=["train", "benchmark", "regressors"].__contains__)))
 def test_a_command_whose_disk_is_full_says_so_in_a_line_and_leaves_what_was_there(name, folder, capfd):
     call, old = ALL[name], folder / "old"
     found = Killing(call, folder, None)

@@ -5,7 +5,7 @@ import re
 import pytest
 
 import vapor
-from docs.extensions.command_help import command, kinds_of
+from docs.extensions.command_help import PROGRAMS, command
 from docs.extensions.pages import blocks, shell, unknown
 from tests.helpers.checkout import CHECKOUT
 from vapor.track import COMMANDS
@@ -46,10 +46,10 @@ def test_commands_and_options_in_the_pages_exist(page):
     ("text", "found"),
     [
         ("vapor-track run a.mcap \\\n  --modell x  # --nonsense", "run has no option --modell"),
-        ("for i in 1 2; do X=1 .venv/bin/vapor-track synthesise a; done", "there is no command 'synthesise'"),
+        ("for i in 1 2; do X=1 .venv/bin/vapor-track synthesise a; done", "vapor-track has no command 'synthesise'"),
         ("torchrun --nproc-per-node 2 -m vapor.track train a --epoch=3", "train has no option --epoch"),
-        ("make demo && vapor-track experiment tables", "experiment has no kind 'tables'"),
-        ("vapor-track experiment table a --localizer.gap.action widen", "experiment table has no option --localizer"),
+        ("make demo && vapor-benchmark run a.mcap", "vapor-benchmark has no command 'run'"),
+        ("vapor-benchmark regressors a --localizer.gap.action widen", "regressors has no option --localizer"),
     ],
 )
 def test_what_the_parser_does_not_know_is_found(text, found):
@@ -57,7 +57,7 @@ def test_what_the_parser_does_not_know_is_found(text, found):
 
 
 def test_what_the_parser_knows_is_no_complaint():
-    line = "vapor-track run a --model=x --no-recording | tee log; vapor-track benchmark step --threads 2"
+    line = "vapor-track run a --model=x --no-recording | tee log; vapor-benchmark step --threads 2"
     assert [*unknown(f"{line}\nvapor-track --help")] == []
 
 
@@ -71,10 +71,14 @@ def test_every_command_has_its_page():
     assert pages.keys() == COMMANDS.keys()
     for each, text in pages.items():
         assert text.startswith(f"# vapor-track {each}\n")
-        assert f"```{{command-help}} {each}\n```" in text
+        assert f"```{{command-help}} vapor-track {each}\n```" in text
 
 
-@pytest.mark.parametrize("words", [kind for each in COMMANDS for kind in kinds_of(each)])
+def test_the_page_of_the_benchmarks_has_them_all():
+    assert "```{command-help} vapor-benchmark\n```" in (DOCS / "benchmark.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("words", [f"{program} {name}" for program, of in PROGRAMS.items() for name in of.COMMANDS])
 def test_the_page_of_a_command_explains_every_option(words):
     shown = command(words)
     assert shown.meaning
@@ -85,7 +89,7 @@ def test_the_page_of_a_command_explains_every_option(words):
 
 
 def test_options_are_shown_with_value_default_and_group():
-    shown = command("run")
+    shown = command("vapor-track run")
     options = {each.names[0]: each for _, group in shown.groups.values() for each in group if each.names}
     assert options["--model"].required
     assert (options["--workers"].value, options["--workers"].default) == ("INT", "1")
@@ -98,7 +102,7 @@ def test_options_are_shown_with_value_default_and_group():
 def test_defaults_that_follow_from_a_preset_are_those_of_its_command():
     (width,) = [
         option
-        for _, options in command("experiment table").groups.values()
+        for _, options in command("vapor-benchmark regressors").groups.values()
         for option in options
         if "--train.network.image-width" in option.names
     ]

@@ -10,18 +10,17 @@ from pathlib import Path
 import fsspec
 import pytest
 
+from tests.helpers.command_line import main
 from tests.helpers.full import full
 from tests.helpers.tiny_experiments import TINY_TRAIN
 from tests.helpers.tiny_model import SMALL
 from vapor.benchmark.recordings import record as record_module
+from vapor.benchmark.regressors import training_runs as runs_module
+from vapor.benchmark.regressors.scenes import _render, render_scenes
+from vapor.benchmark.regressors.table import TableConfig, TableExperiment, parse_scene
 from vapor.benchmark.trials import run as run_module
-from vapor.experiments import training_runs as runs_module
-from vapor.experiments.alpha import AlphaConfig
-from vapor.experiments.scenes import _render, render_scenes
-from vapor.experiments.sweep import Sweep
 from vapor.parallel.jobs import Workers
 from vapor.storage import StorageError, absent, fetched, listed, local_path, published, url_of, withdrawn
-from vapor.track import main
 from vapor.training import saving as saving_module
 from vapor.training import state as state_module
 from vapor.training.state import state_path
@@ -87,14 +86,14 @@ def test_storage_that_cannot_be_used_is_told_in_one_line(machine, capsys):
     assert "Protocol not known" in err
     with pytest.raises(SystemExit):
         main(["run", "x.mcap", "--model", "ceiling", "--output", "s3://bucket/out"])
-    assert "only experiment and benchmark write to URLs" in capsys.readouterr().err
+    assert "only vapor-benchmark writes to URLs" in capsys.readouterr().err
 
 
 @full
 @pytest.mark.usefixtures("unchecked")
 def test_a_benchmark_under_a_url_goes_on_from_any_machine(machine, tiny_model, monkeypatch, capsys):
     fsspec.filesystem("memory").put(str(tiny_model), "/models/tiny.safetensors")
-    words = ["benchmark", "localization", "ceiling", "--models", "memory://models/tiny.safetensors", "--output"]
+    words = ["vapor-benchmark", "localization", "ceiling", "--models", "memory://models/tiny.safetensors", "--output"]
     words += ["memory://bench", "--kinds", "no-cue", "--runs", "1", "--frames", "50", "--width", "32"]
     words += ["--height", "24", "--workers", "1", "--num-samples", "40", "--localizer.max-hypotheses", "30"]
     assert main(words) == 0
@@ -131,27 +130,25 @@ def test_a_walk_is_rendered_on_a_machine_that_has_no_copy_of_anything(machine):
 @full
 @pytest.mark.usefixtures("unchecked")
 def test_a_training_that_was_killed_goes_on_on_another_machine_to_the_same_result(machine, tmp_path, monkeypatch):
-    config = AlphaConfig(
-        alphas=(0.5,),
-        runs=1,
+    config = TableConfig(
+        ("variational",),
+        1,
         sequences=1,
         frames=32,
+        test_sequences=1,
         test_frames=6,
         num_samples=20,
         train=replace(TINY_TRAIN, epochs=2),
     )
 
     def results(directory: Path) -> list[dict]:
-        experiment = Sweep(["dinner-table"], directory, config, Workers(1))
+        experiment = TableExperiment([parse_scene("dinner-table")], directory, config, Workers(1))
         list(experiment.render())
-        found = [result | {"seconds": None} for result in experiment.train()]
-        assert len(experiment.samples("dinner-table", 0.5)[1]) == 6
-        return found
+        return [result | {"seconds": None} for result in experiment.train()]
 
     whole = results(tmp_path / "local")
-    assert not list((tmp_path / "local" / "runs").glob("*.safetensors"))  # as none is to be kept
-
-    fsspec.filesystem("memory").put(str(tmp_path / "local" / "images"), "/alpha/images", recursive=True)
+    (model,) = (tmp_path / "local" / "runs").glob("*.safetensors")  # and no state of a training
+    fsspec.filesystem("memory").put(str(tmp_path / "local" / "images"), "/table/images", recursive=True)
     epochs, save = [], state_module.save_state
 
     def killed(path: Path, *state: object) -> None:
@@ -162,7 +159,7 @@ def test_a_training_that_was_killed_goes_on_on_another_machine_to_the_same_resul
     with monkeypatch.context() as patch:
         patch.setattr(saving_module, "save_state", killed)
         with pytest.raises(KeyboardInterrupt):
-            results(local_path("memory://alpha"))
+            results(local_path("memory://table"))
     machine("two")
     monkeypatch.setattr(saving_module, "save_state", lambda *state: save(*state) or epochs.append(state[0]))
     trains = runs_module.train_on_images
@@ -172,9 +169,10 @@ def test_a_training_that_was_killed_goes_on_on_another_machine_to_the_same_resul
         return trains(images, names, model, *rest)  # pyright: ignore[reportArgumentType]
 
     monkeypatch.setattr(runs_module, "train_on_images", resuming)
-    assert results(local_path("memory://alpha")) == whole
+    assert results(local_path("memory://table")) == whole
     assert len(epochs) == 2  # one on each machine
-    assert not [name for name in fsspec.filesystem("memory").find("/alpha") if name.endswith(".safetensors")]
+    (there,) = (name for name in fsspec.filesystem("memory").find("/table") if name.endswith(".safetensors"))
+    assert ".training." not in there + model.name
 
 
 def test_sequences_under_urls_are_found_and_localized(machine, walk_of_25, tiny_model, tmp_path, plain_results):

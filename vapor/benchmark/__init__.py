@@ -1,1 +1,4 @@
-"""Many runs over synthetic and real recordings, with and without faults; how long a step takes."""
+"""Measurements of the library, by a command of their own: nothing outside of this folder imports it."""
+
+PROGRAM = "vapor-benchmark"
+"""The command."""

@@ -34,17 +34,19 @@ def _path_or_url(words: list[str]) -> Path:
 
 def _output(words: list[str]) -> Path:
     if is_url(words[0]):
-        raise ValueError(f"is {words[0]}, expected a path, as only experiment and benchmark write to URLs")
-    return _shared_output(words)
+        raise ValueError(f"is {words[0]}, expected a path, as only vapor-benchmark writes to URLs")
+    return path_or_url_to_write(words)
 
 
-def _shared_output(words: list[str]) -> Path:
+def path_or_url_to_write(words: list[str]) -> Path:
+    """The path that a word stands for, or of a URL that of its copy; ValueError for an empty one."""
     if not words[0].strip():
         raise ValueError("is empty, expected a path")
     return _path_or_url(words)
 
 
-def _path_given_by(instance_from_str: Callable[[list[str]], Path]) -> Any:
+def path_given_by(instance_from_str: Callable[[list[str]], Path]) -> Any:
+    """How an option reads its path."""
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
@@ -54,12 +56,10 @@ def _path_given_by(instance_from_str: Callable[[list[str]], Path]) -> Any:
     )
 
 
-InputPath = Annotated[Path, _path_given_by(_path_or_url)]
+InputPath = Annotated[Path, path_given_by(_path_or_url)]
 """A path to read from, or a URL, of which it is the path of the copy (see `vapor.storage`)."""
-OutputPath = Annotated[Path, _path_given_by(_output)]
+OutputPath = Annotated[Path, path_given_by(_output)]
 """A path to write to, which is not empty."""
-SharedOutputPath = Annotated[Path, _path_given_by(_shared_output)]
-"""A path or a URL to write to, which is not empty; of a URL it is the path of the copy."""
 
 Overwrite = Annotated[
     bool,
@@ -69,19 +69,25 @@ Overwrite = Annotated[
 """Whether to replace what is not known to be results of an earlier call."""
 
 
-def command_line(command: str, arguments: Sequence[str]) -> str:
+def command_line(command: str, arguments: Sequence[str], program: str = "vapor-track") -> str:
     """A command as one would type it, for the page that says what it found."""
-    return shlex.join(["vapor-track", command, *arguments])
+    return shlex.join([program, command, *arguments])
 
 
-def parse(command: str, options: type[Options], arguments: Sequence[str], default: Options | None = None) -> Options:
+def parse(
+    command: str,
+    options: type[Options],
+    arguments: Sequence[str],
+    default: Options | None = None,
+    program: str = "vapor-track",
+) -> Options:
     """Options from the words of the command line; wrong ones print what is wrong and exit with status 2.
 
     Old names of options are understood, with a notice on standard error (`renamed_options`).
     """
     words, notices = with_new_names(arguments)
     for notice in notices:
-        say(f"vapor-track {command}: {notice}")
+        say(f"{program} {command}: {notice}")
     given: dict[str, Any] = {} if default is None else {"default": default}
     told, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
     try:
@@ -90,12 +96,12 @@ def parse(command: str, options: type[Options], arguments: Sequence[str], defaul
         else:
             os.environ["COLUMNS"] = str(width())  # of the terminal, which is not seen behind `helped`
         with redirect_stderr(told), redirect_stdout(helped):
-            return tyro.cli(options, prog=f"vapor-track {command}", args=words, **given)
+            return tyro.cli(options, prog=f"{program} {command}", args=words, **given)
     except VaporTrackError as error:  # a value that its dataclass refuses
-        usage_error(command, str(error))
+        usage_error(command, str(error), program)
     except SystemExit:
         if told.getvalue():
-            usage_error(command, _unboxed(told.getvalue()))
+            usage_error(command, _unboxed(told.getvalue()), program)
         show(Text.from_ansi(helped.getvalue()))
         raise
     finally:
@@ -133,9 +139,9 @@ def _unboxed(text: str) -> str:
     return "; ".join(s for s in sentences if s and not s.startswith(("Argument helptext", "For full helptext")))
 
 
-def usage_error(command: str, message: str) -> NoReturn:
+def usage_error(command: str, message: str, program: str = "vapor-track") -> NoReturn:
     """Exit with status 2 and one line."""
-    say(f"vapor-track {command}: {message}")
+    say(f"{program} {command}: {message}")
     sys.exit(2)
 
 

@@ -19,7 +19,12 @@ _Options = TypeVar("_Options")
 
 
 def parse_named(
-    command: str, options: type[_Options], arguments: Sequence[str], names: Sequence[str], config: Callable[..., Any]
+    command: str,
+    options: type[_Options],
+    arguments: Sequence[str],
+    names: Sequence[str],
+    config: Callable[..., Any],
+    program: str = "vapor-track",
 ) -> _Options:
     """Options as `parse` reads them, with defaults that are named among them; an unknown name exits with status 2.
 
@@ -29,16 +34,17 @@ def parse_named(
         arguments: Words of the command line.
         names: Which of `preset` and `method` there are.
         config: Makes the default of `config` from what they name, given by keyword.
+        program: That has the command.
     """
     chosen = {name: _named(arguments, name, getattr(options, name)) for name in names}
     for name, value in chosen.items():
         if value is not None and value not in _KNOWN[name]:
-            usage_error(command, f"unknown {name} {value!r}, expected one of {', '.join(_KNOWN[name])}")
+            usage_error(command, f"unknown {name} {value!r}, expected one of {', '.join(_KNOWN[name])}", program)
     hints = get_type_hints(options, include_extras=True)
     defaults = {**chosen, "config": config(**chosen)}
     fields = [(name, hints[name], value) for name, value in defaults.items()]
     named = make_dataclass("Options", fields, bases=(options,), frozen=True, namespace={"__doc__": options.__doc__})
-    return parse(command, named, arguments)
+    return parse(command, named, arguments, program=program)
 
 
 def _named(arguments: Sequence[str], name: str, default: str | None) -> str | None:

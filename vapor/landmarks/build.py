@@ -15,7 +15,7 @@ from filtering.se3 import Poses
 from sequences.datasets.seen_points import SeenPoints
 from sequences.frame import Camera
 from vapor.landmarks.adjustment import Adjusted, adjusted
-from vapor.landmarks.features import Basis, Extractor, Features, extract, stored, unit_vectors
+from vapor.landmarks.features import Basis, Features, extract, stored, unit_vectors
 from vapor.landmarks.given_points import at_given_points, with_given_points
 from vapor.landmarks.landmark_map import LandmarkMap, summed_up
 from vapor.landmarks.points import Sightings, parallax, seen, triangulated
@@ -176,7 +176,6 @@ def gather(
     stated: bool = True,
     scale_m: float,
     given: Given = lambda image: None,
-    extractor: Extractor = extract,
     advance: Advance | None = None,
 ) -> Material | None:
     """Choose key images and find their features; None where no two images show the same from two sides.
@@ -188,14 +187,13 @@ def gather(
         stated: Whether that is stated, or a guess.
         scale_m: So much distance is as much of a difference as a radian, for a start.
         given: Points of a reconstruction that a training image shows, by its number; None for none.
-        extractor: What finds features.
         advance: Called with the number of key images done and of all.
     """
     count = _FEATURES
 
     @cache
     def raw(image: int) -> Features:
-        return extractor(view(image), count, longest=VIEW_PX)
+        return extract(view(image), count, longest=VIEW_PX)
 
     depth_m = typical_depth_m(poses, raw, ViewCamera(camera), scale_m=scale_m)
     if depth_m is None:
@@ -213,7 +211,7 @@ def gather(
     for done, image in enumerate(key.tolist()):
         if advance is not None:
             advance(done, len(key))
-        reduced.append(basis.reduced(extractor(view(image), count, longest=VIEW_PX) if many else raw(image)))
+        reduced.append(basis.reduced(extract(view(image), count, longest=VIEW_PX) if many else raw(image)))
     own = poses[key]
     pairs = {(min(i, j), max(i, j)) for i, others in neighbours(own, depth_m) for j in others.tolist()}
     matches, at = matches_of(reduced, sorted(pairs)), ViewCamera(camera)

@@ -7,7 +7,6 @@ Zisserman, "Three things everyone should know to improve object retrieval", CVPR
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -34,15 +33,6 @@ class Features:
 
     def __len__(self) -> int:
         return len(self.pixels)
-
-
-@runtime_checkable
-class Extractor(Protocol):
-    """Finds the strongest features of a grey image, as `extract` does; all of one kind, as unit vectors."""
-
-    def __call__(self, view: UInt8[np.ndarray, "h w"], count: int, *, longest: int) -> Features:
-        """See `extract`."""
-        ...
 
 
 def extract(view: UInt8[np.ndarray, "h w"], count: int, *, longest: int) -> Features:
@@ -84,7 +74,7 @@ class Basis:
     """The principal components of a place's descriptors: half the numbers tell as much.
 
     Attributes:
-        mean: Of the roots of SIFT descriptors, (128,); of other descriptors as many numbers as these have.
+        mean: Of the roots of SIFT descriptors, (128,).
         axes: Principal axes, (128, 64).
     """
 

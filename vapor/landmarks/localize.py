@@ -15,14 +15,14 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 
 from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
-from vapor.landmarks.features import Extractor, Features, extract, restored
+from vapor.landmarks.features import Features, extract, restored
 from vapor.landmarks.landmark_map import LEAST_INLIERS, LandmarkMap
 from vapor.landmarks.matching import mutual_matches, mutual_matches_among, within
 from vapor.landmarks.points import by_pose, seen
-from vapor.landmarks.pose_solver import INLIER_PX, ROBUST_PX, PoseSolver, lo_ransac
+from vapor.landmarks.pose_solver import INLIER_PX, ROBUST_PX, lo_ransac
 
-RATIO, COSINE = 0.9, 0.65
-"""Of matches of an image and a map: see `LandmarkLocalizer`."""
+_RATIO = 0.9  # of the distances of a feature's nearest and second nearest descriptor of the map, in a match
+_COSINE = 0.65  # of the descriptors of a match that lies where it must be
 _QUERY_PX, _FEATURES = 230, 300
 _ALIKE = 16  # key images that look most like an image
 _NEAR = 6  # key images nearest to a pose that is proposed
@@ -58,9 +58,9 @@ class VerifiedPose:
     residuals: Float64[np.ndarray, "k 2"]
 
 
-def query_features(view: UInt8[np.ndarray, "h w"], extractor: Extractor = extract) -> Features:
-    """Features of a grey image to be localized, with all numbers of SIFT, or as an extractor describes them."""
-    return extractor(view, _FEATURES, longest=_QUERY_PX)
+def query_features(view: UInt8[np.ndarray, "h w"]) -> Features:
+    """Features of a grey image to be localized, with all numbers of SIFT."""
+    return extract(view, _FEATURES, longest=_QUERY_PX)
 
 
 class LandmarkLocalizer:
@@ -69,25 +69,11 @@ class LandmarkLocalizer:
     Args:
         landmarks: The map.
         ignored: Key images of it that nothing is looked for in, (n,); None for none.
-        extractor: What finds features, the one that found those of the map.
-        solver: What finds a pose by matches, many of which are wrong.
-        ratio: Of the distances of a feature's nearest and second nearest descriptor of the map, in a match.
-        cosine: Of the descriptors of a match that lies where it must be.
     """
 
-    def __init__(
-        self,
-        landmarks: LandmarkMap,
-        ignored: Bool[np.ndarray, " n"] | None = None,
-        *,
-        extractor: Extractor = extract,
-        solver: PoseSolver = lo_ransac,
-        ratio: float = RATIO,
-        cosine: float = COSINE,
-    ) -> None:
+    def __init__(self, landmarks: LandmarkMap, ignored: Bool[np.ndarray, " n"] | None = None) -> None:
         self.landmarks = landmarks
         self._ignored = np.zeros(len(landmarks.poses), bool) if ignored is None else ignored
-        self._extractor, self._solver, self._ratio, self._cosine = extractor, solver, ratio, cosine
 
     @cached_property
     def _times_shown(self) -> Int64[np.ndarray, " p"]:
@@ -100,7 +86,7 @@ class LandmarkLocalizer:
             view: Of the map's camera.
             distorted: Whether its lens distorts it, as it does the key images; else it is a pinhole camera's.
         """
-        return self.described(query_features(view, self._extractor), distorted=distorted)
+        return self.described(query_features(view), distorted=distorted)
 
     def described(self, found: Features, *, distorted: bool = True) -> Features:
         """The same of features from `query_features`."""
@@ -170,14 +156,7 @@ class LandmarkLocalizer:
 
     def ignoring(self, ignored: Bool[np.ndarray, " n"]) -> LandmarkLocalizer:
         """The same that looks for nothing in some more key images."""
-        return LandmarkLocalizer(
-            self.landmarks,
-            self._ignored | ignored,
-            extractor=self._extractor,
-            solver=self._solver,
-            ratio=self._ratio,
-            cosine=self._cosine,
-        )
+        return LandmarkLocalizer(self.landmarks, self._ignored | ignored)
 
     def view_distances(self, pose: Poses) -> Float64[np.ndarray, " n"]:
         """How different key images are from what a camera at a pose sees, (n,): infinite where they show nothing of it.
@@ -216,11 +195,11 @@ class LandmarkLocalizer:
     def _first_pose(self, features: Features, images: Sequence[int]) -> Poses | None:
         """camera_from_world by the points of some key images; None where these are not what the image shows."""
         m, points = self.landmarks, self._points_of(images)
-        a, b = mutual_matches(features.descriptors, restored(m.descriptors[points]), self._ratio)
+        a, b = mutual_matches(features.descriptors, restored(m.descriptors[points]), _RATIO)
         if len(a) < _LEAST_MATCHES:
             return None
         at = m.points[points[b]].astype(np.float64)
-        return self._solver(features.pixels[a], at, m.camera.camera)
+        return lo_ransac(features.pixels[a], at, m.camera.camera)
 
     def _refined(self, features: Features, camera_from_world: Poses) -> VerifiedPose | None:
         """A pose by all landmarks that must be seen from it, looked for where they must be seen."""
@@ -232,7 +211,7 @@ class LandmarkLocalizer:
         points = points[inside]
         a, b = within(features.pixels, at[inside], _GUIDED_PX)
         likeness = np.vecdot(features.descriptors[a], restored(m.descriptors[points[b]]))
-        alike = likeness > self._cosine
+        alike = likeness > _COSINE
         a, b = mutual_matches_among(likeness[alike], a[alike], b[alike])
         if len(a) < LEAST_INLIERS:
             return None

@@ -5,8 +5,6 @@ Source: Larsson et al., PoseLib (P3P in locally optimised RANSAC).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import poselib
 from jaxtyping import Float64
@@ -18,15 +16,9 @@ INLIER_PX = 3.0
 """Matches whose point is seen within so many pixels agree with a pose."""
 ROBUST_PX = 1.0
 """Scale of the robust (Cauchy) cost of refinements, pixels."""
-LEAST_SUPPORT = 8
-"""Matches that must agree with a pose."""
-MOST_TRIES = 1000
-"""Of RANSAC."""
-_TRIES = {"max_reproj_error": INLIER_PX, "max_iterations": MOST_TRIES, "min_iterations": 50, "seed": 0}
+_LEAST_SUPPORT = 8  # matches that must agree with a pose
+_TRIES = {"max_reproj_error": INLIER_PX, "max_iterations": 1000, "min_iterations": 50, "seed": 0}
 _LOSS = {"loss_type": "CAUCHY", "loss_scale": ROBUST_PX}
-
-PoseSolver = Callable[[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n 3"], Camera], Poses | None]
-"""Of n undistorted pixels, the points matched with them and a pinhole camera: camera_from_world, as `lo_ransac`."""
 
 
 def lo_ransac(pixels: Float64[np.ndarray, "n 2"], points: Float64[np.ndarray, "n 3"], camera: Camera) -> Poses | None:
@@ -47,6 +39,6 @@ def lo_ransac(pixels: Float64[np.ndarray, "n 2"], points: Float64[np.ndarray, "n
         "params": [camera.fx, camera.fy, camera.cx, camera.cy],
     }
     pose, said = poselib.estimate_absolute_pose(pixels, points, pinhole, _TRIES, _LOSS)
-    if said["num_inliers"] < LEAST_SUPPORT:
+    if said["num_inliers"] < _LEAST_SUPPORT:
         return None
     return Poses(np.asarray(pose.R, np.float64), np.asarray(pose.t, np.float64)).orthonormal()

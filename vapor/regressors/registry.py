@@ -1,7 +1,7 @@
 """The pose regressors by name: what `--network.head` offers. A new one is a file in this folder and a row here.
 
-The help of `NetworkConfig.head` has half a sentence on each; whatever `--method` and `experiment table` shall offer by
-a name has a row in `vapor.training.presets`, too.
+The help of `NetworkConfig.head` has half a sentence on each; whatever `--method` and `vapor-benchmark regressors` shall
+offer by a name has a row in `vapor.training.presets`, too.
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import time
 from dataclasses import dataclass, field, replace
 from typing import overload
@@ -156,7 +155,7 @@ class LiveBelief:
         time_ns, motion = self.reader.odometry_ns, None
         if by_odometry and time_ns is not None and anchor.reading == self.reader.readings:
             motion = self._motion_until(time_ns, at_network)
-        later = copy.copy(self.localizer).predict(motion, elapsed_s=anchor.age_s)
+        later = self.localizer.predicted(motion, elapsed_s=anchor.age_s)
         return time_ns or anchor.time_ns, later
 
     def covariance_of_base(

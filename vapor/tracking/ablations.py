@@ -9,7 +9,6 @@ from types import MappingProxyType
 import numpy as np
 
 from filtering.config import LocalizerConfig
-from filtering.doubting import DoubtingLocalizer
 from filtering.error_model import ErrorModel
 from filtering.estimate import Estimate
 from filtering.localizer import ParticleLocalizer
@@ -24,14 +23,12 @@ class Ablation:
 
     Attributes:
         meaning: What is different.
-        kind: The filter.
         localizer: Settings of the filter -> those of the ablation.
         errors: How images err -> how the ablation takes them to.
         told_of_kidnap: Whether it is told that the camera was carried off, and starts anew there.
     """
 
     meaning: str
-    kind: type[ParticleLocalizer] = ParticleLocalizer
     localizer: Callable[[LocalizerConfig], LocalizerConfig] = lambda config: config
     errors: Callable[[ErrorModel], ErrorModel] = lambda errors: errors
     told_of_kidnap: bool = False
@@ -46,7 +43,7 @@ class Ablation:
         """
 
         def begin() -> ParticleLocalizer:
-            return self.kind(None, config, rng=rng)
+            return ParticleLocalizer(None, config, rng=rng)
 
         return _ToldOfKidnap(begin, kidnap_index) if self.told_of_kidnap else begin()
 
@@ -99,7 +96,10 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
             "no hypothesis is added after the first image",
             localizer=lambda config: replace(config, kidnap_per_view=0.0, max_kidnap_per_view=0.0),
         ),
-        "inject-on-doubt": Ablation("hypotheses are added where the images cast doubt, as in AMCL", DoubtingLocalizer),
+        "inject-on-doubt": Ablation(
+            "hypotheses are added where the images cast doubt, as in AMCL",
+            localizer=lambda config: replace(config, births="augmented-mcl"),
+        ),
         "told-of-kidnap": Ablation("starts anew where the camera was carried to", told_of_kidnap=True),
     }
 )

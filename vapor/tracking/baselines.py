@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from filtering.config import LocalizerConfig
 from filtering.estimate import Mode
-from filtering.gaussian_sum import GaussianSumLocalizer
+from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 
@@ -29,8 +31,14 @@ class KalmanTracker:
         return (self._localizer.update(posterior, odometry, elapsed_s=elapsed_s),)
 
 
+GAUSSIANS = 15
+"""Gaussians of the Gaussian sum."""
+
+
 class GaussianSumTracker:
-    """The hypotheses of the first image; none is added later. Takes as long as the filter.
+    """A Gaussian sum filter: the particle filter without births, truncated to its heaviest hypotheses.
+
+    Source: Alspach and Sorenson, "Nonlinear Bayesian estimation using Gaussian sum approximations", 1972.
 
     Args:
         config: Settings of the filter.
@@ -38,8 +46,14 @@ class GaussianSumTracker:
     """
 
     def __init__(self, config: LocalizerConfig, rng: np.random.Generator) -> None:
-        self._localizer = GaussianSumLocalizer(None, config, rng=rng)
+        self._localizer = ParticleLocalizer(None, gaussian_sum(config), rng=rng)
 
     def update(self, posterior: PosePosterior, odometry: Odometry | None, *, elapsed_s: float) -> tuple[Mode, ...]:
         """Take one image, see `Tracker`."""
         return self._localizer.update(posterior, odometry, elapsed_s=elapsed_s).modes
+
+
+def gaussian_sum(config: LocalizerConfig) -> LocalizerConfig:
+    """The settings of the filter that make it a Gaussian sum filter."""
+    rates = {"kidnap_per_view": 0.0, "max_kidnap_per_view": 0.0}
+    return replace(config, **rates, max_hypotheses=GAUSSIANS, resampling="heaviest")

@@ -25,7 +25,7 @@ class History:
     def __init__(self) -> None:
         self.evidence: list[tuple[Mode, ...]] = []
         self.odometry: list[Odometry | None] = []
-        self._ways: list[float] = []
+        self._distances: list[float] = []
         self._filtered: list[Poses] = []
         self._converged: list[bool] = []
 
@@ -33,14 +33,14 @@ class History:
         """Append one image."""
         self.evidence.append(step.evidence[:MOST_MODES])
         self.odometry.append(odometry)
-        self._ways.append(step.estimate.way)
+        self._distances.append(step.estimate.normalized_distance)
         self._filtered.append(step.estimate.modes[0].world_from_camera)
         self._converged.append(step.estimate.status == "converged")
 
     @property
-    def ways(self) -> Float64[np.ndarray, " n"]:
-        """How far the camera came since the image before, in lengths (`Estimate.way`), (n,)."""
-        return np.array(self._ways)
+    def normalized_distances(self) -> Float64[np.ndarray, " n"]:
+        """That the camera moved since the image before (`Estimate.normalized_distance`), (n,)."""
+        return np.array(self._distances)
 
     @property
     def filtered(self) -> Poses:

@@ -24,7 +24,7 @@ def smooth_history(history: History, errors: ErrorModel, config: LocalizerConfig
     return smooth(
         [modes[:SMOOTHED_MODES] for modes in history.evidence],
         history.odometry,
-        history.ways,
+        history.normalized_distances,
         history.filtered,
         history.converged,
         errors,

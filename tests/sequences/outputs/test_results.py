@@ -176,23 +176,23 @@ def test_a_file_that_differs_from_its_manifest_or_is_missing_is_named(tmp_path):
 
 
 def test_what_a_killed_process_left_deep_in_a_folder_that_grows_is_cleared_away(tmp_path):
-    claim_folder(tmp_path / "bench", "benchmark faults")
+    claim_folder(tmp_path / "bench", "vapor-benchmark faults")
     (tmp_path / "bench" / "trials" / ".walk.json.0123abcd.partial" / NEW).mkdir(parents=True)
-    claim_folder(tmp_path / "bench", "benchmark faults")
+    claim_folder(tmp_path / "bench", "vapor-benchmark faults")
     assert os.listdir(tmp_path / "bench" / "trials") == []
 
 
 def test_a_folder_that_grows_is_known_again_and_others_are_refused(tmp_path):
-    claim_folder(tmp_path / "bench", "benchmark faults")
+    claim_folder(tmp_path / "bench", "vapor-benchmark faults")
     (tmp_path / "bench" / "summary.json").write_text("{}")
-    claim_folder(tmp_path / "bench", "benchmark faults")
+    claim_folder(tmp_path / "bench", "vapor-benchmark faults")
     refused(tmp_path / "bench", MANIFEST, "summary.json")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "summary.json").write_text("mine")
     with pytest.raises(SequenceError, match=r"holds summary\.json, expected"):
-        claim_folder(tmp_path / "mine", "benchmark faults")
-    claim_folder(tmp_path / "mine", "benchmark faults", overwrite=True)
-    claim_folder(tmp_path / "mine", "benchmark faults")
+        claim_folder(tmp_path / "mine", "vapor-benchmark faults")
+    claim_folder(tmp_path / "mine", "vapor-benchmark faults", overwrite=True)
+    claim_folder(tmp_path / "mine", "vapor-benchmark faults")
 
 
 def test_a_folder_that_grows_holds_nothing_that_is_read_and_lies_in_none_of_the_users(tmp_path):
@@ -201,9 +201,9 @@ def test_a_folder_that_grows_holds_nothing_that_is_read_and_lies_in_none_of_the_
     data, image = tmp_path / "data", tmp_path / "data" / "rgb" / "1.png"
     for place, read in ((data, data), (data, image), (tmp_path, data)):
         with pytest.raises(SequenceError, match=f"{read}: is read, and would be written to"):
-            claim_folder(place, "experiment table", reads=[read], overwrite=True)
+            claim_folder(place, "vapor-benchmark regressors", reads=[read], overwrite=True)
     with pytest.raises(SequenceError, match=r"rgb: holds 1\.png and lies in .*data, which is read"):
-        claim_folder(data / "rgb", "experiment table", reads=[data], overwrite=True)
+        claim_folder(data / "rgb", "vapor-benchmark regressors", reads=[data], overwrite=True)
     for _ in range(2):
-        claim_folder(data / "out", "experiment table", reads=[data])
+        claim_folder(data / "out", "vapor-benchmark regressors", reads=[data])
     assert contents(data).keys() == {"rgb/1.png", f"out/{MANIFEST}"}

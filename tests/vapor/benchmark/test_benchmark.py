@@ -1,8 +1,7 @@
-"""`vapor-track benchmark localization` from end to end, with a network that knows nothing."""
+"""`vapor-benchmark localization` from end to end, with a network that knows nothing."""
 
 import json
 from collections import Counter
-from dataclasses import replace
 
 import pytest
 
@@ -11,12 +10,12 @@ from sequences.scenes.scene import Scene
 from tests.helpers.checks import no_checks
 from tests.helpers.full import full
 from tests.helpers.pages import ReadPage
+from vapor.benchmark.__main__ import main
 from vapor.benchmark.localization.summary import failed
 from vapor.benchmark.recordings import record
 from vapor.benchmark.trials import kinds, setup
 from vapor.benchmark.trials import run as trial_run
 from vapor.checkpoints.file_format import load_checkpoint
-from vapor.track import main
 from vapor.tracking.methods import METHODS
 
 pytestmark = pytest.mark.usefixtures("unchecked", "rough_light_in_module")
@@ -60,7 +59,7 @@ def calls(monkeypatch):
 
 
 def run(folder, tiny_model, *more: str) -> int:
-    words = ["benchmark", "localization", "ceiling", "--models", str(tiny_model), "--output", str(folder)]
+    words = ["localization", "ceiling", "--models", str(tiny_model), "--output", str(folder)]
     return main([*words, *OPTIONS, *more])
 
 
@@ -113,7 +112,6 @@ def test_the_summary_has_every_run_and_the_tables_every_kind(folder, tiny_model,
 @pytest.mark.parametrize(
     ("more", "again"),
     [
-        (("--errors.tail", "30"), "localize"),
         (("--localizer.switch-ratio", "2"), "localize"),
         (("--num-samples", "21"), "record_synthetic"),
     ],
@@ -133,27 +131,6 @@ def test_ablations_are_compared_in_a_table_of_their_own(folder, tiny_model, call
     assert summary.keys() == {"full", "no-tails"}
 
 
-def test_errors_given_replace_those_of_the_model_and_are_reported(folder, tiny_model, monkeypatch, capsys):
-    told = []
-    update = ParticleLocalizer.update
-
-    def watched(localizer, posterior, odometry, **timing):
-        told.append(posterior.errors)
-        return update(localizer, posterior, odometry, **timing)
-
-    monkeypatch.setattr(ParticleLocalizer, "update", watched)
-    monkeypatch.setattr(setup, "results_code", lambda: "of errors")
-    floor = ["0.01", "0.02", "0.03", "0.04", "0.05", "0.06"]
-    more = ["--kinds", "no-cue", "--errors.outlier-probability", "0.25", "--errors.floor", *floor]
-    assert run(folder, tiny_model, *more) == 0
-    own = load_checkpoint(tiny_model).calibration.errors
-    assert set(told) == {replace(own, outlier_probability=0.25, floor=(0.01, 0.02, 0.03, 0.04, 0.05, 0.06))}
-    settings = json.loads((folder / "summary.json").read_text())["settings"]
-    assert settings["errors"] == {"outlier_share": 0.25, "floor": [float(value) for value in floor]}
-    assert run(folder, tiny_model, "--kinds", "no-cue", "--errors.outlier-probability", "2") == 1
-    assert "outlier_probability is 2" in capsys.readouterr().err
-
-
 @full
 def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, calls, capsys):
     assert run(tmp_path, tiny_model, "--kinds", "rate-3", "rate-10", "rate-30") == 0
@@ -164,7 +141,7 @@ def test_runs_at_several_rates_are_cut_from_one_recording(tiny_model, tmp_path, 
 
 
 def test_walks_where_floors_look_alike_are_evaluated_but_for_the_floor_and_once_on_it(tiny_model, tmp_path, capsys):
-    words = ["benchmark", "localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
+    words = ["localization", "corridor", "--models", str(tiny_model), "--output", str(tmp_path)]
     assert main([*words, *OPTIONS, "--kinds", "walk", "--odometry-scale", "0.02"]) == 0
     out = capsys.readouterr().out
     assert "corridor, whole walks, something unique early: 1 runs" in out

@@ -6,8 +6,7 @@ import pytest
 from filtering.estimate import Mode
 from filtering.se3 import Poses
 from tests.helpers.poses import translated
-from vapor.benchmark.faults.metrics import evaluate_fault, longest_run
-from vapor.benchmark.faults.summary import summarise_faults
+from vapor.benchmark.faults.metrics import evaluate_fault, longest_run, summarise_faults
 from vapor.benchmark.faults.table import FAULTS, NONE
 from vapor.benchmark.faults.timing import find_moment
 from vapor.tracking.belief import Belief

@@ -1,4 +1,4 @@
-"""`vapor-track benchmark faults`, on synthetic walks and recorded ones."""
+"""`vapor-benchmark faults`, on synthetic walks and recorded ones."""
 
 import json
 from dataclasses import astuple
@@ -12,13 +12,14 @@ from sequences.frame import Trajectory
 from sequences.reader import SequenceReader
 from sequences.trajectories.tum import write_tum
 from tests.helpers.full import full
+from vapor import track
+from vapor.benchmark.__main__ import main
 from vapor.benchmark.faults import benchmark as fault_benchmark
 from vapor.benchmark.faults import recorded_walks, timing
 from vapor.benchmark.faults.recorded_walks import RecordedWalk
 from vapor.benchmark.faults.table import NONE
 from vapor.benchmark.faults.walks import SyntheticWalk
 from vapor.benchmark.trials.replay import Replay
-from vapor.track import main
 
 pytestmark = pytest.mark.usefixtures("unchecked", "rough_light_in_module")
 
@@ -35,7 +36,7 @@ ALWAYS_SURE = [
 
 
 def run(folder, tiny_model, *more: str) -> int:
-    words = ["benchmark", "faults", "ceiling", "--models", str(tiny_model), "--output", str(folder)]
+    words = ["faults", "ceiling", "--models", str(tiny_model), "--output", str(folder)]
     return main([*words, *OPTIONS, *more])
 
 
@@ -106,12 +107,12 @@ def recording(tmp_path_factory) -> Path:
     """A walk of 5 s, as a file."""
     path = tmp_path_factory.mktemp("recordings") / "walk.mcap"
     words = ["synthesize", "ceiling", str(path), "--frames", "50", "--seed", "3", "--width", "32", "--height", "24"]
-    assert main(words) == 0
+    assert track.main(words) == 0
     return path
 
 
 def run_recorded(folder, tiny_model, *recordings: Path, more: tuple[str, ...] = ()) -> int:
-    words = ["benchmark", "faults", "--recordings", *map(str, recordings), "--models", str(tiny_model)]
+    words = ["faults", "--recordings", *map(str, recordings), "--models", str(tiny_model)]
     words += ["--output", str(folder), *OPTIONS[4:-5], "--faults", *RECORDED_FAULTS]
     return main([*words, *ALWAYS_SURE, *more])
 

@@ -18,8 +18,10 @@ from sequences.recordings.messages import odometry_from_message
 from tests.helpers.fake_transport import FakeTransport
 from tests.helpers.full import full
 from tests.helpers.tiny_model import SMALL
+from vapor.benchmark.__main__ import main
 from vapor.benchmark.live.measure import first_and_last, latency_of, require_alone
 from vapor.benchmark.live.traffic import (
+    IMAGE,
     ODOMETRY,
     Timeline,
     Traffic,
@@ -30,7 +32,6 @@ from vapor.benchmark.live.traffic import (
     stamp_of,
     with_stamp,
 )
-from vapor.track import main
 
 
 def test_one_goes_there_and_back_again():
@@ -76,7 +77,7 @@ def test_the_odometry_that_is_played_leads_from_image_to_image_as_recorded(walk_
     assert traffic.timeline.speed == pytest.approx(3.0)
     transport, at_s, images = FakeTransport(), [], 0
     for sent in play(transport, traffic):
-        images += sent.topic == traffic.image
+        images += sent.topic == IMAGE
         at_s.append(sent.at_ns * 1e-9)
         if images == 6:
             break
@@ -85,7 +86,7 @@ def test_the_odometry_that_is_played_leads_from_image_to_image_as_recorded(walk_
     assert (info.width, info.height, info.k[0]) == (64, 48, pytest.approx(walk.camera.fx * 64 / walk.camera.width))
     messages = [decoder("nav_msgs/Odometry")(data) for data in transport.published[ODOMETRY]]
     samples = [odometry_from_message(message) for message in messages]
-    stamps_ns = [stamp_of(data) for data in transport.published[traffic.image]]
+    stamps_ns = [stamp_of(data) for data in transport.published[IMAGE]]
     np.testing.assert_allclose(np.diff(stamps_ns), 1e9 / 30, rtol=1e-3)
     first, last = (min(samples, key=lambda sample: abs(sample.time_ns - t)) for t in (stamps_ns[0], stamps_ns[-1]))
     frames = list(islice(SequenceReader(walk_of_25), 6))
@@ -133,7 +134,7 @@ def test_nobody_else_may_be_in_the_domain():
 def test_the_command_measures_live(
     walk_of_25: Path, tiny_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    words = ["benchmark", "live", "--model", str(tiny_model), "--sequence", str(walk_of_25), "--rates", "20"]
+    words = ["live", "--model", str(tiny_model), "--sequence", str(walk_of_25), "--rates", "20"]
     words += ["--sizes", "160x120", "--minutes", "0.05", "--domain", str(1 + os.getpid() % 100)]
     assert main([*words, f"--live={shlex.join(SMALL)}", "--output", str(tmp_path / "out")]) == 0
     assert "160x120" in capsys.readouterr().out
@@ -156,5 +157,5 @@ def test_the_command_measures_live(
 )
 def test_options_that_make_no_sense(word: str, value: str, said: str, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit):
-        main(["benchmark", "live", "--model", "staircase", "--sequence", "x.mcap", word, value])
+        main(["live", "--model", "staircase", "--sequence", "x.mcap", word, value])
     assert said in capsys.readouterr().err

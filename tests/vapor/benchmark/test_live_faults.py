@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sequences.recordings.message_definitions import decoder, encoder
+from vapor.benchmark.__main__ import main
 from vapor.benchmark.live.faults import changes, status_at, sure_from, sure_since, wrong_for
 from vapor.benchmark.live.robot import Robot, RobotConfig
 from vapor.benchmark.live.traffic import ODOMETRY, Outgoing
-from vapor.track import main
 
 STATUSES = [
     (1.0, "ambiguous"),
@@ -90,5 +90,5 @@ def test_the_settings_of_a_robot_pass_through_one_word():
 
 def test_a_fault_that_is_not_known_is_refused(capsys):
     with pytest.raises(SystemExit):
-        main(["benchmark", "live-faults", "--model", "staircase", "--sequence", "x.mcap", "--faults", "fire"])
+        main(["live-faults", "--model", "staircase", "--sequence", "x.mcap", "--faults", "fire"])
     assert "fault 'fire' is not known, expected some of none, killed" in capsys.readouterr().err

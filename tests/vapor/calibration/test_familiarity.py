@@ -9,6 +9,7 @@ import torch
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.frame import Frame
+from tests.helpers.command_line import main
 from tests.helpers.sequence_files import Walk
 from tests.helpers.tiny_model import NETWORK, altered
 from vapor.benchmark.foreign_images import CHANGED, FOREIGN, evaluate_flags
@@ -22,7 +23,6 @@ from vapor.regressors.familiarity import description_size
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
 from vapor.tensor_files import CheckpointError, read_safetensors
-from vapor.track import main
 from vapor.training_data.load import load_training_set
 
 torch.manual_seed(0)
@@ -208,10 +208,10 @@ def test_the_benchmark_counts_what_is_flagged_of_every_kind(model, walks, capsys
     by_kind = {row.kind: row for row in rows}
     assert by_kind["uniform noise"].fraction == by_kind["uniform noise"].fraction_in_a_row == 1.0
     assert by_kind["familiar"].fraction == by_kind["b.mcap"].fraction  # the walks are alike
-    assert main(["benchmark", "familiarity", str(model), "--familiar", walks[0], "--every", "20"]) == 0
+    assert main(["vapor-benchmark", "familiarity", str(model), "--familiar", walks[0], "--every", "20"]) == 0
     assert "upside down" in capsys.readouterr().out
 
 
 def test_a_model_that_knows_nothing_of_it_cannot_be_judged(tiny_model, walks, capsys):
-    assert main(["benchmark", "familiarity", str(tiny_model), "--familiar", walks[0]]) == 1
+    assert main(["vapor-benchmark", "familiarity", str(tiny_model), "--familiar", walks[0]]) == 1
     assert "does not say what is familiar" in capsys.readouterr().err

@@ -1,8 +1,15 @@
 """Arguments: wrong ones are refused with status 2, and every command explains its own."""
 
+import re
+import subprocess
+import sys
+
 import pytest
 
-from vapor.track import COMMANDS, main
+from tests.helpers.command_line import EVERY_COMMAND, main
+from vapor.benchmark import PROGRAM
+from vapor.benchmark.__main__ import COMMANDS as BENCHMARKS
+from vapor.track import COMMANDS
 from vapor.training.presets import PRESETS
 
 
@@ -49,11 +56,11 @@ WRONG = {
     "unknown scene": (["synthesize", "attic", "s.mcap"], "attic"),
     "building without a number": (["synthesize", "building", "s.mcap"], "such as building-7"),
     "benchmark of an unknown scene": (
-        ["benchmark", "localization", "building-x", "--output", "o"],
+        ["vapor-benchmark", "localization", "building-x", "--output", "o"],
         "unknown scene 'building-x', expected one of staircase, ceiling, corridor, building-N",
     ),
     "benchmark of a table": (
-        ["benchmark", "localization", "round-table", "--output", "o"],
+        ["vapor-benchmark", "localization", "round-table", "--output", "o"],
         "unknown scene 'round-table'",
     ),
     "unknown cues": (["synthesize", "ceiling", "s.mcap", "--cues", "some"], "some"),
@@ -61,11 +68,11 @@ WRONG = {
     "no frames": (["synthesize", "staircase", "s.mcap", "--frames", "0"], "0 frames"),
     "negative seed of a scene": (["synthesize", "staircase", "s.mcap", "--seed", "-1"], "seed -1"),
     "engine twice": (
-        ["benchmark", "step", "--engines", "torch", "torch"],
+        ["vapor-benchmark", "step", "--engines", "torch", "torch"],
         "engines are torch, torch, expected each once",
     ),
     "random weights on a walk": (
-        ["benchmark", "step", "--sequence", "a.mcap", "--preset", "demo"],
+        ["vapor-benchmark", "step", "--sequence", "a.mcap", "--preset", "demo"],
         "expected one of them",
     ),
     "demo of no frames": (["demo", "--frames", "0"], "0 frames"),
@@ -78,30 +85,37 @@ WRONG = {
     "noise of no odometry": (["convert", "d", "o.mcap", "--noise.scale", "0.1"], "expected --odometry-noise with them"),
     "malformed frames": (["convert", "d", "o.mcap", "--frames", "1-9"], "expected START:STOP"),
     "no directory": (["evaluate"], "What `vapor-track run` wrote"),
-    "no workers": (["benchmark", "localization", "ceiling", "--output", "o", "--workers", "0"], "workers is 0"),
-    "no runs": (["benchmark", "localization", "ceiling", "--output", "o", "--runs", "-1"], "runs is -1"),
+    "no workers": (["vapor-benchmark", "localization", "ceiling", "--output", "o", "--workers", "0"], "workers is 0"),
+    "no runs": (["vapor-benchmark", "localization", "ceiling", "--output", "o", "--runs", "-1"], "runs is -1"),
     "no frames of a benchmark": (
-        ["benchmark", "localization", "ceiling", "--output", "o", "--frames", "49"],
+        ["vapor-benchmark", "localization", "ceiling", "--output", "o", "--frames", "49"],
         "frames is 49, expected at least 50",
     ),
-    "no scene": (["benchmark", "localization", "--output", "o"], "expected each at most once, and one"),
-    "a scene twice": (["benchmark", "localization", *["ceiling"] * 2, "--output", "o"], "scenes are ceiling, ceiling"),
+    "no scene": (["vapor-benchmark", "localization", "--output", "o"], "expected each at most once, and one"),
+    "a scene twice": (
+        ["vapor-benchmark", "localization", *["ceiling"] * 2, "--output", "o"],
+        "scenes are ceiling, ceiling",
+    ),
     "unknown ablation": (
-        ["benchmark", "localization", "ceiling", "--output", "o", "--ablations", "best"],
+        ["vapor-benchmark", "localization", "ceiling", "--output", "o", "--ablations", "best"],
         "unknown ablation 'best', expected one of full,",
     ),
-    "no kinds": (["benchmark", "localization", "ceiling", "--output", "o", "--kinds"], "kinds are none"),
+    "no kinds": (["vapor-benchmark", "localization", "ceiling", "--output", "o", "--kinds"], "kinds are none"),
     "more models than scenes": (
-        ["benchmark", "localization", "ceiling", "--output", "o", "--models", "a", "b"],
+        ["vapor-benchmark", "localization", "ceiling", "--output", "o", "--models", "a", "b"],
         "2 models for 1 scenes, expected one for each",
     ),
-    "no repetitions": (["benchmark", "step", "--repetitions", "0"], "repetitions is 0"),
-    "a filter of no hypotheses": (["benchmark", "step", "--hypotheses", "10", "0"], "hypotheses are (10, 0)"),
+    "no repetitions": (["vapor-benchmark", "step", "--repetitions", "0"], "repetitions is 0"),
+    "a filter of no hypotheses": (["vapor-benchmark", "step", "--hypotheses", "10", "0"], "hypotheses are (10, 0)"),
     "a network of no preset": (
-        ["benchmark", "step", "--preset", "fast"],
+        ["vapor-benchmark", "step", "--preset", "fast"],
         "unknown preset 'fast', expected one of auto",
     ),
-    "unknown benchmark": (["benchmark", "everything"], "expected one of step, localization"),
+    "unknown benchmark": (
+        ["vapor-benchmark", "everything"],
+        "'everything', expected one of step, localization",
+    ),
+    "no benchmark": (["vapor-benchmark"], ""),
 }
 
 
@@ -116,20 +130,31 @@ def test_wrong_arguments_end_with_2_and_say_what_is_wrong(case, tmp_path, monkey
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_overview_lists_every_command(capsys):
-    assert main(["--help"]) == 0
+@pytest.mark.parametrize(
+    ("program", "words", "commands"), [("vapor-track", [], COMMANDS), (PROGRAM, [PROGRAM], BENCHMARKS)]
+)
+def test_the_overview_lists_every_command(program, words, commands, capsys):
+    assert main([*words, "--help"]) == 0
     out = capsys.readouterr().out
-    assert all(f"  {name} " in out for name in COMMANDS)
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out.startswith("vapor-track 0.")
+    assert f"usage: {program} COMMAND" in out
+    assert re.findall(r"^  ([a-z-]+)  ", out, re.MULTILINE) == [*commands]
+    assert main([*words, "--version"]) == 0
+    assert capsys.readouterr().out.startswith(f"{program} 0.")
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_its_options(command, capsys):
-    assert status_of([command, "--help"]) == 0
+@pytest.mark.parametrize("words", EVERY_COMMAND, ids=" ".join)
+def test_every_command_explains_its_options(words, capsys):
+    assert status_of([*words, "--help"]) == 0
     out, err = capsys.readouterr()
-    assert f"usage: vapor-track {command}" in out
+    assert f"usage: {' '.join(words if words[0] == PROGRAM else ['vapor-track', *words])}" in out
     assert err == ""
+
+
+@pytest.mark.parametrize("code", ["import vapor.track as t; t.main(['--help'])", "import vapor; dir(vapor), vapor.run"])
+def test_a_user_of_the_library_never_loads_what_measures_it(code):
+    loaded = f"{code}; import sys; print('loaded', *(m for m in sys.modules if m.startswith('vapor.benchmark')))"
+    done = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "loaded"
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,9 @@ import pytest
 from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
-from tests.helpers.command_line import contents, refuse, words_of_run
+from tests.helpers.command_line import contents, main, refuse, words_of_run
 from tests.helpers.data_sets import make_7scenes, make_colmap
 from tests.helpers.tiny_model import SMALL
-from vapor.track import main
 
 OUTPUTS = {
     "run": ["run", "walk.mcap", "--model", "m.safetensors", "--output"],
@@ -19,16 +18,13 @@ OUTPUTS = {
     "fuse": ["fuse", "truth.tum", "--simulate-odometry", "truth.tum", "--output"],
     "demo": ["demo", "--output"],
     "inspect": ["inspect", "walk.mcap", "--output"],
-    "benchmark": ["benchmark", "localization", "ceiling", "--models", "m.safetensors", "--output"],
-    "textbook": ["benchmark", "textbook", "ceiling", "--models", "m.safetensors", "--output"],
-    "faults": ["benchmark", "faults", "ceiling", "--models", "m.safetensors", "--output"],
-    "recorded faults": ["benchmark", "faults", "--recordings", "walk.mcap", "--models", "m.safetensors", "--output"],
-    "real": ["benchmark", "real", "--data", "real", "--only", "stairs_hloc", "--output"],
-    "alpha": ["experiment", "alpha", "round-table", "--output"],
-    "decay": ["experiment", "decay", "--output"],
-    "landmarks": ["experiment", "landmarks", "--data", "real", "--output"],
-    "schedule": ["experiment", "schedule", "--output"],
-    "table": ["experiment", "table", "round-table", "--output"],
+    "benchmark": ["vapor-benchmark", "localization", "ceiling", "--models", "m.safetensors", "--output"],
+    "faults": ["vapor-benchmark", "faults", "ceiling", "--models", "m.safetensors", "--output"],
+    "recorded faults": [
+        *("vapor-benchmark", "faults", "--recordings", "walk.mcap", "--models", "m.safetensors", "--output"),
+    ],
+    "real": ["vapor-benchmark", "real", "--data", "real", "--only", "stairs_hloc", "--output"],
+    "table": ["vapor-benchmark", "regressors", "round-table", "--output"],
     "synthesize": ["synthesize", "round-table"],
     "convert": ["convert", "data"],
     "posterior": ["posterior", "walk.mcap", "--model", "m.safetensors", "--output"],
@@ -149,12 +145,13 @@ READ = {
     "benchmark": (OUTPUTS["benchmark"], ["."]),
     "faults": (OUTPUTS["faults"], ["."]),
     "recorded faults": (OUTPUTS["recorded faults"], ["."]),
-    "real": (["benchmark", "real", "--data", "real", "--output"], [".", "real/7scenes_stairs"]),
-    "landmarks": (OUTPUTS["landmarks"], [".", "real/7scenes_stairs"]),
-    "alpha": ([*OUTPUTS["alpha"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
-    "decay": ([*OUTPUTS["decay"][:-1], "--train.pretrained-weights", "m.safetensors", "--output"], ["."]),
-    "schedule": ([*OUTPUTS["schedule"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
-    "table": (["experiment", "table", "own=data=walk.mcap", "--output"], [".", "data/seq-01"]),
+    "real": (["vapor-benchmark", "real", "--data", "real", "--output"], [".", "real/7scenes_stairs"]),
+    "table's model": ([*OUTPUTS["table"][:-1], "--train.initial-model", "m.safetensors", "--output"], ["."]),
+    "table's weights": (
+        [*OUTPUTS["table"][:-1], "--train.pretrained-weights", "m.safetensors", "--output"],
+        ["."],
+    ),
+    "table": (["vapor-benchmark", "regressors", "own=data=walk.mcap", "--output"], [".", "data/seq-01"]),
 }
 """Words of a command that reads, and outputs that are read, or that hold or lie in what is."""
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from tests.helpers.command_line import EVERY_COMMAND, main
 from vapor.commands.console import parse
 from vapor.commands.renamed_options import RENAMED, with_new_names
-from vapor.track import COMMANDS, main
 
 
 @dataclass(frozen=True)
@@ -63,21 +63,14 @@ def test_a_wrong_value_is_told_by_the_new_name(capsys):
     assert "--ema-decay" in capsys.readouterr().err
 
 
-KINDS = {
-    "experiment": ("alpha", "decay", "landmarks", "schedule", "table"),
-    "benchmark": ("step", "familiarity", "real", "localization", "textbook", "faults"),
-}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_no_command_has_an_option_by_an_old_name_which_it_could_not_be_given(command, capsys, monkeypatch):
+@pytest.mark.parametrize("words", EVERY_COMMAND, ids=" ".join)
+def test_no_command_has_an_option_by_an_old_name_which_it_could_not_be_given(words, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    for kind in KINDS.get(command, ("",)):
-        with pytest.raises(SystemExit):
-            main([*([command, kind] if kind else [command]), "--help"])
-        words = {word.strip(",|[]").rpartition(".")[2] for word in capsys.readouterr().out.split() if "--" in word}
-        names = {f"--{word.removeprefix('--').removeprefix('no-')}" for word in words}
-        assert not names & RENAMED.keys()
+    with pytest.raises(SystemExit):
+        main([*words, "--help"])
+    options = {word.strip(",|[]").rpartition(".")[2] for word in capsys.readouterr().out.split() if "--" in word}
+    names = {f"--{option.removeprefix('--').removeprefix('no-')}" for option in options}
+    assert not names & RENAMED.keys()
 
 
 def test_words_behind_two_dashes_are_no_options():

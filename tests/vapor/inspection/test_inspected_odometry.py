@@ -20,6 +20,8 @@ from vapor.inspection.odometry import OdometryCheck, check_odometry
 from vapor.inspection.verdict import verdict
 from vapor.training_data.training_set import TrainingSet
 
+pytestmark = pytest.mark.usefixtures("no_camera")
+
 
 def compared(
     *,

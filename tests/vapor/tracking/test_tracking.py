@@ -83,7 +83,7 @@ def test_a_history_has_what_methods_at_the_end_need():
         history.add(step, ONWARD if i else None)
     assert [len(modes) for modes in history.evidence] == [MOST_MODES] * 4
     assert history.odometry == [None, ONWARD, ONWARD, ONWARD]
-    assert history.ways.shape == history.converged.shape == history.filtered.batch_shape == (4,)
+    assert history.normalized_distances.shape == history.converged.shape == history.filtered.batch_shape == (4,)
     poses = poses_at_end(history, many.errors, config)
     assert list(poses) == ["smoothed"]
     assert poses["smoothed"].batch_shape == (4,)

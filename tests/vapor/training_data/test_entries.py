@@ -1,6 +1,6 @@
 import pytest
 
-from vapor.experiments.scenes import identity
+from vapor.benchmark.regressors.scenes import identity
 from vapor.training_data.entries import name_entries
 
 

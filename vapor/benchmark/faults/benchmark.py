@@ -58,14 +58,13 @@ class FaultBenchmark:
         scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.
         directory: For recordings and results; an interrupted benchmark continues where it was.
         config: Settings.
-        errors: What replaces numbers of the models' own error models, by name.
         recordings: MCAP files and rosbag2 folders with odometry and true poses, each a walk, by name.
         model: The model to localize in them by.
         reading: What to read of them.
         workers: Where jobs are done; None for as many processes here as configured.
 
     Raises:
-        VaporTrackError: a model or an error model that cannot be used.
+        VaporTrackError: a model that cannot be used.
     """
 
     def __init__(
@@ -73,7 +72,6 @@ class FaultBenchmark:
         scenes: Mapping[str, str],
         directory: Path,
         config: FaultsConfig,
-        errors: Mapping[str, Any],
         *,
         recordings: Mapping[str, Path] = MappingProxyType({}),
         model: str | None = None,
@@ -83,10 +81,10 @@ class FaultBenchmark:
         self.directory = directory
         self.config = config
         self._workers = workers or Workers(config.workers)
-        self._setups = make_setups(scenes, config, errors)
+        self._setups = make_setups(scenes, config)
         self._recorded: list[RecordedWalk] = []
         if model is not None:
-            setup, options = make_setups({RECORDED: model}, config, errors)[RECORDED], reading or SequenceOptions()
+            setup, options = make_setups({RECORDED: model}, config)[RECORDED], reading or SequenceOptions()
             self._recorded = [
                 RecordedWalk(name, file, setup, options, config.first_seed) for name, file in recordings.items()
             ]

@@ -30,7 +30,6 @@ _RATE, _ODOMETRY_HZ = 10.0, 50.0
 _SURE_S, _MOST_S, _AFTER_S = 5.0, 120.0, 30.0
 _FOUND_S, _AGAIN_S = 1.0, 1.0
 _WRONG_M = 1.0
-_IMAGES = f"{IMAGE}/compressed"
 _LOSSY = (
     "<CycloneDDS><Domain><Internal><Test><XmitLossiness>200</XmitLossiness></Test></Internal></Domain></CycloneDDS>"
 )
@@ -62,7 +61,7 @@ class Fault:
 FAULTS = {
     "none": Fault("no fault"),
     "killed": Fault("robot killed for 5 s, odometry anew", lasts_s=5.0, killed=True),
-    "camera": Fault("camera silent", f"drop {_IMAGES}", "resume"),
+    "camera": Fault("camera silent", f"drop {IMAGE}", "resume"),
     "odometry": Fault("odometry silent", f"drop {ODOMETRY}", "resume"),
     "slow": Fault("images at twice the speed", words=("--num-samples", "100000")),
     "lossy": Fault("20 % of datagrams lost", lossy=True),

@@ -21,7 +21,7 @@ from jaxtyping import Float64
 from filtering.errors import VaporTrackError
 from sequences.live.options import DdsOptions
 from sequences.live.transport import Offer, Transport, join
-from vapor.benchmark.live.traffic import ODOMETRY, Encoding, Sent, Traffic, Walk, play, stamp_of
+from vapor.benchmark.live.traffic import IMAGE, ODOMETRY, Sent, Traffic, Walk, play, stamp_of
 
 POSE, BASE_POSE = "/estimate/pose", "/estimate/base_pose"
 POSE_TYPE = "geometry_msgs/PoseWithCovarianceStamped"
@@ -261,7 +261,6 @@ def measure(
     domain: int,
     rate: float,
     size: tuple[int, int],
-    encoding: Encoding,
     duration_s: float,
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> Measured:
@@ -273,7 +272,6 @@ def measure(
         domain: ROS domain to do it in, of this machine.
         rate: Images a second.
         size: Width and height of the images.
-        encoding: Of the images.
         duration_s: How long to measure.
         advance: Told how many seconds are done, and all.
 
@@ -281,7 +279,7 @@ def measure(
         VaporTrackError: others are in the domain, or `live` ends by itself, does not answer within two minutes, or does
             not end well.
     """
-    traffic = Traffic(walk, rate, size, encoding)
+    traffic = Traffic(walk, rate, size)
     poses, base_poses = Answers(), Answers()
     with closing(join(DdsOptions(domain=domain, localhost=True))) as transport:
         time.sleep(_FOUND_S)
@@ -297,7 +295,7 @@ def measure(
         rate,
         *size,
         traffic.timeline.speed,
-        latency_of(sent.at_ns[traffic.image], poses.arrived_ns),
+        latency_of(sent.at_ns[IMAGE], poses.arrived_ns),
         latency_of(sent.at_ns[ODOMETRY], base_poses.arrived_ns),
         usage,
         float(np.percentile(sent.late_s, 99)) * 1e3,

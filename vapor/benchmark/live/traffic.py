@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, overload
+from typing import Any, NamedTuple, overload
 
 import cv2
 import numpy as np
@@ -34,10 +34,8 @@ from sequences.recordings.messages import odometry_from_message
 from sequences.recordings.source import TF_STATIC
 from sequences.trajectories.interpolation import interpolate
 
-Encoding = Literal["jpeg", "rgb8"]
-
 MOST_IMAGES = 300
-IMAGE, ODOMETRY, CAMERA_INFO = "/camera/image", "/odom", "/camera/camera_info"
+IMAGE, ODOMETRY, CAMERA_INFO = "/camera/image/compressed", "/odom", "/camera/camera_info"
 """Topics; compressed images are on /camera/image/compressed."""
 _JPEG_QUALITY = 92
 _LONGEST_SLEEP_S = 0.05
@@ -202,12 +200,10 @@ class Traffic:
         walk: What it does.
         rate: Images a second.
         size: Width and height of the images; None for that of the recording.
-        encoding: Of the images.
         odometry_hz: Messages of odometry a second; as nearly as a whole number fits into the way there and back.
 
     Attributes:
         types: Type of the messages by topic.
-        image: Topic of the images.
         static: Bytes of the one message on /tf_static.
         timeline: When the images are of.
     """
@@ -217,16 +213,13 @@ class Traffic:
         walk: Walk,
         rate: float,
         size: tuple[int, int] | None = None,
-        encoding: Encoding = "jpeg",
         *,
         odometry_hz: float = 200.0,
     ) -> None:
         size = size or (walk.camera.width, walk.camera.height)
         self.timeline = Timeline(walk.times_ns, rate)
-        self.image = IMAGE if encoding == "rgb8" else f"{IMAGE}/compressed"
-        image_type = "sensor_msgs/Image" if encoding == "rgb8" else "sensor_msgs/CompressedImage"
         self.types = {
-            self.image: image_type,
+            IMAGE: "sensor_msgs/CompressedImage",
             CAMERA_INFO: "sensor_msgs/CameraInfo",
             ODOMETRY: "nav_msgs/Odometry",
             TF_STATIC: "tf2_msgs/TFMessage",
@@ -234,7 +227,7 @@ class Traffic:
         transform = ros_transform(0, BASE_FRAME, CAMERA_FRAME, ros_poses(walk.base_from_camera))
         self.static = encoder("tf2_msgs/TFMessage")({"transforms": [transform]})
         self._info = encoder("sensor_msgs/CameraInfo")(_info(walk.camera.scaled(*size)))
-        self._images = [encoder(image_type)(_image(image, size, encoding)) for image in walk.images]
+        self._images = [encoder("sensor_msgs/CompressedImage")(_image(image, size)) for image in walk.images]
         number = max(round(self.timeline.duration_s * odometry_hz), 1)
         self._odometry_s = self.timeline.duration_s * np.arange(number) / number
         self._odometry = self._encode_odometry(walk)
@@ -246,7 +239,7 @@ class Traffic:
     def _camera(self) -> Iterator[Outgoing]:
         for due_s, number in self.timeline.images():
             yield Outgoing(due_s, CAMERA_INFO, self._info)
-            yield Outgoing(due_s, self.image, self._images[number])
+            yield Outgoing(due_s, IMAGE, self._images[number])
 
     def _base(self) -> Iterator[Outgoing]:
         begin_s = 0.0
@@ -278,24 +271,12 @@ class Traffic:
         ]
 
 
-def _image(image: UInt8[np.ndarray, "height width 3"], size: tuple[int, int], encoding: Encoding) -> dict[str, Any]:
-    width, height = size
-    shrinks = width < image.shape[1]
+def _image(image: UInt8[np.ndarray, "height width 3"], size: tuple[int, int]) -> dict[str, Any]:
+    shrinks = size[0] < image.shape[1]
     resized = cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-    header = ros_header(0, CAMERA_FRAME)
-    if encoding == "rgb8":
-        data = resized.tobytes()
-        return {
-            "header": header,
-            "height": height,
-            "width": width,
-            "encoding": "rgb8",
-            "step": 3 * width,
-            "data": data,
-        }
     bgr = cv2.cvtColor(resized, cv2.COLOR_RGB2BGR)
     data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
-    return {"header": header, "format": "jpeg", "data": data}
+    return {"header": ros_header(0, CAMERA_FRAME), "format": "jpeg", "data": data}
 
 
 def _info(c: Camera) -> dict[str, Any]:

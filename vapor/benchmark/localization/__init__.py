@@ -1,1 +1,1 @@
-"""`benchmark localization`: many trials on synthetic scenes, and what they add up to."""
+"""`vapor-benchmark localization`: many trials on synthetic scenes, and what they add up to."""

@@ -52,7 +52,6 @@ class LocalizationBenchmark:
         scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.
         directory: For recordings and results; an interrupted benchmark continues where it was.
         config: Settings.
-        errors: What replaces numbers of the models' own error models, by name.
         workers: Where jobs are done; None for as many processes here as configured.
     """
 
@@ -61,13 +60,12 @@ class LocalizationBenchmark:
         scenes: Mapping[str, str],
         directory: Path,
         config: LocalizationConfig,
-        errors: Mapping[str, Any],
         workers: Workers | None = None,
     ) -> None:
         self.directory = directory
         self.config = config
         self._workers = workers or Workers(config.workers)
-        self._setups = make_setups(scenes, config, errors)
+        self._setups = make_setups(scenes, config)
 
     def choose(self, progress: Callable[[int, int], None]) -> list[Trial]:
         """The trials: the same for the same settings."""

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from vapor.benchmark.evaluation.intervals import Walks
+from vapor.benchmark.evaluation.sequential import SUCCESS_M
 from vapor.benchmark.methods import BELIEVING, METHODS
 from vapor.benchmark.trials.kinds import KINDS
 from vapor.evaluation.consistency import REGIONS
-from vapor.evaluation.intervals import Walks
-from vapor.evaluation.sequential import SUCCESS_M
 from vapor.evaluation.trajectory import POSITION_M, THRESHOLDS
 
 WITHIN_IMAGES = 50

@@ -1,1 +1,1 @@
-"""`benchmark real`: recordings, posteriors and pose estimates published by others."""
+"""`vapor-benchmark real`: recordings, posteriors and pose estimates published by others."""

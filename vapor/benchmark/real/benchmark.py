@@ -13,12 +13,12 @@ from jaxtyping import Bool
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError, require_within
+from vapor.benchmark.evaluation.comparison import compare
+from vapor.benchmark.evaluation.sequential import evaluate_sequences
 from vapor.benchmark.real.row import Draw, Row, RowContext
 from vapor.benchmark.real.rows import ROWS
 from vapor.cache import cached, code_digest
 from vapor.engines.engine import EngineConfig
-from vapor.evaluation.comparison import compare
-from vapor.evaluation.sequential import evaluate_sequences
 from vapor.parallel.jobs import Workers, in_parallel
 from vapor.threads import limited_threads
 from vapor.tracking.follow import Followed, follow
@@ -27,6 +27,7 @@ _CODE = (
     "sequences.estimates",
     "sequences.odometry",
     "sequences.odometry_fit",
+    "vapor.benchmark.evaluation",
     "vapor.benchmark.real.row",
     "vapor.benchmark.real.rows",
     "vapor.benchmark.real.trained_network",

@@ -1,4 +1,4 @@
-"""What a row of `benchmark real` must offer, and what it is given and returns."""
+"""What a row of `vapor-benchmark real` must offer, and what it is given and returns."""
 
 from __future__ import annotations
 

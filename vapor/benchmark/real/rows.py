@@ -1,4 +1,4 @@
-"""The rows of `benchmark real`: recordings made by others, and which part of each is used for what."""
+"""The rows of `vapor-benchmark real`: recordings made by others, and which part of each is used for what."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the draws of each row of `benchmark real` add up to."""
+"""What the draws of each row of `vapor-benchmark real` add up to."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from vapor.benchmark.evaluation.sequential import SUCCESS_M
 from vapor.benchmark.methods import LOCALIZING
 from vapor.evaluation.consistency import REGIONS
-from vapor.evaluation.sequential import SUCCESS_M
 from vapor.evaluation.trajectory import POSITION_M, RIGHT
 
 

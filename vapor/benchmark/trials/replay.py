@@ -15,10 +15,10 @@ from jaxtyping import Float64, Int64
 from filtering.motion import Odometry
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from vapor.benchmark.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry, scaled_poses
 from vapor.benchmark.recordings.storage import Recording, load_recording
 from vapor.benchmark.trials.setup import Setup, setup_settings
 from vapor.benchmark.trials.trial import Segment, Trial
-from vapor.evaluation.lengths import scaled_calibration, scaled_localizer, scaled_odometry, scaled_poses
 from vapor.landmarks.localize import VerifiedPose
 from vapor.landmarks.verify import verified
 from vapor.tracking.ablations import ABLATIONS

@@ -7,13 +7,13 @@ from typing import Any
 
 from filtering.floors import Floors
 from sequences.scenes import find_scene
+from vapor.benchmark.evaluation.comparison import compare
+from vapor.benchmark.evaluation.sequential import evaluate_sequences
 from vapor.benchmark.trials.kinds import KINDS
 from vapor.benchmark.trials.replay import Replay, follow_trial, load_replay, trial_settings
 from vapor.benchmark.trials.setup import Setup
 from vapor.benchmark.trials.trial import Trial
 from vapor.cache import cached
-from vapor.evaluation.comparison import compare
-from vapor.evaluation.sequential import evaluate_sequences
 from vapor.tracking.ablations import ABLATIONS
 
 

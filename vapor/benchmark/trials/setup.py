@@ -26,6 +26,7 @@ from vapor.storage import fetched
 _MAX_SEED = 2**62
 _CODE = (
     "sequences.odometry_fit",
+    "vapor.benchmark.evaluation",
     "vapor.benchmark.recordings",
     "vapor.benchmark.trials",
     "vapor.checkpoints",
@@ -81,7 +82,6 @@ class Setup:
         width, height: Image size in pixels.
         num_samples: Posterior samples per image.
         localizer: Settings of the filter.
-        errors: What replaces numbers of the model's own error model, by name.
         ablation: Name of the filter's ablation.
         network: What runs the network.
         odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
@@ -95,7 +95,6 @@ class Setup:
     height: int
     num_samples: int
     localizer: LocalizerConfig
-    errors: Mapping[str, Any]
     ablation: str = "full"
     odometry_scale: float | None = None
     network: EngineConfig = field(default_factory=EngineConfig)
@@ -126,22 +125,19 @@ class Setup:
         )
 
     def checkpoint(self) -> Checkpoint:
-        """The model with the error model asked for."""
-        loaded = _load(self.model, self.model_sha256)
-        errors = replace(loaded.calibration.errors, **self.errors)
-        return replace(loaded, calibration=replace(loaded.calibration, errors=errors))
+        """The model."""
+        return _load(self.model, self.model_sha256)
 
 
-def make_setups(scenes: Mapping[str, str], config: TrialsConfig, errors: Mapping[str, Any]) -> dict[str, Setup]:
+def make_setups(scenes: Mapping[str, str], config: TrialsConfig) -> dict[str, Setup]:
     """What the runs of each scene depend on.
 
     Args:
         scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.
         config: Settings.
-        errors: What replaces numbers of the models' own error models, by name.
 
     Raises:
-        VaporTrackError: a model or an error model that cannot be used.
+        VaporTrackError: a model that cannot be used.
     """
     images = config.frames, config.width, config.height
     setups = {}
@@ -156,11 +152,9 @@ def make_setups(scenes: Mapping[str, str], config: TrialsConfig, errors: Mapping
             *images,
             config.num_samples,
             config.localizer,
-            errors,
             odometry_scale=config.odometry_scale,
             network=config.network,
         )
-        setups[scene].checkpoint()  # refuses an unusable error model before anything is rendered
     return setups
 
 

@@ -1,0 +1,53 @@
+"""What the filter believes: all of its state in one value that never changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from filtering.cameras import CameraMemory
+from filtering.hypotheses import Hypotheses
+from filtering.se3 import Poses
+
+
+@dataclass(frozen=True)
+class Belief:
+    """The state of the filter; a step makes another one of it.
+
+    Attributes:
+        random: Source of random draws. Nothing is drawn from it, but from a copy that the next belief keeps.
+        hypotheses: Where the camera may be; None before the first image.
+        cameras: What is remembered of each camera, by its name.
+        best: The pose reported last, carried on by odometry, one pose; None before the first.
+        agreement: Of the latest images with the belief, in [0, 1].
+        usual_agreement: The same over a longer time.
+        unseen_s: Seconds since an image with any places, or a foreign one.
+        provisional: Whether the next informative image replaces the belief.
+        normalized_distance: Of the first camera since the last image, in lengths over which its errors are correlated.
+    """
+
+    random: np.random.Generator
+    hypotheses: Hypotheses | None = None
+    cameras: Mapping[str, CameraMemory] = field(default_factory=lambda: MappingProxyType({}))
+    best: Poses | None = None
+    agreement: float = 1.0
+    usual_agreement: float = 1.0
+    unseen_s: float = 0.0
+    provisional: bool = False
+    normalized_distance: float = 0.0
+
+    def forgotten(self) -> Belief:
+        """Nothing is known."""
+        return Belief(self.random)
+
+    def with_camera(self, name: str, camera: CameraMemory) -> Belief:
+        """The same with what is remembered of one camera."""
+        return replace(self, cameras={**self.cameras, name: camera})
+
+    @property
+    def num_sources(self) -> int:
+        """How many sources of places there are: networks and maps of landmarks."""
+        return sum(len(camera.sources) for camera in self.cameras.values())

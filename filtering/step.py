@@ -1,0 +1,280 @@
+"""One step of the particle filter: predict, weigh, correct, add births, reduce.
+
+Every function takes a belief and gives the next one; nothing is changed in place.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from filtering.association import Link, correct, evidence, gate
+from filtering.belief import Belief
+from filtering.births import BIRTHS
+from filtering.cameras import CameraMemory, View
+from filtering.config import LocalizerConfig
+from filtering.error_model import ErrorModel
+from filtering.errors import VaporTrackError
+from filtering.estimate import Estimate, Mode, Status, describe_modes
+from filtering.hypotheses import Hypotheses, birth, concatenate, with_source
+from filtering.mixture_reduction import reduce_mixture
+from filtering.motion import Odometry, require_odometry
+from filtering.posterior import PosePosterior
+from filtering.prediction import inflate
+from filtering.prediction import predict as predict_hypotheses
+from filtering.se3 import Poses
+
+_USUAL_S = 10.0  # time over which the usual agreement is averaged
+
+
+def step(
+    belief: Belief, views: Sequence[View], odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig
+) -> tuple[Belief, Estimate]:
+    """The belief one step later, and what it says.
+
+    Args:
+        belief: Of before.
+        views: What cameras see now; none where there is no image.
+        odometry: Motion of the reference frame since the step before; None where it is unknown.
+        elapsed_s: Seconds since the step before; used where `odometry` is None.
+        config: Settings of the filter.
+
+    Raises:
+        VaporTrackError: the odometry is none (`require_odometry`), or no view has any place at a first step.
+    """
+    belief = predict(belief, odometry, elapsed_s, config)
+    informative, novelty = [view for view in views if not view.posterior.says_nothing], 0.0
+    if needs_initialization(belief, views):
+        belief = initialize(belief, views, config)
+        informative, novelty = informative[1:], 1.0
+    belief = with_cameras(belief, informative, config)
+    seen: list[Seen] = []
+    for view in informative:
+        belief, one = measure(belief, view)
+        seen.append(one)
+    novelty = max([novelty, *(one.novelty for one in seen)])
+    belief = add_births(belief, seen, novelty, config)
+    if informative or novelty > 0.0:
+        belief = reduce(belief, config)
+    belief = follow_agreement(belief, seen, views, config)
+    belief, estimate = describe(belief, views, novelty, config)
+    return replace(belief, normalized_distance=0.0) if views else belief, estimate
+
+
+def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig) -> Belief:
+    """Carry the belief to the present, on odometry or across a gap; see `step`."""
+    hypotheses, gap, provisional, agreement = belief.hypotheses, config.gap, belief.provisional, belief.agreement
+    if hypotheses is None:
+        return belief
+    if odometry is None:
+        likely = gap.speed_m_per_s * elapsed_s, gap.turn_rad_per_s * elapsed_s
+        after = {name: camera.across_gap(*likely) for name, camera in belief.cameras.items()}
+        if gap.action == "forget":
+            provisional, agreement = True, 0.0
+        odometry = Odometry(Poses.identity(), np.zeros((6, 6)), elapsed_s)
+        hypotheses = inflate(hypotheses, gap.covariance(elapsed_s))
+    else:
+        require_odometry(odometry)
+        after = {name: camera.predict(odometry) for name, camera in belief.cameras.items()}
+    cameras = {name: camera for name, (camera, _) in after.items()}
+    numbered = {
+        source.number: distance
+        for camera, distances in after.values()
+        for source, distance in zip(camera.sources, distances, strict=True)
+    }
+    distances = [numbered[number] for number in sorted(numbered)]
+    return replace(
+        belief,
+        hypotheses=predict_hypotheses(hypotheses, odometry, config.slow_errors, distances),
+        cameras=cameras,
+        best=None if belief.best is None else belief.best @ odometry.previous_from_current,
+        agreement=agreement,
+        unseen_s=belief.unseen_s + odometry.duration_s,
+        provisional=provisional,
+        normalized_distance=belief.normalized_distance + distances[0],
+    )
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a view did to the belief.
+
+    Attributes:
+        posterior: Of its image, of the reference frame, with errors as large as odometry has shown.
+        camera: What is remembered of its camera now.
+        novelty: Of the view, in [0, 1].
+        agreement: The fraction of the belief that the image fits, in [0, 1].
+    """
+
+    posterior: PosePosterior
+    camera: CameraMemory
+    novelty: float
+    agreement: float
+
+
+def measure(belief: Belief, view: View) -> tuple[Belief, Seen]:
+    """Weigh every hypothesis by an image, and correct it by each place that it may see."""
+    before = belief.cameras[view.camera].seen_through(view.reference_from_camera)
+    camera, novelty, power = before.observe(view.posterior)
+    posterior = view.posterior.inflated(*(source.scale.factor for source in camera.sources))
+    posterior = posterior.seen_from(view.reference_from_camera)
+    hypotheses = known(belief)
+    pairs = gate(
+        hypotheses, posterior, [Link(each.number, each.tracker.normalized_distance) for each in before.sources]
+    )
+    found = evidence(hypotheses, posterior, pairs)
+    hypotheses = hypotheses.reweighted(power * found.log_likelihood)
+    hypotheses = correct(hypotheses, posterior, pairs, found.outlier).normalized()
+    belief = replace(belief.with_camera(view.camera, camera), hypotheses=hypotheses)
+    return belief, Seen(posterior, camera, novelty, found.agreement)
+
+
+def add_births(belief: Belief, seen: Sequence[Seen], novelty: float, config: LocalizerConfig) -> Belief:
+    """A little of the belief is born anew at the places of the images: the camera may have been carried off."""
+    if not seen:
+        return belief
+    agreement = float(np.mean([one.agreement for one in seen]))
+    probability = BIRTHS[config.births](belief, novelty, agreement, config)
+    if probability == 0.0:
+        return belief
+    hypotheses = known(belief)
+    births = [born_at(one.posterior, one.camera, belief, config) for one in seen]
+    weighed = [each.reweighted(np.full(len(each), _log(probability / len(seen)))) for each in births]
+    carried = hypotheses.reweighted(np.full(len(hypotheses), _log(1.0 - probability)))
+    return replace(belief, hypotheses=concatenate([carried, *weighed]))
+
+
+def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
+    """Merge hypotheses that say the same, prune light ones, and resample those that are too many."""
+    hypotheses, random = known(belief), belief.random
+    if len(hypotheses) > config.max_hypotheses:
+        random = copy.deepcopy(random)
+    reduced = reduce_mixture(
+        hypotheses,
+        divergence=config.merge_divergence,
+        least_weight=config.least_weight,
+        most=config.max_hypotheses,
+        resampling=config.resampling,
+        rng=random,
+    )
+    return replace(belief, hypotheses=reduced, random=random)
+
+
+def follow_agreement(belief: Belief, seen: Sequence[Seen], views: Sequence[View], config: LocalizerConfig) -> Belief:
+    """Average how much of the belief the latest images fit; a foreign image fits nothing."""
+    foreign = sum(view.posterior.is_foreign for view in views)
+    if not seen and not foreign:
+        return belief
+    follow = min(-np.expm1(-belief.unseen_s / config.agreement_s), 1.0 / config.agreement_images)
+    fits = sum(one.agreement for one in seen) / (len(seen) + foreign)
+    agreement = belief.agreement + follow * (fits - belief.agreement)
+    usual = belief.usual_agreement - np.expm1(-belief.unseen_s / _USUAL_S) * (agreement - belief.usual_agreement)
+    return replace(belief, agreement=agreement, usual_agreement=usual, unseen_s=0.0)
+
+
+# --- the beginning -------------------------------------------------------------------------------------
+
+
+def needs_initialization(belief: Belief, views: Sequence[View]) -> bool:
+    """Whether the belief becomes what these views say, and nothing else."""
+    informative = not all(view.posterior.says_nothing for view in views)
+    return belief.hypotheses is None or (belief.provisional and informative)
+
+
+def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -> Belief:
+    """The belief of the first informative view; that of a foreign one is provisional.
+
+    Raises:
+        VaporTrackError: no view has any place.
+    """
+    informative = [view for view in views if not view.posterior.says_nothing]
+    candidates, provisional = informative or [view for view in views if view.posterior.is_foreign], not informative
+    first = next((view for view in candidates if len(view.posterior.weights)), None)
+    if first is None:
+        raise VaporTrackError("the first image says nothing about where the camera is, expected one that does")
+    agreement = 0.0 if provisional else 1.0
+    new = Belief(belief.random, agreement=agreement, usual_agreement=agreement, provisional=provisional)
+    camera = CameraMemory.first_seen(first, 0, unknown=0.0, adapts=config.adapt_errors)
+    new = new.with_camera(first.camera, camera)
+    posterior = first.posterior.seen_from(first.reference_from_camera)
+    return replace(new, hypotheses=born_at(posterior, camera, new, config))
+
+
+def with_cameras(belief: Belief, views: Sequence[View], config: LocalizerConfig) -> Belief:
+    """The same with room for the correlated errors of every camera that is seen, and of the landmarks that it sees."""
+    before, adapts = belief.num_sources, config.adapt_errors
+    for view in views:
+        number, known_camera = belief.num_sources, belief.cameras.get(view.camera)
+        # Another camera looks from a length away: its first image is all new.
+        camera = (
+            CameraMemory.first_seen(view, number, unknown=1.0, adapts=adapts)
+            if known_camera is None
+            else known_camera.with_landmarks(view, number, unknown=1.0, adapts=adapts)
+        )
+        belief = belief.with_camera(view.camera, camera)
+    hypotheses = known(belief)
+    for _ in range(before, belief.num_sources):
+        hypotheses = with_source(hypotheses)
+    return replace(belief, hypotheses=hypotheses)
+
+
+def born_at(posterior: PosePosterior, camera: CameraMemory, belief: Belief, config: LocalizerConfig) -> Hypotheses:
+    """What an image says as if nothing else were known of where the camera is."""
+    network, *others = [source.number for source in camera.sources]
+    landmarks = others[0] if others else None
+    return birth(posterior, network, belief.num_sources, config.slow_errors, belief.hypotheses, landmarks)
+
+
+# --- what is said of it --------------------------------------------------------------------------------
+
+
+def describe(belief: Belief, views: Sequence[View], novelty: float, config: LocalizerConfig) -> tuple[Belief, Estimate]:
+    """The estimate of a belief, which remembers the best mode."""
+    hypotheses, errors = known(belief), next(iter(belief.cameras.values())).errors
+    modes = _ordered(describe_modes(hypotheses, errors, config.modes), belief.best, errors, config)
+    estimate = Estimate(
+        modes,
+        _status(modes[0], belief.agreement, errors, config),
+        hypotheses.poses,
+        hypotheses.pose_covariance + errors.constant_covariance(hypotheses.pose_covariance),
+        hypotheses.log_weights,
+        belief.agreement,
+        novelty,
+        belief.normalized_distance,
+        max((view.posterior.unfamiliarity for view in views), default=0.0),
+    )
+    return replace(belief, best=modes[0].world_from_camera), estimate
+
+
+def _ordered(
+    modes: tuple[Mode, ...], best: Poses | None, errors: ErrorModel, config: LocalizerConfig
+) -> tuple[Mode, ...]:
+    """The previous best mode stays first unless another clearly outweighs it."""
+    if best is None or len(modes) == 1:
+        return modes
+    for k, mode in enumerate(modes):
+        if config.modes.same_place(best, mode, errors):
+            if modes[0].weight < config.switch_ratio * mode.weight:
+                return (mode, *modes[:k], *modes[k + 1 :])
+            break
+    return modes
+
+
+def _status(best: Mode, agreement: float, errors: ErrorModel, config: LocalizerConfig) -> Status:
+    if agreement < config.lost_agreement:
+        return "lost"
+    sure = best.weight >= config.converged_weight and best.widest_std_m <= config.widest_std_m(errors)
+    return "converged" if sure and agreement >= config.converged_agreement else "ambiguous"
+
+
+def known(belief: Belief) -> Hypotheses:
+    """The hypotheses of a belief that has begun."""
+    assert belief.hypotheses is not None
+    return belief.hypotheses
+
+
+def _log(weight: float) -> float:
+    return float(np.log(weight)) if weight > 0.0 else -np.inf

@@ -1,0 +1,1 @@
+"""One module a command of `vapor-benchmark`: its options, and what it prints."""

@@ -1,0 +1,88 @@
+"""Options and output of the benchmarks that replay walks through scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, make_dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_type_hints
+
+import tyro
+
+from filtering.errors import VaporTrackError
+from sequences.scenes import find_scene, is_scene, scene_names
+from vapor.benchmark.commands.outputs import SharedOutputPath
+from vapor.checkpoints.shipped_models import find_model
+from vapor.commands.console import Overwrite
+from vapor.commands.workers import Scheduler
+from vapor.reporting.report import write_report
+from vapor.stored_names import with_stored_names
+
+Config = TypeVar("Config")
+
+SCENE_NAMES = scene_names(with_cues=True)
+"""Scenes to choose from: others show nothing by which the filter could find itself."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """Options of the benchmarks that replay walks."""
+
+    scenes: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar=f"{{{','.join(SCENE_NAMES)}}} ..."),
+    ]
+    """What the camera moves through; the number N of a building is the seed that it is drawn from."""
+    output: SharedOutputPath
+    """Directory for recordings, results and summary.json, or its URL; an interrupted benchmark with the same output
+    continues."""
+    overwrite: Overwrite = False
+    models: tuple[str, ...] = ()
+    """Model file, or name of a model that ships, for each scene. Default: the scenes' names; none ships for the
+    corridor or for a building."""
+    scheduler: Scheduler = None
+
+    def __post_init__(self) -> None:
+        if not self.scenes or len(set(self.scenes)) < len(self.scenes):
+            raise VaporTrackError(f"scenes are {', '.join(self.scenes) or 'none'}, expected each at most once, and one")
+        for scene in self.scenes:
+            if not is_scene(scene) or not find_scene(scene).has_cues:
+                raise VaporTrackError(f"unknown scene {scene!r}, expected one of {', '.join(SCENE_NAMES)}")
+        if len(self.models) not in (0, len(self.scenes)):
+            raise VaporTrackError(f"{len(self.models)} models for {len(self.scenes)} scenes, expected one for each")
+
+    @property
+    def model_of(self) -> dict[str, str]:
+        """The model by scene."""
+        return dict(zip(self.scenes, self.models or self.scenes, strict=True))
+
+    @property
+    def files_read(self) -> list[Path]:
+        """The model files."""
+        return [find_model(model) for model in self.model_of.values()]
+
+
+def with_help(config: type[Config], **texts: str) -> type[Config]:
+    """The same settings with help texts for some options, given by the names of their fields."""
+    hints = get_type_hints(config, include_extras=True)
+    documented = [
+        (name, Annotated[hints[name], tyro.conf.arg(help=text)], getattr(config, name)) for name, text in texts.items()
+    ]
+    namespace = {"__doc__": config.__doc__}
+    return make_dataclass(config.__name__, documented, bases=(config,), frozen=True, namespace=namespace)
+
+
+def listed(meanings: Mapping[str, str]) -> str:
+    """The entries of a table, as a help text has them."""
+    return "; ".join(f"{name}: {meaning}" for name, meaning in meanings.items())
+
+
+def write_summary(
+    o: SceneOptions, settings: Mapping[str, Any], summary: Mapping[str, Any], results: Sequence[Any], **more: Any
+) -> None:
+    """Write summary.json."""
+    settings = {
+        **with_stored_names(settings),
+        "models": o.model_of or o.models,
+    }
+    write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "runs": results, **more})

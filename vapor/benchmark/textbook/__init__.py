@@ -1,1 +1,0 @@
-"""`benchmark textbook`: our filter and network beside what a user would take instead, on the same posteriors."""

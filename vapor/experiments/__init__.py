@@ -1,1 +1,0 @@
-"""Experiments of many small training runs, each of which goes on after an interruption."""
