@@ -9,12 +9,11 @@ from itertools import count
 from pathlib import Path
 from types import TracebackType
 
-from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.recordings.message_definitions import DEFINITIONS, schema_name, schema_text
+from sequences.recordings.mcap_writer import MessageChannels
 from sequences.recordings.source import RawMessage
 
 _MOST_WAITING = 256 * 2**20  # bytes
@@ -53,7 +52,6 @@ class MessageRecorder:
             raise SequenceError(f"{path}: cannot write: {error.strerror or error}") from error
         # Images are compressed already, or too large to be compressed at the rate of a camera.
         self._writer = Writer(self._file, compression=CompressionType.NONE)
-        self._channels: dict[tuple[str, str], int] = {}
         self._waiting: queue.SimpleQueue[RawMessage | None] = queue.SimpleQueue()
         self._bytes = 0
         self._lock = threading.Lock()
@@ -88,8 +86,9 @@ class MessageRecorder:
     def _work(self) -> None:
         try:
             self._writer.start(profile="ros2")
+            channels = MessageChannels(self._writer)
             while (raw := self._waiting.get()) is not None:
-                self._writer.add_message(self._channel(raw), raw.log_time_ns, raw.data, raw.log_time_ns)
+                channels.write(raw)
                 self.number += 1
                 with self._lock:
                     self._bytes -= len(raw.data)
@@ -98,14 +97,6 @@ class MessageRecorder:
             self.error = f"{self.path}: recording ended: {error.strerror or error}; what was written is {self._partial}"
             while not self._waiting.empty() and self._waiting.get() is not None:
                 self.lost += 1
-
-    def _channel(self, raw: RawMessage) -> int:
-        key = raw.topic, raw.type
-        if key not in self._channels:
-            text = schema_text(raw.type) if raw.type in DEFINITIONS else ""
-            schema = self._writer.register_schema(schema_name(raw.type), SchemaEncoding.ROS2, text.encode())
-            self._channels[key] = self._writer.register_channel(raw.topic, MessageEncoding.CDR, schema)
-        return self._channels[key]
 
 
 def _put_aside(left: Path) -> None:

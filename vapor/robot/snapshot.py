@@ -26,7 +26,7 @@ class _Snapshot(MessageWriter):
         header = ros_header(frame.time_ns, CAMERA_FRAME)
         self._write("/image", _IMAGE, {"header": header, "format": "png", "data": png.tobytes()}, now_ns)
         for raw in messages:
-            self._write_raw(raw)
+            self._channels.write(raw)
 
 
 def write_snapshot(folder: Path, frame: Frame, believed: Iterable[RawMessage]) -> Path:

@@ -133,7 +133,7 @@ def test_an_unknown_layout_is_told_what_was_looked_for(tmp_path: Path) -> None:
     with pytest.raises(SequenceError, match=r"looked for an \.mcap file.*groundtruth\.txt.*frame-\*\.pose\.txt"):
         list(posed_frames(tmp_path))
     with pytest.raises(SequenceError, match="no such folder"):
-        posed_frames(tmp_path / "nowhere")
+        list(posed_frames(tmp_path / "nowhere"))
 
 
 def test_damaged_intrinsics_are_refused_and_damaged_rows_of_a_list_left_out_and_named(tmp_path: Path) -> None:
