@@ -17,7 +17,7 @@ from sequences.scenes.corridor import dimensions as corridor
 from sequences.scenes.corridor.scene import walk_corridor
 from sequences.scenes.staircase import dimensions as staircase
 from sequences.scenes.staircase.scene import walk_stairs
-from sequences.scenes.table_room import circle_table
+from sequences.scenes.tables import circle_table
 from sequences.synthesize import synthesize
 from tests.helpers.rendered_depth import depth_and_quads
 
