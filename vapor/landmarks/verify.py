@@ -18,7 +18,7 @@ from jaxtyping import Float64, UInt8
 from filtering.association import PLACE
 from filtering.error_model import FOREIGN, ErrorModel
 from filtering.errors import require_within
-from filtering.mapped_views import MOST_ELSEWHERE, MappedViews
+from filtering.mapped_views import MappedViews
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
@@ -49,7 +49,7 @@ class Verification:
 
     def __post_init__(self) -> None:
         require_within(self, gain=(1e-3, 1e6), power=(0.0, 5.0), unproposed=(1e-9, 1.0), nothing=(1e-9, 1e6))
-        require_within(self, reach=(1e-3, 1e3), elsewhere=(0.0, MOST_ELSEWHERE))
+        require_within(self, reach=(1e-3, 1e3), elsewhere=(0.0, 0.999))
 
     def scores(
         self, inliers: Float64[np.ndarray, " j"], weights: Float64[np.ndarray, " j"]
