@@ -73,7 +73,7 @@ def workspace(place: Path, name: str) -> Iterator[Path]:
 
 
 def is_workspace(name: str) -> bool:
-    """Whether a folder of this name is one that `workspace` made."""
+    """Whether a file or folder of this name is one that `workspace` made."""
     return _HIDDEN.fullmatch(name) is not None
 
 

@@ -88,14 +88,8 @@ def no_camera(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs draw no pictures, where a test does not look at them: they take a second a run."""
-    monkeypatch.setattr("vapor.pipeline.results.write_pictures", lambda *_, **__: [])
-
-
-@pytest.fixture
-def plain_results(no_pictures: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs draw no pictures and publish few particles, where a test looks at neither."""
+def plain_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs publish few particles, where a test does not look at them."""
     monkeypatch.setattr("vapor.pipeline.localize.PUBLISHED_PARTICLES", 20)
 
 

@@ -112,8 +112,8 @@ class VaporObservationModel:
 
     @property
     def notices(self) -> list[str]:
-        """What a person should know of the model's file, and of the camera from the images observed so far."""
-        return [*self.description.notices, *self._as_learned.notices]
+        """What a person should know of the camera from the images observed so far."""
+        return [*self._as_learned.notices]
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
         """The posterior of one image, and how unlike the training images it is, from one pass of the network.

@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 CHECKSUM = "content_sha256"
-"""Name of the checksum in the metadata; files written before there were any lack it."""
-_OURS = "vapor-track "  # what `format` begins with in our own files, whose metadata have these names and no others
-_METADATA = {"format", "version", "config", CHECKSUM}
+"""Name of the checksum in the metadata."""
+_OURS = "vapor-track "  # what `format` begins with in our own files, which have a checksum
 _TYPES: Mapping[str, str] = MappingProxyType(
     {
         **{f"F{bits}": f"float{bits}" for bits in (16, 32, 64)},
@@ -112,7 +111,7 @@ def arrays_as_bytes(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str
 def read_safetensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     """Metadata and tensors of a safetensors file, on the CPU, once its checksum was found to fit.
 
-    A file without a checksum is taken as it is: `CHECKSUM` is in the metadata where there is one.
+    A file of others, without a checksum, is taken as it is.
 
     Raises:
         CheckpointError: no such file, no safetensors file, or a damaged one.
@@ -146,10 +145,9 @@ def parse_stored(path: Path, content: bytes) -> tuple[dict[str, str], dict[str, 
         if part["dtype"] not in _TYPES:
             raise CheckpointError(f"{path}: tensor {name} is of {part['dtype']}, expected one of {', '.join(_TYPES)}")
         tensors[name] = StoredTensor(_TYPES[part["dtype"]], tuple(part["shape"]), part["data"])
-    # One flipped bit can take the checksum its name: then there is another one that no file of ours has.
-    renamed = metadata.get("format", "").startswith(_OURS) and not metadata.keys() <= _METADATA
     said = ((name, value.dtype, value.shape, value.data) for name, value in tensors.items())
-    if renamed or metadata.get(CHECKSUM) not in (None, _sha256(said, metadata)):
+    has_checksum = CHECKSUM in metadata or metadata.get("format", "").startswith(_OURS)
+    if has_checksum and metadata.get(CHECKSUM) != _sha256(said, metadata):
         raise CheckpointError(
             f"{path}: damaged: its tensors or settings do not match its checksum, expected the file as it was written"
         )

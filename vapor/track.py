@@ -26,8 +26,6 @@ COMMANDS = {
     "evaluate": "measure the trajectories of a run against true poses",
 }
 """Name -> what it does; each is a module of `vapor.commands`, imported only when it is called."""
-WRITE_RUNS = ("run", "demo", "fuse")
-"""Those that need the process which writes results of runs: it starts while they are imported."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -105,8 +103,6 @@ def _run(program: str, commands: dict[str, str], package: str, words: list[str],
     if name not in commands:
         say(f"{program}: unknown command {shortened(repr(name), 60)}, expected one of {', '.join(commands)}")
         return 2
-    if name in WRITE_RUNS and not {"-h", "--help"} & set(rest):
-        importlib.import_module("vapor.reporting.output_process").start_output_process()
     command = importlib.import_module(f"{package}.{name.replace('-', '_')}").main
     signals.working = True
     command(rest)

@@ -16,7 +16,7 @@ from sequences.errors import SequenceError
 
 MANIFEST = "manifest.json"
 FORMAT, VERSION = "vapor-track results", 1
-UNCHECKED = f"no {MANIFEST}, as in results of earlier versions: its files could not be checked"
+UNCHECKED = f"no {MANIFEST}: its files could not be checked"
 """What to say of a folder without a manifest."""
 _LONGEST = 10_000_000  # bytes of a manifest
 

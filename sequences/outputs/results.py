@@ -1,7 +1,7 @@
 """Folders of results: whole or not there, and only replaced by results.
 
-A new folder appears as a whole. In an existing one files are replaced one by one, and the manifest is gone meanwhile;
-what a killed process left half replaced is put back by the next that reads or writes there.
+A new folder is made beside its place and renamed. In one that is there files are replaced one by one, and the manifest
+is gone meanwhile; what a killed process left half replaced is put back by the next that reads or writes there.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sequences.outputs.manifest import MANIFEST, Listed, own_manifest, write_man
 def results_folder(
     directory: Path, command: str, *, writes: Collection[str], reads: Iterable[Path] = (), overwrite: bool = False
 ) -> Iterator[Path]:
-    """Give a hidden folder to write to; on success its files are those of `directory`, with a manifest.
+    """Give a hidden folder to write to; on success it takes the place of `directory`, with a manifest.
 
     Args:
         directory: Absent, empty or results; made with the folders above it. A link to a folder is followed.
@@ -40,7 +40,8 @@ def results_folder(
         with writing(given):
             above = [folder for folder in directory.parents if not folder.exists()]
             stack.callback(_remove_empty, above)
-            place = directory if directory.exists() else directory.parent
+            is_new = not directory.exists()
+            place = directory.parent if is_new else directory
             place.mkdir(parents=True, exist_ok=True)
             work = stack.enter_context(workspace(place, directory.name))
             new = work / NEW
@@ -48,19 +49,24 @@ def results_folder(
         yield new
         with writing(given):
             write_manifest(new, command, {file.name: Listed.of(file) for file in sorted(new.iterdir())})
-            if place != directory and not directory.exists():
+            if not is_new:
+                _replace_files(work, writes if overwrite else (), reads)
+            elif not directory.exists():
                 os.rename(new, directory)
-                return
-            if place != directory:  # it was made meanwhile
+            else:  # somebody made it meanwhile
                 work = stack.enter_context(workspace(directory, directory.name))
                 os.rename(new, work / NEW)
-            _replace_files(work, writes if overwrite else (), reads)
+                _replace_files(work, writes if overwrite else (), reads)
 
 
 def require_replaceable(
     directory: Path, writes: Collection[str], reads: Iterable[Path] = (), *, overwrite: bool = False
 ) -> Path:
-    """The folder that is meant. Raises where `results_folder` would, but for failing disks."""
+    """Raise where `results_folder` would, but for failing disks.
+
+    Returns:
+        The folder that is meant.
+    """
     with writing(directory):
         given, directory = directory, folder_to_write(directory)
         reads = list(reads) if directory.exists() else []

@@ -1,6 +1,5 @@
 """Small model files and training states: written, and read."""
 
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -171,7 +170,7 @@ def read_exported(path: Path) -> Reading:
     """What a model says of itself; its digest is of all bytes, and would tell of those as well that do not matter."""
     told = describe_onnx(path)
     content = Content()
-    content.add(told.network, told.box, told.calibration, told.camera, told.training, told.notices)
+    content.add(told.network, told.box, told.calibration, told.camera, told.training)
     parts = _fields(told.prior_poses, told.familiarity, told.memory_poses)
     count = _add_arrays(content, parts)
     return Reading(content.digest, count)
@@ -203,7 +202,7 @@ def make_training_state(folder: Path) -> Path:
 
 def load_training(path: Path) -> Reading:
     state = _training(np.random.default_rng(1))
-    notices = load_state(path, state, _TRAINING)
+    load_state(path, state, _TRAINING)
     # What a training that goes on does with it.
     max(state.history, key=lambda figures: figures.log_density, default=None)
     state.average.load_state_dict(state.best or state.average.state_dict())
@@ -213,4 +212,4 @@ def load_training(path: Path) -> Reading:
     tensors = [*state.network.state_dict().values(), *state.average.state_dict().values(), *moments]
     for values in tensors:
         content.add(values.numpy())
-    return Reading(content.digest, len(tensors), Counter(f"notice: {notice}" for notice in notices))
+    return Reading(content.digest, len(tensors))

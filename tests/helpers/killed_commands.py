@@ -9,9 +9,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from signal import SIGKILL
+from tempfile import TemporaryDirectory
 from typing import Any
 
-from sequences.atomic import is_workspace
+from sequences.atomic import clear_leftovers, is_workspace
 from sequences.outputs.manifest import MANIFEST, read_manifest
 from tests.helpers.command_line import main
 from tests.helpers.exported import take_apart
@@ -25,7 +26,7 @@ LOADED = [
         "tests.helpers.killed_commands",
         "vapor.track",
         "vapor.commands.signals",
-        "vapor.reporting.pictures",
+        "vapor.reporting.run_outputs",
         "torch._dynamo",
     ),
     *("rerun", "pandas", "pyarrow.compute", "matplotlib.backends.backend_agg", "tyro._backends._argparse_formatter"),
@@ -100,10 +101,13 @@ def work(folder: Path, words: list[str]) -> None:
 def told(path: Path) -> Any:
     """What a file or a folder of results says, but for how long things took; fails where it is not whole."""
     if path.is_dir():
-        listed = read_manifest(path)["files"]
-        assert {*listed, MANIFEST} == set(os.listdir(path))
-        assert all(file.is_of(path / name) for name, file in listed.items())
-        return {name: told(path / name) for name in listed}
+        with TemporaryDirectory() as place:  # what the next command finds; what is there stays as it is
+            seen = Path(shutil.copytree(path, Path(place) / path.name))
+            clear_leftovers(seen)
+            listed = read_manifest(seen)["files"]
+            assert {*listed, MANIFEST} == set(os.listdir(seen))
+            assert all(file.is_of(seen / name) for name, file in listed.items())
+            return {name: told(seen / name) for name in listed}
     if path.suffix == ".safetensors":
         return read_safetensors(path)[0][CHECKSUM]
     if path.suffix == ".onnx":

@@ -30,7 +30,7 @@ def test_every_example_has_a_test_here():
         assert f'example("{file.stem}"' in tests
 
 
-def test_a_bag_is_localized(example, walk_of_25, tiny_model, tmp_path, no_pictures):
+def test_a_bag_is_localized(example, walk_of_25, tiny_model, tmp_path):
     lines = example("localize_bag", walk_of_25, "--model", tiny_model)
     assert len([line for line in lines if line.startswith("image ")]) == 5
     assert (tmp_path / "result" / "trajectory.tum").is_file()
@@ -49,7 +49,7 @@ def test_a_model_is_trained_and_calibrated(example, tmp_path):
     load_checkpoint(tmp_path / "place.safetensors")
 
 
-def test_estimates_of_two_rooms_are_fused_to_one_trajectory(example, no_pictures):
+def test_estimates_of_two_rooms_are_fused_to_one_trajectory(example):
     error_m = {line.split()[0]: float(line.split()[-2]) for line in example("fuse_estimates")}
     assert error_m["filter"] < 0.1
     assert error_m["smoothed"] < 0.1

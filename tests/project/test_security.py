@@ -29,12 +29,10 @@ POSE = np.eye(4).tolist()
 
 _FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "subprocess", "pty", "commands"}
 _FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "yaml.unsafe_load", "joblib.load"}
-_OWN = {  # no files: this package's own commands, what a scheduler sends, and what two processes of a run exchange
+_OWN = {  # no files: this package's own commands, and what a scheduler sends
     ROOT / "vapor" / "benchmark" / "live" / "faults.py": ["subprocess"],
     ROOT / "vapor" / "benchmark" / "live" / "measure.py": ["subprocess"],
     ROOT / "vapor" / "parallel" / "worker.py": ["pickle"],
-    ROOT / "vapor" / "reporting" / "output_calls.py": ["pickle"],
-    ROOT / "vapor" / "reporting" / "output_process.py": ["pickle", "subprocess"],
 }
 _REQUIRED = {"np.load": ("allow_pickle", False), "torch.load": ("weights_only", True)}
 

@@ -11,7 +11,6 @@ from tests.helpers.checkpoints import SMALL, make_checkpoint
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.checkpoints.shipped_models import SHIPPED
 from vapor.evaluation.validation import Validation
-from vapor.observation import VaporObservationModel
 from vapor.regressors.pretrained import load_pretrained
 from vapor.tensor_files import CHECKSUM, CheckpointError, content_sha256, read_safetensors, write_safetensors
 from vapor.training.config import TrainConfig
@@ -107,24 +106,18 @@ def test_the_checksum_is_of_names_types_shapes_and_bytes_of_tensors_and_of_all_o
     assert content_sha256(strided, metadata) == content_sha256(tensors, metadata)
 
 
-def test_a_model_from_before_checksums_is_read_with_a_notice_which_a_new_file_has_no_more(model):
+def test_a_file_of_ours_without_a_checksum_is_refused(model):
     metadata, tensors = read_safetensors(model)
-    assert load_checkpoint(model).notices == ()
     save_file(tensors, model, {name: value for name, value in metadata.items() if name != CHECKSUM})
-    loaded = load_checkpoint(model)
-    assert "m.safetensors was written before model files had checksums" in loaded.notices[0]
-    assert VaporObservationModel.from_checkpoint(loaded).notices == list(loaded.notices)
-    save_checkpoint(model, loaded)
-    assert load_checkpoint(model).notices == ()
+    with pytest.raises(CheckpointError, match=DAMAGED):
+        load_checkpoint(model)
 
 
-def test_models_that_ship_state_their_checksums_and_their_camera():
+def test_models_that_ship_state_their_camera():
     shipped = sorted(SHIPPED.glob("*.safetensors"))
     assert shipped
     for path in shipped:
-        loaded = load_checkpoint(path)
-        assert loaded.notices == ()
-        assert loaded.camera is not None
+        assert load_checkpoint(path).camera is not None
 
 
 def test_files_of_others_are_taken_without_a_checksum(tmp_path):
@@ -140,21 +133,17 @@ def test_pretrained_weights_from_a_damaged_model_of_ours_are_refused(model):
         load_pretrained(make_checkpoint().build_network(), model)
 
 
-def test_a_damaged_state_of_a_training_is_refused_with_what_to_do_and_an_older_one_is_told(tmp_path):
+def test_a_damaged_state_of_a_training_is_refused_with_what_to_do(tmp_path):
     path = tmp_path / "m.training.safetensors"
     checkpoint = make_checkpoint()
     config = TrainConfig(network=SMALL, device="cpu")
     state = start(config, checkpoint.box, checkpoint.prior_poses, None)
     save_state(path, state, {"seed": 0})
     content = path.read_bytes()
-    assert load_state(path, state, {"seed": 0}) == ()
+    load_state(path, state, {"seed": 0})
     path.write_bytes(flipped(content, 8 * len(content) - 100))
     with pytest.raises(CheckpointError, match=r"damaged: .*; remove the file, or train with --no-resume"):
         load_state(path, state, {"seed": 0})
-    path.write_bytes(content)
-    metadata, tensors = read_safetensors(path)
-    save_file(tensors, path, {name: value for name, value in metadata.items() if name != CHECKSUM})
-    assert "written before states had checksums" in load_state(path, state, {"seed": 0})[0]
 
 
 def without_step(tensors: dict, config: dict) -> None:

@@ -84,7 +84,7 @@ def calibrate_model(
         names = ", ".join(Path(str(entry)).name for entry in data)
         raise VaporTrackError(f"{names}: {len(held_out)} images with true poses, expected at least {LEAST_IMAGES}")
     skipped = held_out.skipped + trained_on.skipped if trained_on else held_out.skipped
-    notices = checkpoint.notices + held_out.notices + (trained_on.notices if trained_on else ())
+    notices = held_out.notices + (trained_on.notices if trained_on else ())
     network = checkpoint.build_network().to(resolve_device(device))
     familiarity = _familiarity(network, checkpoint.familiarity, trained_on, held_out, max_images)
     calibration, known = checkpoint.calibration, checkpoint.familiarity

@@ -1,9 +1,8 @@
-"""How wrong a model's posteriors are: what the likelihood of an image is made of, and how it is stored."""
+"""How wrong a model's posteriors are: what the likelihood of an image is made of, and how it is read."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,7 @@ from filtering.error_model import ErrorModel
 from filtering.errors import VaporTrackError, quoted, require_within
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
-from vapor.checkpoints.scene_scale import default_errors
 from vapor.checkpoints.stored_config import parse_config
-from vapor.stored_names import NAMES, with_stored_names
 from vapor.tensor_files import CheckpointError
 
 _SIX = {"floor", "typical_std"}
@@ -42,25 +39,19 @@ class Calibration:
         return KernelDensity(samples, self.bandwidth_translation_m, self.bandwidth_rotation_rad)
 
 
-def stored_calibration(calibration: Calibration) -> dict[str, Any]:
-    """The calibration as a model file has it, JSON: fields of the error model by the names that they had at first."""
-    return with_stored_names(asdict(calibration))
-
-
-def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, Any]) -> Calibration:
+def parse_calibration(path: Path, values: Any) -> Calibration:
     """The calibration in a model file, from JSON: every field must be there, those of its parts too, and no other.
 
     Args:
         path: The file, for messages.
         values: JSON.
-        missing: Fields of the error model that files of this version lack, and their values.
 
     Raises:
         CheckpointError: missing, surplus or unusable values.
     """
     if not isinstance(values, dict) or "errors" not in values:
         return parse_config(path, "calibration", Calibration, values)  # which says what is wrong
-    errors = _parse_errors(path, "calibration.errors", values["errors"], missing)
+    errors = _parse_errors(path, "calibration.errors", values["errors"])
     odometry = values.get("odometry")
     if odometry is not None:
         if not isinstance(odometry, dict):
@@ -74,33 +65,15 @@ def parse_calibration(path: Path, values: Any, *, missing: Mapping[str, Any]) ->
     return parse_config(path, "calibration", Calibration, values | held)
 
 
-def _parse_errors(path: Path, name: str, errors: Any, missing: Mapping[str, Any]) -> ErrorModel:
+def _parse_errors(path: Path, name: str, errors: Any) -> ErrorModel:
     """An error model from JSON, and that of verified places within it."""
     if not isinstance(errors, dict):
         return parse_config(path, name, ErrorModel, errors)  # which says what is wrong
-    errors = {NAMES.get(field, field): value for field, value in errors.items()}
     for field in _SIX & errors.keys():
         found = errors[field]
         if not (isinstance(found, list) and len(found) == 6 and all(type(v) in (int, float) for v in found)):
             raise CheckpointError(f"{path}: {name} configuration has {field} {quoted(found)}, expected six numbers")
-    errors = errors | {field: tuple(map(float, errors[field])) for field in _SIX & errors.keys()} | dict(missing)
+    errors = errors | {field: tuple(map(float, errors[field])) for field in _SIX & errors.keys()}
     if errors.get("verified") is not None:
-        errors["verified"] = _parse_errors(path, f"{name}.verified", errors["verified"], {})
+        errors["verified"] = _parse_errors(path, f"{name}.verified", errors["verified"])
     return parse_config(path, name, ErrorModel, errors)
-
-
-def parse_former_calibration(path: Path, values: Any, *, prior_poses: Poses) -> Calibration:
-    """The calibration in a model file of format 4 or 5, from JSON: its kernel widths, and default errors.
-
-    Args:
-        path: The file, for messages.
-        values: JSON.
-        prior_poses: Of the model, (n,): the default errors are in proportion to the scene that they outline.
-
-    Raises:
-        CheckpointError: missing or unusable kernel widths.
-    """
-    names = ("bandwidth_translation_m", "bandwidth_rotation_rad")
-    widths = {name: values[name] for name in names if name in values} if isinstance(values, dict) else {}
-    errors = default_errors(prior_poses)
-    return parse_config(path, "calibration", Calibration, widths | {"errors": errors, "odometry": None})

@@ -43,8 +43,7 @@ class Checkpoint:
         familiarity: What training images look like to the network; None where that was never learned.
         camera: The camera of the training images, undistorted; None where unknown.
         memory: The training images as a retrieval regressor remembers them; None with any other.
-        notices: What a person should know of the file that it was read from.
-        file: That file; None of a model in memory.
+        file: The file that it was read from; None of a model in memory.
         landmarks: Points of the place, by which poses are found to centimetres; None where there are none.
     """
 
@@ -57,7 +56,6 @@ class Checkpoint:
     familiarity: Familiarity | None = None
     camera: Camera | None = None
     memory: Memory | None = None
-    notices: tuple[str, ...] = ()
     file: Path | None = None
     landmarks: Landmarks | None = None
 
@@ -83,7 +81,6 @@ class Checkpoint:
             self.camera,
             None if memory is None else poses_of(memory.rotation.numpy(), memory.translation.numpy()),
             self.file,
-            self.notices,
             self.landmarks,
         )
 

@@ -33,7 +33,6 @@ class ModelDescription:
         camera: The camera of the training images, undistorted; None where unknown.
         memory_poses: True poses of the training images that a retrieval regressor remembers; None with any other.
         file: The file that it was read from; None of one in memory.
-        notices: What a person should know of that file.
         landmarks: Points of the place, by which poses are found to centimetres; None where there are none.
     """
 
@@ -47,7 +46,6 @@ class ModelDescription:
     camera: Camera | None = None
     memory_poses: Poses | None = None
     file: Path | None = None
-    notices: tuple[str, ...] = ()
     landmarks: Landmarks | None = None
 
 

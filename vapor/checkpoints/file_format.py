@@ -60,11 +60,6 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool =
 def load_checkpoint(path: Path) -> Checkpoint:
     """Read a model file, strictly.
 
-    The calibration in files of format 4 and 5 is that of an earlier filter: its kernel widths are taken, and the rest
-    are the errors of a model that was not calibrated (`default_errors`); calibrate such a model anew. In files of
-    format 6 errors do not grow with how unfamiliar an image is; in those and in files of format 7 mistakes about the
-    place last as long as errors within it; none before format 9 has landmarks.
-
     Raises:
         CheckpointError: no such file, no safetensors file, a damaged one, another format or version, a configuration
             with missing, surplus or unusable values, tensors that are missing, surplus, misshapen, of another type or
@@ -102,7 +97,6 @@ def load_checkpoint(path: Path) -> Checkpoint:
         model.familiarity,
         model.camera,
         memory,
-        model.notices,
         path,
         model.landmarks,
     )
@@ -141,7 +135,7 @@ def shapes_beside_weights(config: StoredConfig, tensors: Mapping[str, StoredTens
 
 
 def is_model(path: Path) -> bool:
-    """Whether a file is a model of any version of this package, by what it says of itself."""
+    """Whether a file is a model of this package, by what it says of itself."""
     return format_of(path) == FORMAT
 
 

@@ -73,7 +73,7 @@ def parse_box(path: Path, box: Any) -> SceneBox:
 
 
 def parse_camera(path: Path, values: Any) -> Camera | None:
-    """A camera from JSON; None where the file was written before cameras were stored, or none was known.
+    """A camera from JSON; None where none was known.
 
     Raises:
         CheckpointError: missing, surplus or unusable values.

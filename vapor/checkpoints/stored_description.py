@@ -1,18 +1,17 @@
-"""What model files of any version say beside the weights -> `ModelDescription`, every value checked."""
+"""What model files say beside the weights -> `ModelDescription`, every value checked."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from filtering.errors import quoted
-from vapor.checkpoints.calibration import parse_calibration, parse_former_calibration, stored_calibration
+from vapor.checkpoints.calibration import parse_calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.description import ModelDescription
 from vapor.checkpoints.stored_config import parse_box, parse_camera, parse_config, parse_metadata
@@ -30,40 +29,26 @@ from vapor.checkpoints.stored_tensors import (
 from vapor.checkpoints.thinning import thin_poses
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
-from vapor.stored_names import with_stored_names
-from vapor.tensor_files import CHECKSUM, CheckpointError, StoredTensor
+from vapor.tensor_files import CheckpointError, StoredTensor
 
 FORMAT = "vapor-track model"
-VERSION = 9
-_BEFORE_LANDMARKS = "8"  # no places were verified
-_BEFORE_MISTAKES = "7"  # mistakes about the place were taken to last as long as errors within it
-_BEFORE_GROWTH = "6"  # images were taken to err alike, however unfamiliar
-_NO_VERIFIED: dict[str, Any] = {"verified": None}  # what error models of those versions had without stating it
-_NO_MISTAKES = {"mistaken_lengths": 1.0, **_NO_VERIFIED}
-_NO_GROWTH = {"unfamiliar_power": 0.0, "unfamiliar_score": 0.5, **_NO_MISTAKES}
-_BEFORE_ERRORS = ("4", "5")  # their calibrations are of another filter: only the kernel widths are taken
-_BEFORE_SHORTCUT = "4"
-_NO_SHORTCUT = {"shortcut": False}  # what networks of that version had without stating it
+VERSION = 10
 
 
 class StoredConfig(NamedTuple):
     """Metadata of a model file, of which the network's shape was read.
 
     Attributes:
-        version: Of the format.
         network: Shape of the network.
         box: Box of predicted positions.
         training: Where the model came from.
         rest: All of the configuration, JSON.
-        notices: What a person should know of the file.
     """
 
-    version: str
     network: NetworkConfig
     box: SceneBox
     training: dict[str, Any]
     rest: dict[str, Any]
-    notices: tuple[str, ...]
 
 
 def description_metadata(model: ModelDescription | Checkpoint) -> dict[str, str]:
@@ -71,8 +56,8 @@ def description_metadata(model: ModelDescription | Checkpoint) -> dict[str, str]
     config = {
         "network": asdict(model.network),
         "box": asdict(model.box),
-        "calibration": stored_calibration(model.calibration),
-        "training": with_stored_names(model.training),
+        "calibration": asdict(model.calibration),
+        "training": dict(model.training),
         "camera": None if model.camera is None else asdict(model.camera),
         "landmarks": None if model.landmarks is None else landmarks_config(model.landmarks),
     }
@@ -97,23 +82,15 @@ def parse_stored_config(path: Path, metadata: Mapping[str, str]) -> StoredConfig
     if found != FORMAT:
         raise CheckpointError(f"{path}: format is {quoted(found)} in its metadata, expected {FORMAT!r}")
     version = metadata.get("version")
-    if version not in (str(VERSION), _BEFORE_LANDMARKS, _BEFORE_MISTAKES, _BEFORE_GROWTH, *_BEFORE_ERRORS):
-        older = " or ".join(f"'{number}'" for number in _BEFORE_ERRORS)
-        raise CheckpointError(
-            f"{path}: format version is {version!r}, expected '{VERSION}' or '{_BEFORE_GROWTH}' to"
-            f" '{_BEFORE_LANDMARKS}', or {older} of which network and scene are taken; train the model anew"
-        )
+    if version != str(VERSION):
+        raise CheckpointError(f"{path}: format version is {version!r}, expected '{VERSION}'; train the model anew")
     config = parse_metadata(path, metadata.get("config"))
-    network = config.get("network")
-    if version == _BEFORE_SHORTCUT and isinstance(network, dict):
-        network = network | _NO_SHORTCUT
-    network = parse_config(path, "network", NetworkConfig, network)
+    network = parse_config(path, "network", NetworkConfig, config.get("network"))
     box = parse_box(path, config.get("box"))
     training = config.get("training")
     if not isinstance(training, dict):
         raise CheckpointError(f"{path}: training is {type(training).__name__} in its configuration, expected an object")
-    unchecked = f"{path.name} was written before model files had checksums: whether it is damaged cannot be told"
-    return StoredConfig(version, network, box, training, config, () if CHECKSUM in metadata else (unchecked,))
+    return StoredConfig(network, box, training, config)
 
 
 def parse_description(
@@ -130,28 +107,17 @@ def parse_description(
     Raises:
         CheckpointError: unusable values.
     """
-    poses = read_poses(tensors, PRIOR_ROTATION, PRIOR_TRANSLATION)
-    if config.version in _BEFORE_ERRORS:
-        parse = partial(parse_former_calibration, prior_poses=poses)
-    else:
-        missing = {
-            _BEFORE_LANDMARKS: _NO_VERIFIED,
-            _BEFORE_MISTAKES: _NO_MISTAKES,
-            _BEFORE_GROWTH: _NO_GROWTH,
-        }.get(config.version, {})
-        parse = partial(parse_calibration, missing=missing)
     known = any(name.startswith(FAMILIARITY) for name in tensors)
     return ModelDescription(
         config.network,
         config.box,
-        parse(path, config.rest.get("calibration")),
-        poses,
+        parse_calibration(path, config.rest.get("calibration")),
+        read_poses(tensors, PRIOR_ROTATION, PRIOR_TRANSLATION),
         network_sha256,
         config.training,
         read_familiarity(path, tensors) if known else None,
         parse_camera(path, config.rest.get("camera")),
         read_poses(tensors, MEMORY_ROTATION, MEMORY_TRANSLATION) if MEMORY_ROTATION in tensors else None,
         path,
-        config.notices,
         read_landmarks(path, config.rest.get("landmarks"), tensors),
     )

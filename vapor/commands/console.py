@@ -17,12 +17,12 @@ from rich.table import Table
 from rich.text import Text
 
 from filtering.errors import VaporTrackError, shortened
-from vapor.commands.narrow_tables import fitting
-from vapor.commands.renamed_options import with_new_names
 from vapor.commands.terminal import color_system, raise_of_output, say, width, wrapped, write
 from vapor.storage import is_url, local_path
 
 Options = TypeVar("Options")
+
+_WIDE = 10_000  # characters
 
 
 def _path_or_url(words: list[str]) -> Path:
@@ -81,22 +81,16 @@ def parse(
     default: Options | None = None,
     program: str = "vapor-track",
 ) -> Options:
-    """Options from the words of the command line; wrong ones print what is wrong and exit with status 2.
-
-    Old names of options are understood, with a notice on standard error (`renamed_options`).
-    """
-    words, notices = with_new_names(arguments)
-    for notice in notices:
-        say(f"{program} {command}: {notice}")
+    """Options from the words of the command line; wrong ones print what is wrong and exit with status 2."""
     given: dict[str, Any] = {} if default is None else {"default": default}
     told, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
     try:
-        if not {"-h", "--help"} & set(words):
+        if not {"-h", "--help"} & set(arguments):
             os.environ["COLUMNS"] = "1000000"  # of messages in a box, so that no word is broken
         else:
             os.environ["COLUMNS"] = str(width())  # of the terminal, which is not seen behind `helped`
         with redirect_stderr(told), redirect_stdout(helped):
-            return tyro.cli(options, prog=f"{program} {command}", args=words, **given)
+            return tyro.cli(options, prog=f"{program} {command}", args=arguments, **given)
     except VaporTrackError as error:  # a value that its dataclass refuses
         usage_error(command, str(error), program)
     except SystemExit:
@@ -146,14 +140,16 @@ def usage_error(command: str, message: str, program: str = "vapor-track") -> NoR
 
 
 def show(content: str | Text | Table) -> None:
-    """Print text or a table on standard output; no line of a table, nor at a terminal of text, is longer than fits."""
+    """Print text or a table on standard output; no line is longer than fits but where a table's words would be cut."""
     if isinstance(content, str):
         at_terminal = sys.stdout is not None and sys.stdout.isatty()
         write("\n".join(map(wrapped, content.splitlines())) if at_terminal else content)
         return
     console = Console(highlight=False, markup=False, width=width(), color_system=color_system())
+    if isinstance(content, Table) and any("…" in segment.text for segment in console.render(content)):
+        console.width = console.measure(content, options=console.options.update_width(_WIDE)).maximum
     try:
-        console.print(fitting(content, console) if isinstance(content, Table) else content)
+        console.print(content)
     except OSError as error:
         raise_of_output(error)
 
@@ -190,9 +186,8 @@ def images_said(images: Mapping[str, Any]) -> str:
     return f"{images['stated']} stated, {images['read']} read, {images['used']} used, {skipped} skipped"
 
 
-def show_files(directory: Path, pictures: Sequence[str], *, recording: bool) -> None:
+def show_files(directory: Path, *, recording: bool) -> None:
     """Say where the results of a run lie."""
     show(f"report     {directory / 'report.html'}")
-    show(f"pictures   {', '.join(str(directory / name) for name in pictures)}")
     if recording:
         show(f"recording  rerun {directory / 'recording.rrd'}")

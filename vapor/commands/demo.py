@@ -67,4 +67,4 @@ def main(arguments: Sequence[str]) -> None:
     results_are_complete()
     shown = {name: result.report[name] for name in _METHODS if name in result.report}
     show(format_table(shown, title=f"{options.scene}, {result.report['frames']} synthetic images"))
-    show_files(output, result.pictures, recording=True)
+    show_files(output, recording=True)

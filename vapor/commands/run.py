@@ -38,7 +38,7 @@ from vapor.storage import fetched
 
 @dataclass(frozen=True)
 class Options:
-    """Localize the camera of recorded sequences; write trajectories, report, pictures and recordings of each."""
+    """Localize the camera of recorded sequences; write trajectories, report and recordings of each."""
 
     sequences: Annotated[tyro.conf.Positional[tuple[InputPath, ...]], tyro.conf.arg(metavar="SEQUENCE ...")]
     """MCAP files, rosbag2 folders or ROS 1 bags with images and odometry, or their URLs; any other folder
@@ -113,7 +113,7 @@ def show_run(result: RunResult, output: Path, *, title: str, recording: bool, ta
     show_notices(result.notices)
     if result.engine:
         show(f"engine     {result.engine}")
-    show_files(output, result.pictures, recording=recording)
+    show_files(output, recording=recording)
     if result.few_images is not None:
         show(result.few_images)
 

@@ -24,12 +24,12 @@ from sequences.reader import SequenceReader
 from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES
 from vapor.pipeline.ahead import ahead
 from vapor.pipeline.config import FilteringConfig
-from vapor.reporting.beside import outputs_beside
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_place import Place
+from vapor.reporting.run_outputs import RunOutputs
 from vapor.tracking.history import History
-from vapor.tracking.loop import StepLoop
-from vapor.tracking.methods import poses_at_end
+from vapor.tracking.loop import Baselines, StepLoop
+from vapor.tracking.methods import poses_at_end, start_baselines
 
 
 def localize(
@@ -80,11 +80,10 @@ def localize(
                 posterior = localizer.observe(observed(frame))
             yield frame, posterior, 1e3 * (time.perf_counter() - begin)
 
-    # Stage by stage: an image is read and seen by the network while the filter has the one before, and written later.
-    outputs_of_run = outputs_beside(
+    # An image is read and seen by the network while the filter has the one before.
+    outputs_of_run = RunOutputs(
+        Baselines(start_baselines(settings, lambda: np.random.default_rng(config.seed))),
         directory,
-        settings,
-        seed=config.seed,
         recording=config.recording,
         view=config.view,
         particles=PUBLISHED_PARTICLES,
@@ -110,7 +109,7 @@ def localize(
                 " fewer)"
             )
         at_end = poses_at_end(history, errors, settings) if history.evidence else {}
-        record = outputs.finish(skipped=source.skipped, images=source.counts, at_end=at_end)
+        record = outputs.record(skipped=source.skipped, images=source.counts, at_end=at_end)
     if floors is not None:
         record = replace(record, floors=floors, floor_belief=np.stack(on_floors))
     record = replace(record, verified=None if errors.verified is None else verified)

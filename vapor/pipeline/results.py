@@ -12,19 +12,16 @@ from typing import Any
 
 from sequences.atomic import atomic_output
 from sequences.trajectories.tum import write_tum
-from vapor.reporting.beside import write_page, write_pictures
+from vapor.reporting.html.page import write_page
 from vapor.reporting.html.run_page import run_page
-from vapor.reporting.pictures import PICTURES
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import build_report, doubtful_notice, write_report, write_status
-from vapor.stored_names import with_stored_names
 from vapor.tracking.methods import FILES
 
 _PACKAGES = ("vapor-track", "torch", "numpy", "scipy", "filterpy", "gtsam", "opencv-python-headless", "rerun-sdk")
 RESULTS = frozenset(
     {
         *FILES.values(),
-        *PICTURES,
         *("ground_truth.tum", "status.csv", "config.json", "estimate.mcap", "recording.rrd"),
         *("report.html", "report.json"),
     }
@@ -39,14 +36,12 @@ class RunResult:
     Attributes:
         record: Everything collected on the way.
         report: Content of `report.json`.
-        pictures: Names of the pictures in the output directory.
         notices: What a person should know of the sequence, the model and the smoothed trajectory.
         engine: What ran the network, in words; empty where none ran.
     """
 
     record: RunRecord
     report: dict[str, Any]
-    pictures: tuple[str, ...]
     notices: tuple[str, ...] = ()
     engine: str = ""
 
@@ -65,7 +60,7 @@ def write_results(
     notices: Sequence[str] = (),
     command: str = "",
 ) -> RunResult:
-    """Write trajectories, pictures, `config.json` (settings, and the versions they were used with), and the report.
+    """Write trajectories, `config.json` (settings, and the versions they were used with), and the report.
 
     Args:
         record: The run.
@@ -80,9 +75,8 @@ def write_results(
     if record.truth is not None:
         write_tum(directory / "ground_truth.tum", record.truth)
     write_status(directory / "status.csv", record)
-    pictures = write_pictures(record, directory, title=title)
     versions = {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in _PACKAGES}
-    settings = with_stored_names(settings) | {"versions": versions}
+    settings = settings | {"versions": versions}
     with atomic_output(directory / "config.json") as partial:
         partial.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
     report = build_report(record)
@@ -91,4 +85,4 @@ def write_results(
     told = (*notices, doubtful) if doubtful else tuple(notices)
     page = run_page(record, report, title=title, settings=settings, notices=told, command=command)
     write_page(directory / "report.html", page)
-    return RunResult(record, report, tuple(picture.name for picture in pictures), told)
+    return RunResult(record, report, told)

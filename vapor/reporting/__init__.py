@@ -1,1 +1,1 @@
-"""What a run leaves behind: record, report, pictures, a recording for the Rerun viewer."""
+"""What a run leaves behind: record, report, a recording for the Rerun viewer."""

@@ -6,10 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sequences.atomic import atomic_output
-from vapor.reporting.colors import FAINT, INK
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _SOFTWARE = "vapor-track"  # as a PNG says that made it
@@ -20,20 +18,6 @@ def new_figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), dpi=120, layout="constrained", facecolor="white")
-
-
-def add_title(figure: Figure, title: str) -> None:
-    """Print a title over a figure, to the left."""
-    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold", color=INK)
-
-
-def quiet_axes(ax: Axes) -> None:
-    """Leave of a frame what is to be read: the lower and the left side, thin."""
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.spines[["left", "bottom"]].set_color(FAINT)
-    ax.tick_params(colors=INK, labelsize=9, color=FAINT)
-    ax.xaxis.label.set_color(INK)
-    ax.yaxis.label.set_color(INK)
 
 
 def save_figure(figure: Figure, path: Path) -> Path:

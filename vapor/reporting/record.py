@@ -21,7 +21,7 @@ from vapor.tracking.methods import in_order
 
 @dataclass(frozen=True)
 class RunRecord:
-    """Everything a report and its pictures are made of, n images.
+    """Everything a report is made of, n images.
 
     Attributes:
         times_ns: Header stamps, (n,).

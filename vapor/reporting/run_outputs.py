@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import resource
+import sys
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
+from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
+from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
 from sequences.recordings.estimate_messages import EstimateWriter
-from vapor.reporting.peak_memory import peak_rss_mb
 from vapor.reporting.record import RunRecord
 from vapor.reporting.recorder import RunRecorder
 from vapor.reporting.rerun_place import Place
@@ -23,8 +26,6 @@ from vapor.tracking.loop import Baselines, Step
 
 class RunOutputs:
     """Writes and shows a run image by image; used in a `with` block, so that an error leaves nothing half-written.
-
-    The baselines are led from here: nobody waits for them.
 
     Args:
         baselines: What else tracks the camera.
@@ -64,19 +65,24 @@ class RunOutputs:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._block.__exit__(kind, error, trace)
+        if error is not None:  # of the loop: a writer would state an OSError as its own
+            error = VaporTrackError("the run failed")
+        self._block.__exit__(error and type(error), error, None)
 
     def add(self, frame: Frame, step: Step) -> None:
         """Write and show one image, of which the filter alone has made something so far.
 
         Raises:
-            SequenceError, VaporTrackError, OSError: it cannot be written, or what came before could not.
+            SequenceError, VaporTrackError: it cannot be written, or what came before could not.
         """
         estimate = step.estimate
         step = replace(step, baselines=self._baselines.step(frame.time_ns, step.posterior, frame.odometry))
         self._recorder.add(frame, step)
         modes = [(mode.world_from_camera, mode.covariance, mode.weight) for mode in estimate.modes]
-        self._writer.write(frame.time_ns, modes, estimate.cloud(self._particles))
+        try:
+            self._writer.write(frame.time_ns, modes, estimate.cloud(self._particles))
+        except OSError as error:
+            raise SequenceError(f"{self._writer.path}: cannot write: {error.strerror or error}") from error
         self._viewer.log(frame, estimate, step.posterior.samples)
 
     def record(
@@ -89,7 +95,17 @@ class RunOutputs:
             images: What became of the images that the sequence states.
             at_end: Poses (n,) of the methods that see the whole run at once, by name: they are shown, too.
         """
-        record = self._recorder.finish(skipped=skipped, images=images, peak_rss_mb=peak_rss_mb())
+        record = self._recorder.finish(skipped=skipped, images=images, peak_rss_mb=_peak_rss_mb())
         record = record.with_methods(at_end or {})
         self._viewer.log_at_end(record.methods, record.truth)
         return record
+
+
+def _peak_rss_mb() -> float:
+    """Peak resident memory of this process, MiB."""
+    with suppress(OSError), open("/proc/self/status", encoding="ascii") as status:
+        for line in status:  # what the kernel says otherwise includes that of the process that started this one
+            if line.startswith("VmHWM:"):
+                return float(line.split()[1]) / 2**10
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)

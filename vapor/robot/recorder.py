@@ -1,23 +1,27 @@
-"""Everything that comes, into an MCAP file: written beside the localization, which never waits for a disk."""
+"""MCAP files of live localization: everything that comes, for which it never waits, and one moment when asked for."""
 
 from __future__ import annotations
 
 import os
 import queue
 import threading
+from collections.abc import Iterable
 from itertools import count
 from pathlib import Path
 from types import TracebackType
 
+import cv2
 from mcap.writer import CompressionType, Writer
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
-from sequences.recordings.mcap_writer import MessageChannels
+from sequences.frame import Frame
+from sequences.recordings.mcap_writer import CAMERA_FRAME, MessageChannels, MessageWriter, ros_header
 from sequences.recordings.source import RawMessage
 
 _MOST_WAITING = 256 * 2**20  # bytes
 _INCOMPLETE = ".incomplete"
+_IMAGE = "sensor_msgs/CompressedImage"
 
 
 class MessageRecorder:
@@ -104,3 +108,31 @@ def _put_aside(left: Path) -> None:
     if left.exists():
         number = next(n for n in count(1) if not left.with_name(f"{left.name}.{n}").exists())
         left.rename(left.with_name(f"{left.name}.{number}"))
+
+
+class _Snapshot(MessageWriter):
+    def __enter__(self) -> _Snapshot:
+        self._open()
+        return self
+
+    def write(self, frame: Frame, believed: Iterable[RawMessage]) -> None:
+        messages = list(believed)
+        now_ns = max((raw.log_time_ns for raw in messages), default=frame.time_ns)
+        _, png = cv2.imencode(".png", cv2.cvtColor(frame.image, cv2.COLOR_RGB2BGR))
+        header = ros_header(frame.time_ns, CAMERA_FRAME)
+        self._write("/image", _IMAGE, {"header": header, "format": "png", "data": png.tobytes()}, now_ns)
+        for raw in messages:
+            self._channels.write(raw)
+
+
+def write_snapshot(folder: Path, frame: Frame, believed: Iterable[RawMessage]) -> Path:
+    """Write the image, undistorted as the network saw it, and the messages that were published of it.
+
+    Raises:
+        SequenceError, OSError: the file cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"snapshot-{frame.time_ns}.mcap"
+    with _Snapshot(path) as snapshot:
+        snapshot.write(frame, believed)
+    return path

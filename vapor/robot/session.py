@@ -37,12 +37,11 @@ from vapor.robot.config import LiveConfig
 from vapor.robot.estimate import LiveEstimate
 from vapor.robot.foxglove_server import FoxgloveServer
 from vapor.robot.health import Health
-from vapor.robot.initial_pose import camera_of_initial_pose
+from vapor.robot.messages import camera_of_initial_pose
 from vapor.robot.network import Job, Network, Observed
 from vapor.robot.outbox import Outbox, Sink
 from vapor.robot.publisher import Publisher
-from vapor.robot.recorder import MessageRecorder
-from vapor.robot.snapshot import write_snapshot
+from vapor.robot.recorder import MessageRecorder, write_snapshot
 from vapor.robot.watching import WatchingViewer
 from vapor.threads import limited_threads
 

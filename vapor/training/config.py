@@ -12,7 +12,6 @@ from vapor.engines.device import Device
 from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.registry import REGRESSORS, regressor_class
-from vapor.stored_names import STORED_NAMES
 from vapor.training.augment import AugmentConfig
 from vapor.training_data.training_set import TrainingError
 
@@ -179,13 +178,6 @@ class TrainConfig:
         """Files of weights that a training starts from."""
         return tuple(file for file in (self.initial_model, self.pretrained_weights) if file is not None)
 
-    def as_stored(self) -> dict[str, Any]:
-        """All settings, by the names that they have in files."""
-        return {STORED_NAMES.get(name, name): value for name, value in asdict(self).items()}
-
     def settings(self) -> dict[str, Any]:
-        """What makes a training this one: all but where it runs, by the names that they have in files."""
-        left_out = {"device", "resume"}
-        if not self.small_images_first:
-            left_out.add("small_images_first")  # files from before there was such a setting are of the same training
-        return {name: value for name, value in self.as_stored().items() if name not in left_out}
+        """What makes a training this one: all but where it runs."""
+        return {name: value for name, value in asdict(self).items() if name not in ("device", "resume")}

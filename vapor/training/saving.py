@@ -27,9 +27,10 @@ class Saving:
         self._path, self._identity = path, identity
         self._next_s = 0.0
 
-    def resume(self, state: TrainingState) -> tuple[str, ...]:
-        """Fill a fresh state from the file, if there is one; gives what a person should know of it."""
-        return load_state(self._path, state, self._identity) if self._path.exists() else ()
+    def resume(self, state: TrainingState) -> None:
+        """Fill a fresh state from the file, if there is one."""
+        if self._path.exists():
+            load_state(self._path, state, self._identity)
 
     def save(self, state: TrainingState, *, last: bool = False) -> None:
         """Write the state between two epochs; always the first one, and the last before something that takes long."""

@@ -19,8 +19,7 @@ from vapor.checkpoints.stored_config import parse_config, parse_metadata
 from vapor.evaluation.validation import Validation
 from vapor.regressors.base import PoseRegressor
 from vapor.storage import published
-from vapor.stored_names import NAMES
-from vapor.tensor_files import CHECKSUM, CheckpointError, format_of, read_safetensors, write_safetensors
+from vapor.tensor_files import CheckpointError, format_of, read_safetensors, write_safetensors
 from vapor.training.memory import TrainingFeatures
 
 FORMAT = "vapor-track training state"
@@ -65,7 +64,7 @@ def state_path(output: Path) -> Path:
 
 
 def is_training_state(path: Path) -> bool:
-    """Whether a file is a training's state, of any version."""
+    """Whether a file is a training's state."""
     return format_of(path) == FORMAT
 
 
@@ -95,8 +94,8 @@ def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     published(path)
 
 
-def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> tuple[str, ...]:
-    """Fill a fresh state from a file, in place; gives what a person should know of the file.
+def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> None:
+    """Fill a fresh state from a file, in place.
 
     Raises:
         CheckpointError: no training state, a damaged one, of another version, of another training, or with other
@@ -113,7 +112,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     expected = json.loads(json.dumps(identity))
     other = config.get("identity")
     if other != expected:
-        differs = [NAMES.get(k, k) for k in expected if not isinstance(other, dict) or other.get(k) != expected[k]]
+        differs = [k for k in expected if not isinstance(other, dict) or other.get(k) != expected[k]]
         raise CheckpointError(
             f"{path}: interrupted training differs in {', '.join(differs) or 'its configuration'}, expected the same"
             f" configuration and data; {_ANEW}"
@@ -138,7 +137,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         state.epochs, state.epoch = (
             int(parse_number(config.get(name), f"{path}: {name}", 0)) for name in ("epochs", "epoch")
         )
-        state.seconds = parse_number(config.get("seconds", 0.0), f"{path}: seconds", 0)  # earlier states lack them
+        state.seconds = parse_number(config.get("seconds"), f"{path}: seconds", 0)
     except SequenceError as error:
         raise CheckpointError(str(error)) from error
     history = config.get("history")
@@ -148,8 +147,6 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         if type(value) not in (int, float):
             raise CheckpointError(f"{path}: history has {quoted(value)}, expected a number")
     state.history = [parse_config(path, "history", Validation, entry) for entry in history]
-    unchecked = f"{path.name} was written before states had checksums: whether it is damaged cannot be told"
-    return () if CHECKSUM in metadata else (unchecked,)
 
 
 def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) -> dict[int, dict[str, Tensor]]:

@@ -159,11 +159,10 @@ def _train(
     except TrainingError as error:
         raise TrainingError(f"{', '.join(names['data'])}: {error}") from error
     split = hold_out(loaded, config.validation_fraction) if held_out is None else within_map(loaded, held_out)
-    training, notices = split.training, initial.notices if initial else ()
+    training = split.training
     box = SceneBox.around(split.everything.poses)
     state = start(config, box.union(initial.box) if initial else box, training.poses, initial)
-    result = _fit(state, split, names, output, config, report)
-    return replace(result, notices=(*notices, *result.notices))
+    return _fit(state, split, names, output, config, report)
 
 
 def _fit(
@@ -185,9 +184,10 @@ def _fit(
         **_settings(config),
     }
     saving = Saving(state_path(output), identity)
-    told = saving.resume(state) if config.resume and is_first() else ()
+    if config.resume and is_first():
+        saving.resume(state)
     share_state(state)
-    report(Progress("holding out", len(split.held_out), notes=(*told, *split.notes)))
+    report(Progress("holding out", len(split.held_out), notes=tuple(split.notes)))
     state.epochs = state.epochs or config.epochs or from_first(fitting_epochs(state, split, len(evaluated), config))
     trainer = Trainer(state, split, replace(config, epochs=state.epochs), report)
 

@@ -84,7 +84,7 @@ for number in range(10**6):
 
 
 def test_kills_at_random_moments_leave_whole_results(tmp_path):
-    kills = int(os.environ.get("KILLS", "30")) // 2
+    kills = int(os.environ.get("KILLS", "15"))
     rng = random.Random(0)
     out = tmp_path / "out"
     for _ in range(kills):

@@ -118,16 +118,14 @@ def test_results_in_the_working_directory_are_replaced_within_it(tmp_path, monke
     assert set(os.listdir(tmp_path)) == {"a.tum", "b.json", MANIFEST}
 
 
-def test_a_folder_that_someone_makes_during_the_work_gets_the_results_beside_what_it_holds(tmp_path):
-    out = tmp_path / "out"
-
+def test_a_folder_that_somebody_makes_during_the_work_is_written_to(tmp_path):
     def make() -> None:
-        out.mkdir()
-        (out / "notes.txt").write_text("mine")
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "notes.txt").write_text("mine")
 
-    write(out, "first", meanwhile=make)
-    assert contents(out)["notes.txt"] == "mine"
-    assert whole(out) == "first"
+    write(tmp_path / "out", "first", meanwhile=make)
+    assert whole(tmp_path / "out") == "first"
+    assert contents(tmp_path / "out")["notes.txt"] == "mine"
     assert os.listdir(tmp_path) == ["out"]
 
 

@@ -24,7 +24,6 @@ from vapor.regressors.loss import LossConfig
 from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 from vapor.regressors.variational import VariationalPoseRegressor
-from vapor.stored_names import with_stored_names
 from vapor.tensor_files import read_safetensors
 from vapor.track import main
 from vapor.training import check as training_check
@@ -183,7 +182,7 @@ def test_training_calibrates_at_its_end_and_stores_values_and_gains(tmp_path):
         assert stored.calibration == calibrated.calibration
     told = [change["what"] for change in stored.training["calibration"]["changes"]]
     assert told == ["kernel widths", "errors of an image", "how long they last"]
-    assert stored.training["calibration"] == json.loads(json.dumps(with_stored_names(calibrated.provenance)))
+    assert stored.training["calibration"] == json.loads(json.dumps(calibrated.provenance))
     off = replace(config, calibrate=False, bandwidth_translation_m=0.3)
     without = train_on({"a": frames_of(45)}, tmp_path / "n.safetensors", off, validation=held_out)
     assert without.calibration is None

@@ -9,7 +9,6 @@ from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 from tests.helpers.checkpoints import SMALL, make_checkpoint
 from vapor.checkpoints import shipped_models
-from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.checkpoints.scene_scale import default_errors
 from vapor.checkpoints.shipped_models import find_model
@@ -89,7 +88,7 @@ HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, {}), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '9' or '6' to '8', or '4'"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '10'; train the model anew"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "expected JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
@@ -185,67 +184,6 @@ def test_a_malformed_model_is_refused_with_its_file_and_what_is_wrong(good, tmp_
         load_checkpoint(bad)
 
 
-def _as_before(path, version, change=lambda config: None):
-    """Turn a model file into one of an earlier format."""
-    metadata, tensors = read_safetensors(path)
-
-    def former(config):
-        config["calibration"] = {"bandwidth_translation_m": 0.2, "bandwidth_rotation_rad": 0.1, "temper": 0.3}
-        change(config)
-
-    write_safetensors(path, tensors, _edit_config({**metadata, "version": version}, former))
-
-
-@pytest.mark.parametrize("version", ["4", "5"])
-def test_of_models_of_an_earlier_filter_the_kernel_widths_stay_and_errors_follow_from_the_scene(version, tmp_path):
-    path, again = tmp_path / "m.safetensors", tmp_path / "again.safetensors"
-    saved = make_checkpoint(replace(SMALL, shortcut=False))
-    save_checkpoint(path, saved)
-    _as_before(path, version, lambda c: c["network"].pop("shortcut") if version == "4" else None)
-    loaded = load_checkpoint(path)
-    assert loaded.calibration == Calibration(0.2, 0.1, default_errors(saved.prior_poses))
-    assert loaded.network_sha256() == saved.network_sha256()
-    save_checkpoint(again, loaded)
-    assert load_checkpoint(again).calibration == loaded.calibration
-
-
-def test_in_models_from_before_growth_errors_do_not_depend_on_the_score(tmp_path):
-    path, saved = tmp_path / "m.safetensors", make_checkpoint()
-    grown = replace(saved.calibration.errors, unfamiliar_power=0.75, unfamiliar_score=0.3, mistaken_lengths=3.0)
-    save_checkpoint(path, replace(saved, calibration=replace(saved.calibration, errors=grown, odometry=ODOMETRY)))
-    metadata, tensors = read_safetensors(path)
-    assert metadata["version"] == "9"
-    assert load_checkpoint(path).calibration.errors == grown
-
-    def before_mistakes(config):
-        config["calibration"]["errors"].pop("mistaken_lengths")
-
-    def former(config):
-        for name in ("unfamiliar_power", "unfamiliar_score", "mistaken_lengths"):
-            config["calibration"]["errors"].pop(name)
-
-    write_safetensors(path, tensors, _edit_config({**metadata, "version": "7"}, before_mistakes))
-    assert load_checkpoint(path).calibration.errors == replace(grown, mistaken_lengths=1.0)
-    write_safetensors(path, tensors, _edit_config({**metadata, "version": "6"}, former))
-    loaded = load_checkpoint(path)
-    expected = replace(grown, unfamiliar_power=0.0, unfamiliar_score=0.5, mistaken_lengths=1.0)
-    assert loaded.calibration.errors == expected
-    assert (loaded.calibration.odometry, loaded.network_sha256()) == (ODOMETRY, saved.network_sha256())
-    save_checkpoint(path, loaded)
-    assert load_checkpoint(path).calibration == loaded.calibration
-    write_safetensors(path, tensors, _edit_config(metadata, former))  # of format 8 all are expected
-    with pytest.raises(CheckpointError, match=r"lacks .*mistaken_lengths"):
-        load_checkpoint(path)
-
-
-@pytest.mark.parametrize("calibration", [None, {"bandwidth_translation_m": 0.2}])
-def test_a_model_of_an_earlier_filter_without_kernel_widths_is_refused(calibration, tmp_path):
-    save_checkpoint(tmp_path / "m.safetensors", make_checkpoint())
-    _as_before(tmp_path / "m.safetensors", "5", lambda c: c.update(calibration=calibration))
-    with pytest.raises(CheckpointError, match=r"m\.safetensors: calibration configuration lacks"):
-        load_checkpoint(tmp_path / "m.safetensors")
-
-
 def test_errors_of_an_uncalibrated_model_are_in_proportion_to_the_scene():
     rng = np.random.default_rng(0)
     poses = Poses.exp(rng.standard_normal((200, 6)))
@@ -258,18 +196,9 @@ def test_errors_of_an_uncalibrated_model_are_in_proportion_to_the_scene():
     assert default_errors(Poses.identity(5)).radius_m > 0  # a camera that only turns, or stands
 
 
-def test_models_from_before_the_shortcut_have_none(tmp_path):
-    old = tmp_path / "old.safetensors"
+def test_a_network_without_a_shortcut_is_another_one():
     without = make_checkpoint(replace(SMALL, shortcut=False))
-    save_checkpoint(old, without)
-    _as_before(old, "4", lambda config: config["network"].pop("shortcut"))
-    loaded = load_checkpoint(old)
-    assert loaded.network == without.network
-    assert not loaded.network.shortcut
-    save_checkpoint(tmp_path / "again.safetensors", loaded)
-    assert load_checkpoint(tmp_path / "again.safetensors").network == loaded.network
-    with_one = replace(loaded, network=replace(loaded.network, shortcut=True))
-    assert loaded.network_sha256() != with_one.network_sha256()
+    assert without.network_sha256() != replace(without, network=SMALL).network_sha256()
 
 
 def test_a_network_with_a_shortcut_is_the_same_after_saving(tmp_path):
@@ -305,17 +234,3 @@ def test_models_are_found_by_path_or_by_the_name_they_ship_under(tmp_path, monke
     assert find_model(str(tmp_path / "ceiling.safetensors")) == tmp_path / "ceiling.safetensors"
     with pytest.raises(CheckpointError, match=r"atrium: no such model file.*ceiling, staircase"):
         find_model("atrium")
-
-
-def test_files_have_the_names_of_errors_that_they_had_at_first(tmp_path):
-    checkpoint = make_checkpoint()
-    save_checkpoint(tmp_path / "m.safetensors", checkpoint)
-    metadata, _ = read_safetensors(tmp_path / "m.safetensors")
-    stored = json.loads(metadata["config"])["calibration"]["errors"]
-    assert {name for name in stored if name.endswith("_share")} == {
-        "outlier_share",
-        "possible_share",
-        "lasting_share",
-        "constant_share",
-    }
-    assert load_checkpoint(tmp_path / "m.safetensors").calibration == checkpoint.calibration

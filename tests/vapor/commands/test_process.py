@@ -72,7 +72,7 @@ def test_help_and_version_load_no_network_library(tmp_path):
         assert not {"torch", "rerun", "cv2", "gtsam", "matplotlib"} & loaded
 
 
-@pytest.mark.usefixtures("unchecked", "no_pictures")
+@pytest.mark.usefixtures("unchecked")
 def test_a_signal_that_comes_when_the_results_are_complete_takes_nothing_away(
     walk_of_25, tiny_model, tmp_path, monkeypatch, capsys
 ):
@@ -88,7 +88,7 @@ def test_a_signal_that_comes_when_the_results_are_complete_takes_nothing_away(
     assert main([*words, "--overwrite"]) == 130
 
 
-@pytest.mark.usefixtures("unchecked", "no_pictures")
+@pytest.mark.usefixtures("unchecked")
 def test_the_process_ends_with_the_status_of_the_command_and_gives_the_same_bytes(walk_of_25, tiny_model, tmp_path):
     wrong = process(["-m", "vapor.track", "localise"], tmp_path)
     assert (wrong.returncode, wrong.stdout) == (2, "")

@@ -20,8 +20,7 @@ from vapor.landmarks.verify import Landmarks, LandmarkVerifier, grey_view
 from vapor.landmarks.view_camera import ViewCamera
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
-from vapor.pipeline.run import run
-from vapor.pipeline.verified_images import VerifiedImages
+from vapor.pipeline.run import VerifiedImages, run
 from vapor.reporting.landmark_picture import landmark_caption, landmark_picture
 
 SHARP = ErrorModel(floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)

@@ -76,7 +76,7 @@ def weighted_file(path: Path, *methods: tuple[dict[str, Poses], float]) -> Path:
 
 
 @full
-@pytest.mark.usefixtures("unchecked", "no_pictures")
+@pytest.mark.usefixtures("unchecked")
 def test_equal_weights_in_one_file_are_files_of_one_hypothesis_each(tmp_path, truth):
     """Bit by bit, whatever the unit of the weights."""
     one, two = noisy(walk(), 0.02, 0.01, 1), noisy(walk(), 0.02, 0.01, 2)
@@ -95,7 +95,7 @@ def test_equal_weights_in_one_file_are_files_of_one_hypothesis_each(tmp_path, tr
     assert config["reading"]["columns"] == WEIGHTED[1]
 
 
-@pytest.mark.usefixtures("unchecked", "no_pictures")
+@pytest.mark.usefixtures("unchecked")
 def test_the_hypothesis_with_more_inliers_is_the_single_image_and_the_filter_finds_the_right_one_all_the_same(
     tmp_path, truth
 ):
@@ -138,7 +138,7 @@ def test_weights_that_are_missing_are_said_with_the_file_and_the_line(tmp_path, 
 
 
 @full
-@pytest.mark.usefixtures("unchecked", "no_pictures")
+@pytest.mark.usefixtures("unchecked")
 def test_six_real_methods_in_one_weighted_file_are_fused_as_six_files_are(shared_data: Path, tmp_path: Path):
     """150 frames of 7-Scenes stairs; the weights are one vote each, as the published files state no inliers."""
     folder = shared_data / "7scenes_stairs"

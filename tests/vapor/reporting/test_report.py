@@ -1,9 +1,8 @@
-"""What a run leaves behind: the record, report.json, the table and the pictures."""
+"""What a run leaves behind: the record, report.json and the table."""
 
 import json
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from rich.console import Console
@@ -11,7 +10,6 @@ from rich.console import Console
 from filtering.errors import VaporTrackError
 from tests.helpers.simulated_run import simulated_record, simulated_steps
 from vapor.reporting.keyframes import choose_keyframes
-from vapor.reporting.pictures import write_pictures
 from vapor.reporting.recorder import RunRecorder
 from vapor.reporting.report import build_report, format_table, is_report, write_report
 from vapor.tracking.dead_reckoning import dead_reckoning
@@ -173,35 +171,3 @@ def test_a_file_that_is_too_large_to_be_a_report_is_none(tmp_path):
     path.write_text(path.read_text() + " " * (64 << 20))
     assert not is_report(path, "frames")
     assert not is_report(tmp_path / "nowhere.json")
-
-
-# --- pictures -------------------------------------------------------------------------------------------
-
-
-def ink(path) -> float:
-    """Fraction of the picture that is not white."""
-    return float((np.asarray(cv2.imread(str(path))) < 250).any(axis=-1).mean())
-
-
-@pytest.mark.parametrize("with_truth", [True, False])
-def test_pictures_are_drawn_with_and_without_true_poses(tmp_path, with_truth):
-    record = simulated_record(40, with_truth=with_truth)
-    paths = write_pictures(record, tmp_path, title="staircase")
-    expected = {"trajectory.png", "particles.png"} | ({"errors.png"} if with_truth else set())
-    assert {path.name for path in paths} == expected == {path.name for path in tmp_path.iterdir()}
-    assert all(0.02 < ink(path) < 0.6 for path in paths)
-
-
-def test_a_run_of_one_image_has_its_pictures(tmp_path):
-    assert len(write_pictures(simulated_record(1), tmp_path, title="one image")) == 3
-
-
-def test_the_same_run_gives_the_same_picture_bytes(tmp_path):
-    record = simulated_record(20)
-    first, second = ([path.read_bytes() for path in write_pictures(record, tmp_path, title="twice")] for _ in range(2))
-    assert first == second
-
-
-def test_pictures_into_a_missing_folder_are_refused_by_name(tmp_path):
-    with pytest.raises(VaporTrackError, match="nowhere"):
-        write_pictures(simulated_record(2), tmp_path / "nowhere", title="")

@@ -11,7 +11,6 @@ from tests.helpers.short_training import train_on_most
 from tests.helpers.tiny_training import TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.regressors.loss import LossConfig
-from vapor.training.config import TrainConfig
 from vapor.training.train import train, train_on
 from vapor.training_data.training_set import TrainingError
 
@@ -62,13 +61,6 @@ def test_a_loss_that_is_not_finite_ends_the_training(tmp_path):
     with pytest.raises(TrainingError, match=r"loss is .* in epoch 1, step"):
         train_on({"a": make_frames(24)}, tmp_path / "m.safetensors", config)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_settings_are_stored_by_the_names_that_files_have_had_from_the_first():
-    changed = TrainConfig(ewta_fraction=0.4, ema_decay=0.9, validation_fraction=0.2, store_float16=False)
-    stored = changed.settings()
-    assert [stored.pop(name) for name in ("evolve", "average", "validation_share", "half")] == [0.4, 0.9, 0.2, False]
-    assert stored.keys() < vars(changed).keys()
 
 
 def test_a_missing_output_folder_is_told_before_anything_is_read(tmp_path):

@@ -41,8 +41,3 @@ def test_only_the_last_epochs_see_whole_images_and_are_evaluated(tmp_path, monke
     assert seen == [(32, 43)] * 4 + [(48, 64)] * 4  # two steps an epoch; two fifths would be less than 32
     assert [figures.epoch for figures in result.history] == [3, 4]
     assert result.best is not None
-
-
-def test_a_training_without_small_images_is_the_one_it_was_before_there_were_any():
-    assert "small_images_first" not in TINY.settings()
-    assert GROWING.settings()["small_images_first"] == 0.8

@@ -18,7 +18,7 @@ def new_table(title: str | None, *columns: str) -> Table:
     """A table of figures, with names in its first column."""
     table = Table(title=title, title_justify="left", caption_justify="left", box=SIMPLE_HEAD, collapse_padding=True)
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=i > 0, overflow="fold")
+        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=i > 0)
     return table
 
 

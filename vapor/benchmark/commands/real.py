@@ -21,7 +21,6 @@ from vapor.commands.progress import progress
 from vapor.commands.workers import Scheduler, workers_for
 from vapor.parallel.jobs import Workers
 from vapor.reporting.report import write_report
-from vapor.stored_names import with_stored_names
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ def main(arguments: Sequence[str]) -> None:
             show(f"left out: {name}, for want of {', '.join(needs)}")
         results = _one_by_one(o, rows) if workers.are_this_process else _in_parallel(o, rows, workers)
     summary = summarise(results)
-    settings = with_stored_names(asdict(o.config) | {"data": o.data.name, "left_out": missing})
+    settings = asdict(o.config) | {"data": o.data.name, "left_out": missing}
     write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "draws": results})
     publish_results(o.output)
     for table in tables(summary):

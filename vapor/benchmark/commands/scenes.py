@@ -16,7 +16,6 @@ from vapor.checkpoints.shipped_models import find_model
 from vapor.commands.console import Overwrite
 from vapor.commands.workers import Scheduler
 from vapor.reporting.report import write_report
-from vapor.stored_names import with_stored_names
 
 Config = TypeVar("Config")
 
@@ -82,7 +81,7 @@ def write_summary(
 ) -> None:
     """Write summary.json."""
     settings = {
-        **with_stored_names(settings),
+        **settings,
         "models": o.model_of or o.models,
     }
     write_report(o.output / "summary.json", {"settings": settings, "summary": summary, "runs": results, **more})

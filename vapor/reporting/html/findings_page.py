@@ -7,8 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vapor.reporting.html.page import Block, Code, Folded, Page, Picture, Section, Text
-from vapor.reporting.html.printed_table import printed_table
+from rich.console import RenderableType
+from rich.text import Text as RichText
+
+from vapor.reporting.html.page import Block, Code, Folded, Page, Picture, Section, Table, Text
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
@@ -46,4 +48,22 @@ def _block(item: RichTable | str | Path | Block, heading: str) -> Block:
         return Picture(item.read_bytes(), f"{heading}: {item.stem}")
     if isinstance(item, str):
         return Text(item, "notice")
-    return item if isinstance(item, Block) else printed_table(item, heading)
+    return item if isinstance(item, Block) else _printed_table(item, heading)
+
+
+def _printed_table(table: RichTable, caption: str) -> Table:
+    """The cells of a table of Rich; rows that are bold there are so here.
+
+    Args:
+        table: The table.
+        caption: What it is of, where the table has no title.
+    """
+    columns = [[_plain(cell) for cell in column.cells] for column in table.columns]
+    rows = list(zip(*columns, strict=True))
+    ours = [number for number, row in enumerate(table.rows) if "bold" in str(row.style or "")]
+    title = _plain(table.title) if table.title is not None else caption
+    return Table([_plain(column.header) for column in table.columns], rows, title or caption, ours)
+
+
+def _plain(cell: RenderableType) -> str:
+    return cell.plain if isinstance(cell, RichText) else RichText.from_markup(str(cell)).plain

@@ -8,12 +8,15 @@ async function unpacked(id) {
 
 const style = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const narrow = () => window.innerWidth < 640;
-const config = { displayModeBar: false, responsive: true, displaylogo: false };
+// The only button saves a figure as a picture, for a document.
+const config = { responsive: true, displaylogo: false, modeBarButtons: [["toImage"]],
+  toImageButtonOptions: { format: "png", scale: 3 } };
 
 // What depends on light or dark: told to every figure again where that changes.
 function themed(layout) {
   const axis = { gridcolor: style("--line"), zerolinecolor: style("--line"), linecolor: style("--line") };
   const out = { ...layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: style("--faint"), activecolor: style("--ink") },
     font: { family: "system-ui, sans-serif", size: 13, color: style("--ink") },
     hoverlabel: { bgcolor: style("--panel"), font: { color: style("--ink") }, bordercolor: style("--line") } };
   if (narrow() && layout.legend && !layout.scene)

@@ -7,12 +7,12 @@ from html import escape
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64, Int64
 
 from sequences.frame import Trajectory
 from vapor.evaluation.trajectory import associate
 from vapor.reporting.colors import COLORS
 from vapor.reporting.html.page import data_url
-from vapor.reporting.jumps import jumps
 from vapor.reporting.keyframes import Keyframe, choose_keyframes
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_shapes import frusta
@@ -129,7 +129,7 @@ def _extent(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
 def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> dict[str, Any]:
     """A line that is broken where a hypothesis jumped instead of moving."""
     points = trajectory.poses.translation
-    jumped = jumps(points)
+    jumped = _jumps(points)
     kept = np.unique(np.concatenate([_evenly(len(points)), jumped, np.maximum(jumped - 1, 0)]))
     broken = np.isin(kept, jumped)
     x, y, z = (_with_gaps(points[kept, axis], broken) for axis in range(3))
@@ -144,6 +144,14 @@ def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> di
         "hoverinfo": "name",
         "visible": True if visible else "legendonly",
     }
+
+
+def _jumps(positions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " k"]:
+    """Indices of the positions (metres) that are much farther from the one before than is usual on the path."""
+    step = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    if len(step) == 0:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(step > 0.4 + 6.0 * np.median(step)) + 1
 
 
 def _with_gaps(values: np.ndarray, broken: np.ndarray) -> list[float | None]:
