@@ -15,13 +15,14 @@ from sequences.errors import SequenceError
 from sequences.frame import Camera
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.paths.choose import Cues, choose_path
-from sequences.paths.stand import Stand, halted
-from sequences.paths.timing import (
+from sequences.paths.motion import (
     EPOCH_NS,
     IMAGE_PERIOD_NS,
     IMAGE_RATE_HZ,
     ODOMETRY_PERIOD_NS,
     TAIL_S,
+    Stand,
+    halted,
     image_stamps,
     odometry_stamps,
     poses_at,

@@ -1,4 +1,4 @@
-"""A rendered sequence whose true poses are known: the images are made when they are asked for."""
+"""A rendered sequence whose true poses are known, and the sensor of its camera."""
 
 from __future__ import annotations
 
@@ -6,14 +6,41 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
+from jaxtyping import Float32, Float64, Int64, UInt8
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
-from sequences.paths.timing import EXPOSURE_S, IMAGE_RATE_HZ, poses_at
+from sequences.paths.motion import EXPOSURE_S, IMAGE_RATE_HZ, poses_at
 from sequences.rendering.render import render
-from sequences.rendering.sensor import develop, metered_exposure
 from sequences.rendering.surface import LitScene
+
+
+def metered_exposure(radiance: np.ndarray) -> float:
+    """log2 of the gain that brings the geometric mean of the light to middle grey."""
+    luminance = radiance[::4, ::4].mean(axis=-1)
+    return float(np.clip(np.log2(0.42) - np.log2(luminance + 1e-3).mean(), -5.0, 4.5))
+
+
+def develop(
+    radiance: Float32[np.ndarray, "height width 3"], camera: Camera, exposure: float, *, rng: np.random.Generator
+) -> UInt8[np.ndarray, "height width 3"]:
+    """What a small camera makes of light: vignetting, shot and read noise, tone curve, eight bits.
+
+    Args:
+        radiance: Linear light.
+        camera: Its intrinsics, for the fall-off towards the corners (cos⁴ of the angle).
+        exposure: log2 of the gain.
+        rng: Source of the noise.
+    """
+    x = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
+    y = (np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
+    falloff = (1 + 0.6 * (x[None] ** 2 + y[:, None] ** 2)) ** -2
+    light = radiance * (np.float32(2.0**exposure) * falloff)[..., None]
+    light += rng.standard_normal(light.shape, np.float32) * np.sqrt(0.0004 * light + 0.000012)
+    light = np.clip(light, 0, None)
+    tone = light * (1 + light / 9) / (1 + light)  # white at three times full scale, rolled off softly
+    return np.clip(255 * tone ** np.float32(1 / 2.2) + 0.5, 0, 255).astype(np.uint8)
+
 
 _STILL_M = 1e-9  # a camera that moves less than this, and turns less than as many radians, stands
 _SAMPLES = 4  # per pixel and exposure

@@ -25,6 +25,8 @@ from sequences.recordings.mcap_writer import (
     ros_transform,
 )
 
+_JPEG_QUALITY = 92  # of images that are given as pixels
+
 
 class SequenceWriter(MessageWriter):
     """Writes a sequence that `SequenceReader`, ROS 2 and Foxglove read; use it in a `with` statement.
@@ -41,7 +43,6 @@ class SequenceWriter(MessageWriter):
         camera: Camera | Lens,
         base_from_camera: Poses,
         metadata: Mapping[str, str] = {},
-        jpeg_quality: int = 92,
     ):
         """Set up a writer; the file is opened on entering the `with` statement.
 
@@ -50,13 +51,11 @@ class SequenceWriter(MessageWriter):
             camera: Intrinsics of the images as they are written, with the distortion of a lens.
             base_from_camera: Extrinsics, one pose.
             metadata: What the file should say of itself; `images` and `odometry` say where these come from.
-            jpeg_quality: Quality of images that are given as pixels, 0 to 100.
         """
         super().__init__(path)
         self._camera = camera
         self._base_from_camera = base_from_camera
         self._metadata = dict(metadata)
-        self._jpeg_quality = jpeg_quality
         self._has_tf = False
 
     def __enter__(self) -> SequenceWriter:
@@ -68,7 +67,7 @@ class SequenceWriter(MessageWriter):
     def write_image(self, time_ns: int, image_rgb: UInt8[np.ndarray, "height width 3"]) -> None:
         """Write an image as JPEG."""
         bgr = cv2.cvtColor(image_rgb, cv2.COLOR_RGB2BGR)
-        encoded, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, self._jpeg_quality])
+        encoded, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         if not encoded:
             raise SequenceError(f"{self.path}: image at {time_ns} ns of shape {image_rgb.shape} cannot be encoded")
         self.write_encoded_image(time_ns, data.tobytes(), "jpeg")
@@ -94,26 +93,19 @@ class SequenceWriter(MessageWriter):
         }
         self._write("/camera/camera_info", "sensor_msgs/CameraInfo", info, time_ns)
 
-    def write_odometry(
-        self,
-        time_ns: int,
-        odom_from_base: Poses,
-        twist_covariance: Float64[np.ndarray, "6 6"],
-        twist: Float64[np.ndarray, " 6"] | None = None,
-    ) -> None:
+    def write_odometry(self, time_ns: int, odom_from_base: Poses, twist_covariance: Float64[np.ndarray, "6 6"]) -> None:
         """Write one odometry message.
 
         Args:
             time_ns: Header stamp.
             odom_from_base: One pose.
             twist_covariance: Covariance of the velocity (v, ω) in the base frame; zeros where it is unknown.
-            twist: Velocity (v, ω) in the base frame, metres and radians per second; zeros where it is unknown.
         """
         message = {
             "header": self._header(time_ns, ODOM_FRAME),
             "child_frame_id": BASE_FRAME,
             "pose": {"pose": ros_poses(odom_from_base)},
-            "twist": {"twist": twist, "covariance": twist_covariance},
+            "twist": {"covariance": twist_covariance},
         }
         self._write("/odom", "nav_msgs/Odometry", message, time_ns)
 

@@ -146,12 +146,6 @@ def _posed_frames(
         )
 
 
-def count_frames(path: Path) -> int:
-    """How many frames `posed_frames` yields at most: for progress."""
-    path = Path(path)
-    return SequenceReader(path, odometry="unread").num_images if is_recording(path) else len(list_images(path))
-
-
 def _posed(frames: Iterable[Frame], skipped: Counter[str]) -> Iterator[Frame]:
     """Those with a true pose; without odometry where the frame before was left out."""
     follows = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Int64
@@ -86,17 +86,13 @@ class PosedImages:
 
     def select(self, indices: Int64[np.ndarray, " k"]) -> PosedImages:
         """Some of the images, (k,), in increasing order."""
-        return PosedImages(
-            self.layout,
-            [self.files[i] for i in indices],
-            self.times_ns[indices],
-            self.world_from_camera[indices],
-            [self.cameras[i] for i in indices],
-            self.assumed_hz,
-            self.skipped,
-            None if self.sequence is None else self.sequence[indices],
-            self.notices,
-            self.read_points,
+        return replace(
+            self,
+            files=[self.files[i] for i in indices],
+            times_ns=self.times_ns[indices],
+            world_from_camera=self.world_from_camera[indices],
+            cameras=[self.cameras[i] for i in indices],
+            sequence=None if self.sequence is None else self.sequence[indices],
         )
 
 

@@ -1,4 +1,4 @@
-"""What carries the messages of a running system: behind this, nobody knows by which network they come."""
+"""The messages of a running system, whatever network carries them; and joining that network."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from sequences.errors import SequenceError
+from sequences.live.options import DdsOptions
 from sequences.recordings.source import RawMessage
 
 
@@ -61,3 +63,19 @@ class Transport(Protocol):
     def close(self) -> None:
         """Leave the system: nothing is delivered any more."""
         ...
+
+
+def join(options: DdsOptions | None = None) -> Transport:
+    """Become a participant of a ROS 2 system.
+
+    Raises:
+        SequenceError: cyclonedds is not installed.
+        VaporTrackError: the domain cannot be joined.
+    """
+    try:
+        from sequences.live.dds import DdsTransport
+    except ImportError as error:
+        raise SequenceError(
+            "live topics need cyclonedds, expected it installed: pip install vapor-track[live]"
+        ) from error
+    return DdsTransport(options)

@@ -8,9 +8,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from sequences.odometry_fit.likelihood import Likelihood, ScaleErrors
-from sequences.odometry_fit.pieces import cut_into_pieces, error_limits
+from sequences.odometry_fit.pieces import OdometrySegment, cut_into_pieces, error_limits
 from sequences.odometry_fit.result import OdometryFit, six
-from sequences.odometry_fit.segment import OdometrySegment
 
 _AT_REST = 20.0  # a camera at rest errs at least by this part of the variance that it has on average
 

@@ -1,4 +1,4 @@
-"""The errors of odometry, in pieces short enough to be evaluated together."""
+"""Odometry beside true poses, and its errors in pieces short enough to be evaluated together."""
 
 from __future__ import annotations
 
@@ -10,7 +10,22 @@ import numpy as np
 from filtering.motion import Odometry, require_odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.odometry_fit.segment import OdometrySegment
+
+
+@dataclass(frozen=True)
+class OdometrySegment:
+    """Consecutive increments of odometry and the true poses that they lead from and to.
+
+    Attributes:
+        odometry: n increments of the camera.
+        truth: world_from_camera, (n + 1,).
+        recording: Number of the recording it is from: the scale error is one for all of it.
+    """
+
+    odometry: Sequence[Odometry]
+    truth: Poses
+    recording: int = 0
+
 
 LEAST_INCREMENTS = 100
 _PIECE = 300  # increments whose errors are evaluated together: the work grows with its cube

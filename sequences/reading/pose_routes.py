@@ -12,10 +12,9 @@ from sequences.errors import NotFoundError, SequenceError
 from sequences.files.rows import Rows
 from sequences.frame import Trajectory
 from sequences.options import SequenceOptions
-from sequences.reading.extrinsics import Extrinsics, read_tree
+from sequences.reading.extrinsics import Extrinsics, Rig, read_tree
 from sequences.reading.linked_poses import LinkedPoses, frames_of_topic, poses_of_topic, poses_of_tree
 from sequences.reading.pose_source import MAX_GAP_S, PoseSource
-from sequences.reading.rig import Rig
 from sequences.reading.tabled_poses import TabledPoses, read_path
 from sequences.recordings.messages import frame_name
 from sequences.recordings.source import TF, MessageSource, Topic

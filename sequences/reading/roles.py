@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from array import array
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
+
+import numpy as np
 
 from filtering.se3 import Poses
 from sequences.errors import NotFoundError, SequenceError
@@ -13,17 +16,54 @@ from sequences.images.decoding import decode_compressed_image, decode_image
 from sequences.images.streams import ImageStream, Stills
 from sequences.images.video import Video
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse, pose_of_numbers
-from sequences.reading.extrinsics import Extrinsics, find_extrinsics
+from sequences.reading.extrinsics import Extrinsics, Rig, find_extrinsics
 from sequences.reading.linked_poses import poses_of_topic
-from sequences.reading.odometry_track import odometry_track
 from sequences.reading.pose_routes import PoseRoute, tree_odometry
 from sequences.reading.pose_source import PoseSource
-from sequences.reading.rig import Rig
+from sequences.reading.timeline import Key, Timeline
 from sequences.reading.true_poses import find_true_poses
 from sequences.recordings.messages import frame_name
 from sequences.recordings.source import TF, TF_STATIC, MessageSource, RawMessage, Topic
 from sequences.recordings.topics import choose, decode, first
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
+
+_OFFSET_SEGMENT_S, _OFFSET_STEP_S = 1800.0, 0.02  # of odometry, to find a time offset in
+
+
+def odometry_track(bag: MessageSource, source: PoseSource, links: Collection[Key] | None) -> Trajectory:
+    """The first half hour of odometry, at most fifty poses a second, by one steady clock.
+
+    Args:
+        bag: The recording.
+        source: The odometry.
+        links: Those of tf that tell it, None where a topic of its own does.
+
+    Raises:
+        SequenceError: there is none, or the recording is damaged.
+    """
+    times_ns, numbers = array("q"), array("d")
+    step_ns = round(_OFFSET_STEP_S * 1e9)
+    for dated in Timeline(bag, {source.topic: links}).messages(source.topic):
+        if dated.message is None or not dated.stamps_ns:
+            continue
+        for sample in source.samples(dated.message)[0]:
+            source.append(sample)
+        span = source.span_ns
+        if span is None or (times_ns and span[1] - times_ns[-1] < step_ns):
+            continue
+        pose = source.at(span[1])
+        source.forget_before(span[1])
+        if pose is None:
+            continue
+        times_ns.append(span[1])
+        numbers.extend([*pose.translation, *pose.as_quat_xyzw()])
+        if (times_ns[-1] - times_ns[0]) * 1e-9 > _OFFSET_SEGMENT_S:
+            break
+    if len(times_ns) < 2:
+        raise SequenceError(f"{bag.path}: {source.topic}: no odometry, expected some to find a time offset by")
+    table = np.array(numbers).reshape(-1, 7)
+    return Trajectory(np.array(times_ns, np.int64), Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
+
 
 _IMAGE_STREAMS: dict[str, Callable[[], ImageStream]] = {
     "sensor_msgs/Image": partial(Stills, decode_image),

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.options import SequenceOptions
-from sequences.reading.extrinsics import read_tree
+from sequences.reading.extrinsics import BASES, Rig, read_tree
 from sequences.reading.linked_poses import POSE_TYPES, frames_of_topic
 from sequences.reading.pose_routes import (
     CAMERA_POSES,
@@ -17,7 +17,6 @@ from sequences.reading.pose_routes import (
     route_of_topic,
     route_of_tree,
 )
-from sequences.reading.rig import BASES, Rig
 from sequences.recordings.messages import frame_name
 from sequences.recordings.source import TF, MessageSource
 from sequences.recordings.topics import choose, listing

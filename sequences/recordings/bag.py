@@ -9,10 +9,10 @@ from filtering.errors import quoted
 from sequences.errors import SequenceError
 from sequences.recordings import ros1_file, sqlite_file
 from sequences.recordings.mcap_file import McapFile
-from sequences.recordings.plain_cdr import encoding_of, plain
 from sequences.recordings.recording_file import Channel, LatestChunks, RecordingFile
 from sequences.recordings.ros1_file import Ros1File
 from sequences.recordings.rosbag2 import read_listing
+from sequences.recordings.serializations import encoding_of, plain
 from sequences.recordings.source import TF, RawMessage, Stamps, Topic, fixed_links_of, namespaced_tf, stands_for
 from sequences.recordings.sqlite_file import SqliteFile
 

@@ -1,4 +1,4 @@
-"""What the filter believes -> messages that Foxglove and RViz show."""
+"""The filter's belief -> messages that Foxglove and RViz show, and an MCAP file of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from filtering.moments import require_sound, settle
 from filtering.se3 import Poses
-from sequences.recordings.mcap_writer import MAP_FRAME, ros_header, ros_poses
+from sequences.recordings.mcap_writer import MAP_FRAME, MessageWriter, ros_header, ros_poses, ros_transform
 from sequences.recordings.messages import covariance_to_ros
 
 PUBLISHED_PARTICLES = 500
@@ -107,3 +107,25 @@ def _arrow(header: dict, rank: int, world_from_camera: Poses, weight: float) -> 
         "color": (1.0, 0.4, 0.0, min(max(weight, 0.0), 1.0)),
         "text": f"{weight:.6g}",
     }
+
+
+ESTIMATE_FRAME = "camera_estimate"
+
+
+class EstimateWriter(MessageWriter):
+    """Writes what the filter believes, in messages that Foxglove and RViz show; use it in a `with` statement.
+
+    Topics: those of `estimate_messages` under `/estimate`, and `/tf` (map -> camera_estimate).
+    """
+
+    def __enter__(self) -> EstimateWriter:
+        self._open()
+        return self
+
+    def write(self, time_ns: int, modes: Sequence[Believed], particles: Poses) -> None:
+        """Write the belief after one image, see `estimate_messages`."""
+        for message in estimate_messages(time_ns, modes, particles):
+            self._write(*message, time_ns)
+        if modes:
+            transform = ros_transform(time_ns, MAP_FRAME, ESTIMATE_FRAME, ros_poses(modes[0][0], known_valid=True))
+            self._write("/tf", "tf2_msgs/TFMessage", {"transforms": [transform]}, time_ns)

@@ -13,10 +13,31 @@ from mcap.writer import Writer
 
 from filtering.se3 import Poses
 from sequences.atomic import atomic_output
-from sequences.recordings.message_definitions import encoder, schema_name, schema_text
+from sequences.recordings.message_definitions import DEFINITIONS, encoder, schema_name, schema_text
 from sequences.recordings.source import RawMessage
 
 MAP_FRAME, ODOM_FRAME, BASE_FRAME, CAMERA_FRAME = "map", "odom", "base_link", "camera_optical_frame"
+
+
+class MessageChannels:
+    """The topics and types of an MCAP file, each registered with its first message."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, str], int] = {}
+
+    def write(self, raw: RawMessage) -> None:
+        """Write a message as it is; a type that is not known is registered without a definition."""
+        key = raw.topic, raw.type
+        if key not in self._channels:
+            if raw.type not in self._schemas:
+                text = schema_text(raw.type) if raw.type in DEFINITIONS else ""
+                schema = self._writer.register_schema(schema_name(raw.type), SchemaEncoding.ROS2, text.encode())
+                self._schemas[raw.type] = schema
+            channel = self._writer.register_channel(raw.topic, MessageEncoding.CDR, self._schemas[raw.type])
+            self._channels[key] = channel
+        self._writer.add_message(self._channels[key], raw.log_time_ns, raw.data, raw.log_time_ns)
 
 
 class MessageWriter:
@@ -25,8 +46,6 @@ class MessageWriter:
     def __init__(self, path: Path):
         self.path = Path(path)
         self._stack = ExitStack()
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
 
     def _open(self) -> None:
         with ExitStack() as stack:
@@ -34,6 +53,7 @@ class MessageWriter:
             file = stack.enter_context(open(partial, "wb"))
             self._writer = Writer(file)
             self._writer.start(profile="ros2")
+            self._channels = MessageChannels(self._writer)
             self._stack = stack.pop_all()
 
     def __exit__(
@@ -50,20 +70,7 @@ class MessageWriter:
     def _write(self, topic: str, message_type: str, message: dict, time_ns: int) -> None:
         """Write a message, whose fields are as `cdr.write` takes them."""
         data = encoder(message_type)(message)
-        self._write_raw(RawMessage(topic, int(time_ns), data, message_type, MessageEncoding.CDR, b""))
-
-    def _write_raw(self, raw: RawMessage) -> None:
-        """Write a message as it is."""
-        if raw.topic not in self._channels:
-            self._channels[raw.topic] = self._channel(raw.topic, raw.type)
-        self._writer.add_message(self._channels[raw.topic], raw.log_time_ns, raw.data, raw.log_time_ns)
-
-    def _channel(self, topic: str, message_type: str) -> int:
-        if message_type not in self._schemas:
-            text = schema_text(message_type).encode()
-            schema = self._writer.register_schema(schema_name(message_type), SchemaEncoding.ROS2, text)
-            self._schemas[message_type] = schema
-        return self._writer.register_channel(topic, MessageEncoding.CDR, self._schemas[message_type])
+        self._channels.write(RawMessage(topic, int(time_ns), data, message_type, MessageEncoding.CDR, b""))
 
 
 def ros_header(time_ns: int, frame_id: str) -> dict:

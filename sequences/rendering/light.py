@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from scipy.ndimage import distance_transform_edt
 
-from sequences.rendering.mesh import Geometry
-from sequences.rendering.tracer import Tracer
+from sequences.rendering.mesh import Geometry, Tracer
 
 MAX_GRID = 45  # points along a side of a large surface
 

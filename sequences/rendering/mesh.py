@@ -1,4 +1,4 @@
-"""Geometry of the scenes: parallelograms, grouped into parts that are placed once or many times."""
+"""Geometry of the scenes: parallelograms, grouped into parts that are placed once or many times; rays against them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from sequences.rendering.texture import Material
 
@@ -146,3 +148,46 @@ def assemble(placements: Sequence[Placement]) -> Geometry:
         chart_point=np.concatenate(chart_point),
         materials=tuple(materials),
     )
+
+
+class Tracer:
+    """A scene's triangles in Embree's acceleration structure."""
+
+    def __init__(self, geometry: Geometry):
+        self._scene = EmbreeScene()
+        self._mesh = TriangleMesh(self._scene, geometry.triangles().astype(np.float32))
+
+    def first_hit(
+        self, origin: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "n 3"]
+    ) -> tuple[
+        Int64[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]
+    ]:
+        """The parallelogram that each ray meets first (−1: none), where on it (s, t in [0, 1]) and how far.
+
+        The distance is in units of the direction's length.
+        """
+        hit = self._scene.run(
+            np.ascontiguousarray(origin, np.float32), np.ascontiguousarray(direction, np.float32), output=1
+        )
+        triangle, u, v = hit["primID"].astype(np.int64), hit["u"], hit["v"]
+        second = (triangle & 1).astype(np.float32)
+        # first triangle: s = u + v, t = v; second: s = u, t = u + v (see Geometry.triangles)
+        # and stays below 1, so that int(s · columns) is a column
+        below_one = np.float32(1 - 1e-6)
+        return (
+            triangle >> 1,
+            np.minimum(u + (1 - second) * v, below_one),
+            np.minimum(v + second * u, below_one),
+            hit["tfar"],
+        )
+
+    def blocked(self, origin: Float[np.ndarray, "n 3"], ray: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Whether anything lies between each origin and origin + ray."""
+        far = np.ones(len(origin), np.float32)
+        hit = self._scene.run(
+            np.ascontiguousarray(origin, np.float32),
+            np.ascontiguousarray(ray, np.float32),
+            far,
+            query="OCCLUDED",
+        )
+        return hit == 0

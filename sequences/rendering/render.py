@@ -49,17 +49,6 @@ def pixel_rays(camera: Camera, offset: tuple[float, float] = (0.0, 0.0)) -> Floa
     return ray
 
 
-def depth_and_quads(
-    scene: LitScene, camera: Camera, world_from_camera: Poses
-) -> tuple[Float32[np.ndarray, "height width"], Int64[np.ndarray, "height width"]]:
-    """Depth along the optical axis in metres (inf: nothing) and the parallelogram seen (−1: none), for one pose."""
-    ray = pixel_rays(camera).reshape(-1, 3) @ world_from_camera.rotation.T.astype(np.float32)
-    origin = np.broadcast_to(world_from_camera.translation.astype(np.float32), ray.shape)
-    quad, _, _, depth = scene.tracer.first_hit(origin, ray)
-    shape = (camera.height, camera.width)
-    return np.where(quad < 0, np.float32(np.inf), depth).reshape(shape), quad.reshape(shape)
-
-
 def sees_cue(
     scene: LitScene, camera: Camera, world_from_camera: Poses, *, min_fraction: float = 0.015
 ) -> Bool[np.ndarray, " n"]:

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float32, Int32
 
 from sequences.rendering.light import Sampling, bake_light
-from sequences.rendering.mesh import Geometry, Placement, assemble
+from sequences.rendering.mesh import Geometry, Placement, Tracer, assemble
 from sequences.rendering.texture import Canvas
-from sequences.rendering.tracer import Tracer
 
 
 @dataclass(frozen=True)

@@ -14,17 +14,17 @@ from sequences.errors import SequenceError
 if TYPE_CHECKING:
     from sequences.scenes.scene import Scene
 
-# To add one: a module with a `SCENE`, see `sequences.scenes.scene`, and its row here. The next free seed number is 5.
+# To add one: a module with a `Scene`, see `sequences.scenes.scene`, and its row here. The next free seed number is 5.
 SCENES: Mapping[str, str] = MappingProxyType(
     {
-        "staircase": "staircase.scene",
-        "ceiling": "ceiling.scene",
-        "round-table": "round_table",
-        "dinner-table": "dinner_table",
-        "corridor": "corridor.scene",
+        "staircase": "staircase.scene.SCENE",
+        "ceiling": "ceiling.scene.SCENE",
+        "round-table": "tables.ROUND_TABLE",
+        "dinner-table": "tables.DINNER_TABLE",
+        "corridor": "corridor.scene.SCENE",
     }
 )
-"""Name -> module of this folder with its `SCENE`, imported when the scene is asked for."""
+"""Name -> module of this folder and name of its `Scene` there, imported when the scene is asked for."""
 
 NUMBERED_SCENES: Mapping[str, str] = MappingProxyType({"building": "building.scene"})
 """Kind -> module with a function `draw_scene`, where a number draws the scene: `building-7`. All have unique things."""
@@ -56,7 +56,8 @@ def find_scene(name: str) -> Scene:
         SequenceError: there is none of this name.
     """
     if name in SCENES:
-        return import_module(f"{__name__}.{SCENES[name]}").SCENE
+        module, _, attribute = SCENES[name].rpartition(".")
+        return getattr(import_module(f"{__name__}.{module}"), attribute)
     if matched := _NUMBERED.fullmatch(name):
         return import_module(f"{__name__}.{NUMBERED_SCENES[matched[1]]}").draw_scene(int(matched[2]))
     numbered = "".join(f", or {kind}-N with a number N below {_MOST}, such as {kind}-7" for kind in NUMBERED_SCENES)

@@ -27,25 +27,22 @@ _LEAST_CORRELATION = 0.6
 _RIVAL_FRACTION = 0.9  # another offset must correlate by less than this fraction of the best
 _LEAST_TURN_RAD_PER_S = 0.02  # standard deviation of how fast it turns
 _FASTEST = 1.5  # of the 95th percentile of turn rates
-_AUTO_CERTAIN_S = 0.02  # standard deviation, at most
+_CERTAIN_S, _AUTO_CERTAIN_S = 0.004, 0.02  # standard deviation of the offset, at most
 _WARN_WITHIN_S, _WARN_CERTAIN_S, _WARN_FROM_S, _WARN_DEVIATIONS = 5.0, 0.05, 0.05, 4.0
 
 
-def find_time_offset(
-    odometry: Trajectory, poses: Trajectory, *, within_s: float = np.inf, certain_s: float = 0.004
-) -> float:
+def find_time_offset(odometry: Trajectory, poses: Trajectory, *, within_s: float = np.inf) -> float:
     """Seconds to add to the stamps of poses for those of odometry, to a fraction of their intervals.
 
     Args:
         odometry: One recording of the motion.
         poses: The other.
         within_s: Only offsets up to this are possible, either way: a motion that repeats itself tells them, too.
-        certain_s: Standard deviation of the offset, as the correlation tells it, at most.
 
     Raises:
         SequenceError: too short, too little or too regular a rotation, or rotations that do not agree.
     """
-    return _find(odometry, poses, within_s, certain_s)[0]
+    return _find(odometry, poses, within_s, _CERTAIN_S)[0]
 
 
 def _find(odometry: Trajectory, poses: Trajectory, within_s: float, certain_s: float) -> tuple[float, float]:

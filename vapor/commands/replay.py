@@ -8,9 +8,9 @@ from typing import Annotated
 
 import tyro
 
-from sequences.live.join import join
 from sequences.live.options import DdsOptions
 from sequences.live.replay import Replayed, ReplayOptions, replay
+from sequences.live.transport import join
 from vapor.commands.console import InputPath, parse, show
 from vapor.storage import fetched
 

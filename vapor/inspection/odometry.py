@@ -15,8 +15,8 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry_fit.fit import fit_odometry
+from sequences.odometry_fit.pieces import OdometrySegment
 from sequences.odometry_fit.result import OdometryFit
-from sequences.odometry_fit.segment import OdometrySegment
 from sequences.trajectories.time_offset import find_time_offset
 from vapor.inspection.axes import Axes, compare_axes
 from vapor.training_data.passes import odometry_segments

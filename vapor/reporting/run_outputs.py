@@ -15,7 +15,7 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
-from sequences.recordings.estimate_writer import EstimateWriter
+from sequences.recordings.estimate_messages import EstimateWriter
 from vapor.reporting.record import RunRecord
 from vapor.reporting.recorder import RunRecorder
 from vapor.reporting.rerun_place import Place

@@ -7,9 +7,8 @@ import threading
 from collections.abc import AsyncIterator, Callable
 
 from filtering.errors import VaporTrackError
-from sequences.live.join import join
 from sequences.live.options import DdsOptions
-from sequences.live.transport import Transport
+from sequences.live.transport import Transport, join
 from sequences.options import ReadingOptions
 from vapor.pipeline.model import LoadedModel, load_model
 from vapor.robot.config import LiveConfig

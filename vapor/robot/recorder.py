@@ -11,14 +11,12 @@ from pathlib import Path
 from types import TracebackType
 
 import cv2
-from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
 from filtering.errors import quoted
 from sequences.errors import SequenceError
 from sequences.frame import Frame
-from sequences.recordings.mcap_writer import CAMERA_FRAME, MessageWriter, ros_header
-from sequences.recordings.message_definitions import DEFINITIONS, schema_name, schema_text
+from sequences.recordings.mcap_writer import CAMERA_FRAME, MessageChannels, MessageWriter, ros_header
 from sequences.recordings.source import RawMessage
 
 _MOST_WAITING = 256 * 2**20  # bytes
@@ -58,7 +56,6 @@ class MessageRecorder:
             raise SequenceError(f"{path}: cannot write: {error.strerror or error}") from error
         # Images are compressed already, or too large to be compressed at the rate of a camera.
         self._writer = Writer(self._file, compression=CompressionType.NONE)
-        self._channels: dict[tuple[str, str], int] = {}
         self._waiting: queue.SimpleQueue[RawMessage | None] = queue.SimpleQueue()
         self._bytes = 0
         self._lock = threading.Lock()
@@ -93,8 +90,9 @@ class MessageRecorder:
     def _work(self) -> None:
         try:
             self._writer.start(profile="ros2")
+            channels = MessageChannels(self._writer)
             while (raw := self._waiting.get()) is not None:
-                self._writer.add_message(self._channel(raw), raw.log_time_ns, raw.data, raw.log_time_ns)
+                channels.write(raw)
                 self.number += 1
                 with self._lock:
                     self._bytes -= len(raw.data)
@@ -103,14 +101,6 @@ class MessageRecorder:
             self.error = f"{self.path}: recording ended: {error.strerror or error}; what was written is {self._partial}"
             while not self._waiting.empty() and self._waiting.get() is not None:
                 self.lost += 1
-
-    def _channel(self, raw: RawMessage) -> int:
-        key = raw.topic, raw.type
-        if key not in self._channels:
-            text = schema_text(raw.type) if raw.type in DEFINITIONS else ""
-            schema = self._writer.register_schema(schema_name(raw.type), SchemaEncoding.ROS2, text.encode())
-            self._channels[key] = self._writer.register_channel(raw.topic, MessageEncoding.CDR, schema)
-        return self._channels[key]
 
 
 def _put_aside(left: Path) -> None:
@@ -132,7 +122,7 @@ class _Snapshot(MessageWriter):
         header = ros_header(frame.time_ns, CAMERA_FRAME)
         self._write("/image", _IMAGE, {"header": header, "format": "png", "data": png.tobytes()}, now_ns)
         for raw in messages:
-            self._write_raw(raw)
+            self._channels.write(raw)
 
 
 def write_snapshot(folder: Path, frame: Frame, believed: Iterable[RawMessage]) -> Path:

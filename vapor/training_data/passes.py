@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Int64
 
-from sequences.odometry_fit.segment import OdometrySegment
+from sequences.odometry_fit.pieces import OdometrySegment
 from vapor.training_data.training_set import TrainingSet
 
 RUN_IMAGES = 10

@@ -13,8 +13,8 @@ from sequences.rendering.texture import Material, plain
 from sequences.scenes.building.corridors import free_walls, wall_spot
 from sequences.scenes.building.layout import Layout, layout
 from sequences.scenes.building.paint.colours import colour
-from sequences.scenes.building.paint.doors import painted_door
 from sequences.scenes.building.paint.pictures import artwork, level_sign, outdoors
+from sequences.scenes.building.paint.walls import painted_door
 from sequences.scenes.building.parts import METAL, place_copies
 from sequences.scenes.building.plan import DOOR_HEIGHT, DOOR_WIDTH, Plan, Spot
 

@@ -20,14 +20,12 @@ from sequences.scenes.building.draw_plan import draw_plan
 from sequences.scenes.building.looks import Looks, palettes
 from sequences.scenes.building.paint.pictures import outdoors
 from sequences.scenes.building.parts import place_copies
-from sequences.scenes.building.person import person
 from sequences.scenes.building.plan import Plan
 from sequences.scenes.building.rooms import place_furniture, place_rooms
 from sequences.scenes.building.stairwells import place_stairwells
-from sequences.scenes.building.visit import Visit, draw_visit
+from sequences.scenes.building.visit import Visit, draw_visit, person
 from sequences.scenes.building.walk import walk_building
-from sequences.scenes.mounting import mounted
-from sequences.scenes.scene import Scene
+from sequences.scenes.scene import Scene, mounted
 
 SAMPLING = Sampling(grid_m=0.18, shadow_rays=9, bounce_rays=48, reach_m=7.0)
 """How finely light is sampled: buildings are large."""

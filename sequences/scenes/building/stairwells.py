@@ -6,10 +6,9 @@ import numpy as np
 
 from sequences.rendering.mesh import Part, Placement
 from sequences.rendering.texture import plain
-from sequences.scenes.building.looks import Looks
+from sequences.scenes.building.looks import Looks, Palette
 from sequences.scenes.building.paint.colours import colour
-from sequences.scenes.building.paint.doors import painted_door
-from sequences.scenes.building.paint.palette import Palette
+from sequences.scenes.building.paint.walls import painted_door
 from sequences.scenes.building.parts import JAMB, Hole, add_lamps, add_slab, add_wall, place_copies
 from sequences.scenes.building.plan import Plan
 

@@ -9,10 +9,10 @@ from sequences.rendering.texture import Canvas, Material, band, blend, inside, w
 from sequences.scenes.ceiling.dimensions import PANEL
 
 
-def _grid(canvas: Canvas, base: np.ndarray, size: float = PANEL) -> np.ndarray:
+def _grid(canvas: Canvas, base: np.ndarray) -> np.ndarray:
     """The painted steel grid that holds the panels: a bright flange with a shadow line beside it."""
-    x, y = canvas.x % size, canvas.y % size
-    edge = np.minimum(np.minimum(x, size - x), np.minimum(y, size - y))
+    x, y = canvas.x % PANEL, canvas.y % PANEL
+    edge = np.minimum(np.minimum(x, PANEL - x), np.minimum(y, PANEL - y))
     base = base * (1 - 0.6 * np.exp(-np.clip(edge - 0.016, 0, None) / 0.009) * (edge > 0.016))[..., None]
     return blend(base, (0.86, 0.86, 0.84), edge < 0.016)
 

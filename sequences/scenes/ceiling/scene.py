@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from filtering.se3 import Poses
+from sequences.paths.motion import STEP_S, rotations, wander
 from sequences.rendering.mesh import Placement
-from sequences.scenes.ceiling import cues, hall
-from sequences.scenes.ceiling.cart import roll_through_hall
+from sequences.scenes.ceiling import hall
 from sequences.scenes.ceiling.dimensions import (
     BREADTH,
     CELL,
@@ -21,8 +22,35 @@ from sequences.scenes.ceiling.dimensions import (
     SPEAKER_AT,
 )
 from sequences.scenes.ceiling.paint import SPEAKER, TILE
-from sequences.scenes.mounting import mounted_upward
-from sequences.scenes.scene import Scene
+from sequences.scenes.scene import Scene, mounted_upward
+
+
+def roll_through_hall(duration_s: float, *, margin_m: float, rng: np.random.Generator) -> Poses:
+    """A cart wandering about the hall: world_from_base every 20 ms, x forward, z up, on the floor.
+
+    It heads for one random place after another, turning no tighter than a cart can.
+    """
+    steps = int(np.ceil(duration_s / STEP_S)) + 1
+    low = np.full(2, margin_m)
+    high = np.array([LENGTH, BREADTH]) - margin_m
+    position, heading, rate, speed = rng.uniform(low, high), rng.uniform(-np.pi, np.pi), 0.0, 0.6
+    goal = rng.uniform(low, high)
+    xy, yaw = np.empty((steps, 2)), np.empty(steps)
+    pace = 0.6 + 0.08 * wander(steps, 5.0, rng)
+    for i in range(steps):
+        if np.hypot(*(goal - position)) < 0.7:
+            goal = rng.uniform(low, high)
+        to_goal = np.arctan2(goal[1] - position[1], goal[0] - position[0]) - heading
+        to_goal = (to_goal + np.pi) % (2 * np.pi) - np.pi
+        rate += (min(max(1.2 * to_goal, -0.75), 0.75) - rate) * STEP_S / 0.4
+        speed += (pace[i] * (1 - 0.55 * min(1.0, abs(rate) / 0.75)) - speed) * STEP_S / 0.5
+        heading += rate * STEP_S
+        position = position + speed * STEP_S * np.array([np.cos(heading), np.sin(heading)])
+        position = np.minimum(np.maximum(position, 0.5 * low), high + 0.5 * low)  # in half the time of np.clip
+        xy[i], yaw[i] = position, heading
+    tilt = 0.006 * np.stack([wander(steps, 0.6, rng), wander(steps, 0.6, rng)])
+    height = 0.002 * wander(steps, 0.4, rng)
+    return Poses(rotations(yaw, tilt[0], tilt[1]), np.column_stack([xy, height]))
 
 
 def placements() -> list[Placement]:
@@ -41,11 +69,11 @@ def placements() -> list[Placement]:
         *placed,
         Placement(hall.hall(), np.zeros((1, 3))),
         Placement(hall.walls(), np.zeros((1, 3))),
-        Placement(cues.outlet(), _offsets([OUTLET_AT])),
-        Placement(cues.hole(), _offsets([HOLE_AT])),
-        Placement(cues.stains(), np.zeros((1, 3))),
-        Placement(cues.projector(), np.array([[*PROJECTOR_AT, HEIGHT]])),
-        Placement(cues.exit_sign(), np.array([[*SIGN_AT, HEIGHT]])),
+        Placement(hall.outlet(), _offsets([OUTLET_AT])),
+        Placement(hall.hole(), _offsets([HOLE_AT])),
+        Placement(hall.stains(), np.zeros((1, 3))),
+        Placement(hall.projector(), np.array([[*PROJECTOR_AT, HEIGHT]])),
+        Placement(hall.exit_sign(), np.array([[*SIGN_AT, HEIGHT]])),
     ]
 
 

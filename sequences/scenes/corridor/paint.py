@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sequences.rendering import pictures, texture
+from sequences.rendering import texture
 from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, weathered
 from sequences.scenes.corridor.dimensions import DISTINCT, WIDTH
 
@@ -87,4 +87,4 @@ FRAME = plain((0.33, 0.34, 0.36), gloss=0.2)
 TRIM = plain((0.50, 0.49, 0.45), gloss=0.2)
 METAL = Material(texture.brushed, gloss=0.6)
 LAMP = replace(texture.lit((1.0, 0.96, 0.88), 8.0), glare=0.3)
-SKY = Material(pictures.sky, emission=6.0, glare=0.4)
+SKY = Material(texture.sky, emission=6.0, glare=0.4)

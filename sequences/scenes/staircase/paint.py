@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sequences.rendering import pictures, texture
+from sequences.rendering import texture
 from sequences.rendering.texture import Canvas, Material, band, blend, plain, weathered
 from sequences.scenes.staircase.dimensions import ACROSS, FLOOR_HEIGHT, HALF, LANDING, SLAB, SLOPE
 
@@ -55,10 +55,10 @@ TREAD = Material(texture.tread, gloss=0.35, texel_m=0.005)
 RISER = Material(lambda c: blend(texture.terrazzo(c), (0.12, 0.11, 0.10), 0.35 + 0.1 * c.noise(0.1)), texel_m=0.006)
 STEEL = Material(texture.steel, gloss=0.5)
 RAIL = Material(lambda c: texture.wood(c) * 0.75, gloss=0.7)
-DOOR = Material(pictures.door, gloss=0.3, texel_m=0.006)
+DOOR = Material(texture.door, gloss=0.3, texel_m=0.006)
 FRAME = plain((0.50, 0.49, 0.45), gloss=0.2)
 BRUSHED = Material(texture.brushed, gloss=0.6)
 BLACK = plain((0.03, 0.03, 0.032), gloss=0.3)
 LAMP = texture.lit((1.0, 0.90, 0.74), 9.0)
-RADIATOR = Material(pictures.radiator, gloss=0.2)
-SKY = Material(pictures.sky, emission=9.0, glare=0.35)
+RADIATOR = Material(texture.radiator, gloss=0.2)
+SKY = Material(texture.sky, emission=9.0, glare=0.35)

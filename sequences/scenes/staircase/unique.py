@@ -1,10 +1,12 @@
-"""What there is on one floor of the stairwell alone: the entrance, the cellar, a poster, the top."""
+"""Things that one floor of the stairwell alone has (entrance, cellar, poster, top), and how they are painted."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from sequences.rendering import texture
 from sequences.rendering.mesh import Part
-from sequences.rendering.texture import Material, plain
-from sequences.scenes.staircase import pictures
+from sequences.rendering.texture import Canvas, Material, band, blend, inside, plain, weathered
 from sequences.scenes.staircase.dimensions import (
     ACROSS,
     FAR,
@@ -20,18 +22,99 @@ from sequences.scenes.staircase.dimensions import (
 from sequences.scenes.staircase.paint import FRAME, TERRAZZO, WALL_LANDING, WALL_TOP, WHITE
 
 
+def poster_art(canvas: Canvas) -> np.ndarray:
+    """A travel poster: sun, hills, sea and a title."""
+    x, y = canvas.x / canvas.width_m, canvas.y / canvas.height_m
+    base = canvas.colour((0.95, 0.42, 0.06)) * (0.7 + 0.45 * (1 - y))[..., None]
+    sun = np.hypot(canvas.x - 0.62 * canvas.width_m, canvas.y - 0.66 * canvas.height_m)
+    base = blend(base, (1.0, 0.86, 0.25), 1 - texture.step(sun, 0.17))
+    base = blend(base, (0.40, 0.03, 0.16), band(y, 0.0, 1.0) * (y < 0.52 + 0.07 * np.sin(7 * x + 1)))
+    base = blend(base, (0.02, 0.16, 0.42), (y < 0.36 + 0.03 * np.sin(13 * x)) * 1.0)
+    base = blend(base, (0.03, 0.42, 0.58), (y < 0.26 + 0.015 * np.sin(31 * x)) * 1.0)
+    letters = (np.sin(x * 58) > -0.25) * band(x, 0.14, 0.86) * band(y, 0.85, 0.93)
+    base = blend(base, (0.02, 0.02, 0.08), letters)
+    frame = 1 - band(x, 0.035, 0.965) * band(y, 0.03, 0.97)
+    return blend(base, (0.92, 0.90, 0.84), frame)
+
+
+def notices(canvas: Canvas) -> np.ndarray:
+    """A cork board with sheets of paper."""
+    base = weathered(canvas, canvas.colour((0.36, 0.22, 0.11)), 0.12)
+    sheets = [
+        (0.06, 0.40, 0.27, 0.70, (0.85, 0.85, 0.82)),
+        (0.32, 0.45, 0.53, 0.74, (0.9, 0.75, 0.12)),
+        (0.58, 0.36, 0.79, 0.66, (0.85, 0.85, 0.85)),
+        (0.84, 0.42, 1.05, 0.72, (0.75, 0.15, 0.12)),
+        (0.10, 0.08, 0.31, 0.34, (0.35, 0.6, 0.8)),
+        (0.45, 0.09, 0.66, 0.38, (0.85, 0.85, 0.8)),
+        (0.80, 0.08, 1.05, 0.30, (0.4, 0.7, 0.3)),
+    ]
+    for x0, y0, x1, y1, rgb in sheets:
+        sheet = inside(canvas, x0, y0, x1, y1)
+        base = blend(base, rgb, sheet)
+        lines = (np.sin(canvas.y * 2 * np.pi / 0.03) > 0.2) & (canvas.noise(0.03, 0.015) > -0.4)
+        base = blend(base, (0.08, 0.08, 0.1), inside(canvas, x0 + 0.02, y0 + 0.03, x1 - 0.02, y1 - 0.06) * lines * 0.8)
+    return blend(
+        base, (0.5, 0.5, 0.48), 1 - inside(canvas, 0.025, 0.025, canvas.width_m - 0.025, canvas.height_m - 0.025)
+    )
+
+
+def letter_boxes(canvas: Canvas) -> np.ndarray:
+    """Rows of metal letter boxes with slots and name plates."""
+    base = texture.brushed(canvas)
+    x, y = canvas.x % 0.3, canvas.y % 0.2
+    gaps = 1 - band(x, 0.008, 0.292) * band(y, 0.008, 0.192)
+    base = blend(base, (0.03, 0.03, 0.03), gaps)
+    base = blend(base, (0.04, 0.04, 0.04), band(x, 0.05, 0.25) * band(y, 0.135, 0.16))
+    return blend(base, (0.85, 0.85, 0.8), band(x, 0.06, 0.16) * band(y, 0.05, 0.085))
+
+
+def street(canvas: Canvas) -> np.ndarray:
+    """Daylight behind the glazed entrance doors: pavement, a facade, sky."""
+    height = canvas.y
+    base = canvas.colour((0.75, 0.87, 1.0))
+    facade = np.array([0.55, 0.40, 0.28]) * np.clip(1 + 0.1 * canvas.noise(0.1), 0, 2)[..., None]
+    base = blend(base, facade.astype(np.float32), 1 - texture.step(height + 0 * canvas.x, 1.7, 0.06))
+    windows = band(canvas.x % 0.36, 0.1, 0.26, 0.03) * band(height % 0.62, 0.12, 0.45, 0.03) * band(height, 0.6, 1.7)
+    base = blend(base, (0.12, 0.14, 0.17), windows)
+    return blend(base, (0.42, 0.42, 0.43), 1 - texture.step(height + 0 * canvas.x, 0.55, 0.06))
+
+
+def mat(canvas: Canvas) -> np.ndarray:
+    """A red coir mat with a black rim."""
+    base = canvas.colour((0.23, 0.035, 0.03)) * np.clip(1 + 0.25 * canvas.noise(0.012), 0.2, 2)[..., None]
+    return blend(
+        base, (0.03, 0.03, 0.03), 1 - inside(canvas, 0.05, 0.05, canvas.width_m - 0.05, canvas.height_m - 0.05)
+    )
+
+
+def brick(canvas: Canvas) -> np.ndarray:
+    """Bare brick in running bond."""
+    row = np.floor(canvas.y / 0.075)
+    x = (canvas.x + 0.12 * (row % 2)) % 0.24
+    joint = 1 - band(x, 0.01, 0.23) * band(canvas.y % 0.075, 0.01, 0.065)
+    tone = 1 + 0.25 * np.sin(row * 12.9 + np.floor((canvas.x + 0.12 * (row % 2)) / 0.24) * 78.2)
+    base = canvas.colour((0.36, 0.13, 0.075)) * (tone * (1 + 0.1 * canvas.noise(0.02)))[..., None].astype(np.float32)
+    return blend(base, (0.45, 0.42, 0.38), joint)
+
+
+def cloudy(canvas: Canvas) -> np.ndarray:
+    """Bright sky with haze."""
+    return blend(canvas.colour((0.55, 0.75, 1.0)), (1.0, 1.0, 1.0), 0.5 + 0.4 * canvas.noise(0.4))
+
+
 def entrance() -> Part:
     """Ground floor: glazed doors to the street, mat, letter boxes, notice board."""
     part = Part(cue=True)
-    part.quad((0.02, 0.55, 0), (0, 1.5, 0), (0, 0, 2.35), Material(pictures.street, emission=6.0, glare=0.4))
+    part.quad((0.02, 0.55, 0), (0, 1.5, 0), (0, 0, 2.35), Material(street, emission=6.0, glare=0.4))
     green = plain((0.03, 0.10, 0.07), gloss=0.4)
     for y in (0.47, 1.255, 2.05):
         part.box((0, y, 0), (0.09, y + 0.09, 2.45), green, "XyY")
     for z, high in ((0.0, 0.28), (1.0, 1.08), (2.3, 2.45)):
         part.box((0, 0.5, z), (0.085, 2.1, high), green, "XzZ")
-    part.quad((0.12, 0.6, 0.008), (1.0, 0, 0), (0, 1.4, 0), Material(pictures.mat))
-    part.box((0.35, 0, 0.75), (1.55, 0.16, 1.75), Material(pictures.letter_boxes, gloss=0.3, texel_m=0.005), "xXYzZ")
-    part.box((0.25, ACROSS - 0.03, 1.0), (1.4, ACROSS, 1.8), Material(pictures.notices, texel_m=0.005), "xXyzZ")
+    part.quad((0.12, 0.6, 0.008), (1.0, 0, 0), (0, 1.4, 0), Material(mat))
+    part.box((0.35, 0, 0.75), (1.55, 0.16, 1.75), Material(letter_boxes, gloss=0.3, texel_m=0.005), "xXYzZ")
+    part.box((0.25, ACROSS - 0.03, 1.0), (1.4, ACROSS, 1.8), Material(notices, texel_m=0.005), "xXyzZ")
     part.quad((LANDING, ACROSS, 0), (0, -WIDTH - 0.02, 0), (0, 0, FLOOR_HEIGHT - SLAB), WALL_LANDING)
     part.box((LANDING - 0.03, 1.62, 0), (LANDING, 2.42, 1.95), plain((0.13, 0.17, 0.22), gloss=0.3), "xyYZ")
     return part
@@ -49,15 +132,15 @@ def cellar() -> Part:
 def poster() -> Part:
     """The poster on one floor."""
     part = Part(cue=True)
-    part.box((0.0, 1.46, 0.85), (0.02, 2.48, 2.3), Material(pictures.poster_art, gloss=0.15, texel_m=0.004), "XyYzZ")
+    part.box((0.0, 1.46, 0.85), (0.02, 2.48, 2.3), Material(poster_art, gloss=0.15, texel_m=0.004), "XyYzZ")
     return part
 
 
 def top() -> Part:
     """Instead of the next flight: a wall with a ladder, a roof with a skylight."""
     part = Part(cue=True)
-    brick = Material(pictures.brick)
-    part.box((LANDING, 0, -0.25), (LANDING + 0.09, WIDTH + 0.08, TOP_HEIGHT), brick)
+    bricks = Material(brick)
+    part.box((LANDING, 0, -0.25), (LANDING + 0.09, WIDTH + 0.08, TOP_HEIGHT), bricks)
     for y in (0.32, 0.72):
         part.beam((LANDING - 0.12, y, 0.3), (LANDING - 0.12, y, TOP_HEIGHT), 0.02, plain((0.6, 0.45, 0.03)), 6)
     for k in range(8):
@@ -67,7 +150,7 @@ def top() -> Part:
     for a, b, c, d in ((LANDING, x0, 0, ACROSS), (x1, FAR, 0, ACROSS), (x0, x1, 0, y0), (x0, x1, y1, ACROSS)):
         part.quad((a, d, TOP_HEIGHT), (b - a, 0, 0), (0, c - d, 0), WHITE)
     high = TOP_HEIGHT + 0.35
-    part.quad((x0, y1, high), (x1 - x0, 0, 0), (0, y0 - y1, 0), Material(pictures.cloudy, emission=2.5))
+    part.quad((x0, y1, high), (x1 - x0, 0, 0), (0, y0 - y1, 0), Material(cloudy, emission=2.5))
     part.quad((x1, y0, TOP_HEIGHT), (x0 - x1, 0, 0), (0, 0, 0.35), WHITE)
     part.quad((x0, y1, TOP_HEIGHT), (x1 - x0, 0, 0), (0, 0, 0.35), WHITE)
     part.quad((x0, y0, TOP_HEIGHT), (0, y1 - y0, 0), (0, 0, 0.35), WHITE)

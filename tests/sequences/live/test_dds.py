@@ -14,9 +14,8 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from sequences.errors import SequenceError
-from sequences.live.join import join
 from sequences.live.options import DdsOptions
-from sequences.live.transport import Offer, Transport
+from sequences.live.transport import Offer, Transport, join
 from sequences.recordings.message_definitions import DEFINITIONS, decoder, encoder
 from sequences.recordings.source import RawMessage
 from tests.helpers.checkout import CHECKOUT
@@ -278,7 +277,7 @@ def test_bytes_that_are_no_message_are_refused_and_others_go_on(talker: Transpor
 
 _ECHO = """
 import queue, sys, time
-from sequences.live.join import join
+from sequences.live.transport import join
 from sequences.live.options import DdsOptions
 topic, domain = sys.argv[1:]
 transport, heard = join(DdsOptions(int(domain), localhost=True)), queue.SimpleQueue()

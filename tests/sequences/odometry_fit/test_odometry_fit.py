@@ -12,8 +12,8 @@ from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.odometry_fit.fit import fit_odometry
+from sequences.odometry_fit.pieces import OdometrySegment
 from sequences.odometry_fit.result import OdometryFit
-from sequences.odometry_fit.segment import OdometrySegment
 from sequences.trajectories.interpolation import interpolate
 from sequences.trajectories.tum import read_tum
 from tests.helpers.full import full

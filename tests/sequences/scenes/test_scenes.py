@@ -8,17 +8,18 @@ import pytest
 
 from filtering.se3 import Poses
 from sequences.frame import Camera
-from sequences.rendering.render import depth_and_quads, pixel_rays, render, sees_cue
+from sequences.rendering.render import pixel_rays, render, sees_cue
 from sequences.rendering.surface import LitScene
 from sequences.scenes import SCENES, find_scene, scene_names
 from sequences.scenes.ceiling import dimensions as ceiling
-from sequences.scenes.ceiling.cart import roll_through_hall
+from sequences.scenes.ceiling.scene import roll_through_hall
 from sequences.scenes.corridor import dimensions as corridor
-from sequences.scenes.corridor.walk import walk_corridor
+from sequences.scenes.corridor.scene import walk_corridor
 from sequences.scenes.staircase import dimensions as staircase
-from sequences.scenes.staircase.walk import walk_stairs
-from sequences.scenes.table_room import circle_table
+from sequences.scenes.staircase.scene import walk_stairs
+from sequences.scenes.tables import circle_table
 from sequences.synthesize import synthesize
+from tests.helpers.rendered_depth import depth_and_quads
 
 CAMERA = Camera(96, 72, 60.0, 60.0, 47.5, 35.5)
 

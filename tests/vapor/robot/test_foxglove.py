@@ -18,8 +18,7 @@ import vapor.robot
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 from sequences.recordings.bag import Bag
-from sequences.recordings.estimate_messages import estimate_messages
-from sequences.recordings.estimate_writer import EstimateWriter
+from sequences.recordings.estimate_messages import EstimateWriter, estimate_messages
 from sequences.recordings.mcap_writer import ros_transform
 from sequences.recordings.message_definitions import decoder, encoder, schema_name, schema_text
 from sequences.recordings.source import RawMessage

@@ -17,7 +17,7 @@ from sequences.files.structured import read_arrays
 from sequences.frame import BASE_FROM_CAMERA
 from sequences.odometry import OdometryNoise, simulate_odometry
 from sequences.odometry_fit.fit import fit_odometry
-from sequences.odometry_fit.segment import OdometrySegment
+from sequences.odometry_fit.pieces import OdometrySegment
 from sequences.trajectories.increments import odometry_between
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.calibration.image_errors import fit_errors

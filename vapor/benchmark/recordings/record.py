@@ -17,7 +17,7 @@ from filtering.se3 import Poses
 from sequences.atomic import workspace
 from sequences.frame import Camera, Frame
 from sequences.options import SequenceOptions
-from sequences.paths.stand import Stand
+from sequences.paths.motion import Stand
 from sequences.reader import SequenceReader
 from sequences.rendering.render import sees_cue
 from sequences.scenes import find_scene

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
 from sequences.paths.choose import Cues
-from sequences.paths.timing import IMAGE_RATE_HZ
+from sequences.paths.motion import IMAGE_RATE_HZ
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sequences.scenes.building.furniture import fixtures, seats, storage, tables
+from sequences.scenes.building.furniture import fixtures, storage, tables
 from sequences.scenes.building.furniture.piece import Piece
 
 WANTED = {
@@ -40,14 +40,14 @@ def draw_furniture(rng: np.random.Generator) -> dict[str, Piece]:
         "cabinet": storage.cabinet,
         "plant": fixtures.plant,
         "bin": storage.waste_bin,
-        "bed": seats.bed,
+        "bed": tables.bed,
         "wardrobe": storage.wardrobe,
         "rack": storage.rack,
         "counter": storage.counter,
         "fridge": storage.fridge,
         "board": fixtures.board,
-        "sofa": seats.sofa,
-        "armchair": seats.armchair,
+        "sofa": tables.sofa,
+        "armchair": tables.armchair,
         "television": fixtures.television,
         "boxes": storage.boxes,
         "lockers": storage.lockers,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sequences.rendering import pictures
+from sequences.rendering import texture
 from sequences.rendering.mesh import Part
 from sequences.rendering.texture import Material, plain
 from sequences.scenes.building.furniture.piece import Piece
@@ -52,5 +52,5 @@ def plant(rng: np.random.Generator) -> Piece:
 def radiator() -> Piece:
     """Below a window."""
     part = Part()
-    part.box((0, 0.03, 0.12), (1.0, 0.12, 0.68), Material(pictures.radiator, gloss=0.2), "xXYZ")
+    part.box((0, 0.03, 0.12), (1.0, 0.12, 0.68), Material(texture.radiator, gloss=0.2), "xXYZ")
     return Piece(part, 1.0, 0.12, 0.68)

@@ -1,4 +1,4 @@
-"""How the walls of a building are painted."""
+"""How the walls of a building and the doors in them are painted."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sequences.rendering import texture
-from sequences.rendering.texture import Canvas, Material, band, blend, step, weathered
+from sequences.rendering.texture import Canvas, Material, band, blend, inside, step, weathered
 from sequences.scenes.building.paint.colours import WALL_TEXEL_M, Rgb, colour, grey, light_colour, scaled
 
 
@@ -128,3 +128,23 @@ def _masonry(rgb: Rgb, size: tuple[float, float]) -> Callable[[Canvas], np.ndarr
         return blend(base, scaled(rgb, 0.75), 0.8 * joint)
 
     return paint
+
+
+def draw_door(rng: np.random.Generator) -> Material:
+    """How a door's leaf is painted: wood, or one colour."""
+    if rng.random() < 0.45:
+        stain = rng.uniform(0.5, 2.2, 3) * rng.uniform(0.7, 1.3)
+        return Material(lambda canvas: texture.door(canvas) * stain.astype(np.float32), gloss=0.3, texel_m=0.01)
+    rgb = colour(rng, 0.7, 0.3) if rng.random() < 0.6 else grey(rng)
+    return painted_door(rgb)
+
+
+def painted_door(rgb: Rgb) -> Material:
+    """A smooth leaf in one colour with a kick plate and a slim pane."""
+
+    def paint(canvas: Canvas) -> np.ndarray:
+        base = weathered(canvas, canvas.colour(rgb), 0.03)
+        base = blend(base, (0.4, 0.4, 0.39), inside(canvas, 0.03, 0.02, canvas.width_m - 0.03, 0.22))
+        return blend(base, (0.05, 0.06, 0.07), inside(canvas, 0.62, 1.0, 0.76, 1.8))
+
+    return Material(paint, gloss=0.25, texel_m=0.01)
