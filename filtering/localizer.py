@@ -85,10 +85,7 @@ class ParticleLocalizer:
         rng = copy.deepcopy(self._model_rng)
         posterior = self.model.observe(image, rng=rng)
         frozen = image.dtype == np.uint8 and self._last_image is not None and np.array_equal(self._last_image, image)
-        if frozen:
-            nothing = PosePosterior.nothing(posterior.errors, posterior.samples)
-            posterior = replace(nothing, unfamiliarity=posterior.unfamiliarity)
-        return posterior, rng
+        return posterior.without_places() if frozen else posterior, rng
 
     def update(
         self, seen: PosePosterior | Sequence[View], odom: Odometry | None, *, elapsed_s: float = 1.0

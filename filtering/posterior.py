@@ -130,6 +130,10 @@ class PosePosterior:
         none = Poses.identity(0)
         return PosePosterior(none, np.zeros((0, 6, 6)), np.zeros(0), errors or ErrorModel(), samples or none)
 
+    def without_places(self) -> PosePosterior:
+        """The same, uninformative: as unlike the training images as it is, and without any place."""
+        return replace(PosePosterior.nothing(self.errors, self.samples), unfamiliarity=self.unfamiliarity)
+
     @property
     def is_foreign(self) -> bool:
         """Whether the image is of another place than those the network was trained on."""

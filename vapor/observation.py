@@ -49,6 +49,7 @@ class VaporObservationModel:
         engine: What runs its network.
         camera: The camera of the images that come next.
         verifier: What makes places sharp where landmarks are seen; None where the model has none.
+        verifies: Whether landmarks are looked for in the images that come next.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class VaporObservationModel:
         self.engine: Engine = start_engine(model, EngineConfig(engine, precision), device=device, threads=threads)
         self._as_learned = AsTakenBy(self.description.camera, self.description.network.frame_size)
         self.verifier = _verifier(self.description)
+        self.verifies = True
 
     @staticmethod
     def from_checkpoint(
@@ -126,7 +128,9 @@ class VaporObservationModel:
             VaporTrackError: the image is not (H, W, 3) uint8.
         """
         posterior = self.propose(image, rng=rng)
-        return posterior if self.verifier is None else self.verifier.verify(image, self.camera, posterior)
+        if self.verifier is None or not self.verifies:
+            return posterior
+        return self.verifier.verify(image, self.camera, posterior)
 
     def propose(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
         """The same by the network alone: what landmarks verify is left out."""

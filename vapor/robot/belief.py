@@ -13,6 +13,7 @@ from filtering.error_model import ErrorModel
 from filtering.estimate import Estimate
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
+from filtering.novelty import NoveltyTracker
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Frame
@@ -21,6 +22,7 @@ from sequences.odometry_fit.result import OdometryFit
 from vapor.observation import VaporObservationModel
 from vapor.robot.network import Job
 
+_NEW_VIEW, _VERIFIED_S = 0.1, 1.0  # normalized distance and seconds until landmarks are looked for again
 _SETTLE_S, _SETTLED_S = 4.0, 2.0  # without images the belief follows odometry for good after so long, to so long ago
 
 
@@ -76,11 +78,31 @@ class LiveBelief:
         self.localizer, self.reader, self._model, self._fit = localizer, reader, model, fit
         self.anchor: Anchor | None = None
         self.now: Estimate | None = None
+        errors = model.description.calibration.errors.finest
+        self._views = NoveltyTracker(errors.length_m, errors.length_rad)
+        self._verified_s = -np.inf  # when landmarks were last looked for, of `time.monotonic`
 
     def observe(self, frame: Frame) -> PosePosterior:
-        """What the network says of an image, see `ParticleLocalizer.observe`."""
+        """The posterior of an image, see `ParticleLocalizer.observe`.
+
+        With a map of landmarks, an image whose view is not new has no places: it would say what the one before said,
+        and landmarks are not looked for in it.
+        """
         self._model.camera = frame.camera  # which may zoom
-        return self.localizer.observe(frame.image)
+        self._model.verifies = self._model.verifier is None or self._is_new(frame.odometry)
+        posterior = self.localizer.observe(frame.image)
+        return posterior if self._model.verifies else posterior.without_places()
+
+    def _is_new(self, motion: Odometry | None) -> bool:
+        """Whether the camera has moved since landmarks were last looked for, or that is a while ago."""
+        if motion is not None:
+            self._views, _ = self._views.predict(motion.previous_from_current)
+        now_s = time.monotonic()
+        lately = now_s - self._verified_s < _VERIFIED_S
+        if self.anchor is not None and motion is not None and lately and self._views.normalized_distance < _NEW_VIEW:
+            return False
+        self._views, self._verified_s = self._views.observe()[0], now_s
+        return True
 
     def update(self, job: Job, posterior: PosePosterior) -> Anchor:
         """Step the filter by what the network says of an image.
@@ -117,6 +139,7 @@ class LiveBelief:
     def _begin_at(self, time_ns: int | None) -> None:
         """Have neither the belief before count any longer, nor the motion."""
         self.anchor = self.now = None
+        self._verified_s = -np.inf
         if time_ns is not None:
             self.reader.settle(time_ns)
 

@@ -1,0 +1,72 @@
+"""The belief about a robot that is followed live: which images landmarks are looked for in."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from filtering.error_model import ErrorModel
+from filtering.motion import Odometry
+from filtering.se3 import Poses
+from tests.helpers.simulation import seen_at
+from vapor.robot import belief as live_belief
+from vapor.robot.belief import LiveBelief
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Seconds that a test sets."""
+    now = SimpleNamespace(s=100.0)
+    monkeypatch.setattr(live_belief.time, "monotonic", lambda: now.s)
+    return now
+
+
+@pytest.fixture
+def belief(unchecked):
+    """One whose network is asked nothing, of a map whose views are new after half a metre."""
+    errors = ErrorModel(verified=ErrorModel(length_m=0.5, length_rad=0.5))
+    description = SimpleNamespace(calibration=SimpleNamespace(errors=errors))
+    model = SimpleNamespace(description=description, verifier="some", verifies=None)
+    observe = lambda image: seen_at(Poses.identity(1))  # noqa: E731
+    belief = LiveBelief(SimpleNamespace(observe=observe, forget=lambda: None), model, READER, None)
+    belief.anchor = "an image"
+    return belief
+
+
+READER = SimpleNamespace(odometry_ns=None)
+
+
+def seen(belief, metres):
+    """Whether an image so far from the one before has places, and landmarks are looked for; None: not known how far."""
+    step = None if metres is None else Poses.exp(np.array([metres, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    motion = None if step is None else Odometry(step, 1e-6 * np.eye(6), 0.03)
+    posterior = belief.observe(SimpleNamespace(camera=None, image=None, odometry=motion))
+    assert belief._model.verifies != posterior.says_nothing
+    return not posterior.says_nothing
+
+
+def test_landmarks_are_looked_for_once_in_a_tenth_of_a_view(belief, clock):
+    assert [seen(belief, metres) for metres in (None, 0.02, 0.02, 0.02, 0.02, 0.1)] == [
+        True, False, False, True, False, True,
+    ]  # fmt: skip
+
+
+def test_landmarks_are_looked_for_once_a_second_while_the_robot_stands(belief, clock):
+    found = []
+    for _ in range(90):
+        found.append(seen(belief, 0.0))
+        clock.s += 1.0 / 30.0
+    assert sum(found) == 3
+
+
+def test_landmarks_are_looked_for_where_the_motion_is_unknown_and_after_the_belief_was_forgotten(belief, clock):
+    assert [seen(belief, None), seen(belief, 0.0), seen(belief, None)] == [True, False, True]
+    belief.forget()
+    assert seen(belief, 0.0)
+
+
+def test_without_a_map_or_before_the_first_estimate_every_image_has_its_places(belief, clock):
+    belief.anchor = None
+    assert all(seen(belief, 0.0) for _ in range(5))
+    belief.anchor, belief._model.verifier = "an image", None
+    assert all(seen(belief, 0.0) for _ in range(5))
