@@ -43,6 +43,7 @@ class KnowingModel(VaporObservationModel):
         self.places, self.seconds = places, seconds
         calibration = SimpleNamespace(errors=ErrorModel(), odometry=None)
         self.description: Any = SimpleNamespace(calibration=calibration, prior_poses=Poses.identity(3))
+        self.verifier = None
 
     @property
     def notices(self) -> list[str]:
