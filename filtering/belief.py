@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from filtering.cameras import CameraMemory
 from filtering.hypotheses import Hypotheses
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Belief:
 
     def with_camera(self, name: str, camera: CameraMemory) -> Belief:
         """The same with what is remembered of one camera."""
-        return replace(self, cameras={**self.cameras, name: camera})
+        return unchecked_replace(self, cameras={**self.cameras, name: camera})
 
     @property
     def num_sources(self) -> int:

@@ -17,6 +17,7 @@ from filtering.errors import VaporTrackError
 from filtering.motion import SlowErrors
 from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
 
 POSE, SLOW = slice(0, 6), slice(6, 13)
 """Where in a state the error of the pose is, and where the slow errors of odometry: scale, and drift of each axis."""
@@ -96,11 +97,11 @@ class Hypotheses:
                 f"log weight of hypothesis {first} is {log_weights[first]}, expected a finite number or −∞ "
                 f"({int(bad.sum())} of {len(bad)} are so)"
             )
-        return replace(self, log_weights=log_weights - total)
+        return unchecked_replace(self, log_weights=log_weights - total)
 
     def reweighted(self, log_factors: Float64[np.ndarray, " n"]) -> Hypotheses:
         """The same with weights times factors (n,), not normalised."""
-        return replace(self, log_weights=self.log_weights + log_factors)
+        return unchecked_replace(self, log_weights=self.log_weights + log_factors)
 
     def normalized(self) -> Hypotheses:
         """The same with normalised weights, see `with_log_weights`."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from filtering.posterior import PosePosterior
 from filtering.prediction import inflate
 from filtering.prediction import predict as predict_hypotheses
 from filtering.se3 import Poses
+from filtering.unchecked import unchecked_replace
 
 _USUAL_S = 10.0  # time over which the usual agreement is averaged
 
@@ -61,7 +62,7 @@ def step(
         belief = reduce(belief, config)
     belief = follow_agreement(belief, seen, views, config)
     belief, estimate = describe(belief, views, novelty, config)
-    return replace(belief, normalized_distance=0.0) if views else belief, estimate
+    return unchecked_replace(belief, normalized_distance=0.0) if views else belief, estimate
 
 
 def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig) -> Belief:
@@ -86,7 +87,7 @@ def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config:
         for source, distance in zip(camera.sources, distances, strict=True)
     }
     distances = [numbered[number] for number in sorted(numbered)]
-    return replace(
+    return unchecked_replace(
         belief,
         hypotheses=predict_hypotheses(hypotheses, odometry, config.slow_errors, distances),
         cameras=cameras,
@@ -128,7 +129,7 @@ def measure(belief: Belief, view: View) -> tuple[Belief, Seen]:
     found = evidence(hypotheses, posterior, pairs)
     hypotheses = hypotheses.reweighted(power * found.log_likelihood)
     hypotheses = correct(hypotheses, posterior, pairs, found.outlier).normalized()
-    belief = replace(belief.with_camera(view.camera, camera), hypotheses=hypotheses)
+    belief = unchecked_replace(belief.with_camera(view.camera, camera), hypotheses=hypotheses)
     return belief, Seen(posterior, camera, novelty, found.agreement)
 
 
@@ -144,7 +145,7 @@ def add_births(belief: Belief, seen: Sequence[Seen], novelty: float, config: Loc
     births = [born_at(one.posterior, one.camera, belief, config) for one in seen]
     weighed = [each.reweighted(np.full(len(each), _log(probability / len(seen)))) for each in births]
     carried = hypotheses.reweighted(np.full(len(hypotheses), _log(1.0 - probability)))
-    return replace(belief, hypotheses=concatenate([carried, *weighed]))
+    return unchecked_replace(belief, hypotheses=concatenate([carried, *weighed]))
 
 
 def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
@@ -160,7 +161,7 @@ def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
         resampling=config.resampling,
         rng=random,
     )
-    return replace(belief, hypotheses=reduced, random=random)
+    return unchecked_replace(belief, hypotheses=reduced, random=random)
 
 
 def follow_agreement(belief: Belief, seen: Sequence[Seen], views: Sequence[View], config: LocalizerConfig) -> Belief:
@@ -172,7 +173,7 @@ def follow_agreement(belief: Belief, seen: Sequence[Seen], views: Sequence[View]
     fits = sum(one.agreement for one in seen) / (len(seen) + foreign)
     agreement = belief.agreement + follow * (fits - belief.agreement)
     usual = belief.usual_agreement - np.expm1(-belief.unseen_s / _USUAL_S) * (agreement - belief.usual_agreement)
-    return replace(belief, agreement=agreement, usual_agreement=usual, unseen_s=0.0)
+    return unchecked_replace(belief, agreement=agreement, usual_agreement=usual, unseen_s=0.0)
 
 
 # --- the beginning -------------------------------------------------------------------------------------
@@ -200,7 +201,7 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
     camera = CameraMemory.first_seen(first, 0, unknown=0.0, adapts=config.adapt_errors)
     new = new.with_camera(first.camera, camera)
     posterior = first.posterior.seen_from(first.reference_from_camera)
-    return replace(new, hypotheses=born_at(posterior, camera, new, config))
+    return unchecked_replace(new, hypotheses=born_at(posterior, camera, new, config))
 
 
 def with_cameras(belief: Belief, views: Sequence[View], config: LocalizerConfig) -> Belief:
@@ -218,7 +219,7 @@ def with_cameras(belief: Belief, views: Sequence[View], config: LocalizerConfig)
     hypotheses = known(belief)
     for _ in range(before, belief.num_sources):
         hypotheses = with_source(hypotheses)
-    return replace(belief, hypotheses=hypotheses)
+    return unchecked_replace(belief, hypotheses=hypotheses)
 
 
 def born_at(posterior: PosePosterior, camera: CameraMemory, belief: Belief, config: LocalizerConfig) -> Hypotheses:
@@ -246,7 +247,7 @@ def describe(belief: Belief, views: Sequence[View], novelty: float, config: Loca
         belief.normalized_distance,
         max((view.posterior.unfamiliarity for view in views), default=0.0),
     )
-    return replace(belief, best=modes[0].world_from_camera), estimate
+    return unchecked_replace(belief, best=modes[0].world_from_camera), estimate
 
 
 def _ordered(
