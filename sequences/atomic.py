@@ -1,4 +1,8 @@
-"""Output files that appear under their name only when they are complete, and what killed processes leave of them."""
+"""Output files that appear under their name only when they are complete, and what killed processes leave of them.
+
+Files are not synced, so a power failure may lose or damage them. Nothing is written through mapped memory: a page for
+which the disk has no room would kill the process.
+"""
 
 from __future__ import annotations
 
