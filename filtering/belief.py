@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
@@ -32,7 +31,7 @@ class Belief:
 
     random: np.random.Generator
     hypotheses: Hypotheses | None = None
-    cameras: Mapping[str, CameraMemory] = field(default_factory=lambda: MappingProxyType({}))
+    cameras: Mapping[str, CameraMemory] = field(default_factory=dict)
     best: Poses | None = None
     agreement: float = 1.0
     usual_agreement: float = 1.0

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from filtering.error_model import ErrorModel
-from filtering.errors import require_within
+from filtering.errors import VaporTrackError, require_within
 from filtering.estimate import ModeConfig
 from filtering.motion import SlowErrors
 from filtering.resampling import Resampling
@@ -108,6 +108,11 @@ class LocalizerConfig:
             agreement_images=(1, 10**6),
             switch_ratio=(1.0, 1e9),
         )
+        for name, known in (("births", Births), ("resampling", Resampling)):
+            if getattr(self, name) not in get_args(known):
+                raise VaporTrackError(
+                    f"{name} is {getattr(self, name)!r}, expected one of {', '.join(get_args(known))}"
+                )
         if self.converged_std_m is not None:
             require_within(self, converged_std_m=(0.0, 1e9))
 

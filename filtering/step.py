@@ -1,6 +1,6 @@
 """One step of the particle filter: predict, weigh, correct, add births, reduce.
 
-Every function takes a belief and gives the next one; nothing is changed in place.
+Each stage takes a belief and gives the next one; nothing is changed in place.
 """
 
 from __future__ import annotations

@@ -328,3 +328,10 @@ def test_a_view_from_another_rig_is_judged_by_its_own_error_model():
     coarse = ERRORS.scaled(10.0)
     localizer.update(seen_at(Poses.identity(1), errors=coarse), None)
     assert_sound(localizer.update(seen_at(Poses.identity(1), errors=ERRORS), increment(translation=(1.0, 0, 0))))
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("name", ["births", "resampling"])
+def test_an_unknown_name_in_the_settings_is_refused_with_those_there_are(name):
+    with pytest.raises(VaporTrackError, match=rf"{name} is 'none', expected one of \w+"):
+        LocalizerConfig(**{name: "none"})

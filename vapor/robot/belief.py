@@ -23,6 +23,7 @@ from vapor.observation import VaporObservationModel
 from vapor.robot.network import Job
 
 _NEW_VIEW, _VERIFIED_S = 0.1, 1.0  # normalized distance and seconds until landmarks are looked for again
+_FITS = 0.9  # agreement below which every image is looked at
 _SETTLE_S, _SETTLED_S = 4.0, 2.0  # without images the belief follows odometry for good after so long, to so long ago
 
 
@@ -85,8 +86,8 @@ class LiveBelief:
     def observe(self, frame: Frame) -> PosePosterior:
         """The posterior of an image, see `ParticleLocalizer.observe`.
 
-        With a map of landmarks, an image whose view is not new has no places: it would say what the one before said,
-        and landmarks are not looked for in it.
+        With a map of landmarks, an image whose view is not new has no places: by odometry it would say what the one
+        before said, and landmarks are not looked for in it.
         """
         self._model.camera = frame.camera  # which may zoom
         self._model.verifies = self._model.verifier is None or self._is_new(frame.odometry)
@@ -94,12 +95,16 @@ class LiveBelief:
         return posterior if self._model.verifies else posterior.without_places()
 
     def _is_new(self, motion: Odometry | None) -> bool:
-        """Whether the camera has moved since landmarks were last looked for, or that is a while ago."""
+        """Whether landmarks are to be looked for: unless the belief is sure, and the view is that of the last time.
+
+        That is so where odometry says that the camera has hardly moved since, less than a second ago.
+        """
         if motion is not None:
             self._views, _ = self._views.predict(motion.previous_from_current)
         now_s = time.monotonic()
-        lately = now_s - self._verified_s < _VERIFIED_S
-        if self.anchor is not None and motion is not None and lately and self._views.normalized_distance < _NEW_VIEW:
+        anchor, lately = self.anchor, now_s - self._verified_s < _VERIFIED_S
+        sure = anchor is not None and anchor.estimate.status == "converged" and anchor.estimate.agreement >= _FITS
+        if sure and motion is not None and lately and self._views.normalized_distance < _NEW_VIEW:
             return False
         self._views, self._verified_s = self._views.observe()[0], now_s
         return True
@@ -155,6 +160,7 @@ class LiveBelief:
         settled_ns = odometry_ns - round(_SETTLED_S * 1e9)
         motion, odom_from_base = self._restated(reader.moved_until(settled_ns)), reader.odom_from_base(settled_ns)
         reader.settle(settled_ns)
+        self._verified_s = -np.inf  # its motion until then comes with no image
         if anchor is None:
             return
         elapsed_s = max(settled_ns - anchor.time_ns, 0) * 1e-9 if anchor.reading == reader.readings else _SETTLE_S

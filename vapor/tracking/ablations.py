@@ -94,7 +94,7 @@ ABLATIONS: Mapping[str, Ablation] = MappingProxyType(
         ),
         "no-injection": Ablation(
             "no hypothesis is added after the first image",
-            localizer=lambda config: replace(config, kidnap_per_view=0.0, max_kidnap_per_view=0.0),
+            localizer=lambda config: replace(config, births="rate", kidnap_per_view=0.0, max_kidnap_per_view=0.0),
         ),
         "inject-on-doubt": Ablation(
             "hypotheses are added where the images cast doubt, as in AMCL",

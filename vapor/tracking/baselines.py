@@ -56,4 +56,4 @@ class GaussianSumTracker:
 def gaussian_sum(config: LocalizerConfig) -> LocalizerConfig:
     """The settings of the filter that make it a Gaussian sum filter."""
     rates = {"kidnap_per_view": 0.0, "max_kidnap_per_view": 0.0}
-    return replace(config, **rates, max_hypotheses=GAUSSIANS, resampling="heaviest")
+    return replace(config, **rates, births="rate", max_hypotheses=GAUSSIANS, resampling="heaviest")

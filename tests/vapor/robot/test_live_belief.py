@@ -29,8 +29,12 @@ def belief(unchecked):
     model = SimpleNamespace(description=description, verifier="some", verifies=None)
     observe = lambda image: seen_at(Poses.identity(1))  # noqa: E731
     belief = LiveBelief(SimpleNamespace(observe=observe, forget=lambda: None), model, READER, None)
-    belief.anchor = "an image"
+    belief.anchor = anchor_of("converged", 1.0)
     return belief
+
+
+def anchor_of(status, agreement):
+    return SimpleNamespace(estimate=SimpleNamespace(status=status, agreement=agreement))
 
 
 READER = SimpleNamespace(odometry_ns=None)
@@ -68,5 +72,13 @@ def test_landmarks_are_looked_for_where_the_motion_is_unknown_and_after_the_beli
 def test_without_a_map_or_before_the_first_estimate_every_image_has_its_places(belief, clock):
     belief.anchor = None
     assert all(seen(belief, 0.0) for _ in range(5))
-    belief.anchor, belief._model.verifier = "an image", None
+    belief.anchor, belief._model.verifier = anchor_of("converged", 1.0), None
+    assert all(seen(belief, 0.0) for _ in range(5))
+
+
+@pytest.mark.parametrize(("status", "agreement"), [("ambiguous", 1.0), ("lost", 0.0), ("converged", 0.8)])
+def test_every_image_has_its_places_where_the_belief_is_not_sure_or_images_do_not_fit_it(
+    status, agreement, belief, clock
+):
+    belief.anchor = anchor_of(status, agreement)
     assert all(seen(belief, 0.0) for _ in range(5))
