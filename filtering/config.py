@@ -52,7 +52,8 @@ class LocalizerConfig:
     """The chance that the camera was carried elsewhere unnoticed, for every new view that fits the belief: so much of
     the belief an image draws anew."""
     max_kidnap_per_view: float = 0.1
-    """The same for one that does not fit at all; between the two in equal ratios. 0 for both: never."""
+    """The same for one that does not fit at all; between the two in equal ratios. 0 for both: never, where `births` is
+    "rate"."""
     births: Births = "rate"
     """Draw anew at those rates, or as in augmented Monte Carlo localization: only while images agree with the belief
     less than usual."""

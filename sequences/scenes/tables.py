@@ -7,6 +7,8 @@ Everything is built for one part of the circle around the middle, and turned cop
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from filtering.se3 import Poses
@@ -165,12 +167,9 @@ def _dinner_half() -> Part:
     return part
 
 
-DINNER_TABLE = Scene(
+DINNER_TABLE = replace(
+    ROUND_TABLE,
     name="dinner-table",
     seed_numbers=(3,),
     placements=lambda split, seed: [*_room(), _turned(_dinner_half(), 2)],
-    path=lambda duration_s, split, seed, rng: circle_table(duration_s, rng=rng),
-    field_of_view_deg=60.0,
-    base_from_camera=HELMET,
-    has_cues=False,
 )

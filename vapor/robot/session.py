@@ -1,6 +1,7 @@
 """The loop of live localization: messages in, the newest image to the network, what it says to the filter, poses out.
 
-One thread has all state: it takes messages, steps the filter and publishes. Only the network has a thread of its own.
+One thread takes messages, steps the filter and publishes, and has all state but for which image was looked at last: the
+network has a thread of its own, and knows that.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ def belief(unchecked):
     errors = ErrorModel(verified=ErrorModel(length_m=0.5, length_rad=0.5))
     description = SimpleNamespace(calibration=SimpleNamespace(errors=errors))
     model = SimpleNamespace(description=description, verifier="some", verifies=None)
-    observe = lambda image: seen_at(Poses.identity(1))  # noqa: E731
-    belief = LiveBelief(SimpleNamespace(observe=observe, forget=lambda: None), model, READER, None)
+    localizer = SimpleNamespace(observe=lambda image: seen_at(Poses.identity(1)), forget=lambda: None)
+    belief = LiveBelief(localizer, model, READER, None)
     belief.anchor = anchor_of("converged", 1.0)
     return belief
 
