@@ -34,17 +34,17 @@ _USUAL_S = 10.0  # time over which the usual agreement is averaged
 def step(
     belief: Belief, views: Sequence[View], odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig
 ) -> tuple[Belief, Estimate]:
-    """The belief one step later, and what it says.
+    """The belief one step later, and its estimate.
 
     Args:
-        belief: Of before.
-        views: What cameras see now; none where there is no image.
-        odometry: Motion of the reference frame since the step before; None where it is unknown.
-        elapsed_s: Seconds since the step before; used where `odometry` is None.
+        belief: Before the step.
+        views: Of the cameras now; empty without an image.
+        odometry: Motion of the reference frame since the last step; None where it is unknown.
+        elapsed_s: Seconds since the last step; used where `odometry` is None.
         config: Settings of the filter.
 
     Raises:
-        VaporTrackError: the odometry is none (`require_odometry`), or no view has any place at a first step.
+        VaporTrackError: the odometry is invalid (`require_odometry`), or no view has any place at a first step.
     """
     belief = predict(belief, odometry, elapsed_s, config)
     informative, novelty = [view for view in views if not view.posterior.says_nothing], 0.0
@@ -66,7 +66,7 @@ def step(
 
 
 def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config: LocalizerConfig) -> Belief:
-    """Carry the belief to the present, on odometry or across a gap; see `step`."""
+    """Move the belief by odometry, or across a gap without any; see `step`."""
     hypotheses, gap, provisional, agreement = belief.hypotheses, config.gap, belief.provisional, belief.agreement
     if hypotheses is None:
         return belief
@@ -101,11 +101,11 @@ def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a view did to the belief.
+    """A view as it was used.
 
     Attributes:
-        posterior: Of its image, of the reference frame, with errors as large as odometry has shown.
-        camera: What is remembered of its camera now.
+        posterior: Of its image, for the reference frame, with the measurement noise scaled.
+        camera: The memory of its camera after it.
         novelty: Of the view, in [0, 1].
         agreement: The fraction of the belief that the image fits, in [0, 1].
     """
@@ -117,7 +117,7 @@ class Seen:
 
 
 def measure(belief: Belief, view: View) -> tuple[Belief, Seen]:
-    """Weigh every hypothesis by an image, and correct it by each place that it may see."""
+    """Weight every hypothesis by an image, and correct it by each place that it may see."""
     before = belief.cameras[view.camera].seen_through(view.reference_from_camera)
     camera, novelty, power = before.observe(view.posterior)
     posterior = view.posterior.inflated(*(source.scale.factor for source in camera.sources))
@@ -134,7 +134,7 @@ def measure(belief: Belief, view: View) -> tuple[Belief, Seen]:
 
 
 def add_births(belief: Belief, seen: Sequence[Seen], novelty: float, config: LocalizerConfig) -> Belief:
-    """A little of the belief is born anew at the places of the images: the camera may have been carried off."""
+    """Add hypotheses at the places of the images: the camera may have been carried off."""
     if not seen:
         return belief
     agreement = float(np.mean([one.agreement for one in seen]))
@@ -149,7 +149,7 @@ def add_births(belief: Belief, seen: Sequence[Seen], novelty: float, config: Loc
 
 
 def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
-    """Merge hypotheses that say the same, prune light ones, and resample those that are too many."""
+    """Merge hypotheses that agree, prune light ones, and resample beyond `max_hypotheses`."""
     hypotheses, random = known(belief), belief.random
     if len(hypotheses) > config.max_hypotheses:
         random = copy.deepcopy(random)
@@ -165,7 +165,7 @@ def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
 
 
 def follow_agreement(belief: Belief, seen: Sequence[Seen], views: Sequence[View], config: LocalizerConfig) -> Belief:
-    """Average how much of the belief the latest images fit; a foreign image fits nothing."""
+    """Average the fraction of the belief that fits the latest images; nothing fits one out of distribution."""
     foreign = sum(view.posterior.is_foreign for view in views)
     if not seen and not foreign:
         return belief
@@ -180,13 +180,13 @@ def follow_agreement(belief: Belief, seen: Sequence[Seen], views: Sequence[View]
 
 
 def needs_initialization(belief: Belief, views: Sequence[View]) -> bool:
-    """Whether the belief becomes what these views say, and nothing else."""
+    """Whether these views alone make the belief."""
     informative = not all(view.posterior.says_nothing for view in views)
     return belief.hypotheses is None or (belief.provisional and informative)
 
 
 def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -> Belief:
-    """The belief of the first informative view; that of a foreign one is provisional.
+    """The belief of the first informative view; one of an out-of-distribution view is provisional.
 
     Raises:
         VaporTrackError: no view has any place.
@@ -195,7 +195,7 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
     candidates, provisional = informative or [view for view in views if view.posterior.is_foreign], not informative
     first = next((view for view in candidates if len(view.posterior.weights)), None)
     if first is None:
-        raise VaporTrackError("the first image says nothing about where the camera is, expected one that does")
+        raise VaporTrackError("the first image has no place, expected one with at least one")
     agreement = 0.0 if provisional else 1.0
     new = Belief(belief.random, agreement=agreement, usual_agreement=agreement, provisional=provisional)
     camera = CameraMemory.first_seen(first, 0, unknown=0.0, adapts=config.adapt_errors)
@@ -205,11 +205,11 @@ def initialize(belief: Belief, views: Sequence[View], config: LocalizerConfig) -
 
 
 def with_cameras(belief: Belief, views: Sequence[View], config: LocalizerConfig) -> Belief:
-    """The same with room for the correlated errors of every camera that is seen, and of the landmarks that it sees."""
+    """The same with the correlated errors of every camera of these views, and of its landmarks, in the state."""
     before, adapts = belief.num_sources, config.adapt_errors
     for view in views:
         number, known_camera = belief.num_sources, belief.cameras.get(view.camera)
-        # Another camera looks from a length away: its first image is all new.
+        # The first image of another camera is all new.
         camera = (
             CameraMemory.first_seen(view, number, unknown=1.0, adapts=adapts)
             if known_camera is None
@@ -223,17 +223,17 @@ def with_cameras(belief: Belief, views: Sequence[View], config: LocalizerConfig)
 
 
 def born_at(posterior: PosePosterior, camera: CameraMemory, belief: Belief, config: LocalizerConfig) -> Hypotheses:
-    """What an image says as if nothing else were known of where the camera is."""
+    """Hypotheses at the places of one image alone."""
     network, *others = [source.number for source in camera.sources]
     landmarks = others[0] if others else None
     return birth(posterior, network, belief.num_sources, config.slow_errors, belief.hypotheses, landmarks)
 
 
-# --- what is said of it --------------------------------------------------------------------------------
+# --- the estimate --------------------------------------------------------------------------------------
 
 
 def describe(belief: Belief, views: Sequence[View], novelty: float, config: LocalizerConfig) -> tuple[Belief, Estimate]:
-    """The estimate of a belief, which remembers the best mode."""
+    """The estimate of a belief, and the belief with its best mode kept."""
     hypotheses, errors = known(belief), next(iter(belief.cameras.values())).errors
     modes = _ordered(describe_modes(hypotheses, errors, config.modes), belief.best, errors, config)
     estimate = Estimate(
