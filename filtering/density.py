@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 from scipy.special import ive
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 
 _GAUSSIAN_FROM = 1e6  # 1/h_r² from which on the rotation kernel's integral is a Gaussian's, to 4e-7
+_LARGE = 8000.0  # squared distance in widths, beyond which float32 loses more than 1e-3
 
 
 @dataclass(frozen=True)
@@ -64,9 +65,25 @@ class KernelDensity:
 
     def log_density(self, poses: Poses) -> Float64[np.ndarray, " n"]:
         """Log density of poses (n,), per m³ rad³."""
-        squared_m2, squared_chord = poses.squared_distances(self.centres)
-        exponent = squared_m2 * (-0.5 / np.square(self.bandwidth_translation_m))
-        exponent += squared_chord * (-0.5 / np.square(self.bandwidth_rotation_rad))
-        exponent += (-np.log(len(self.centres)) if self.log_weights is None else self.log_weights) - self.log_normaliser
+        exponent = self._log_kernels(poses)
         largest = exponent.max(axis=1, keepdims=True)
-        return largest[:, 0] + np.log(np.exp(exponent - largest, dtype=np.float32).sum(axis=1), dtype=np.float64)
+        exponent -= largest
+        return largest[:, 0] + np.log(np.exp(exponent, out=exponent).sum(axis=1), dtype=np.float64)
+
+    def _log_kernels(self, poses: Poses) -> Float[np.ndarray, "n m"]:
+        """Log of each weighted kernel at each pose: −½|a − c|² p = a·c p − ½|a|² p − ½|c|² p as one product.
+
+        The terms cancel, so where they are large (narrow kernels, wide scenes) they are in double precision.
+        """
+        origin = self.centres.chordal.mean(axis=0)
+        rows, centres = poses.chordal - origin, self.centres.chordal - origin
+        widths = np.broadcast_arrays(self.bandwidth_translation_m, self.bandwidth_rotation_rad, np.empty(len(centres)))
+        precision = np.repeat(np.square(1.0 / np.stack(widths[:2], axis=1)), [3, 9], axis=1)
+        squared = np.einsum("mi,mi,mi->m", centres, centres, precision)
+        log_weights = -np.log(len(centres)) if self.log_weights is None else self.log_weights
+        constant = log_weights - self.log_normaliser - 0.5 * squared
+        left = np.hstack([rows, np.square(rows), np.ones((len(rows), 1))])
+        right = np.hstack([centres * precision, -0.5 * precision, constant[:, None]])
+        largest = max(squared.max(), float((np.square(rows) @ precision.max(axis=0)).max()))
+        dtype = np.float32 if largest < _LARGE else np.float64
+        return left.astype(dtype) @ right.astype(dtype).T
