@@ -14,12 +14,12 @@ from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import ImageCounts
 from sequences.reading.frame_pairing import FramePairing
+from sequences.reading.motion import odometry_apart, true_poses_apart
 from sequences.reading.motion_streams import MotionStreams
-from sequences.reading.requested_segment import LoggedSegment
 from sequences.reading.roles import Roles
-from sequences.reading.stamps import odometry_apart, odometry_sparse, true_poses_apart
-from sequences.reading.timeline import Dated, Timeline
+from sequences.reading.timeline import Dated, LoggedSegment, Timeline
 from sequences.recordings.bag import METADATA_NAME, Bag
+from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 
 
 class SequenceReader:
@@ -177,24 +177,31 @@ class SequenceReader:
         """Say what a person should know of what was read; raise SequenceError where nothing is to be made of it."""
         roles, motion = self._roles, pairing.motion
         images, odometry = timeline.span_ns([("", roles.image.name)]), timeline.span_ns(roles.odometry_keys)
-        sparse = odometry_sparse(roles.odometry_said, timeline.spacing_s(roles.odometry_keys))
-        said = [told for told in (odometry_apart(images, odometry), sparse) if told is not None]
+        spacing_s = timeline.spacing_s(roles.odometry_keys)
+        notices = [notice for notice in [odometry_apart(images, odometry)] if notice is not None]
+        if spacing_s > MAX_ODOMETRY_GAP_S:
+            notices.append(
+                f"odometry of {roles.odometry_label} comes every {spacing_s:.2g} s: no motion is known over gaps of"
+                f" more than {MAX_ODOMETRY_GAP_S:g} s, expected a topic with denser odometry (--odometry-topic,"
+                " --odometry-frame)"
+            )
         for what, unusable in motion.unusable.items():
             if roles.odometry_required if what == "poses of odometry" else roles.truth_required:
                 unusable.require_few(self.path)
-            said += unusable.notices
+            notices += unusable.notices
         if self.counts.used == 0 and (apart := odometry_apart(images, odometry)) is not None:
             raise SequenceError(f"{self.path}: no image has odometry: {apart}")
         if self.counts.used == 0:
             found = ", ".join(f"{count} × {reason}" for reason, count in self.skipped.items()) or "nothing was skipped"
+            problem = next(iter(pairing.left_out.problems.values()), "")
             raise SequenceError(
                 f"{self.path}: no image left of {self.num_images} on {roles.image.name}: {found}"
-                f"{pairing.left_out.first_problem}; {'; '.join([*said, 'expected at least one that can be used'])}"
+                f"{problem}; {'; '.join([*notices, 'expected at least one that can be used'])}"
             )
-        self.notices += said
+        self.notices += notices
         if motion.has_no_true_pose and pairing.frames_span_ns is not None and roles.truth is not None:
             span = motion.true_poses_span_ns if roles.truth_keys == [] else timeline.span_ns(roles.truth_keys)
-            apart = true_poses_apart(roles.truth.said, span, pairing.frames_span_ns)
+            apart = true_poses_apart(roles.truth.label, span, pairing.frames_span_ns)
             if roles.truth_required:
                 raise SequenceError(f"{self.path}: {apart}")
             self.notices.append(apart)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 
 from sequences.reading.timeline import Dated, Key, Timeline
 
-_HORIZON_NS = 10 * 10**9  # ahead of an image: who has not told by then where something was at its time does not know
+_HORIZON_NS = 10 * 10**9  # ahead of an image, within which the poses of its time are expected
 _FORGET_EVERY = 500  # messages
 
 
@@ -28,16 +28,16 @@ class MotionStreams:
         Args:
             timeline: The recording.
             watched: The topics, as of `Timeline`.
-            take: Given every message, in the order of its topic.
-            reaches: Whether messages taken so far say all that there is to know about a time.
-            forget_before: Told, as long as no frame was made, before which time nothing will be asked for.
+            take: Takes every message, in the order of its topic.
+            reaches: Whether the messages taken so far determine the motion at a time.
+            forget_before: Called with times before which nothing will be asked for.
         """
         self._topics = [_TopicCursor(timeline, topic, links) for topic, links in watched.items()]
         self._take, self._reaches, self._forget_before = take, reaches, forget_before
         self._num_read = 0
 
     def read_until(self, time_ns: int) -> bool:
-        """Read what there is to know about a time; says that nothing need be waited for."""
+        """Read all that determines the motion at a time; true, as nothing more need be waited for."""
         for topic in self._topics:
             while topic.is_behind(time_ns) and self._read(topic, time_ns):
                 pass
@@ -49,7 +49,7 @@ class MotionStreams:
         return True
 
     def finish(self) -> None:
-        """Count the rest, which is not decoded. Raises SequenceError where a topic has not what its file states."""
+        """Count the rest undecoded. Raises SequenceError where a topic lacks messages that its file states."""
         for topic in self._topics:
             topic.is_over = True
             for _ in topic.messages:
@@ -69,14 +69,7 @@ class MotionStreams:
 
 
 class _TopicCursor:
-    """How far one topic was read.
-
-    Attributes:
-        messages: Those that remain.
-        is_over: Whether no more are wanted.
-        latest_ns: The latest stamp so far.
-        settled_ns: Before this time no message is left to read.
-    """
+    """How far one topic was read; `is_over` where no more is wanted."""
 
     def __init__(self, timeline: Timeline, topic: str, links: Collection[Key] | None) -> None:
         keys = [("", topic)] if links is None else links
@@ -88,20 +81,20 @@ class _TopicCursor:
         self.messages: Iterator[Dated] = timeline.messages(topic, until=lambda _: self.is_over)
 
     def is_behind(self, time_ns: int) -> bool:
-        """Whether there is more to read that says something about a time."""
+        """Whether more must be read to know the motion at a time."""
         if self.is_over or self.latest_ns >= time_ns + _HORIZON_NS:
             return False
         return any(self._num_read[key] < times.num_until(time_ns) for key, times in self._streams.items())
 
     @property
     def settled_ns(self) -> int:
-        """Before this time nothing comes any more."""
+        """Before this time no message is left to read."""
         if self.is_over or not self._streams:
             return 1 << 63
         return min(self._latest_ns.get(key, -(1 << 63)) - times.lateness_ns for key, times in self._streams.items())
 
     def note(self, dated: Dated) -> None:
-        """Learn of a message that was read."""
+        """Count a message that was read."""
         self._num_read.update(dated.keys)
         for key, time_ns in dated.stamps_ns:
             self._latest_ns[key] = max(time_ns, self._latest_ns.get(key, time_ns))

@@ -1,4 +1,4 @@
-"""MCAP files with ROS 2 messages, complete or not there at all; poses and headers as those have them."""
+"""MCAP files with ROS 2 messages, complete or absent; poses and headers of ROS 2."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class MessageChannels:
         self._channels: dict[tuple[str, str], int] = {}
 
     def write(self, raw: RawMessage) -> None:
-        """Write a message as it is; a type that is not known is registered without a definition."""
+        """Write a message unchanged; an unknown type is registered without a definition."""
         key = raw.topic, raw.type
         if key not in self._channels:
             if raw.type not in self._schemas:
@@ -68,7 +68,7 @@ class MessageWriter:
         self._stack.__exit__(kind, error, traceback)
 
     def _write(self, topic: str, message_type: str, message: dict, time_ns: int) -> None:
-        """Write a message, whose fields are as `cdr.write` takes them."""
+        """Write a message, whose fields are as `encoder` takes them."""
         data = encoder(message_type)(message)
         self._channels.write(RawMessage(topic, int(time_ns), data, message_type, MessageEncoding.CDR, b""))
 

@@ -215,8 +215,8 @@ def test_images_of_another_aspect_than_their_camera_are_said_once_and_left(plain
     for _ in range(3):
         assert camera.seen(np.zeros((90, 160, 3), np.uint8), BEGIN_NS)[1] is None
     assert camera.notices == [
-        "images are 160 x 90 pixels, but their camera is said to have 160 x 120: what is said of it is not used, and"
-        " images are not undistorted"
+        "images have 160 x 90 pixels, but their camera info states 160 x 120: it is not used, and images are not"
+        " undistorted"
     ]
 
 

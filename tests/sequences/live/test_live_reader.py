@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from sequences.errors import NotFoundError, SequenceError
 from sequences.frame import Frame
-from sequences.live.heard import Heard
-from sequences.live.reader import LiveReader
+from sequences.live.reader import Heard, LiveReader
 from sequences.options import ReadingOptions, SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.message_definitions import encoder

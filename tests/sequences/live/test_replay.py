@@ -289,7 +289,7 @@ def test_topics_that_cannot_be_published_are_told_and_the_others_published(
     foxglove_files.write(bag / "foxglove.mcap", "protobuf", foxglove_files.images(topic="/foxglove"))
     (bag / "metadata.yaml").write_text("relative_file_paths:\n- walk.mcap\n- foxglove.mcap\n")
     told: list[str] = []
-    list(replay(bag, system, tell=told.append))
+    list(replay(bag, system, notify=told.append))
     assert told == ["not published: /foxglove"]
     assert {topic: len(found) for topic, found in system.published.items()} == {IMAGES: 12, ODOMETRY: 62}
     assert TF_STATIC not in system.advertised

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sequences.reading.clock_steps import ClockOfStream, Told
+from sequences.reading.timeline import ClockOfStream, StampKind
 from tests.helpers.checks import no_checks
 
 BEGIN_S = 1_700_000_000.0
 RATES = st.floats(1.0, 200.0)
 
 
-def told(stamps_s: Iterable[float], arrivals_s: Iterable[float]) -> list[Told]:
+def told(stamps_s: Iterable[float], arrivals_s: Iterable[float]) -> list[StampKind]:
     """What a clock says of stamps that arrive at some times, all of them seconds after the same moment."""
     clock = ClockOfStream()
     with no_checks():

@@ -20,7 +20,7 @@ from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings import mcap_file, recording_file
 from sequences.recordings.bag import Bag
-from sequences.recordings.mcap_records import unpack_chunk
+from sequences.recordings.mcap_file import unpack_chunk
 from tests.helpers.lossy_mcap import chunks, damaged, id_of, records, without_ten_images
 from tests.helpers.sequence_files import BEGIN_NS, IMAGES, as_file_without_index, rewrite
 

@@ -112,7 +112,7 @@ def test_a_listing_that_states_no_numbers_is_read_with_a_notice(walk_file: Path,
     bag = as_split_folder(walk_file, tmp_path)
     listing = bag / "metadata.yaml"
     whole = listing.read_text()
-    told = "metadata.yaml states no number of messages: images of files that it lost cannot be told"
+    told = "metadata.yaml states no number of messages: images in lost files go unnoticed"
     zeros = re.sub(r"message_count: \d+", "message_count: 0", whole)  # as of a recorder that was killed
     for text in (zeros, "relative_file_paths: [bag_0.mcap, bag_1.mcap]\n"):
         listing.write_text(text)
