@@ -26,11 +26,9 @@ _COLUMNS = "name qw qx qy qz tx ty tz"
 
 
 class FrameName(NamedTuple):
-    """One frame of one sequence.
+    """One frame: its sequence, and its number in it; or an empty sequence and its stamp in integer nanoseconds.
 
-    Attributes:
-        sequence: Its name up to the number, such as `seq-01/frame-`; empty where frames are timed.
-        number: Its number in the sequence, or its stamp in integer nanoseconds.
+    The sequence is the name up to the number, such as `seq-01/frame-`.
     """
 
     sequence: str
@@ -39,14 +37,10 @@ class FrameName(NamedTuple):
 
 @dataclass(frozen=True)
 class PoseFile:
-    """Poses of frames, sequence by sequence and in the order of their numbers.
+    """Poses of n frames, world_from_camera, sequence by sequence and in the order of their numbers.
 
-    Attributes:
-        path: The file.
-        timed: Whether the frames are named by their stamps.
-        frames: Frame of each of n poses. Only where poses have weights may a frame have several, in the file's order.
-        poses: world_from_camera, batch (n,).
-        weights: Weights of the poses, above 0, (n,); None where the file has none.
+    `timed` frames are named by their stamps. Only with weights (n,), above 0, may a frame have several poses; they are
+    in the order of the file.
     """
 
     path: Path

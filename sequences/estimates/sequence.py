@@ -83,8 +83,7 @@ class EstimateSequence:
         seed: Seed of simulated odometry.
 
     Raises:
-        SequenceError: a file cannot be used, files have names and stamps, odometry is given twice or not at all, or no
-            frame is left.
+        SequenceError: a file cannot be used, odometry is given twice or not at all, or no frame is left.
     """
 
     def __init__(

@@ -57,9 +57,8 @@ _MATRIX = re.compile(r"(8|16|32|64)[usf]c\d*", re.IGNORECASE)
 def decode_image_bytes(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
     """JPEG, PNG, WebP or BMP -> RGB. Orientation tags are ignored: intrinsics are of stored pixels.
 
-    Raises:
-        DamagedImageError: a JPEG is cut off, or its coded pixels end early; it would decode to a grey or shifted image.
-        SequenceError: the bytes are no image, or one that states more than 100 megapixels.
+    Raises DamagedImageError for a JPEG that is cut off, or whose coded pixels end early: it would decode to a grey or
+    shifted image. Raises SequenceError for other bytes, and above 100 megapixels.
     """
     data = bytes(data)
     check_before_decoding(data)
@@ -84,13 +83,10 @@ def _decoded(data: bytes) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
-    """sensor_msgs/CompressedImage -> RGB.
+    """sensor_msgs/CompressedImage -> RGB. Raises SequenceError as `decode_image_bytes`, and for depth.
 
     `format` marks grey pixels as a Bayer mosaic: image_transport writes `ENCODING; png compressed ` for stored pixels,
     and `ENCODING; jpeg compressed OTHER` where it converted them to OTHER. Colours are always those of the file.
-
-    Raises:
-        SequenceError: as `decode_image_bytes`; or the format names depth.
     """
     source, _, rest = message.format.partition(";")
     named = [word for word in [source.strip(), *rest.split()] if word.lower() in _NAMES or _MATRIX.fullmatch(word)]
@@ -118,8 +114,7 @@ def _require_image(encoding: str) -> None:
 def decode_image(message: SimpleNamespace) -> UInt8[np.ndarray, "height width 3"]:
     """sensor_msgs/Image -> RGB; 16-bit values keep their upper 8 bits.
 
-    Raises:
-        SequenceError: an unknown encoding or depth, too few data, or more than 100 megapixels.
+    Raises SequenceError for an unknown encoding or depth, too few data, or more than 100 megapixels.
     """
     height, width, step, encoding = int(message.height), int(message.width), int(message.step), message.encoding
     require_pixels(width, height, "image")

@@ -32,9 +32,8 @@ def why_left_out(error: SequenceError) -> str:
 def check_before_decoding(data: bytes) -> None:
     """Check a compressed image without decoding it.
 
-    Raises:
-        DamagedImageError: a JPEG that is cut off or has an impossible marker; a PNG without an end.
-        SequenceError: it is no JPEG, PNG, WebP or BMP, or has more than 100 megapixels.
+    Raises DamagedImageError for a JPEG that is cut off or has an impossible marker, and for a PNG without an end.
+    Raises SequenceError for other formats, and above 100 megapixels.
     """
     size = stated_size(data)
     if size is None:

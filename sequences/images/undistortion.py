@@ -41,8 +41,7 @@ class Lens:
             is its fisheye model with k1 to k4.
         coefficients: Distortion coefficients in OpenCV's order.
 
-    Raises:
-        SequenceError: an unknown model, a wrong number of coefficients, or one that is not finite or too large.
+    Raises SequenceError for an unknown model, a wrong number of coefficients, or one that is not finite or too large.
     """
 
     camera: Camera
@@ -71,10 +70,7 @@ def pinhole_of(camera: Camera | Lens) -> Camera:
     """The pinhole camera of images after undistortion; a pinhole camera itself.
 
     It has the size, the principal point and the ratio of focal lengths of the lens, and the widest view that the lens
-    fills, but at most 60° to each side.
-
-    Raises:
-        SequenceError: a distortion that folds even the middle of the image.
+    fills, but at most 60° to each side. Raises SequenceError where the distortion folds even the middle of the image.
     """
     if not isinstance(camera, Lens):
         return camera
@@ -99,10 +95,8 @@ def undistorted(
 ) -> tuple[UInt8[np.ndarray, "height width 3"], Camera | None]:
     """The image as a pinhole camera would have taken it, and that camera, see `pinhole_of`.
 
-    Args:
-        image: The distorted image.
-        camera: Its camera, None where unknown. It is scaled to the image's size; one of another aspect is not used, and
-            the image is returned unchanged, without a camera.
+    The camera is scaled to the image's size. Without one, or with one of another aspect, the image is returned
+    unchanged, without a camera.
     """
     if camera is None:
         return image, None

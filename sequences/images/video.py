@@ -35,12 +35,9 @@ _DECODERS = {
 
 
 class Picture(NamedTuple):
-    """One image of a topic.
+    """One image of a topic, by its stamp.
 
-    Attributes:
-        time_ns: Its stamp.
-        decode: Returns the image, RGB; raises SequenceError where it cannot be decoded.
-        skipped: The reason to count where there is no image; '' where there is one.
+    `decode` returns it, RGB, or raises SequenceError. `skipped` is the reason to count where there is none, else ''.
     """
 
     time_ns: int

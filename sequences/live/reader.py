@@ -38,22 +38,11 @@ _REPORT_AGAIN_S = 5.0
 class Heard:
     """A `MessageSource` that grows: a topic is subscribed when it is first asked for.
 
-    Attributes:
-        path: Name of the system, for errors.
-        topics: Topics that are published now, by name; without Foxglove's transforms, which ROS's stand for.
-        fixed_links: None, as Foxglove's transforms are not read.
+    `topics` are published now, without Foxglove's transforms, which ROS's stand for.
     """
 
-    fixed_links: frozenset[tuple[str, str]] = frozenset()
-
     def __init__(self, transport: Transport, events: queue.SimpleQueue[Any], *, options: ReadingOptions) -> None:
-        """Begin to listen.
-
-        Args:
-            transport: The system.
-            events: Queue that receives the messages.
-            options: Choice of stamps, and of the topic of tf.
-        """
+        """Listen to a system, whose messages go to `events`."""
         self.path = Path(transport.name)
         self.topics: dict[str, Topic] = {}
         self._transport, self._events, self._options = transport, events, options
@@ -134,6 +123,10 @@ class Heard:
         """A message with the name and the stamps of the options."""
         return raw._replace(restamped=self._options.stamps == "log", topic=self._tf.get(raw.topic, raw.topic))
 
+    def fixed_links(self) -> frozenset[tuple[str, str]]:
+        """None, as Foxglove's transforms are not read."""
+        return frozenset()
+
 
 class LiveReader:
     """Messages of a running system in, frames out; used by one thread.
@@ -141,11 +134,7 @@ class LiveReader:
     A clock that is set begins a new reading: the motion between frames of different readings is unknown.
 
     Attributes:
-        path: Name of the system, for errors.
-        heard: The system's topics.
-        roles: Roles of the topics.
         streamed: Names of the topics whose messages it takes.
-        camera: Camera of the images.
         readings: Number of readings so far.
     """
 
@@ -316,17 +305,10 @@ def open_live(
     admit: Callable[[Any], RawMessage | None],
     waiting: Callable[[str], None],
 ) -> LiveReader:
-    """Wait until everything that a reading needs is there.
+    """Wait until everything that a reading needs is there; returns its reader, with all messages so far taken.
 
-    Args:
-        transport: The system.
-        events: Queue of its messages and of other events.
-        options: What to read.
-        admit: Event -> the message to keep, or None. It may raise to wait no longer.
-        waiting: Called with what is missing: once that is known, and again every five seconds.
-
-    Returns:
-        The reader, which has taken all messages so far.
+    `events` receives the messages of the system, and other events. `admit` returns the message of an event to keep, or
+    None; it may raise to end the wait. `waiting` is called with the missing thing, at first and every five seconds.
 
     Raises:
         SequenceError: something cannot be used, or there is a choice to make.

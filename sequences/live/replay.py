@@ -63,12 +63,8 @@ def replay(
 ) -> Iterator[Replayed]:
     """Publish all messages of a recording at the pace of their log times; yields the progress after each.
 
-    Args:
-        path: MCAP file, rosbag2 folder or ROS 1 bag.
-        transport: The system to publish in.
-        options: How to publish.
-        notify: Called with the topics that are not published (not of ROS 2's encoding, Foxglove's transforms, a second
-            clock), and once for every topic with messages that cannot be published.
+    `notify` is called with the topics that are not published (not of ROS 2's encoding, Foxglove's transforms, a second
+    clock), and once for every topic with messages that cannot be published.
 
     Raises:
         SequenceError: the recording cannot be read, or nothing in it can be published.

@@ -13,13 +13,10 @@ from sequences.recordings.source import RawMessage
 
 @dataclass(frozen=True)
 class Offer:
-    """A topic that somebody publishes.
+    """A topic that somebody publishes, by its name in ROS, such as /camera/image, and its type.
 
-    Attributes:
-        topic: Its name in ROS, such as /camera/image.
-        type: Its type, such as `sensor_msgs/Image`.
-        reliable: Whether all its publishers send again what was lost.
-        latched: Whether all its publishers keep the last messages for those who come later, as /tf_static does.
+    It is `reliable` where all its publishers resend lost messages, and `latched` where all keep the last messages for
+    late subscribers, as of /tf_static.
     """
 
     topic: str
@@ -62,12 +59,7 @@ class Transport(Protocol):
 
 
 def join(options: DdsOptions | None = None) -> Transport:
-    """Become a participant of a ROS 2 system.
-
-    Raises:
-        SequenceError: cyclonedds is not installed.
-        VaporTrackError: the domain cannot be joined.
-    """
+    """Become a participant of a ROS 2 system. Raises VaporTrackError where that is impossible."""
     try:
         from sequences.live.dds import DdsTransport
     except ImportError as error:

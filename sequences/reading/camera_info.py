@@ -35,16 +35,10 @@ class ImageCamera:
     """
 
     def __init__(self, bag: MessageSource, info: Topic | None, image: Topic, *, undistort: bool = True) -> None:
-        """Read the first message of the intrinsics.
+        """Read the first message of the intrinsics; None for no topic of them.
 
-        Args:
-            bag: The recording.
-            info: Topic of the intrinsics, None for none.
-            image: Topic of the images. A name such as image_rect marks them as undistorted.
-            undistort: Whether to undistort; else the stated intrinsics are taken as those of a pinhole camera.
-
-        Raises:
-            SequenceError: the message has impossible intrinsics.
+        Images whose topic has a name such as image_rect are undistorted already. Without `undistort` the intrinsics are
+        taken as those of a pinhole camera. Raises SequenceError where they are impossible.
         """
         self.notices: list[str] = []
         self.camera: Camera | None = None

@@ -34,13 +34,9 @@ def uncovered(time_ns: int, odometry_ns: Int64[np.ndarray, " n"] | tuple[int, in
 
 @dataclass
 class ImageCounts:
-    """Images of one reading. Once it is complete, `stated` is `used` plus all of `skipped`.
+    """Images of one reading. Once it is complete, `stated` is `used` plus all of `skipped`, by reason.
 
-    Attributes:
-        stated: Images by the file's statement, or as counted where it makes none.
-        read: Images that came: fewer where reading ended behind the segment asked for.
-        used: Images that became frames.
-        skipped: Images that did not, by reason.
+    `stated` is counted where the file makes no statement. Fewer are `read` where reading ended behind the segment.
     """
 
     stated: int
@@ -90,12 +86,7 @@ class ImageCounts:
 class Unusable:
     """How many messages of a topic, or poses in them, cannot be used: NaN, no rotation, undecodable bytes.
 
-    Attributes:
-        what: A name for them, in the plural.
-        topic: Their topic.
-        total: How many came so far, usable or not.
-        number: How many could not be used.
-        first: Time and problem of the first, to end a sentence with.
+    `what` names them in the plural. `first` has time and problem of the first, to end a sentence with.
     """
 
     what: str
@@ -125,12 +116,9 @@ class Unusable:
 
 
 class LeftOut:
-    """Images and other messages that one reading leaves out.
+    """Images and other messages that one reading leaves out, by reason.
 
-    Attributes:
-        counts: What became of the images.
-        messages: How many messages other than images were left out, by reason.
-        problems: Time and problem of the first of each reason, to end a sentence with.
+    `problems` has time and problem of the first of each reason, to end a sentence with.
     """
 
     def __init__(self, num_images: int) -> None:

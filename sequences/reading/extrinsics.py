@@ -17,14 +17,9 @@ _FIXED_M, _FIXED_RAD = 0.02, 0.035  # within which a fixed camera may shake
 
 @dataclass(frozen=True)
 class Step:
-    """One link of a path through the tree.
+    """One link of a path through the tree, with its latest pose.
 
-    Attributes:
-        parent: Upper frame.
-        child: Lower frame.
-        parent_from_child: The latest pose, one pose.
-        static: Whether it is on `/tf_static`.
-        upwards: Whether the path leads from the child to the parent.
+    `static` links are on `/tf_static`. The path leads `upwards` where it goes from the child to the parent.
     """
 
     parent: str
@@ -100,12 +95,9 @@ def read_tree(
     *,
     within_s: float | None = None,
 ) -> TransformTree:
-    """Read `/tf_static` and then `/tf`, until `found` is true of the tree; unusable transforms are left out.
+    """Read `/tf_static` and then `/tf`, until `found` is true of the tree, or `within_s` seconds of `/tf` have passed.
 
-    Args:
-        bag: The recording.
-        found: Called after every message.
-        within_s: Seconds of `/tf` to read; None for all of it.
+    Unusable transforms are left out.
     """
     tree = TransformTree()
     for name in (TF_STATIC, TF):
@@ -130,11 +122,9 @@ def read_tree(
 
 @dataclass(frozen=True)
 class Extrinsics:
-    """Where a camera is fixed on a body.
+    """Where a camera is fixed on a body: body_from_camera, one pose.
 
-    Attributes:
-        body_from_camera: One pose.
-        path: The links of tf between the two; empty where these are one, or an option gives the pose.
+    `path` has the links of tf between the two; it is empty where these are one, or an option gives the pose.
     """
 
     body_from_camera: Poses
@@ -172,16 +162,8 @@ def find_extrinsics(
 ) -> Extrinsics:
     """The camera's mount on a body by tf; the identity where both are one frame.
 
-    Args:
-        bag: The recording.
-        body: Frame of the body.
-        camera: Frame of the camera.
-        body_is: Source of the body's name, for the error.
-        camera_is: Source of the camera's name.
-        instead: The option that would give it.
-
-    Raises:
-        NotFoundError: no transforms lead from one to the other.
+    For the error, `body_is` and `camera_is` state the sources of the names, and `instead` an option that would help.
+    Raises NotFoundError where no transforms lead from one to the other.
     """
     if body and body == camera:
         return Extrinsics(Poses.identity())
@@ -200,14 +182,10 @@ def find_extrinsics(
 
 @dataclass(frozen=True)
 class Rig:
-    """The camera's frame in tf, and the body that its odometry is of.
+    """The camera's frame in tf, and the body that its odometry is of; '' for unknown names.
 
-    Attributes:
-        camera: Frame of the camera.
-        base: Frame of the body; '' where no odometry is read.
-        base_from_camera: The camera's pose on it where an option gives it.
-        odometry_topic: Topic of the odometry, never of true poses unless named; '' where there is none.
-        odometry_frame: Frame that the odometry is in; '' where none is read.
+    `base_from_camera` is the camera's pose on the body where an option gives it. The odometry's topic is never taken
+    for true poses, unless named.
     """
 
     camera: str

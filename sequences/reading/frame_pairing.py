@@ -48,9 +48,6 @@ class FramePairing:
     """Messages in, in the order of a recording; frames out, in the order of their stamps.
 
     Attributes:
-        left_out: Counts of images, used and left out.
-        segment: The images asked for.
-        motion: Odometry and true poses.
         come_to: Whether odometry and true poses have come as far as the stamp of an image; it may read on first.
         previous_ns: Stamp of the last frame, or a later one given to `settle`; None before any.
         frames_span_ns: Stamps of the first and the last frame; None before any.
@@ -80,7 +77,7 @@ class FramePairing:
             begin_ns: Stamp of the first image, from which the segment asked for is counted.
             most_waiting: Images held, still encoded, until odometry and true poses reach them.
             lateness_ns: Images are held until one so much later has come, to order them by their stamps.
-            over_gaps: Whether odometry leads over times without messages, by the poses before and after them.
+            over_gaps: Whether odometry leads over times without messages.
         """
         self._most_waiting, self._lateness_ns = most_waiting, lateness_ns
         self.left_out = LeftOut(num_images)

@@ -25,9 +25,7 @@ from sequences.trajectories.pose_window import PoseWindow
 class MotionOfCamera:
     """How the camera moved, by odometry and by true poses, as far as a recording was read.
 
-    Attributes:
-        across_jumps: Frames without a true pose because it jumps about them.
-        unusable: Unusable odometry and true poses, by kind.
+    `across_jumps` counts frames without a true pose because it jumps about them; `unusable` messages are by kind.
     """
 
     def __init__(
@@ -65,15 +63,10 @@ class MotionOfCamera:
         self._num_true = 0
 
     def take(self, raw: RawMessage, message: SimpleNamespace | None, *, before_images: bool) -> None:
-        """Take a message of any topic but the images'.
+        """Take a message of any topic but the images'; None for undecodable bytes.
 
-        Args:
-            raw: The message.
-            message: Its fields; None for undecodable bytes.
-            before_images: Whether no image came so far: only a late image may need what came long before.
-
-        Raises:
-            SequenceError: a camera that should be fixed moves.
+        `before_images` is true while no image came: only a late image may need poses of long before. Raises
+        SequenceError where a camera that should be fixed moves.
         """
         sources = [(source, what) for source, what in self._sources if source.topic == raw.topic]
         if message is not None:
@@ -195,9 +188,7 @@ class MotionOfCamera:
 def odometry_apart(images_ns: tuple[int, int] | None, odometry_ns: tuple[int, int] | None) -> str | None:
     """A notice where odometry is of another time than all images, as of another clock; None elsewhere.
 
-    Args:
-        images_ns: First and last stamp of the images; None where there is none.
-        odometry_ns: First and last stamp of the odometry; None where there is none.
+    Spans are first and last stamps, None where there is none.
     """
     if images_ns is None or odometry_ns is None:
         return None

@@ -23,14 +23,10 @@ class MotionStreams:
         reaches: Callable[[int], bool],
         forget_before: Callable[[int], None],
     ) -> None:
-        """Set up streams of which nothing was read yet.
+        """Set up streams of the `watched` topics, see `Timeline`, which were not read yet.
 
-        Args:
-            timeline: The recording.
-            watched: The topics, as of `Timeline`.
-            take: Takes every message, in the order of its topic.
-            reaches: Whether the messages taken so far determine the motion at a time.
-            forget_before: Called with times before which nothing will be asked for.
+        `take` gets every message, in the order of its topic. `reaches` is whether the messages so far determine the
+        motion at a time. `forget_before` is called with times before which nothing will be asked for.
         """
         self._topics = [_TopicCursor(timeline, topic, links) for topic, links in watched.items()]
         self._take, self._reaches, self._forget_before = take, reaches, forget_before

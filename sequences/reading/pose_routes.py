@@ -42,7 +42,6 @@ class PoseRoute:
         open: Makes a source that took no message yet.
         extrinsics: The camera's mount on the body of the poses.
         resolved: The options that would choose it.
-        notices: What a person should know of it.
     """
 
     label: str
@@ -83,17 +82,11 @@ def tree_odometry(bag: MessageSource, options: SequenceOptions, rig: Rig) -> tup
 def find_true_poses(
     bag: MessageSource, options: SequenceOptions, rig: Rig, *, required: bool, odometry: Callable[[], Trajectory]
 ) -> PoseRoute | None:
-    """The true poses that options name, else the only candidate.
-
-    Args:
-        bag: The recording.
-        options: What was named.
-        rig: The camera and its mount.
-        required: Whether none or several candidates are an error.
-        odometry: Reads the odometry, to find a time offset by.
+    """The true poses that options name, else the only candidate; `odometry` reads it to find a time offset by.
 
     Raises:
-        SequenceError: the named poses are missing or cannot be used, or there is no single candidate.
+        SequenceError: the named poses are missing or cannot be used; or they are required, and there is no single
+            candidate.
     """
     if options.poses is not None:
         return _route_of_file(bag, options, rig, odometry)

@@ -131,10 +131,9 @@ class Dated(NamedTuple):
 
 @dataclass
 class StreamTimes:
-    """The stamps of one stream, by the steady clock.
+    """The n ≥ 1 stamps of one stream, by the steady clock, in the order of the recording.
 
     Attributes:
-        times_ns: In the order of the recording, (n,), n ≥ 1.
         odd: Which are unlike those around them, (n,).
         steps_ns: Stamp of the first message behind each step of the clock, and size of the step.
         begin_ns: The earliest that is not odd.
@@ -165,11 +164,7 @@ class StreamTimes:
 
 
 class Timeline:
-    """The messages of a recording by one steady clock: that of its log, as it was at the end.
-
-    Attributes:
-        streams: The watched streams that have messages.
-    """
+    """The messages of a recording by one steady clock: that of its log, as it was at the end."""
 
     def __init__(
         self,
@@ -178,15 +173,9 @@ class Timeline:
         *,
         segment: LoggedSegment | None = None,
     ) -> None:
-        """Survey a recording.
+        """Survey a recording, or a segment of it. Raises SequenceError where it is damaged.
 
-        Args:
-            bag: The recording.
-            watched: Names of topics, with the links of tf that count, or None where messages have one stamp each.
-            segment: The part asked for; None for all.
-
-        Raises:
-            SequenceError: the recording is damaged.
+        `watched` are names of topics, with the links of tf that count, or None where messages have one stamp each.
         """
         self._bag, self._watched = bag, watched
         stamps: dict[Key, array[int]] = {}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -38,26 +37,19 @@ class Bag:
     """One recording: an MCAP file, a ROS 1 bag, or a rosbag2 of MCAP or SQLite files: opened, checked and listed.
 
     Attributes:
-        path: The file or folder.
-        topics: Topics by name; without misnamed ones, see `Topic.is_misnamed`.
         metadata: Metadata records by name, later ones over earlier ones; empty for files without an index.
     """
 
     def __init__(self, path: Path, *, stamps: Stamps = "header", tf_topic: str | None = TF):
-        """Open a bag.
+        """Open a file or folder; headers keep their stamps or get log times; for `tf_topic` see `namespaced_tf`.
 
-        Args:
-            path: File or folder.
-            stamps: Whether messages keep the stamps of their headers, or get the times at which they were logged.
-            tf_topic: The topic of tf, see `namespaced_tf`.
-
-        Raises:
-            SequenceError: a file is missing, truncated or of another format, or metadata.yaml is damaged.
+        Raises SequenceError where a file is missing, truncated or of another format, or metadata.yaml is damaged.
         """
         self.path = Path(path)
         self._restamped = stamps == "log"
         self.topics: dict[str, Topic] = {}
         self.metadata: dict[str, dict[str, str]] = {}
+        self._fixed_links: frozenset[tuple[str, str]] | None = None
         self._listing = None if self.path.is_file() else _read_listing(self.path)
         self._latest = LatestChunks()
         self._files = [self._opened(file) for file in (self._listing.files if self._listing else [self.path])]
@@ -86,11 +78,8 @@ class Bag:
     def account_for(self, topic: str) -> list[str]:
         """Compare the number of messages of a topic, or of all where it is not listed, with that of metadata.yaml.
 
-        Returns:
-            Notices of files whose lost messages go unnoticed, as nothing states their number, or that are not read.
-
-        Raises:
-            SequenceError: there are more or fewer.
+        Returns notices of files whose lost messages go unnoticed, as nothing states their number, or that are not read.
+        Raises SequenceError where there are more or fewer.
         """
         uncounted = [
             f"{file.path.name} states no number of messages: lost images go unnoticed"
@@ -119,12 +108,9 @@ class Bag:
     def messages(
         self, topics: Collection[str], *, until: Callable[[int], bool] = lambda log_time_ns: False
     ) -> Iterator[RawMessage]:
-        """Messages of some topics, file after file, see `RecordingFile.messages`.
+        """Messages of some topics, file after file, see `RecordingFile.messages`; each topic must have one type.
 
         Foxglove's transforms come once as /tf_static and once as /tf, where both are asked for.
-
-        Raises:
-            SequenceError: a file is damaged or has not the messages that it states, or a topic has several types.
         """
         asked = {t.name: [name for name in stands_for(t, self._tf) if name in topics] for t in self.topics.values()}
         names = [name for name, stands_for in asked.items() if stands_for]
@@ -158,10 +144,11 @@ class Bag:
                 " expected one type a topic"
             )
 
-    @cached_property
     def fixed_links(self) -> frozenset[tuple[str, str]]:
         """See `fixed_links_of`."""
-        return fixed_links_of(self)
+        if self._fixed_links is None:
+            self._fixed_links = fixed_links_of(self)
+        return self._fixed_links
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -171,14 +158,12 @@ def bag_files(path: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Listing:
-    """The metadata.yaml of a rosbag2 folder.
+    """The metadata.yaml of a rosbag2 folder: its files, and how many messages all and single topics have.
 
     Attributes:
-        path: The metadata.yaml.
-        files: The files that it lists, in order, MCAP or SQLite; all of them exist.
         unlisted: Names of such files beside it that it does not list.
-        num_messages: How many messages all topics have together; None where it states none, as after a crash.
-        of_topics: How many each topic has, by name; empty where it states none.
+        num_messages: None where it states none, as after a crash.
+        of_topics: By name; empty where it states none.
     """
 
     path: Path

@@ -24,13 +24,7 @@ Believed = tuple[Poses, Float64[np.ndarray, "6 6"], float]
 
 
 class Message(NamedTuple):
-    """A message to write or to send.
-
-    Attributes:
-        topic: Its topic.
-        type: Its type, such as `geometry_msgs/PoseArray`.
-        fields: Its fields, as `message_definitions.encoder` takes them.
-    """
+    """A message to write or to send: topic, type and fields, as `message_definitions.encoder` takes them."""
 
     topic: str
     type: str
@@ -40,20 +34,11 @@ class Message(NamedTuple):
 def estimate_messages(
     time_ns: int, modes: Sequence[Believed], particles: Poses, *, under: str = "/estimate", frame: str = MAP_FRAME
 ) -> list[Message]:
-    """The belief after one image.
+    """The belief after one image, as messages in the map or another frame; poses are of the optical frame.
 
     Topics: `pose` (best mode, PoseWithCovarianceStamped; none without modes), `modes` (MarkerArray: an arrow along each
-    mode's optical axis, its opacity the weight), `particles` (PoseArray, thinned). Poses are of the optical frame.
-
-    Args:
-        time_ns: Stamp of the image.
-        modes: Best first.
-        particles: world_from_camera, batch (n,); thinned evenly to at most 500.
-        under: Prefix of the topics.
-        frame: The frame that poses are in.
-
-    Raises:
-        VaporTrackError: a pose is not finite, or as `pose_with_covariance`.
+    mode's optical axis, its opacity the weight), `particles` (PoseArray, thinned evenly to at most 500). Modes come
+    best first; particles are world_from_camera, (n,). Raises VaporTrackError where a pose or covariance is not sound.
     """
     header = ros_header(time_ns, frame)
     if len(particles) > PUBLISHED_PARTICLES:
@@ -75,10 +60,8 @@ def estimate_messages(
 def pose_with_covariance(pose: Poses, covariance: Float64[np.ndarray, "6 6"]) -> dict[str, Any]:
     """geometry_msgs/PoseWithCovariance of one pose, with the covariance in the tangent at it.
 
-    A covariance whose eigenvalues differ by more than double precision resolves is widened until they do not.
-
-    Raises:
-        VaporTrackError: the pose or the covariance is not finite, or the covariance not positive definite.
+    A covariance whose eigenvalues differ by more than double precision resolves is widened until they do not. Raises
+    VaporTrackError where either is not finite, or the covariance not positive definite.
     """
     with np.errstate(invalid="ignore"):  # require_sound reports it
         ros_covariance = covariance_to_ros(covariance, pose)

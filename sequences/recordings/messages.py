@@ -27,13 +27,9 @@ _UNKNOWN_VARIANCE = 10.0
 
 @dataclass(frozen=True)
 class OdometrySample:
-    """One odometry message.
+    """One odometry message: stamp, pose, and covariance of the velocity (v, ω) in the child frame, per second squared.
 
-    Attributes:
-        time_ns: Header stamp.
-        odom_from_base: Pose of the child frame in the odometry frame.
-        twist_covariance: Covariance of the velocity (v, ω) in the child frame, per second squared; zero if unknown.
-            An axis that is not measured is infinite on the diagonal, and zero beside it.
+    The covariance is zero if unknown. An axis that is not measured is infinite on the diagonal, and zero beside it.
     """
 
     time_ns: int
@@ -77,10 +73,8 @@ def odometry_from_message(message: SimpleNamespace) -> OdometrySample:
     """nav_msgs/Odometry -> a sample.
 
     The pose covariance is ignored: it accumulates from the start, or is a placeholder. A twist covariance with −1 in
-    its first element is unknown, and becomes zeros. A variance of 10 or more marks an axis that is not measured.
-
-    Raises:
-        VaporTrackError: the pose or the twist covariance is not finite, or no covariance.
+    its first element is unknown, and becomes zeros. A variance of 10 or more marks an axis that is not measured. Raises
+    VaporTrackError where the pose or the twist covariance is not finite, or no covariance.
     """
     pose = pose_from_message(message.pose.pose)
     return OdometrySample(stamp_ns(message.header), pose, _twist_covariance(tuple(message.twist.covariance)))
@@ -108,12 +102,7 @@ def _twist_covariance(values: tuple[float, ...]) -> Float64[np.ndarray, "6 6"]:
 def transforms_from_message(
     message: SimpleNamespace, links: Collection[tuple[str, str]] | None = None
 ) -> tuple[list[FrameTransform], list[str]]:
-    """tf2_msgs/TFMessage -> its transforms, and the problem of each unusable one.
-
-    Args:
-        message: The message.
-        links: Names of parent and child of the transforms asked for; None for all.
-    """
+    """tf2_msgs/TFMessage -> its transforms (of some links, parent and child), and the problem of each unusable one."""
     transforms, problems = [], []
     for stamped in message.transforms:
         parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)

@@ -45,13 +45,7 @@ class RawRecord(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A part of a file.
-
-    Attributes:
-        channels: Its channels; None where they are unknown before it is read.
-        counted: Counts its messages of some channels without reading them.
-        records: Iterates over its messages of some channels.
-    """
+    """A part of a file: its channels (None where unknown), a count and an iterator of its messages of some channels."""
 
     channels: Set[int] | None
     counted: Callable[[Set[int]], Counter[int]]
@@ -62,8 +56,6 @@ class RecordingFile(ABC):
     """One file: opened, checked and listed.
 
     Attributes:
-        path: What was opened.
-        channels: Channels by id.
         counts: Messages of each channel, by id: as the file states, else as counted.
         states_counts: Whether the file states them.
         metadata: Metadata records by name, later ones over earlier ones.
@@ -84,13 +76,8 @@ class RecordingFile(ABC):
     ) -> Iterator[RawRecord]:
         """Messages of some topics, in their order in the file; several iterators may run at once.
 
-        Args:
-            topics: Names of topics.
-            until: Whether messages of a channel from a log time on are unwanted: the first such one and those behind it
-                are counted, without opening pieces that hold nothing else.
-
-        Raises:
-            SequenceError: the file is damaged, or has fewer or more messages than it states.
+        The first message of a channel for whose log time `until` is true, and those behind it, are only counted. Raises
+        SequenceError where the file is damaged, or has not the number of messages that it states.
         """
         asked = {id for id, channel in self.channels.items() if channel.topic in topics}
         found: Counter[int] = Counter()

@@ -29,13 +29,7 @@ def encoding_of(message_type: str, encoding: str) -> str:
 
 
 def plain(message_type: str, encoding: str, data: bytes) -> bytes:
-    """Bytes of a message, unpacked, and as ROS 2 has them. Damaged ones raise any exception, by the library.
-
-    Args:
-        message_type: Its type, without ROS 2's `/msg`.
-        encoding: Its serialization in the file.
-        data: Its bytes in the file.
-    """
+    """Bytes of a message, unpacked, and as ROS 2 has them. Damaged ones raise any exception, by the library."""
     if encoding == "cdr" and data.startswith(_ZSTD):  # rosbag2's compression_mode `message`
         size = zstandard.frame_content_size(data)  # allocated whatever the limit; -1 where not stated
         if size > _MAX_BYTES:
@@ -62,15 +56,9 @@ def _ros1() -> Typestore:
 
 @lru_cache(maxsize=256)
 def decoder(message_type: str, encoding: str, definition: bytes) -> Callable[[bytes], SimpleNamespace]:
-    """A function from the bytes of a message to its fields.
+    """A function from the bytes of a message to its fields; only protobuf needs the file's definition of the type.
 
-    Args:
-        message_type: Its type in the file, without ROS 2's `/msg`.
-        encoding: "cdr", "protobuf" or "json".
-        definition: The file's definition of the type, a FileDescriptorSet: only protobuf needs it.
-
-    Raises:
-        SequenceError: the encoding is none of these, or the type's definition is damaged.
+    Raises SequenceError where the encoding is not cdr, protobuf or json, or the definition is damaged.
     """
     fields: Callable[[bytes], Any]
     if encoding == "cdr":

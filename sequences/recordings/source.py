@@ -22,13 +22,9 @@ _LISTED = 120  # characters of names and types in an error
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic.
+    """One topic, with the number of its messages in all files and their serialization; ROS 2 has "cdr".
 
-    Attributes:
-        name: Name of the topic.
-        type: Message type of the file, without `/msg`: `nav_msgs/Odometry`, `foxglove.PoseInFrame`.
-        num_messages: Number of its messages in all files.
-        encoding: Serialization; ROS 2 has "cdr".
+    The type is that of the file, without `/msg`: `nav_msgs/Odometry`, `foxglove.PoseInFrame`.
     """
 
     name: str
@@ -68,10 +64,6 @@ class RawMessage(NamedTuple):
 
     Attributes:
         topic: The topic that was asked for; of transforms /tf or /tf_static.
-        log_time_ns: The time at which it was logged.
-        data: Its bytes.
-        type: Its type, as of `Topic`.
-        encoding: Its serialization.
         definition: The file's definition of its type.
         restamped: Whether its headers get the log time in place of their own stamps.
         problem: Why its bytes could not be unpacked; empty where they could.
@@ -113,7 +105,6 @@ class MessageSource(Protocol):
         """Topics by name; without misnamed ones, see `Topic.is_misnamed`."""
         ...
 
-    @property
     def fixed_links(self) -> frozenset[tuple[str, str]]:
         """See `fixed_links_of`."""
         ...
@@ -132,16 +123,8 @@ class MessageSource(Protocol):
 def namespaced_tf(topics: Mapping[str, Topic], tf_topic: str | None, path: Path) -> dict[str, str]:
     """The topics that stand for tf, as of a robot among several: /robot1/tf, and /robot1/tf_static beside it.
 
-    Args:
-        topics: All topics by name.
-        tf_topic: The one to take; None for the only one of such a name, where there is no /tf.
-        path: Name of their source in errors.
-
-    Returns:
-        /tf and /tf_static by the names of the topics that stand for them; empty where they stand for themselves.
-
-    Raises:
-        NotFoundError: the one to take is missing.
+    Without `tf_topic` it is the only one of such a name, where there is no /tf. Returns /tf and /tf_static by the names
+    of those topics, empty where they stand for themselves. Raises NotFoundError where `tf_topic` is missing.
     """
     named = sorted(name for name, topic in topics.items() if topic.is_ros_tf)
     if tf_topic == TF:
@@ -210,8 +193,7 @@ def choose(
         besides: Name of a topic with another role, which is not found.
 
     Raises:
-        NotFoundError: no topic of that name, or none of these types.
-        SequenceError: one of another type or encoding, or several where none is named.
+        SequenceError: one of another type or encoding, or several; NotFoundError: none.
     """
     others = f" or {len(types) - 2} others" if len(types) > 2 else ""
     option, expected = f"--{role}-topic", " or ".join(types[:2]) + others
@@ -274,7 +256,7 @@ def decode(bag: MessageSource, raw: RawMessage, *, tolerate: bool = False) -> Si
         ) from error
     if foxglove.is_transforms(raw.type):
         static = raw.topic == TF_STATIC
-        message.transforms = [t for t in message.transforms if (link_of(t) in bag.fixed_links) == static]
+        message.transforms = [t for t in message.transforms if (link_of(t) in bag.fixed_links()) == static]
     return message
 
 
