@@ -123,9 +123,7 @@ class SequenceReader:
         roles, timeline = self._roles, self._survey()
         images = timeline.streams.get(("", roles.image.name))
         pairing = FramePairing(
-            self.path,
             roles,
-            self._options,
             self._image_camera,
             self.num_images,
             begin_ns=0 if images is None else images.begin_ns,

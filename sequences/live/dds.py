@@ -17,15 +17,7 @@ from typing import Any
 from weakref import WeakValueDictionary
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-from cyclonedds.core import (
-    DDSException,
-    GuardCondition,
-    InstanceState,
-    ReadCondition,
-    SampleState,
-    ViewState,
-    WaitSet,
-)
+from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.types import uint8
@@ -56,7 +48,7 @@ _TYPE_NAME = re.compile(r"(\w+)::msg::dds_::(\w+)_")
 
 
 class DdsTransport:
-    """A participant of a ROS 2 system, see `Transport`; used in a `with` statement, or closed."""
+    """A participant of a ROS 2 system, see `Transport`."""
 
     def __init__(self, config: DdsOptions | None = None) -> None:
         """Join a system. Raises VaporTrackError where that is impossible."""
@@ -81,12 +73,6 @@ class DdsTransport:
         self._error: str | None = None
         self._thread = threading.Thread(target=self._work, name="dds", daemon=True)
         self._thread.start()
-
-    def __enter__(self) -> DdsTransport:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def offers(self) -> list[Offer]:
         """See `Transport.offers`. Raises VaporTrackError once messages can no longer be received."""

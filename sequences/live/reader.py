@@ -148,14 +148,13 @@ class LiveReader:
         self.path: Path = heard.path
         self.heard = heard
         shared = {field.name: getattr(options, field.name) for field in fields(ReadingOptions)}
-        self._options = SequenceOptions(**shared, ground_truth_topic="")
         image = choose(heard, "image", IMAGE_TYPES, options.image_topic, required=True)
         assert image is not None
         for topic in heard.topics.values():
             if topic.read_as in _HEARD_EARLY:
                 heard.hear(topic.name)
         first(heard, image)  # whose header names the frame of the camera
-        self.roles = Roles(heard, self._options, "required", "optional")
+        self.roles = Roles(heard, SequenceOptions(**shared, ground_truth_topic=""), "required", "optional")
         self.camera = ImageCamera(heard, self.roles.camera_info, self.roles.image, undistort=options.undistort)
         self.streamed = list(self.roles.watched)
         for name in self.streamed:
@@ -171,9 +170,7 @@ class LiveReader:
     def _begin(self) -> FramePairing:
         self.readings += 1
         self._fed: set[str] = set()  # topics that this reading has messages of
-        return FramePairing(
-            self.path, self.roles, self._options, self.camera, 0, most_waiting=_MOST_WAITING, over_gaps=False
-        )
+        return FramePairing(self.roles, self.camera, 0, most_waiting=_MOST_WAITING, over_gaps=False)
 
     @property
     def base_from_camera(self) -> Poses:

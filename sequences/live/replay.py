@@ -16,7 +16,7 @@ from filtering.errors import VaporTrackError, require_within
 from sequences.errors import SequenceError
 from sequences.live.transport import Publish, Transport
 from sequences.recordings.bag import Bag
-from sequences.recordings.message_definitions import DEFINITIONS, decoder, encoder
+from sequences.recordings.message_definitions import DEFINITIONS, begins_with_stamp, decoder, encoder
 from sequences.recordings.source import TF_STATIC, RawMessage
 
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"
@@ -171,13 +171,6 @@ def _read(data: bytes, message_type: str) -> SimpleNamespace:
         raise SequenceError(f"no {message_type}: {type(error).__name__}: {error}") from error
 
 
-def _begins_with_stamp(raw: RawMessage) -> bool:
-    definition = DEFINITIONS.get(raw.type) or raw.definition.decode(errors="replace")
-    lines = [line.split("#")[0].strip() for line in definition.splitlines()]
-    first = next((line for line in lines if line and "=" not in line), "")
-    return first.startswith(("std_msgs/Header", "Header ", "builtin_interfaces/Time"))
-
-
 def _restamped(data: bytes, raw: RawMessage, shift_ns: int) -> bytes:
     """A message with later stamps in its header or transforms; other messages unchanged."""
     if raw.type == _TFS:
@@ -185,7 +178,7 @@ def _restamped(data: bytes, raw: RawMessage, shift_ns: int) -> bytes:
         for transform in transforms:
             transform["header"]["stamp"] = _stamp(_ns(**transform["header"]["stamp"]) + shift_ns)
         return encoder(_TFS)({"transforms": transforms})
-    if len(data) < _CDR_HEADER + _STAMP.size or not _begins_with_stamp(raw):
+    if len(data) < _CDR_HEADER + _STAMP.size or not begins_with_stamp(raw.type, raw.definition):
         return data
     stamp = _stamp(_ns(*_STAMP.unpack_from(data, _CDR_HEADER)) + shift_ns)
     return data[:_CDR_HEADER] + _STAMP.pack(*stamp.values()) + data[_CDR_HEADER + _STAMP.size :]

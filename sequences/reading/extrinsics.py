@@ -90,10 +90,7 @@ def along(path: Sequence[Step], poses: Sequence[Poses] | None = None) -> Poses:
 
 
 def read_tree(
-    bag: MessageSource,
-    found: Callable[[TransformTree], bool] = lambda _: False,
-    *,
-    within_s: float | None = None,
+    bag: MessageSource, found: Callable[[TransformTree], bool] = lambda _: False, *, within_s: float | None = None
 ) -> TransformTree:
     """Read `/tf_static` and then `/tf`, until `found` is true of the tree, or `within_s` seconds of `/tf` have passed.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from types import SimpleNamespace
 
 from filtering.motion import Odometry
@@ -12,7 +11,6 @@ from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.images.headers import why_left_out
 from sequences.images.video import Picture
-from sequences.options import SequenceOptions
 from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import NOT_COME, ODD, OUTSIDE, OVERTAKEN, LeftOut, uncovered
 from sequences.reading.motion import MotionOfCamera, odometry_apart
@@ -55,9 +53,7 @@ class FramePairing:
 
     def __init__(
         self,
-        path: Path,
         roles: Roles,
-        options: SequenceOptions,
         camera: ImageCamera,
         num_images: int,
         *,
@@ -69,9 +65,7 @@ class FramePairing:
         """Set up a reading that took no message yet.
 
         Args:
-            path: Name of the recording in errors.
             roles: Roles of the topics.
-            options: What to read.
             camera: The camera of the images.
             num_images: Number of images that the recording states.
             begin_ns: Stamp of the first image, from which the segment asked for is counted.
@@ -81,10 +75,10 @@ class FramePairing:
         """
         self._most_waiting, self._lateness_ns = most_waiting, lateness_ns
         self.left_out = LeftOut(num_images)
-        self.segment = RequestedSegment(begin_ns, options.start_s, options.duration_s)
-        self.motion = MotionOfCamera(path, roles, options, self.left_out, over_gaps=over_gaps)
+        self.segment = RequestedSegment(begin_ns, roles.options.start_s, roles.options.duration_s)
+        self.motion = MotionOfCamera(roles, self.left_out, over_gaps=over_gaps)
         self.come_to: Callable[[int], bool] = self.motion.reaches
-        self._path, self._roles, self._camera = path, roles, camera
+        self._roles, self._camera = roles, camera
         self._counts = self.left_out.counts
         self._images = roles.open_images()
         # A heap: order, number of images before, stamp, and message, None for a lost one.
@@ -245,7 +239,7 @@ class FramePairing:
             counts.skipped[OUTSIDE] += unread
         if not counts.are_complete:
             raise SequenceError(
-                f"{self._path}: {self._roles.image.name}: {counts.used} images used and"
+                f"{self._roles.path}: {self._roles.image.name}: {counts.used} images used and"
                 f" {counts.skipped.total()} skipped, expected the {counts.stated} that are stated"
             )
 

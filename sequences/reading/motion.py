@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +9,6 @@ import numpy as np
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.errors import SequenceError
-from sequences.options import SequenceOptions
 from sequences.reading.counts import LeftOut, Unusable
 from sequences.reading.extrinsics import Extrinsics
 from sequences.reading.pose_sources import PoseSource
@@ -28,21 +26,13 @@ class MotionOfCamera:
     `across_jumps` counts frames without a true pose because it jumps about them; `unusable` messages are by kind.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        roles: Roles,
-        options: SequenceOptions,
-        left_out: LeftOut,
-        *,
-        over_gaps: bool = True,
-    ) -> None:
+    def __init__(self, roles: Roles, left_out: LeftOut, *, over_gaps: bool) -> None:
         """Set up a reading that took no message yet; arguments as of `FramePairing`."""
         self._over_gaps = over_gaps
         self.across_jumps = 0
-        self._path, self._roles, self._left_out = path, roles, left_out
+        self._roles, self._left_out = roles, left_out
         self.unusable: dict[str, Unusable] = {}
-        self._motion_noise = options.motion_noise
+        self._motion_noise = roles.options.motion_noise
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
         self._told_on: dict[str, list[Extrinsics]] = {}  # fixed mounts, by the topics that would show that they move
         for extrinsics in (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None):
@@ -59,7 +49,7 @@ class MotionOfCamera:
             for source, what in ((self._odometry_source, "poses of odometry"), (self._truth, "true poses"))
             if source is not None
         ]
-        self._origin = np.array(options.ground_truth_origin or (0.0, 0.0, 0.0))
+        self._origin = np.array(roles.options.ground_truth_origin or (0.0, 0.0, 0.0))
         self._num_true = 0
 
     def take(self, raw: RawMessage, message: SimpleNamespace | None, *, before_images: bool) -> None:
@@ -93,7 +83,7 @@ class MotionOfCamera:
                 extrinsics.require_fixed(raw, message)
             except SequenceError as error:
                 if extrinsics is not roles.extrinsics or roles.odometry_required:
-                    raise SequenceError(f"{self._path}: {error}") from error
+                    raise SequenceError(f"{roles.path}: {error}") from error
                 if self._moves_from_ns is None:
                     reason = "odometry from where the camera moved on its base"
                     self._left_out.message(reason, raw.log_time_ns, str(error))

@@ -40,7 +40,7 @@ class Roles:
         image = choose(bag, "image", IMAGE_TYPES, options.image_topic, required=True)
         assert image is not None
         self.image = image
-        self._bag, self._options = bag, options
+        self._bag, self.path, self.options = bag, bag.path, options
         self.open_images()  # what it needs may not be installed
         self.odometry_required = odometry == "required"
         self.truth_required = true_poses == "required"
@@ -73,7 +73,7 @@ class Roles:
         try:
             return _IMAGE_STREAMS[self.image.read_as]()
         except SequenceError as error:
-            raise SequenceError(f"{self._bag.path}: {self.image.name} ({self.image.type}): {error}") from error
+            raise SequenceError(f"{self.path}: {self.image.name} ({self.image.type}): {error}") from error
 
     def open_odometry(self) -> PoseSource | None:
         """A new source of odometry; None where none is read."""
@@ -82,8 +82,8 @@ class Roles:
         return None if self.odometry is None else odometry_of_topic(self.odometry)
 
     def _camera_frame(self) -> str:
-        if self._options.camera_frame:
-            return frame_name(self._options.camera_frame)
+        if self.options.camera_frame:
+            return frame_name(self.options.camera_frame)
         try:
             return frame_name(first(self._bag, self.image).header.frame_id)
         except SequenceError:  # reported when the images are read
@@ -91,7 +91,7 @@ class Roles:
 
     def _find_odometry(self, rig: Rig) -> Rig:
         """Find odometry, of a topic or else of tf, and extrinsics; returns the rig with both."""
-        bag, options = self._bag, self._options
+        bag, options = self._bag, self.options
         if options.odometry_frame is not None:
             return self._take_tree(rig)
         try:
@@ -124,7 +124,7 @@ class Roles:
         return rig
 
     def _take_tree(self, rig: Rig) -> Rig:
-        self.tree_odometry, rig = tree_odometry(self._bag, self._options, rig)
+        self.tree_odometry, rig = tree_odometry(self._bag, self.options, rig)
         self.extrinsics, self.odometry_frame = self.tree_odometry.extrinsics, rig.odometry_frame
         return rig
 
@@ -134,9 +134,9 @@ class Roles:
         Raises:
             SequenceError: there is none, or the recording is damaged.
         """
-        path, source = self._bag.path, self.open_odometry()
+        source = self.open_odometry()
         if source is None:
-            raise SequenceError(f"{path}: no odometry found, expected it for --time-offset-s auto")
+            raise SequenceError(f"{self.path}: no odometry found, expected it for --time-offset-s auto")
         links = set(source.links) if self.odometry is None else None
         times_ns, numbers = array("q"), array("d")
         for dated in Timeline(self._bag, {source.topic: links}).messages(source.topic):
@@ -156,7 +156,7 @@ class Roles:
             if (times_ns[-1] - times_ns[0]) * 1e-9 > _OFFSET_SEGMENT_S:
                 break
         if len(times_ns) < 2:
-            raise SequenceError(f"{path}: {source.topic}: no odometry, expected some to find a time offset by")
+            raise SequenceError(f"{self.path}: {source.topic}: no odometry, expected some to find a time offset by")
         table = np.array(numbers).reshape(-1, 7)
         return Trajectory(np.array(times_ns, np.int64), Poses.from_quat_xyzw(table[:, :3], table[:, 3:]))
 
@@ -165,7 +165,7 @@ class Roles:
         try:
             decode(self._bag, raw)
         except SequenceError as error:
-            return str(error).removeprefix(f"{self._bag.path}: ")
+            return str(error).removeprefix(f"{self.path}: ")
         return ""
 
     @property

@@ -167,11 +167,7 @@ class Timeline:
     """The messages of a recording by one steady clock: that of its log, as it was at the end."""
 
     def __init__(
-        self,
-        bag: MessageSource,
-        watched: Mapping[str, Collection[Key] | None],
-        *,
-        segment: LoggedSegment | None = None,
+        self, bag: MessageSource, watched: Mapping[str, Collection[Key] | None], *, segment: LoggedSegment | None = None
     ) -> None:
         """Survey a recording, or a segment of it. Raises SequenceError where it is damaged.
 

@@ -59,13 +59,11 @@ class MessageWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if error is None:
-            try:
-                self._writer.finish()
-            except BaseException as failure:  # a full disk, an interruption: the partial file must go
-                if not self._stack.__exit__(type(failure), failure, failure.__traceback__):
-                    raise
-        self._stack.__exit__(kind, error, traceback)
+        if error is not None:
+            self._stack.__exit__(kind, error, traceback)
+            return
+        with self._stack:  # after a full disk or an interruption, the partial file must go
+            self._writer.finish()
 
     def _write(self, topic: str, message_type: str, message: dict, time_ns: int) -> None:
         """Write a message, whose fields are as `encoder` takes them."""

@@ -10,7 +10,7 @@ import re
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, make_dataclass
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from itertools import islice
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -113,10 +113,13 @@ def schema_name(message_type: str) -> str:
     return message_type.replace("/", "/msg/")
 
 
-@cache
-def begins_with_stamp(message_type: str) -> bool:
-    """Whether a message's bytes begin with its stamp: seconds and nanoseconds."""
-    return DEFINITIONS.get(message_type, "").startswith(("std_msgs/Header ", "builtin_interfaces/Time timestamp"))
+@lru_cache(maxsize=256)
+def begins_with_stamp(message_type: str, definition: bytes = b"") -> bool:
+    """Whether a message's bytes begin with seconds and nanoseconds; a file's definition counts for unknown types."""
+    text = DEFINITIONS.get(message_type) or definition.decode(errors="replace")
+    lines = [line.split("#")[0].strip() for line in text.splitlines()]
+    first = next((line for line in lines if line and "=" not in line), "")
+    return first.startswith(("std_msgs/Header ", "Header ", "builtin_interfaces/Time "))
 
 
 @cache

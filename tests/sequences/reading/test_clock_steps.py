@@ -89,16 +89,6 @@ def test_the_third_of_a_clock_that_was_set_says_so_and_those_after_it_are_usual(
     assert told(times, arrivals) == expected
 
 
-def test_a_clock_may_be_set_again_and_again() -> None:
-    arrivals = at_rate(10.0, 20.0)
-    steps = [0.0, -5.0, 3.0, 1.5, -3600.0]
-    times = [t + sum(steps[: int(t // 4) + 1]) for t in arrivals]
-    said = told(times, arrivals)
-    assert [n for n, each in enumerate(said) if each == "stepped"] == [42, 82, 122, 162]
-    assert said.count("odd") == 8
-    assert said.count("usual") == len(times) - 12
-
-
 def test_odd_stamps_that_disagree_or_go_back_make_no_step() -> None:
     arrivals = at_rate(10.0, 2.0)
     for odd in ([100.0, 200.0, 300.0], [-100.0, -100.7, -101.4], [-100.0, -100.1, -100.1], [-50.0, 50.0, -50.0]):

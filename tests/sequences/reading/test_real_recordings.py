@@ -3,7 +3,6 @@
 from itertools import pairwise
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -66,11 +65,3 @@ def test_odometry_of_a_real_robot_gets_the_motion_noise(shared_data: Path) -> No
         chained = chained @ odometry.previous_from_current
     last = np.searchsorted(times_ns, stamps[-1])
     assert close(chained, poses[last], 0.02)
-
-
-def test_images_of_a_real_camera_decode(shared_data: Path) -> None:
-    from sequences.images.decoding import decode_image_bytes
-
-    file = next((shared_data / "tum_fr1").rglob("*.jpg"))
-    image = decode_image_bytes(file.read_bytes())
-    np.testing.assert_array_equal(image, cv2.cvtColor(cv2.imread(str(file), cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB))  # pyright: ignore[reportArgumentType, reportCallIssue]

@@ -36,8 +36,7 @@ def with_second(tmp_path: Path, topic: str, name: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("topic", "role"),
-    [(IMAGES, "image"), ("/odom", "odometry"), ("/ground_truth/pose", "ground-truth")],
+    ("topic", "role"), [(IMAGES, "image"), ("/odom", "odometry"), ("/ground_truth/pose", "ground-truth")]
 )
 def test_of_several_topics_one_must_be_named(topic: str, role: str, tmp_path: Path) -> None:
     path = with_second(tmp_path, topic, "/other")

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -148,28 +149,23 @@ def changed(source: Path, target: Path, topic: str, change: Callable[[bytes], by
     )
 
 
-def without(*names: str) -> Callable[[bytes], bytes]:
+def edited(edit: Callable[[dict, str], None], names: tuple[str, ...]) -> Callable[[bytes], bytes]:
+    """JSON whose field of some path is changed."""
+
     def change(data: bytes) -> bytes:
         fields = json.loads(data)
-        inner = fields
-        for name in names[:-1]:
-            inner = inner[name]
-        del inner[names[-1]]
+        edit(reduce(dict.__getitem__, names[:-1], fields), names[-1])
         return json.dumps(fields).encode()
 
     return change
+
+
+def without(*names: str) -> Callable[[bytes], bytes]:
+    return edited(dict.__delitem__, names)
 
 
 def having(value: object, *names: str) -> Callable[[bytes], bytes]:
-    def change(data: bytes) -> bytes:
-        fields = json.loads(data)
-        inner = fields
-        for name in names[:-1]:
-            inner = inner[name]
-        inner[names[-1]] = value
-        return json.dumps(fields).encode()
-
-    return change
+    return edited(lambda fields, name: fields.update({name: value}), names)
 
 
 BAD_POSES = {

@@ -11,11 +11,7 @@ from sequences.errors import SequenceError
 from sequences.options import SequenceOptions
 from sequences.reader import SequenceReader
 from sequences.recordings.bag import Bag
-from tests.helpers.sequence_files import (
-    IMAGES,
-    as_file_without_index,
-    as_split_folder,
-)
+from tests.helpers.sequence_files import IMAGES, as_file_without_index, as_split_folder
 
 # --- rosbag2 folders ------------------------------------------------------------------------------
 
