@@ -13,11 +13,10 @@ from sequences.frame import Frame
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import ImageCounts
-from sequences.reading.frame_pairing import FramePairing
+from sequences.reading.frame_pairing import FramePairing, MotionStreams
 from sequences.reading.motion import odometry_apart, true_poses_apart
-from sequences.reading.motion_streams import MotionStreams
 from sequences.reading.roles import Roles
-from sequences.reading.timeline import Dated, LoggedSegment, Timeline
+from sequences.reading.timeline import LoggedSegment, Timeline
 from sequences.recordings.bag import METADATA_NAME, Bag
 from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 
@@ -132,22 +131,10 @@ class SequenceReader:
         motion, self._pairing = pairing.motion, pairing
         self.counts, self._skipped_messages = pairing.left_out.counts, pairing.left_out.messages
         self.across_jumps, self.notices = 0, [*self._found_notices, *timeline.notices]
-
-        def take(dated: Dated) -> None:
-            if dated.num_odd:
-                pairing.leave_out_odd(dated.raw, dated.num_odd)
-            if dated.stamps_ns or not dated.num_odd:
-                pairing.take(dated.raw, dated.message)
-
-        def forget_before(time_ns: int) -> None:
-            if pairing.previous_ns is None:  # else odometry since then will be asked for
-                motion.forget_before(time_ns)
-
         beside = {topic: links for topic, links in roles.watched.items() if topic != roles.image.name}
-        streams = MotionStreams(timeline, beside, take, reaches=motion.reaches, forget_before=forget_before)
-        pairing.come_to = streams.read_until
+        streams = MotionStreams(timeline, beside, pairing)
         for dated in timeline.messages(roles.image.name, until=lambda _: pairing.is_over):
-            take(dated)
+            pairing.take_dated(dated)
             for frame in pairing.ready_frames():
                 self.across_jumps = motion.across_jumps
                 yield frame

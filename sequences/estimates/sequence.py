@@ -214,7 +214,10 @@ class EstimateSequence:
                 next((other_s for other_s in others_s if abs(other_s - offset_s) < _SAME_CLOCK_S), offset_s)
             )
             self.notices += notices
-        self.files = [_shifted(file, offset_s) for file, offset_s in zip(self.files, offsets_s, strict=True)]
+        for i, (file, offset_s) in enumerate(zip(self.files, offsets_s, strict=True)):
+            shift_ns = round(offset_s * 1e9)
+            frames = tuple(frame._replace(number=frame.number + shift_ns) for frame in file.frames)
+            self.files[i] = replace(file, frames=frames)
         if truth is not None and truth is not source:
             self.notices += offset_of_clocks(0.0, track, _best(truth), str(truth.path))[1]
 
@@ -264,11 +267,6 @@ def _best(file: PoseFile) -> Trajectory:
     order = np.lexsort((-weights, times_ns))
     found, first = np.unique(times_ns[order], return_index=True)
     return Trajectory(found, file.poses[order[first]])
-
-
-def _shifted(file: PoseFile, seconds: float) -> PoseFile:
-    shift_ns = round(seconds * 1e9)
-    return replace(file, frames=tuple(frame._replace(number=frame.number + shift_ns) for frame in file.frames))
 
 
 def _require_common(file: PoseFile, other: PoseFile) -> None:

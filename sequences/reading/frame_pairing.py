@@ -1,9 +1,13 @@
-"""The state of one reading: images wait, still encoded, until odometry and true poses have come as far."""
+"""The state of one reading: images wait, still encoded, until odometry and true poses have come as far.
+
+Of a recording, each topic beside the images is read as far as an image needs it, however late it was logged.
+"""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
 from types import SimpleNamespace
 
 from filtering.motion import Odometry
@@ -15,10 +19,13 @@ from sequences.reading.camera_info import ImageCamera
 from sequences.reading.counts import NOT_COME, ODD, OUTSIDE, OVERTAKEN, LeftOut, uncovered
 from sequences.reading.motion import MotionOfCamera, odometry_apart
 from sequences.reading.roles import Roles
+from sequences.reading.timeline import Dated, Key, Timeline
 from sequences.recordings.messages import stamp_ns
 from sequences.recordings.source import RawMessage
 
 _MOST_WAITING = 64
+_HORIZON_NS = 10 * 10**9  # ahead of an image, within which the poses of its time are expected
+_FORGET_EVERY = 500  # messages
 
 
 class RequestedSegment:
@@ -46,7 +53,7 @@ class FramePairing:
     """Messages in, in the order of a recording; frames out, in the order of their stamps.
 
     Attributes:
-        come_to: Whether odometry and true poses have come as far as the stamp of an image; it may read on first.
+        reaches: Whether odometry and true poses have come as far as a stamp; `MotionStreams` reads on first.
         previous_ns: Stamp of the last frame, or a later one given to `settle`; None before any.
         frames_span_ns: Stamps of the first and the last frame; None before any.
     """
@@ -77,7 +84,7 @@ class FramePairing:
         self.left_out = LeftOut(num_images)
         self.segment = RequestedSegment(begin_ns, roles.options.start_s, roles.options.duration_s)
         self.motion = MotionOfCamera(roles, self.left_out, over_gaps=over_gaps)
-        self.come_to: Callable[[int], bool] = self.motion.reaches
+        self.reaches: Callable[[int], bool] = self.motion.reaches
         self._roles, self._camera = roles, camera
         self._counts = self.left_out.counts
         self._images = roles.open_images()
@@ -102,6 +109,13 @@ class FramePairing:
                     self.left_out.message("unusable intrinsics", raw.log_time_ns, str(error))
             before_images = self.previous_ns is None and not self._waiting
             self.motion.take(raw, message, before_images=before_images)
+
+    def take_dated(self, dated: Dated) -> None:
+        """Take a message of a recording without its odd stamps."""
+        if dated.num_odd:
+            self.leave_out_odd(dated.raw, dated.num_odd)
+        if dated.stamps_ns or not dated.num_odd:
+            self.take(dated.raw, dated.message)
 
     def leave_out_odd(self, raw: RawMessage, number: int = 1) -> None:
         """Leave out a message whose stamp is unlike those around it, or so many transforms of it."""
@@ -183,7 +197,7 @@ class FramePairing:
         """Whether no earlier image is to be expected, and odometry and true poses have come as far."""
         is_too_many = at_end or len(self._waiting) > self._most_waiting
         in_order = self._images.remembers or self._latest_ns - time_ns >= self._lateness_ns
-        return (is_too_many or in_order) and (self.come_to(time_ns) or is_too_many)
+        return (is_too_many or in_order) and (self.reaches(time_ns) or is_too_many)
 
     def _frame_asked_for(self, picture: Picture) -> Frame | None:
         if not self.segment.has(picture.time_ns):
@@ -246,3 +260,80 @@ class FramePairing:
     def odometry_apart(self) -> str | None:
         """See `odometry_apart`."""
         return odometry_apart(self._images_ns, self.motion.odometry_span_ns)
+
+
+class MotionStreams:
+    """The `watched` topics beside the images, see `Timeline`, each read as far as an image of the pairing needs it."""
+
+    def __init__(
+        self, timeline: Timeline, watched: Mapping[str, Collection[Key] | None], pairing: FramePairing
+    ) -> None:
+        self._topics = [_TopicCursor(timeline, topic, links) for topic, links in watched.items()]
+        self._pairing = pairing
+        pairing.reaches = self._read_until
+        self._num_read = 0
+
+    def _read_until(self, time_ns: int) -> bool:
+        """Read all that determines the motion at a time; true, as nothing more need be waited for."""
+        for topic in self._topics:
+            while topic.is_behind(time_ns) and self._read(topic, time_ns):
+                pass
+        while not self._pairing.motion.reaches(time_ns):
+            behind = [topic for topic in self._topics if topic.latest_ns < time_ns + _HORIZON_NS]
+            came = [self._read(topic, time_ns) for topic in behind]
+            if not any(came):
+                break
+        return True
+
+    def finish(self) -> None:
+        """Count the rest undecoded. Raises SequenceError where a topic lacks messages that its file states."""
+        for topic in self._topics:
+            topic.is_over = True
+            for _ in topic.messages:
+                pass
+
+    def _read(self, topic: _TopicCursor, time_ns: int) -> bool:
+        dated = next(topic.messages, None)
+        if dated is None:
+            topic.is_over = True
+            return False
+        topic.note(dated)
+        self._pairing.take_dated(dated)
+        self._num_read += 1
+        # After the first frame, odometry since the latest one will be asked for.
+        if self._num_read % _FORGET_EVERY == 0 and self._pairing.previous_ns is None:
+            self._pairing.motion.forget_before(min(time_ns, *(each.settled_ns for each in self._topics)))
+        return True
+
+
+class _TopicCursor:
+    """How far one topic was read; `is_over` where no more is wanted."""
+
+    def __init__(self, timeline: Timeline, topic: str, links: Collection[Key] | None) -> None:
+        keys = [("", topic)] if links is None else links
+        self._streams = {key: timeline.streams[key] for key in keys if key in timeline.streams}
+        self._num_read = Counter[Key]()
+        self._latest_ns: dict[Key, int] = {}
+        self.latest_ns = -(1 << 63)
+        self.is_over = False
+        self.messages: Iterator[Dated] = timeline.messages(topic, until=lambda _: self.is_over)
+
+    def is_behind(self, time_ns: int) -> bool:
+        """Whether more must be read to know the motion at a time."""
+        if self.is_over or self.latest_ns >= time_ns + _HORIZON_NS:
+            return False
+        return any(self._num_read[key] < times.num_until(time_ns) for key, times in self._streams.items())
+
+    @property
+    def settled_ns(self) -> int:
+        """Before this time no message is left to read."""
+        if self.is_over or not self._streams:
+            return 1 << 63
+        return min(self._latest_ns.get(key, -(1 << 63)) - times.lateness_ns for key, times in self._streams.items())
+
+    def note(self, dated: Dated) -> None:
+        """Count a message that was read."""
+        self._num_read.update(dated.keys)
+        for key, time_ns in dated.stamps_ns:
+            self._latest_ns[key] = max(time_ns, self._latest_ns.get(key, time_ns))
+            self.latest_ns = max(self.latest_ns, time_ns)

@@ -229,20 +229,16 @@ def _read_listing(folder: Path) -> _Listing:
             raise SequenceError(f"{path}: names {quoted(name)}, which is not in the folder")
     read = {file.resolve() for file in files}
     unlisted = [file.name for file in _bag_files(folder) if file.resolve() not in read]
-    return _Listing(path, files, unlisted, _count(content, path) or None, _counts_of_topics(content, path))
+    of_topics: Counter[str] = Counter()
+    for item in _list(content, "topics_with_message_count", path):
+        topic = item.get("topic_metadata") if isinstance(item, dict) else None
+        if isinstance(topic, dict) and "name" in topic and (count := _count(item, path)) is not None:
+            of_topics[str(topic["name"])] += count
+    return _Listing(path, files, unlisted, _count(content, path) or None, of_topics if of_topics.total() else Counter())
 
 
 def _bag_files(folder: Path) -> list[Path]:
     return sorted(file for file in folder.iterdir() if file.suffix in _SUFFIXES and file.is_file())
-
-
-def _counts_of_topics(content: Any, path: Path) -> Counter[str]:
-    counts: Counter[str] = Counter()
-    for item in _list(content, "topics_with_message_count", path):
-        topic = item.get("topic_metadata") if isinstance(item, dict) else None
-        if isinstance(topic, dict) and "name" in topic and (count := _count(item, path)) is not None:
-            counts[str(topic["name"])] += count
-    return counts if counts.total() else Counter()
 
 
 def _list(content: Any, name: str, path: Path) -> list[Any]:

@@ -73,26 +73,30 @@ def _own_name(message_type: str) -> str | None:
 
 
 @cache
-def _fields(message_type: str) -> list[list[str]]:
-    return [line.split() for line in DEFINITIONS[message_type].splitlines()]
+def _fields(message_type: str) -> list[tuple[str, str, bool]]:
+    """Kind and name of each field, and whether it is a single value."""
+    fields = [line.split() for line in DEFINITIONS[message_type].splitlines()]
+    return [(kind, name, "[" not in kind and not kind.endswith("/Time")) for kind, name in fields]
 
 
 def _checked(message_type: str, message: Any) -> SimpleNamespace:
     """The fields that a type is defined to have, each of its kind."""
-    return SimpleNamespace(**{name: _field(kind, name, message) for kind, name in _fields(message_type)})
+    fields = SimpleNamespace()
+    for kind, name, is_single in _fields(message_type):
+        value = _of_kind(kind, getattr(message, name)) if is_single else _field(kind, name, message)
+        setattr(fields, name, value)
+    return fields
 
 
 def _field(kind: str, name: str, message: Any) -> Any:
-    if kind == "builtin_interfaces/Time":
+    if kind.endswith("/Time"):
         return _stamp(message)
     if kind.startswith("float64[") and not hasattr(message, name):
         name = name.upper()  # of a calibration, where ROS 2 does not allow capitals
     value = getattr(message, name)
     if kind == "uint8[]":
         return _data(value)
-    base, bracket, number = kind.removesuffix("]").partition("[")
-    if not bracket:
-        return _of_kind(kind, value)
+    base, _, number = kind.removesuffix("]").partition("[")
     if isinstance(value, str | bytes | SimpleNamespace) or not hasattr(value, "__len__"):
         raise SequenceError(f"{quoted(value)} where a list is expected")
     values = [_of_kind(base, each) for each in value]
@@ -102,7 +106,9 @@ def _field(kind: str, name: str, message: Any) -> Any:
 
 
 def _of_kind(kind: str, value: Any) -> Any:
-    if "/" in kind:
+    if type(value) is float and kind == "float64":
+        return value
+    if kind not in _KINDS:
         return _checked(kind, value)
     types, expected = _KINDS[kind]
     if isinstance(value, bool) or not isinstance(value, types):

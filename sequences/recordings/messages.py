@@ -130,31 +130,27 @@ def covariance_from_ros(covariance: Float64[np.ndarray, "6 6"], pose: Poses) -> 
 
 
 def _pose(translation: tuple[float, float, float], quat_xyzw: tuple[float, float, float, float]) -> Poses:
+    norm = math.hypot(*quat_xyzw)
+    if not (all(abs(each) <= _MAX_DISTANCE_M for each in translation) and 0.9 < norm < 1.1):  # NaN compares as false
+        if all(map(math.isfinite, (*translation, *quat_xyzw))):
+            raise VaporTrackError(
+                f"pose with translation {list(translation)} and quaternion of length {norm:.3g},"
+                f" expected one within {_MAX_DISTANCE_M:g} m and a unit quaternion"
+            )
+        return Poses.from_quat_xyzw(np.array(translation), np.array(quat_xyzw))  # which names what is not finite
+    # To the last bit `Poses.from_quat_xyzw`, in a tenth of the time.
     x, y, z, w = quat_xyzw
-    norm = math.sqrt(x * x + y * y + z * z + w * w)
-    if all(abs(each) <= _MAX_DISTANCE_M for each in translation) and 0.9 < norm < 1.1:  # NaN compares as false
-        return Poses(_rotation(x / norm, y / norm, z / norm, w / norm), np.array(translation))
-    if all(map(math.isfinite, (*translation, *quat_xyzw))):
-        raise VaporTrackError(
-            f"pose with translation {list(translation)} and quaternion of length {math.hypot(*quat_xyzw):.3g},"
-            f" expected one within {_MAX_DISTANCE_M:g} m and a unit quaternion"
-        )
-    return Poses.from_quat_xyzw(np.array(translation), np.array(quat_xyzw))  # which names what is not finite
-
-
-def _rotation(x: float, y: float, z: float, w: float) -> Float64[np.ndarray, "3 3"]:
-    """Rotation matrix of a quaternion: to the last bit that of `Poses.from_quat_xyzw`, in a tenth of the time."""
-    norm = math.sqrt(x * x + y * y + z * z + w * w)
-    x, y, z, w = x / norm, y / norm, z / norm, w / norm
+    for _ in range(2):
+        norm = math.sqrt(x * x + y * y + z * z + w * w)
+        x, y, z, w = x / norm, y / norm, z / norm, w / norm
     xx, yy, zz, ww = x * x, y * y, z * z, w * w
     xy, xz, yz, xw, yw, zw = x * y, x * z, y * z, x * w, y * w, z * w
-    return np.array(
-        [
-            [xx - yy - zz + ww, 2 * (xy - zw), 2 * (xz + yw)],
-            [2 * (xy + zw), -xx + yy - zz + ww, 2 * (yz - xw)],
-            [2 * (xz - yw), 2 * (yz + xw), -xx - yy + zz + ww],
-        ]
-    )
+    rotation = [
+        [xx - yy - zz + ww, 2 * (xy - zw), 2 * (xz + yw)],
+        [2 * (xy + zw), -xx + yy - zz + ww, 2 * (yz - xw)],
+        [2 * (xz - yw), 2 * (yz + xw), -xx - yy + zz + ww],
+    ]
+    return Poses(np.array(rotation), np.array(translation))
 
 
 def _turn(pose: Poses) -> np.ndarray:

@@ -1,5 +1,7 @@
 """ROS messages of poses and odometry, and their conventions."""
 
+from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
+from sequences.recordings.bag import Bag
 from sequences.recordings.messages import (
     covariance_from_ros,
     covariance_to_ros,
@@ -97,3 +100,14 @@ def test_covariance_to_ros_and_back_is_the_same() -> None:
     pose = Poses.exp(rng.normal(size=6))
     back = covariance_from_ros(covariance_to_ros(root @ root.T, pose), pose)
     np.testing.assert_allclose(back, root @ root.T, atol=1e-12)
+
+
+def test_images_and_odometry_of_a_real_ros_1_bag_are_read(shared_data: Path) -> None:
+    bag = Bag(shared_data / "ros_bags" / "t265_trimmed_locoffice.bag")
+    images = [raw.decode() for raw in bag.messages(["/camera/fisheye1/image_raw"])]
+    assert [(image.height, image.width, image.encoding) for image in images] == [(800, 848, "mono8")] * 3
+    assert all(40 < np.frombuffer(image.data, np.uint8).mean() < 200 for image in images)
+    samples = [odometry_from_message(raw.decode()) for raw in bag.messages(["/camera/odom/sample"])]
+    assert len(samples) == bag.topics["/camera/odom/sample"].num_messages == 19
+    assert all(later.time_ns > earlier.time_ns for earlier, later in pairwise(samples))
+    assert 0.0 < np.linalg.norm(np.ptp([s.odom_from_base.translation for s in samples], axis=0)) < 0.5
