@@ -22,18 +22,18 @@ from sequences.trajectories.interpolation import MAX_ODOMETRY_GAP_S
 
 
 class SequenceReader:
-    """Frames of an MCAP file, rosbag2 folder or ROS 1 bag, read as a stream; every iteration reads it anew.
+    """Frames of an MCAP file, rosbag2 folder or ROS 1 bag, read as a stream; every iteration reads it again.
 
     Attributes:
         path: The file or folder.
-        counts: What became of the images of the latest iteration; complete after it.
-        across_jumps: How many frames of the latest iteration have no true pose as it jumps about them.
+        counts: Counts of the images of the latest iteration; complete after it.
+        across_jumps: Frames of the latest iteration without a true pose because it jumps about them.
         notices: What a person should know of the camera, the odometry and the true poses; complete after an iteration.
         camera: Intrinsics of the undistorted images, as the file states their size; None where it has none.
         base_from_camera: Extrinsics, one pose; None where odometry is not read.
-        num_images: Images in the file, all of it: for progress.
-        image_description: What the file says of its images, as `synthetic`; None where it says nothing.
-        odometry_description: What the file says of where its odometry comes from; None where it says nothing.
+        num_images: Images in the whole file, for progress.
+        image_description: Origin of the images by the file's metadata, as `synthetic`; None where it states none.
+        odometry_description: Origin of the odometry, likewise.
     """
 
     def __init__(
@@ -50,15 +50,13 @@ class SequenceReader:
             path: MCAP file, rosbag2 folder or ROS 1 bag.
             options: What to read; None for all of it, as found.
             odometry: "required" reads it, and skips the images that it does not cover. "optional" gives images it where
-                it can be found, without a choice to make, and skips none for lack of it. "unread" leaves it alone.
-            true_poses: "required" fails, and says what could be chosen, where none are found by themselves, and where
-                none of them is of the time of an image. "optional" does without.
+                it can be found, without a choice to make, and skips none for lack of it. "unread" ignores it.
+            true_poses: "required" fails where none are found, with the candidates, and where none is of the time of an
+                image. "optional" does without.
 
         Raises:
-            SequenceError: the file is damaged, the metadata.yaml of a folder states another number of images than its
-                files, a topic is missing or ambiguous, no transform leads from the odometry's or the true poses' child
-                frame to the camera, what an option names for true poses gives none, or the intrinsics or the distortion
-                are none of a camera.
+            SequenceError: the file is damaged or lacks images, a topic is missing or ambiguous, tf does not lead to the
+                camera, named true poses are unusable, or the intrinsics or the distortion are impossible.
         """
         self.path = Path(path)
         self.across_jumps = 0
@@ -90,7 +88,7 @@ class SequenceReader:
 
     @property
     def resolved(self) -> dict[str, Any]:
-        """The options that say what to read, as they were found: topics, and the extrinsics; '' and None for none."""
+        """The options that would read the same: topics and extrinsics; '' and None for none."""
         r = self._roles
         topics = {"image": r.image, "odometry": r.odometry, "camera_info": r.camera_info}
         extrinsics, poses = self.base_from_camera, self._options.poses
@@ -111,13 +109,13 @@ class SequenceReader:
         """Frames in order of time.
 
         The stamps of the whole recording are read first, to know where clocks were set and how late messages lie; then
-        the images one after the other, and beside them each other topic as far as an image needs it. What lies behind
-        the segment asked for is not decoded, but counted.
+        the images one after the other, and beside them each other topic as far as an image needs it. Messages behind
+        the segment asked for are counted without being decoded.
 
         Raises:
-            SequenceError: the file is damaged or has not all of the messages that it states, an image is neither used
-                nor skipped, no image is left, all stamps are equal, a camera that should be fixed moves, more odometry
-                than not cannot be used, or true poses are required and none is of the time of an image.
+            SequenceError: the file is damaged or lacks messages, no image is left, an image is unaccounted for, all
+                stamps are equal, a fixed camera moves, more than half of the odometry cannot be used, or true poses
+                are required and none is of the time of an image.
         """
         roles, timeline = self._roles, self._survey()
         images = timeline.streams.get(("", roles.image.name))
@@ -159,7 +157,7 @@ class SequenceReader:
         return self._timeline
 
     def _judge(self, pairing: FramePairing, timeline: Timeline) -> None:
-        """Say what a person should know of what was read; raise SequenceError where nothing is to be made of it."""
+        """Add the notices of what was read. Raises SequenceError where nothing is usable."""
         roles, motion = self._roles, pairing.motion
         images, odometry = timeline.span_ns([("", roles.image.name)]), timeline.span_ns(roles.odometry_keys)
         spacing_s = timeline.spacing_s(roles.odometry_keys)
@@ -193,6 +191,6 @@ class SequenceReader:
         self.notices += [*self._image_camera.notices, *motion.jumps()]
 
     def stop(self) -> None:
-        """Ask for no more frames of the latest iteration: it ends where it is resumed, once the rest was counted."""
+        """End the latest iteration: resumed, it only counts the rest."""
         if self._pairing is not None:
             self._pairing.segment.is_stopped = True

@@ -93,9 +93,6 @@ def test_a_distortion_that_no_lens_has_is_refused() -> None:
         pinhole_of(Lens(CAMERA, "plumb_bob", (-400.0, 0.0, 0.0, 0.0)))
 
 
-# --- recordings ------------------------------------------------------------------------------------
-
-
 def write_walk(path: Path, camera: Camera | Lens, num_images: int = 2) -> Path:
     """A recording of the scene, without loss."""
     image = cv2.imencode(".png", taken_by(camera)[..., ::-1])[1].tobytes()

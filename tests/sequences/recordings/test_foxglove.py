@@ -41,9 +41,6 @@ def read(path: Path, **options: Any) -> list:
     return list(SequenceReader(path, SequenceOptions(**options), odometry="unread"))
 
 
-# --- what is read ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_images_poses_and_intrinsics_are_those_written(encoding: str, tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", encoding, images(), calibration(), camera_poses())
@@ -136,9 +133,6 @@ def test_poses_in_frame_are_a_path_of_one_pose_a_message(encoding: str, tmp_path
 def test_libraries_are_loaded_only_for_what_needs_them() -> None:
     code = "import sys, sequences.reader; sys.exit(any(m in sys.modules for m in ('av', 'google.protobuf')))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-# --- what is wrong ---------------------------------------------------------------------------------
 
 
 def changed(source: Path, target: Path, topic: str, change: Callable[[bytes], bytes], index: int = 5) -> Path:

@@ -148,9 +148,6 @@ def test_a_footer_that_hides_what_the_file_states_is_refused(walk_file: Path, tm
         Bag(path)
 
 
-# --- in which order, and how often a chunk is unpacked --------------------------------------------
-
-
 def topic_after_topic(source: Path, target: Path, **options: object) -> Path:
     """A file as of one writer for each topic, whose clock is set back halfway."""
     half_ns = BEGIN_NS + 500_000_000

@@ -13,8 +13,6 @@ from sequences.reader import SequenceReader
 from sequences.recordings.bag import Bag
 from tests.helpers.sequence_files import IMAGES, as_file_without_index, as_split_folder
 
-# --- rosbag2 folders ------------------------------------------------------------------------------
-
 
 @pytest.mark.parametrize(
     "name", ["{outside}", "../outside.mcap", "inner/../../outside.mcap", "link.mcap", "a/link.mcap"]
@@ -45,9 +43,6 @@ def images_of(bag: Path) -> tuple[int, list[str]]:
     """How many images are read of a folder, and the notices."""
     reader = SequenceReader(bag, SequenceOptions(ground_truth_topic=""), odometry="unread")
     return len(list(reader)), reader.notices
-
-
-# --- what the metadata.yaml of a folder states ----------------------------------------------------
 
 
 def test_a_folder_that_has_what_its_listing_states_is_read_without_a_word(walk_file: Path, tmp_path: Path) -> None:
