@@ -88,7 +88,8 @@ def decode_compressed_image(message: SimpleNamespace) -> UInt8[np.ndarray, "heig
     `format` marks grey pixels as a Bayer mosaic: image_transport writes `ENCODING; png compressed ` for stored pixels,
     and `ENCODING; jpeg compressed OTHER` where it converted them to OTHER. Colours are always those of the file.
     """
-    source, _, rest = message.format.partition(";")
+    image_format: str = message.format
+    source, _, rest = image_format.partition(";")
     named = [word for word in [source.strip(), *rest.split()] if word.lower() in _NAMES or _MATRIX.fullmatch(word)]
     encoding = _NAMES.get(named[-1].lower(), named[-1]) if named else ""
     _require_image(encoding)

@@ -35,9 +35,10 @@ class MotionOfCamera:
         self._motion_noise = roles.options.motion_noise
         self._base_from_camera = roles.extrinsics.body_from_camera if roles.extrinsics is not None else None
         self._told_on: dict[str, list[Extrinsics]] = {}  # fixed mounts, by the topics that would show that they move
-        for extrinsics in (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None):
-            for topic in extrinsics.told_on if extrinsics is not None else ():
-                self._told_on.setdefault(topic, []).append(extrinsics)
+        mounts = (roles.extrinsics, roles.truth.extrinsics if roles.truth is not None else None)
+        for mount in (each for each in mounts if each is not None):
+            for topic in mount.told_on:
+                self._told_on.setdefault(topic, []).append(mount)
         self._moves_from_ns: int | None = None  # where the camera began to move on the base
         self._odometry_source = roles.open_odometry()
         self._odometry = PoseWindow(MAX_ODOMETRY_GAP_S)  # of a tree, at the times of images

@@ -179,9 +179,9 @@ class Timeline:
         for raw in bag.messages(watched, until=lambda _: segment is not None and segment.is_over):
             if segment is not None:
                 segment.take(raw)
-            peeked = _peeked(raw)
-            found = [(("", raw.topic), peeked)]
-            if peeked is None:
+            if (peeked := _peeked(raw)) is not None:
+                found = [(("", raw.topic), peeked)]
+            else:
                 headers = self._headers(raw.topic, decode(bag, raw, tolerate=True))
                 found = [(key, stamp_ns(header)) for key, header in headers]
             for key, time_ns in found:
