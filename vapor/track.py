@@ -8,7 +8,7 @@ import sys
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from vapor.commands.signals import Signals
+    from vapor.commands.terminal import Signals
 
 COMMANDS = {
     "run": "localize the camera of a recorded sequence",
@@ -57,8 +57,7 @@ def run_program(program: str, about: str, commands: dict[str, str], package: str
     """
     if arguments is None and _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # ends the process as SIGTERM does, until `take` below
-    from vapor.commands.signals import Signals
-    from vapor.commands.terminal import encode_anything, flush_output, overview, say, wrapped, write
+    from vapor.commands.terminal import Signals, encode_anything, flush_output, overview, say, wrapped, write
 
     words = list(sys.argv[1:] if arguments is None else arguments)
     prefix = " ".join([program, *(word for word in words[:1] if word in commands)])

@@ -34,10 +34,9 @@ from vapor.inspection.inspect import Inspection, inspect
 from vapor.inspection.picture import draw_map
 from vapor.inspection.recording import record_coverage
 from vapor.observation import VaporObservationModel
-from vapor.reporting.html.findings_page import findings_page
-from vapor.reporting.html.page import Page, write_page
+from vapor.reporting.html.page import Page, findings_page, write_page
 from vapor.reporting.report import write_report
-from vapor.reporting.rerun_photographs import Photographs
+from vapor.reporting.rerun_shapes import Photographs
 from vapor.training_data.entries import files_read, name_entries
 
 _MAP, _RECORDING, _REPORT, _PAGE = "map.png", "recording.rrd", "report.json", "report.html"

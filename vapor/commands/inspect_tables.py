@@ -13,11 +13,10 @@ from sequences.reading.counts import ImageCounts
 from vapor.commands.console import images_said, show, show_notices, skipped_lines
 from vapor.inspection.camera import CameraCheck
 from vapor.inspection.clocks import ImageClock
-from vapor.inspection.coverage import Coverage
+from vapor.inspection.coverage import Coverage, height
 from vapor.inspection.inspect import Inspection
 from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
-from vapor.inspection.regions import height
 from vapor.inspection.walk import Walk
 
 _NAMED = 8  # of a kind, at most

@@ -25,11 +25,10 @@ from vapor.commands.console import (
     usage_error,
 )
 from vapor.commands.progress import progress
-from vapor.commands.signals import results_are_complete
+from vapor.commands.terminal import results_are_complete
 from vapor.commands.workers import Scheduler, workers_for
 from vapor.pipeline.config import RunConfig
-from vapor.pipeline.find_sequences import SUMMARY, find_sequences, is_fleet
-from vapor.pipeline.fleet import Outcome, format_fleet, run_fleet, total
+from vapor.pipeline.fleet import SUMMARY, Outcome, find_sequences, format_fleet, is_fleet, run_fleet, total
 from vapor.pipeline.results import RunResult
 from vapor.pipeline.run import run
 from vapor.reporting.report import format_table

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, make_dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 from rich.table import Table
@@ -20,12 +20,12 @@ from vapor.commands.calibrate import show_calibration
 from vapor.commands.console import (
     OutputPath,
     Overwrite,
+    parse,
     show,
     show_notices,
     show_skipped,
     usage_error,
 )
-from vapor.commands.named_settings import Method, Preset, parse_named
 from vapor.commands.progress import Progress, progress
 from vapor.evaluation.validation import Validation
 from vapor.training.check_result import TrainingCheck
@@ -37,6 +37,51 @@ from vapor.training.progress import TrainResult
 from vapor.training.state import is_training_state, state_path
 from vapor.training.train import train
 from vapor.training_data.entries import files_read
+
+Preset = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(PRESETS)}}}")]
+Method = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
+
+_KNOWN: Mapping[str, Collection[str]] = {"preset": PRESETS, "method": METHODS}
+_Options = TypeVar("_Options")
+
+
+def parse_named(
+    command: str,
+    options: type[_Options],
+    arguments: Sequence[str],
+    names: Sequence[str],
+    config: Callable[..., Any],
+    program: str = "vapor-track",
+) -> _Options:
+    """Options as `parse` reads them, with defaults that are named among them; an unknown name exits with status 2.
+
+    Args:
+        command: Its name, for messages.
+        options: A frozen dataclass with a `config` and the fields `names`.
+        arguments: Words of the command line.
+        names: Which of `preset` and `method` there are.
+        config: Makes the default of `config` from what they name, given by keyword.
+        program: That has the command.
+    """
+    chosen = {name: _named(arguments, name, getattr(options, name)) for name in names}
+    for name, value in chosen.items():
+        if value is not None and value not in _KNOWN[name]:
+            usage_error(command, f"unknown {name} {value!r}, expected one of {', '.join(_KNOWN[name])}", program)
+    hints = get_type_hints(options, include_extras=True)
+    defaults = {**chosen, "config": config(**chosen)}
+    fields = [(name, hints[name], value) for name, value in defaults.items()]
+    named = make_dataclass("Options", fields, bases=(options,), frozen=True, namespace={"__doc__": options.__doc__})
+    return parse(command, named, arguments, program=program)
+
+
+def _named(arguments: Sequence[str], name: str, default: str | None) -> str | None:
+    """The last value given for an option; it is read before all others, since their defaults depend on it."""
+    for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
+        if word == f"--{name}":
+            default = following
+        elif word.startswith(f"--{name}="):
+            default = word.removeprefix(f"--{name}=")
+    return default
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
-"""Where the camera has been, how often and looking which way; and what only some of the recordings show."""
+"""Where the camera was, how often and looking which way; and places that only some of the recordings show."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,13 +10,143 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from filtering.floors import find_floors
-from vapor.inspection.plan import Plan
-from vapor.inspection.regions import Cell, Floor, Segment
+from filtering.floors import find_floors, up_axis
+from filtering.se3 import Poses
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import AWAY, WHOLE_OF, Split, hold_out, long_runs, shown_by, way_of
 from vapor.training_data.ground import DIRECTION_RAD, runs
 from vapor.training_data.training_set import TrainingSet
+
+SECTORS = 8
+STEEP = np.sin(np.deg2rad(60.0))
+_COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+_MOST_CELLS = 50  # along the longer side of the plan
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A map from above.
+
+    Attributes:
+        axes: Right and up on the map, and up in the world: unit vectors in the world, rows (3, 3).
+        names: Of the first two, such as "x" or "-y".
+        cell_m: Side of its cells, metres.
+    """
+
+    axes: Float64[np.ndarray, "3 3"]
+    names: tuple[str, str]
+    cell_m: float
+
+    @staticmethod
+    def of(poses: Poses, near_m: float) -> Plan:
+        """The plan of where cameras (n,) were: up is the axis of the world that is up in most images."""
+        up = up_axis(poses)
+        first = np.eye(3)[0 if up[0] == 0.0 else 1]
+        second = np.cross(up, first)
+        names = [f"{'-' if axis.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]}" for axis in (first, second)]
+        extent = np.ptp(poses.translation @ np.stack([first, second]).T, axis=0).max()
+        cell_m = _round(max(near_m / 2, extent / _MOST_CELLS))
+        return Plan(np.stack([first, second, up]), (names[0], names[1]), cell_m)
+
+    def places(self, poses: Poses) -> Float64[np.ndarray, "n 3"]:
+        """Positions on the map and heights, metres."""
+        return poses.translation @ self.axes.T
+
+    def sectors(self, poses: Poses) -> Int64[np.ndarray, " n"]:
+        """Which way cameras look: 0 to 7 from right on the map counterclockwise, 8 up and 9 down."""
+        ahead = poses.rotation[:, :, 2] @ self.axes.T
+        level = np.round(np.arctan2(ahead[:, 1], ahead[:, 0]) / (2 * np.pi / SECTORS)).astype(np.int64) % SECTORS
+        return np.where(np.abs(ahead[:, 2]) < STEEP, level, np.where(ahead[:, 2] > 0, SECTORS, SECTORS + 1))
+
+    def direction(self, sector: int) -> str:
+        """A direction in words: by the compass where z is up, with y to the north; else by axes."""
+        if sector >= SECTORS:
+            return "up" if sector == SECTORS else "down"
+        if self.names == ("x", "y"):
+            return _COMPASS[sector]
+        turn = sector * 2 * np.pi / SECTORS
+        parts = []
+        for size, name in zip((np.cos(turn), np.sin(turn)), self.names, strict=True):
+            if abs(size) > 0.1:
+                negative = (size < 0) != name.startswith("-")
+                parts.append(f"{'-' if negative else '+'}{name[-1]}")
+        return " ".join(parts)
+
+
+def _round(value: float) -> float:
+    """Up to 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * next(step for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9)))
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Images in a row of one recording: numbers count its images with a true pose, from 0.
+
+    Attributes:
+        name: Of the recording.
+        first: The first of its images.
+        last: The last of them.
+        low_m: Height of the lowest, metres.
+        high_m: Height of the highest.
+        floor: The floor that most of them are on, from 0.
+    """
+
+    name: str
+    first: int
+    last: int
+    low_m: float
+    high_m: float
+    floor: int
+
+    def __str__(self) -> str:
+        return f"{self.name}: images {self.first} to {self.last} ({height(self.low_m, self.high_m)})"
+
+
+@dataclass(frozen=True)
+class Floor:
+    """One of several floors.
+
+    Attributes:
+        low_m: Height of the lowest camera, metres.
+        high_m: Height of the highest.
+        images: How many.
+        names: Of the recordings that show it.
+        trained: How many of these are not held out as a whole.
+        late: The last fraction of their images, in which alone all of them show it; None where it is shown earlier.
+    """
+
+    low_m: float
+    high_m: float
+    images: int
+    names: tuple[str, ...]
+    trained: int
+    late: float | None
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A square of the map.
+
+    Attributes:
+        floor: From 0.
+        column: From the left.
+        row: From below.
+        passes: How many passes came near it.
+        looked: Of these, how many looked each way, by the number of the direction (`Plan.sectors`).
+    """
+
+    floor: int
+    column: int
+    row: int
+    passes: int
+    looked: Mapping[int, int]
+
+
+def height(low_m: float, high_m: float) -> str:
+    """A range of heights in words."""
+    return f"height {low_m:.1f} m" if high_m - low_m < 0.05 else f"height {low_m:.1f} to {high_m:.1f} m"
+
 
 _LATE = 0.25  # of a recording
 

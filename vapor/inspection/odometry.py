@@ -4,23 +4,158 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import accumulate
+from itertools import accumulate, permutations, product
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from filtering.motion import Odometry
-from filtering.se3 import Poses
+from filtering.se3 import Poses, nearest_rotation
 from sequences.errors import SequenceError
 from sequences.frame import Trajectory
 from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.pieces import OdometrySegment
 from sequences.odometry_fit.result import OdometryFit
 from sequences.trajectories.time_offset import find_time_offset
-from vapor.inspection.axes import Axes, compare_axes
 from vapor.training_data.passes import odometry_segments
 from vapor.training_data.training_set import TrainingSet
+
+_WINDOW_S = 1.0  # over which motions are compared: noise of single images counts little
+_LEAST_WINDOWS = 20
+_AGREES, _BETTER = 0.7, 0.2  # correlation of motions, and by how much another way must be better
+_MIRRORED_BETTER = 0.1  # correlation
+_UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37, "feet": 3.281}
+_SAME_UNIT, _UNIT_WITHIN = 2.5, 0.25  # of the ratio of lengths, and of its logarithm
+_TURNED_RAD = float(np.deg2rad(10.0))
+_DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))  # of a camera's axes: there and back
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Which way odometry's axes point, seen by true poses.
+
+    Attributes:
+        correlation: Of the motions as they are, translation and rotation: 1 where they are the same but for scale.
+        turned: The turn of the camera on its base, of all turns by quarters, that makes them most alike, (3, 3).
+        correlation_turned: Of the motions with it.
+        off_rad: Of the best turn of all, how far it is from none.
+        correlation_best: Of the motions with that.
+        correlation_mirrored: Of the motions of which one is mirrored, by the best mirroring along an axis.
+        length_ratio: How far odometry moves for each metre of the true poses; 1 where these have little in common.
+    """
+
+    correlation: float
+    turned: Float64[np.ndarray, "3 3"]
+    correlation_turned: float
+    off_rad: float
+    correlation_best: float
+    correlation_mirrored: float
+    length_ratio: float
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether one of the two is left-handed: a mirroring explains the motions, and no turn does as well."""
+        turned = max(self.correlation, self.correlation_turned, self.correlation_best)
+        return self.correlation_mirrored >= _AGREES and self.correlation_mirrored > turned + _MIRRORED_BETTER
+
+    @property
+    def unit(self) -> str | None:
+        """What the longer of the two is likely in, where it is no metres; None where both may be."""
+        ratio = max(self.length_ratio, 1 / self.length_ratio)
+        if ratio < _SAME_UNIT:
+            return None
+        near = min(_UNITS, key=lambda name: abs(np.log(ratio / _UNITS[name])))
+        return near if abs(np.log(ratio / _UNITS[near])) < _UNIT_WITHIN else "another unit"
+
+    @property
+    def swapped(self) -> bool:
+        """Whether quarter turns explain the motions much better than none."""
+        better = self.correlation_turned > self.correlation + _BETTER
+        return not self.mirrored and self.correlation_turned >= _AGREES and better
+
+    @property
+    def tilted(self) -> bool:
+        """Whether another turn does, of 10° and more."""
+        better = 1.0 - self.correlation_best < 0.8 * (1.0 - self.correlation)
+        if self.mirrored or self.swapped:
+            return False
+        return self.correlation_best >= _AGREES and better and self.off_rad > _TURNED_RAD
+
+    @property
+    def unlike(self) -> bool:
+        """Whether neither a turn nor a mirroring makes the motions alike."""
+        return not self.mirrored and max(self.correlation, self.correlation_turned, self.correlation_best) < _AGREES
+
+    def said(self) -> str:
+        """What looks like what, of the swapped axes."""
+        parts = []
+        for axis in (2, 0, 1):
+            seen = self.turned[:, axis]
+            number = int(np.argmax(np.abs(seen)))
+            if number != axis or seen[number] < 0:
+                parts.append(
+                    f"{_DIRECTIONS[axis][0]} looks like the true poses' {_DIRECTIONS[number][int(seen[number] < 0)]}"
+                )
+        return "odometry's " + ", its ".join(parts)
+
+
+def compare_axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None:
+    """Compare motions over a second, translations and rotations, each in units of its own size.
+
+    Args:
+        tracks: Odometry and true poses at the same times, of each segment.
+
+    Returns:
+        Which way the axes point; None where the camera moves too little to say.
+    """
+    pairs = [_motions(*track) for track in tracks]
+    odometry, truth = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
+    if len(odometry) < _LEAST_WINDOWS:
+        return None
+    moved, turns, sizes = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
+    for products, part in ((moved, slice(0, 3)), (turns, slice(3, 6))):
+        size = float(np.linalg.norm(odometry[:, part]) * np.linalg.norm(truth[:, part]))
+        if size > 1e-9:
+            products += truth[:, part].T @ odometry[:, part] / size
+            sizes += 1.0
+    if sizes == 0.0:
+        return None
+
+    def correlation(turn: np.ndarray) -> float:
+        return float(np.sum(turn * (moved + np.linalg.det(turn) * turns))) / sizes  # mirrored turns go the other way
+
+    quarters = [np.eye(3), *(turn for turn in _quarter_turns() if not np.allclose(turn, np.eye(3)))]
+    turned = max(quarters, key=lambda turn: round(correlation(turn), 3))  # the first of equals
+    best = nearest_rotation(moved + turns)
+    _, off_rad = Poses(best, np.zeros(3)).distance(Poses.identity())
+    mirrored = max(correlation(turn @ np.diag([1.0, -1.0, 1.0])) for turn in quarters)
+    lengths = [float(np.linalg.norm(each[:, :3], axis=1).sum()) for each in (odometry, truth)]
+    alike = float(np.linalg.svd(moved, compute_uv=False).sum()) >= _AGREES  # else it is noise that is compared
+    ratio = lengths[0] / lengths[1] if alike and min(lengths) > 0 else 1.0
+    return Axes(correlation(np.eye(3)), turned, correlation(turned), float(off_rad), correlation(best), mirrored, ratio)
+
+
+def _motions(odometry: Trajectory, truth: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Motions (k, 6) over a second each, by both."""
+    begins, at_ns = [0], odometry.times_ns
+    while (after := int(np.searchsorted(at_ns, at_ns[begins[-1]] + round(_WINDOW_S * 1e9)))) < len(at_ns):
+        begins.append(after)
+    at = np.array(begins)
+    moved = [(track.poses[at[:-1]].inverse() @ track.poses[at[1:]]).log() for track in (odometry, truth)]
+    return moved[0], moved[1]
+
+
+def _quarter_turns() -> list[Float64[np.ndarray, "3 3"]]:
+    """The 24 rotations that carry axes to axes."""
+    found = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        turn = np.zeros((3, 3))
+        turn[list(order), range(3)] = signs
+        if np.linalg.det(turn) > 0:
+            found.append(turn)
+    return found
+
 
 _USUAL_OFFSET_S = 1.0  # at most, within one recording
 

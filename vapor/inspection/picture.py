@@ -7,12 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vapor.inspection.coverage import Coverage
-from vapor.inspection.plan import SECTORS
+from vapor.inspection.coverage import SECTORS, Coverage, height
 from vapor.inspection.predictions import Predictions
-from vapor.inspection.regions import height
-from vapor.reporting.colors import COLORS
-from vapor.reporting.drawing import new_figure, save_figure
+from vapor.reporting.drawing import COLORS, new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

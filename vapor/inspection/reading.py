@@ -18,8 +18,7 @@ from sequences.frame import Frame
 from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
 from sequences.reading.counts import ImageCounts
-from vapor.inspection.looks import Look, Looks, look_at
-from vapor.inspection.walk import Walk
+from vapor.inspection.walk import Look, Looks, Walk, look_at
 from vapor.training_data.colours import Colours
 from vapor.training_data.entries import name_entries
 from vapor.training_data.training_set import TrainingError, TrainingSet

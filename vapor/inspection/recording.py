@@ -13,10 +13,9 @@ from sequences.datasets.scene_points import ScenePoints
 from vapor.inspection.coverage import Coverage
 from vapor.inspection.predictions import Predictions
 from vapor.reporting.rerun_layout import log_legend, space_view, with_legend
-from vapor.reporting.rerun_photographs import Photographs
 from vapor.reporting.rerun_place import Place, log_cameras
 from vapor.reporting.rerun_recording import recorded
-from vapor.reporting.rerun_shapes import steps, thinned
+from vapor.reporting.rerun_shapes import Photographs, steps, thinned
 
 if TYPE_CHECKING:
     import rerun as rr

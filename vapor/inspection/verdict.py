@@ -9,10 +9,9 @@ import numpy as np
 
 from vapor.inspection.camera import CameraCheck
 from vapor.inspection.clocks import ImageClock
-from vapor.inspection.coverage import Coverage
+from vapor.inspection.coverage import Coverage, Floor, height
 from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
-from vapor.inspection.regions import Floor, height
 from vapor.inspection.walk import Walk
 from vapor.training_data.colours import said_of_colours
 from vapor.training_data.views import said_of_views

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import queue
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -22,7 +25,6 @@ from sequences.estimates.sequence import EstimateSequence
 from sequences.odometry_fit.result import OdometryFit
 from sequences.reader import SequenceReader
 from sequences.recordings.estimate_messages import PUBLISHED_PARTICLES
-from vapor.pipeline.ahead import ahead
 from vapor.pipeline.config import FilteringConfig
 from vapor.reporting.record import RunRecord
 from vapor.reporting.rerun_place import Place
@@ -30,6 +32,66 @@ from vapor.reporting.run_outputs import RunOutputs
 from vapor.tracking.history import History
 from vapor.tracking.loop import Baselines, StepLoop
 from vapor.tracking.methods import poses_at_end, start_baselines
+
+Item = TypeVar("Item")
+
+_TURN_S = 2e-4  # between threads: Python's 5 ms are as long as the network takes for an image
+
+
+@contextmanager
+def ahead(items: Iterable[Item], *, room: int = 2) -> Iterator[Iterator[Item]]:
+    """The same items in the same order, computed while those before are in use; used in a `with` statement.
+
+    An error comes in the place of the item that it kept from being computed. At the end of the block, however it ends,
+    the thread has ended, too: what was computed ahead is lost.
+
+    Args:
+        items: Where the items come from; nobody else may use it meanwhile.
+        room: How many items wait at most; one more is being computed.
+    """
+    stage = _Stage(items, room)
+    turn_s = sys.getswitchinterval()
+    sys.setswitchinterval(min(turn_s, _TURN_S))
+    try:
+        yield iter(stage)
+    finally:
+        stage.stop()
+        sys.setswitchinterval(turn_s)
+
+
+class _Stage(Generic[Item]):
+    """A thread that goes through items, and waits where it is too far ahead."""
+
+    def __init__(self, items: Iterable[Item], room: int) -> None:
+        self._done: queue.SimpleQueue[tuple[Item] | BaseException | None] = queue.SimpleQueue()
+        self._room = threading.Semaphore(room)
+        self._stopped = False
+        self._thread = threading.Thread(target=self._work, args=(items,), daemon=True)
+        self._thread.start()
+
+    def _work(self, items: Iterable[Item]) -> None:
+        try:
+            for item in items:
+                self._room.acquire()
+                if self._stopped:
+                    return
+                self._done.put((item,))
+        except BaseException as error:
+            self._done.put(error)
+        else:
+            self._done.put(None)
+
+    def __iter__(self) -> Iterator[Item]:
+        while (done := self._done.get()) is not None:
+            if isinstance(done, BaseException):
+                raise done
+            yield done[0]
+            self._room.release()
+
+    def stop(self) -> None:
+        self._stopped = True
+        self._room.release()
+        self._thread.join()
 
 
 def localize(

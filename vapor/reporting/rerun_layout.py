@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from vapor.reporting.colors import COLORS
-from vapor.reporting.rerun_hypotheses import BEST
+from vapor.reporting.drawing import COLORS
 from vapor.reporting.rerun_place import Place
+from vapor.reporting.rerun_shapes import BEST
 from vapor.tracking.methods import METHODS
 
 if TYPE_CHECKING:

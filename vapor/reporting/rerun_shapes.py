@@ -1,12 +1,22 @@
-"""Cameras, ellipsoids and images in the form in which Rerun shows them."""
+"""Cameras, hypotheses and images in the form in which Rerun shows them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
+from scipy.optimize import linear_sum_assignment
 
+from filtering.estimate import Mode
+from filtering.motion import Odometry
 from filtering.se3 import Poses
-from sequences.frame import Camera
+from sequences.frame import Camera, Frame
+
+if TYPE_CHECKING:
+    import rerun as rr
 
 _IMAGE_SIDE = 480  # pixels
 _JPEG_QUALITY = 75
@@ -67,3 +77,155 @@ def ellipsoids(
     variances, axes = np.linalg.eigh((covariances + np.swapaxes(covariances, 1, 2)) / 2)
     axes[:, :, 2] *= np.linalg.det(axes)[:, None]
     return np.sqrt(np.maximum(variances, 1e-8)), axes
+
+
+BEST = (50, 135, 255)
+"""The colour of the best hypothesis."""
+_OTHERS = (
+    (235, 95, 30),
+    (225, 120, 200),
+    (240, 228, 66),
+    (190, 130, 70),
+    (230, 45, 100),
+    (150, 200, 40),
+    (255, 180, 170),
+    (120, 130, 60),
+    (0, 200, 200),
+    (160, 60, 60),
+)
+
+
+class HypothesisColors:
+    """A colour for each hypothesis, as long as there is one where its motion leads; the best one is always blue.
+
+    Args:
+        length_m: A difference in position that counts as much as one of a radian.
+    """
+
+    def __init__(self, length_m: float) -> None:
+        self._length_m = length_m
+        self._poses: Poses | None = None
+        self._numbers = np.zeros(0, np.int64)
+
+    def of(self, poses: Poses, odometry: Odometry | None) -> UInt8[np.ndarray, "n 3"]:
+        """Colours of the hypotheses after another image.
+
+        Args:
+            poses: Of them, world_from_camera, (n,), the best one first.
+            odometry: Motion since the last image; None where it is unknown, and taken for small.
+        """
+        numbers = np.full(len(poses), -1)
+        if self._poses is not None:
+            moved = self._poses if odometry is None else self._poses @ odometry.previous_from_current
+            metres_sq, turned = poses.squared_distances(moved)
+            here, before = linear_sum_assignment(metres_sq / self._length_m**2 + turned)
+            numbers[here] = self._numbers[before]
+        free = iter(sorted(set(range(2 * len(poses))) - set(numbers.tolist())))
+        numbers = np.array([number if number >= 0 else next(free) for number in numbers.tolist()], np.int64)
+        self._poses, self._numbers = poses, numbers
+        colors = np.array(_OTHERS, np.uint8)[numbers % len(_OTHERS)]
+        colors[0] = BEST
+        return colors
+
+
+def shown_modes(
+    modes: Sequence[Mode], colors: UInt8[np.ndarray, "n 3"], *, camera_m: float
+) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+    """What is to be shown of hypotheses: entity, archetype, and its components by name.
+
+    Args:
+        modes: The hypotheses, n ≥ 1.
+        colors: Of each.
+        camera_m: Size of a camera, metres.
+    """
+    import rerun as rr
+
+    poses = Poses.stack([mode.world_from_camera for mode in modes])
+    sigma, axes = ellipsoids(np.stack([mode.covariance[:3, :3] for mode in modes]))
+    turned = Poses(poses.rotation @ axes, poses.translation)
+    yield (
+        "world/modes",
+        rr.Ellipsoids3D,
+        {
+            "centers": poses.translation,
+            "half_sizes": 2.0 * sigma,
+            "quaternions": turned.as_quat_xyzw(known_valid=True),
+            "colors": colors,
+        },
+    )
+    labels = [f"{100 * mode.weight:.0f} %" for mode in modes]
+    points = poses.translation.astype(np.float32)
+    yield "world/modes/weights", rr.Points3D, {"positions": points, "colors": colors, "labels": labels}
+    yield "world/modes/cameras", rr.LineStrips3D, {"strips": frusta(poses, camera_m), "colors": colors}
+
+
+_MOST = 150  # of one recording: Rerun keeps each apart, and of more in one place all are selected
+_SMALL_SIDE = 240  # pixels
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """An image, and how it was projected.
+
+    Attributes:
+        jpeg: The image.
+        width: Of it, pixels.
+        height: Of it, pixels.
+        image_from_camera: Rows of the matrix of intrinsics, in pixels of this size.
+    """
+
+    jpeg: bytes
+    width: int
+    height: int
+    image_from_camera: list[list[float]]
+
+    @staticmethod
+    def of(frame: Frame, longest_side: int = 480) -> Photograph:
+        """The image of a frame, with its longer side at most so many pixels."""
+        jpeg, width, height = as_jpeg(frame.image, longest_side)
+        camera = frame.camera or stand_in_camera(frame.image)
+        return Photograph(jpeg, width, height, pinhole(camera, width, height))
+
+    def log(
+        self, stream: rr.RecordingStream, entity: str, pose: Poses, *, color: tuple[int, int, int], size_m: float
+    ) -> None:
+        """Show it where it was taken.
+
+        Args:
+            stream: Where to.
+            entity: Its path.
+            pose: world_from_camera, one pose.
+            color: Of the camera.
+            size_m: How far in front of the camera the image is.
+        """
+        import rerun as rr
+
+        camera = rr.Pinhole(
+            image_from_camera=self.image_from_camera,
+            resolution=[self.width, self.height],
+            image_plane_distance=size_m,
+            color=color,
+        )
+        stream.log(entity, rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation), static=True)
+        stream.log(entity, camera, static=True)
+        stream.log(entity, rr.EncodedImage(contents=self.jpeg, media_type="image/jpeg"), static=True)
+
+
+class Photographs:
+    """Images of frames with a true pose, small, and evenly spaced where there are more than 150."""
+
+    def __init__(self) -> None:
+        self._every, self._seen = 1, 0
+        self.of_frame: dict[int, Photograph] = {}
+        """By the number of the frame among those with a true pose."""
+
+    def take(self, frame: Frame) -> None:
+        """Take the next frame."""
+        if frame.world_from_camera is None:
+            return
+        if self._seen % self._every == 0:
+            self.of_frame[self._seen] = Photograph.of(frame, _SMALL_SIDE)
+        self._seen += 1
+        if len(self.of_frame) > _MOST:
+            self._every *= 2
+            self.of_frame = {number: each for number, each in self.of_frame.items() if number % self._every == 0}

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from jaxtyping import Float64
@@ -18,16 +18,63 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate, Status
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame, Trajectory
-from vapor.reporting.rerun_hypotheses import BEST, HypothesisColors
 from vapor.reporting.rerun_layout import ERROR_CURVES, FOLLOWED, log_run_styles, run_blueprint
-from vapor.reporting.rerun_modes import shown_modes
 from vapor.reporting.rerun_place import Place
-from vapor.reporting.rerun_recording import Recording, load_rerun
-from vapor.reporting.rerun_rows import Rows, time_column
-from vapor.reporting.rerun_shapes import as_jpeg, frusta, pinhole, stand_in_camera, steps, thinned
+from vapor.reporting.rerun_recording import Recording, Rows, load_rerun, time_column
+from vapor.reporting.rerun_shapes import (
+    BEST,
+    HypothesisColors,
+    as_jpeg,
+    frusta,
+    pinhole,
+    shown_modes,
+    stand_in_camera,
+    steps,
+    thinned,
+)
 
 if TYPE_CHECKING:
     import rerun as rr
+
+
+class Viewer(Protocol):
+    """Watches a run; used in a `with` block, so that an error leaves no half-written recording."""
+
+    def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
+        """Show one image, the belief after it, and samples (m,) of the image's own posterior."""
+        ...
+
+    def close(self) -> None:
+        """Finish; a recording appears under its name."""
+        ...
+
+    def __enter__(self) -> Viewer: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class NullViewer:
+    """Shows nothing, so that the loop never asks."""
+
+    def log(self, frame: Frame, estimate: Estimate, posterior_poses: Poses | None) -> None:
+        """Do nothing."""
+
+    def log_at_end(self, methods: Mapping[str, Trajectory], truth: Trajectory | None) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def __enter__(self) -> NullViewer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
 
 _CLOUD_SIZE = 300
 _FRUSTA = 40  # samples of an image's posterior that are shown as cameras

@@ -16,11 +16,9 @@ from sequences.errors import SequenceError
 from sequences.frame import Frame
 from sequences.reading.counts import ImageCounts
 from sequences.recordings.estimate_messages import EstimateWriter
-from vapor.reporting.record import RunRecord
-from vapor.reporting.recorder import RunRecorder
+from vapor.reporting.record import RunRecord, RunRecorder
 from vapor.reporting.rerun_place import Place
-from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.reporting.viewer import NullViewer
+from vapor.reporting.rerun_viewer import NullViewer, RerunViewer
 from vapor.tracking.loop import Baselines, Step
 
 

@@ -31,8 +31,7 @@ from sequences.recordings.messages import frame_name, stamp_ns
 from sequences.recordings.source import RawMessage
 from vapor.pipeline.model import LoadedModel
 from vapor.reporting.rerun_place import Place
-from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.reporting.viewer import NullViewer, Viewer
+from vapor.reporting.rerun_viewer import NullViewer, RerunViewer, Viewer
 from vapor.robot.belief import Anchor, LiveBelief
 from vapor.robot.config import LiveConfig
 from vapor.robot.estimate import LiveEstimate

@@ -10,7 +10,7 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
 from filtering.se3 import Poses
 from sequences.frame import Frame
-from vapor.reporting.viewer import Viewer
+from vapor.reporting.rerun_viewer import Viewer
 
 _LEAVE_S = 3.0  # that a viewer gets at the end
 

@@ -25,8 +25,7 @@ from tests.helpers.command_line import main
 from tests.helpers.simulated_run import simulated_steps
 from vapor.benchmark.commands.cells import new_table
 from vapor.commands import console
-from vapor.commands.signals import Signals
-from vapor.commands.terminal import say
+from vapor.commands.terminal import Signals, say
 from vapor.pipeline.fleet import Outcome, format_fleet
 from vapor.reporting.report import format_table
 from vapor.tracking.methods import METHODS
@@ -88,7 +87,7 @@ SIGNALLED = """
 import os, sys
 class Signalled:
     def find_spec(self, name, *_):
-        if name == "vapor.commands.signals":
+        if name == "vapor.commands.terminal":
             os.kill(os.getpid(), int(sys.argv.pop()))
 sys.meta_path.insert(0, Signalled())
 from vapor.track import main

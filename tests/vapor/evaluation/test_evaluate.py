@@ -9,8 +9,8 @@ from filtering.se3 import Poses
 from sequences.frame import Trajectory
 from sequences.trajectories.tum import write_tum
 from tests.helpers.simulated_run import true_walk
+from vapor.commands.evaluate import evaluate_directory
 from vapor.evaluation.consistency import evaluate_consistency
-from vapor.evaluation.run_directory import evaluate_directory
 from vapor.evaluation.trajectory import associate, convergence_s, evaluate_trajectory
 from vapor.tracking.dead_reckoning import dead_reckoning
 

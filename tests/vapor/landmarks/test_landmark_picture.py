@@ -21,7 +21,7 @@ from vapor.landmarks.view_camera import ViewCamera
 from vapor.pipeline.config import RunConfig
 from vapor.pipeline.model import load_model
 from vapor.pipeline.run import VerifiedImages, run
-from vapor.reporting.landmark_picture import landmark_caption, landmark_picture
+from vapor.reporting.html.run_page import landmark_caption, landmark_picture
 
 SHARP = ErrorModel(floor=(0.01,) * 3 + (0.003,) * 3, typical_std=(0.01,) * 3 + (0.003,) * 3)
 SOMEWHERE = PosePosterior.from_estimates(Poses.identity(1), 0.3, 0.1, ErrorModel())

@@ -17,9 +17,8 @@ from vapor.checkpoints.shipped_models import SHIPPED
 from vapor.commands.workers import hush_dask, workers_for
 from vapor.parallel import cluster as cluster_module
 from vapor.parallel import worker as worker_module
-from vapor.parallel.cluster import ClusterError, connected
+from vapor.parallel.cluster import About, ClusterError, connected, packed
 from vapor.parallel.jobs import Workers, in_parallel
-from vapor.parallel.worker import About, packed
 from vapor.storage import local_path
 
 

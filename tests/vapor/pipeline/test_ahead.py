@@ -6,7 +6,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from vapor.pipeline.ahead import ahead
+from vapor.pipeline.localize import ahead
 
 ROOM = 3
 

@@ -12,8 +12,7 @@ from tests.helpers.tiny_model import SMALL
 from vapor.commands.run import show_outcomes
 from vapor.pipeline import fleet as fleet_module
 from vapor.pipeline import model as model_module
-from vapor.pipeline.find_sequences import find_sequences, is_fleet
-from vapor.pipeline.fleet import Outcome
+from vapor.pipeline.fleet import Outcome, find_sequences, is_fleet
 from vapor.track import main
 
 

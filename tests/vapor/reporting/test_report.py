@@ -9,8 +9,7 @@ from rich.console import Console
 
 from filtering.errors import VaporTrackError
 from tests.helpers.simulated_run import simulated_record, simulated_steps
-from vapor.reporting.keyframes import choose_keyframes
-from vapor.reporting.recorder import RunRecorder
+from vapor.reporting.record import RunRecorder, choose_keyframes
 from vapor.reporting.report import build_report, format_table, is_report, write_report
 from vapor.tracking.dead_reckoning import dead_reckoning
 

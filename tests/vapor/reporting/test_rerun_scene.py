@@ -10,10 +10,8 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.helpers.simulated_run import simulated_steps, true_walk
-from vapor.reporting.rerun_hypotheses import BEST, HypothesisColors
-from vapor.reporting.rerun_photographs import Photographs
 from vapor.reporting.rerun_place import Place, whole_view
-from vapor.reporting.rerun_shapes import steps
+from vapor.reporting.rerun_shapes import BEST, HypothesisColors, Photographs, steps
 
 HALF_VIEW = np.tan(np.radians(55.0 / 2))  # of Rerun's eye
 

@@ -12,8 +12,7 @@ from sequences.frame import Frame, Trajectory
 from tests.helpers.rerun_files import entities_of
 from tests.helpers.simulated_run import simulated_steps
 from vapor.reporting.rerun_place import Place
-from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.reporting.viewer import NullViewer
+from vapor.reporting.rerun_viewer import NullViewer, RerunViewer
 
 
 @pytest.fixture(scope="module")

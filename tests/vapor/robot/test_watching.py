@@ -11,8 +11,7 @@ from filtering.errors import VaporTrackError
 from filtering.estimate import Estimate
 from sequences.frame import Frame
 from tests.helpers.localizer_walks import new_localizer, walk
-from vapor.reporting.rerun_viewer import RerunViewer
-from vapor.reporting.viewer import NullViewer
+from vapor.reporting.rerun_viewer import NullViewer, RerunViewer
 from vapor.robot import watching
 from vapor.robot.watching import WatchingViewer
 

@@ -35,7 +35,7 @@ _CODE = (
     "vapor.calibration",
     "vapor.checkpoints",
     "vapor.evaluation",
-    "vapor.pipeline.estimate_model",
+    "vapor.pipeline.fuse",
     "vapor.pipeline.fuse",
     "vapor.tracking",
 )

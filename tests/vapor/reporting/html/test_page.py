@@ -8,8 +8,19 @@ import pytest
 from rich.table import Table as RichTable
 
 from tests.helpers.pages import ReadPage
-from vapor.reporting.html.findings_page import findings_page
-from vapor.reporting.html.page import Code, Folded, Page, Picture, Plot, Section, Table, Text, is_page, write_page
+from vapor.reporting.html.page import (
+    Code,
+    Folded,
+    Page,
+    Picture,
+    Plot,
+    Section,
+    Table,
+    Text,
+    findings_page,
+    is_page,
+    write_page,
+)
 
 PNG = b"\x89PNG not really"
 NASTY = "<script>alert('&\"')</script>"

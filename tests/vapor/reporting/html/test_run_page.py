@@ -11,7 +11,7 @@ from filtering.floors import Floors
 from tests.helpers.pages import ReadPage
 from tests.helpers.simulated_run import simulated_record
 from vapor.reporting.html.run_page import run_page, verdict
-from vapor.reporting.moments import MomentCollector
+from vapor.reporting.record import MomentCollector
 from vapor.reporting.report import build_report
 
 SETTINGS = {"model": {"name": "stairs"}, "versions": {"numpy": "2.4"}, "run": {"seed": 3}}
