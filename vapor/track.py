@@ -1,4 +1,4 @@
-"""The command `vapor-track`: it finds the command asked for, and turns errors into one line and an exit status."""
+"""The program `vapor-track`: it runs a command, and turns errors into one line and an exit status."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: Words after `vapor-track`; None for the process's own, which signals then end as `Signals` says.
+        arguments: Words after `vapor-track`; None for the process's own, whose signals are then handled (`Signals`).
 
     Returns:
         Exit status: 0 on success, 1 for input that cannot be used, 2 for wrong arguments, 128 + n when ended by signal
@@ -43,13 +43,13 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run_program(program: str, about: str, commands: dict[str, str], package: str, arguments: list[str] | None) -> int:
-    """Run the command line of a program that has commands.
+    """Run the command line of a program, whose commands are modules of a package that have a `main`.
 
     Args:
         program: As it is typed.
-        about: What it is for, a sentence.
-        commands: What each does, by name.
-        package: Where they are: modules of their names that have a `main`.
+        about: Its purpose, a sentence.
+        commands: Meanings by name.
+        package: Of the commands.
         arguments: As for `main`.
 
     Returns:
@@ -79,7 +79,7 @@ def run_program(program: str, about: str, commands: dict[str, str], package: str
     except BaseException as error:
         signals.working = False
         if signals.received is not None or isinstance(error, KeyboardInterrupt):
-            return signals.tell()
+            return signals.report()
         if (failure := _failure(error)) is None:
             raise
         say(f"{prefix}: {failure}")
@@ -89,7 +89,6 @@ def run_program(program: str, about: str, commands: dict[str, str], package: str
 
 
 def _run(program: str, commands: dict[str, str], package: str, words: list[str], signals: Signals) -> int:
-    """Run the command that the words name; gives the exit status."""
     import importlib
 
     from filtering.errors import shortened
@@ -110,23 +109,19 @@ def _run(program: str, commands: dict[str, str], package: str, words: list[str],
 
 
 def _failure(error: BaseException) -> str | None:
-    """What to say about an error that is not a defect of the program; None for any other."""
+    """Message of an error that is not a defect of the program; None for any other. By names, as torch may be absent."""
     from filtering.errors import VaporTrackError
 
     if isinstance(error, VaporTrackError):
         return str(error)
     if isinstance(error, OSError):
         return f"{error.filename or 'file'}: {error.strerror or error}"
-    return _shortage(error) if isinstance(error, (MemoryError, RuntimeError)) else None
-
-
-def _shortage(error: Exception) -> str | None:
-    """What to say if the machine is too small; None for any other error. By names, as torch may not be loaded."""
     kind, text = type(error).__name__, str(error).lower()
     if kind in ("BrokenProcessPool", "TerminatedWorkerError"):
         return "a worker process ended unexpectedly, perhaps for lack of memory; fewer --workers need less"
     signs = ("not enough memory", "can't allocate memory", "out of memory")
-    if isinstance(error, MemoryError) or kind == "OutOfMemoryError" or any(sign in text for sign in signs):
+    is_short = kind == "OutOfMemoryError" or (isinstance(error, RuntimeError) and any(sign in text for sign in signs))
+    if isinstance(error, MemoryError) or is_short:
         return "not enough memory; smaller images, batches or numbers of samples and particles need less"
     return None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,7 +20,7 @@ from sequences.trajectories.tum import read_tum
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_notices
 from vapor.evaluation.trajectory import associate, evaluate_methods
 from vapor.reporting.html.page import Page, findings_page, is_page, write_page
-from vapor.reporting.html.run_page import said_of_filter
+from vapor.reporting.html.run_page import filter_sentence
 from vapor.reporting.report import format_table, is_report, write_report
 from vapor.tracking.methods import FILES
 
@@ -38,7 +39,7 @@ def evaluate_directory(
     time_offset_s: float | Literal["auto"] = 0.0,
     columns: str | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Recompute the metrics of a run from the trajectories that it wrote.
+    """Metrics of the trajectories that a run wrote.
 
     Args:
         directory: What `vapor-track run` wrote; `trajectory.tum` must be there, other files of `FILES` may be missing.
@@ -48,8 +49,8 @@ def evaluate_directory(
         columns: Names of the columns of the true poses, as `read_pose_table` takes them.
 
     Returns:
-        `frames`, `frames_with_true_pose`, and for each method found its metrics, as in `report.json`; and what
-        a person should know of the true poses and of the clocks.
+        `frames`, `frames_with_true_pose` and the metrics of each method found, as in `report.json`; and warnings and
+        hints on the true poses and the clocks.
 
     Raises:
         VaporTrackError: a file is missing, malformed or not as its manifest lists it, or nothing overlaps.
@@ -109,7 +110,8 @@ def main(arguments: Sequence[str]) -> None:
     options = parse("evaluate", Options, arguments)
     if options.output is not None:
         kind, reads = "report of vapor-track", files_read(options.directory, options.ground_truth)
-        refuse_other(options.output, kind, _is_evaluation, reads=reads, overwrite=options.overwrite)
+        is_evaluation = partial(is_report, keys=("frames", "frames_with_true_pose"))
+        refuse_other(options.output, kind, is_evaluation, reads=reads, overwrite=options.overwrite)
         page = options.output.with_suffix(".html")
         refuse_other(page, "page of vapor-track", is_page, reads=reads, overwrite=options.overwrite)
     report, notices = evaluate_directory(
@@ -126,8 +128,4 @@ def _page(o: Options, report: Mapping[str, Any], command: str) -> Page:
     truth = "the true poses beside them" if o.ground_truth is None else o.ground_truth.name
     asked = f"{report['frames']} images, {report['frames_with_true_pose']} with a true pose, against {truth}"
     table = format_table(report, title="Errors, without any alignment")
-    return findings_page(o.directory.name, asked, said_of_filter(report), [("How good", [table])], command=command)
-
-
-def _is_evaluation(path: Path) -> bool:
-    return is_report(path, "frames", "frames_with_true_pose")
+    return findings_page(o.directory.name, asked, filter_sentence(report), [("How good", [table])], command=command)

@@ -17,15 +17,7 @@ from sequences.options import SequenceOptions
 from sequences.outputs.claims import refuse_other
 from vapor.checkpoints.file_format import is_model
 from vapor.commands.calibrate import show_calibration
-from vapor.commands.console import (
-    OutputPath,
-    Overwrite,
-    parse,
-    show,
-    show_notices,
-    show_skipped,
-    usage_error,
-)
+from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import Progress, progress
 from vapor.evaluation.validation import Validation
 from vapor.training.check_result import TrainingCheck
@@ -53,15 +45,15 @@ def parse_named(
     config: Callable[..., Any],
     program: str = "vapor-track",
 ) -> _Options:
-    """Options as `parse` reads them, with defaults that are named among them; an unknown name exits with status 2.
+    """As `parse`, where defaults depend on the options `preset` and `method`; an unknown one exits with status 2.
 
     Args:
         command: Its name, for messages.
         options: A frozen dataclass with a `config` and the fields `names`.
         arguments: Words of the command line.
-        names: Which of `preset` and `method` there are.
-        config: Makes the default of `config` from what they name, given by keyword.
-        program: That has the command.
+        names: Of `preset` and `method` those that the command has.
+        config: Makes the default of `config` from their values, given by keyword.
+        program: Its name, for messages.
     """
     chosen = {name: _named(arguments, name, getattr(options, name)) for name in names}
     for name, value in chosen.items():
@@ -75,7 +67,7 @@ def parse_named(
 
 
 def _named(arguments: Sequence[str], name: str, default: str | None) -> str | None:
-    """The last value given for an option; it is read before all others, since their defaults depend on it."""
+    """The last value given for an option."""
     for word, following in zip(arguments, [*arguments[1:], ""], strict=True):
         if word == f"--{name}":
             default = following
@@ -129,14 +121,14 @@ def _train(options: Options) -> None:
     ):
         data = files_read([*options.data, *options.validation], options.reading)
         refuse_other(path, kind, is_kind, reads=chain(options.config.files_read, data), overwrite=options.overwrite)
-    with progress() if is_first() else nullcontext() as told:
+    with progress() if is_first() else nullcontext() as shown:
         result = train(
             options.data,
             options.output,
             options.config,
             validation=options.validation,
             reading=options.reading,
-            progress=None if told is None else partial(_tell, told),
+            progress=None if shown is None else partial(_show_progress, shown),
         )
     if not is_first():
         return
@@ -150,17 +142,16 @@ def _train(options: Options) -> None:
     show_notices(result.notices)
 
 
-def _tell(told: Progress, now: Where) -> None:
-    """Show where a training stands."""
+def _show_progress(shown: Progress, now: Where) -> None:
     figures = ""
     if now.loss is not None:
         figures = f"epoch {now.epoch}/{now.epochs}, loss {now.loss:.3f}"
     if now.validation is not None:
         held_out = f"{_recalls(now.validation)}, log density {now.validation.log_density:.2f}"
         figures += f", held out at epoch {now.validation.epoch}: {held_out}"
-    told.at(now.stage, now.done, now.total, unit="images" if now.loss is None else "steps", figures=figures)
+    shown.at(now.stage, now.done, now.total, unit="images" if now.loss is None else "steps", figures=figures)
     for note in now.notes:
-        told.note(note)
+        shown.note(note)
 
 
 def _summary(result: TrainResult, output: Path) -> str:

@@ -1,4 +1,4 @@
-"""How good a trajectory is against the truth, in the map's frame: no alignment anywhere."""
+"""Errors of a trajectory against the truth, in the map's frame: no alignment anywhere."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ THRESHOLDS: Mapping[str, tuple[float, float]] = MappingProxyType(
 """Recall thresholds: metres and degrees, both to be met."""
 
 POSITION_M: Mapping[str, float] = MappingProxyType({"1m": 1.0, "3m": 3.0, "5m": 5.0})
-"""Thresholds of position recall, metres, whichever way the camera looks: what localization in maps of cities reports
-(Sarlin et al., "OrienterNet", CVPR 2023); there errors are of two dimensions, here of three."""
+"""Thresholds of position recall, metres, as localization in maps of cities reports (Sarlin et al., "OrienterNet",
+CVPR 2023), there in two dimensions, here in three."""
 
 RIGHT = "0.3m/20deg"
 """The threshold within which a pose counts as right."""
 
 TAIL_M: Mapping[str, float] = MappingProxyType({"0.1m": 0.1, "0.25m": 0.25, "0.5m": 0.5})
-"""Translation errors in metres beyond which images are counted: medians say nothing of the tail."""
+"""Translation errors in metres beyond which images are counted: medians do not show the tail."""
 
 SURE = 0.95
-"""Fraction of the remaining images that must be right once a method has found itself."""
+"""Fraction of the remaining images that must be right once a method has converged."""
 
 
 def is_right(poses: Poses, truth: Poses) -> Bool[np.ndarray, "*n"]:
@@ -138,19 +138,15 @@ def evaluate_trajectory(estimate: Trajectory, truth: Trajectory, *, tracking: bo
 def convergence_s(
     times_ns: Int64[np.ndarray, " n"], right: Bool[np.ndarray, " n"], *, start_ns: int | None = None
 ) -> float | None:
-    """The moment from when on a method is right.
+    """Seconds from the first image of a sequence to the moment from which on a method is right; None if never.
 
-    It is the first image that is right itself, from which on, itself included, at least 95 % of the images are
-    right, and that lies strictly before four fifths of the sequence's duration: the last fifth must remain to
-    prove it, or a single lucky image at the end would count.
+    It is the first image that is right, from which on, itself included, at least 95 % of the images are right, and that
+    lies strictly before four fifths of the sequence's duration: a single lucky image at the end does not count.
 
     Args:
         times_ns: Stamps (n,).
         right: Whether each image's pose is right, (n,).
-        start_ns: Stamp of the sequence's first image, from which seconds count; the first of `times_ns` if None.
-
-    Returns:
-        Seconds since the first image; None if there is no such moment.
+        start_ns: Stamp of the sequence's first image; the first of `times_ns` if None.
     """
     start_ns = int(times_ns[0]) if start_ns is None else start_ns
     remaining = np.arange(len(right), 0, -1)

@@ -1,4 +1,4 @@
-"""How good the posteriors of held-out images are: what selects the weights that are kept."""
+"""Metrics of the posteriors of held-out images, by which training selects weights."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
 _BATCH = 64
 _MAX_NOISE = 2**25  # numbers at a time: dropout takes 2048 for every sample
 LOG_FLOOR = float(np.log(1e-4))
-"""Log density per m³ rad³ that is added to that at a true pose: it keeps single images from deciding."""
+"""Log density per m³ rad³ that is added at a true pose, so that no single image decides."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Validation:
         sample_recall: Fraction of the posterior samples within 0.3 m and 20° of the true pose.
         mode_recall: Fraction of the images whose sample of highest density is.
         log_density: Mean of log(p̂(true pose) + 10⁻⁴ per m³ rad³): unlike the recalls it falls when a possible place is
-            forgotten, which a filter cannot mend.
+            forgotten, which no filter can repair.
     """
 
     epoch: int
@@ -62,8 +62,8 @@ def validate(
         calibration: Kernel widths.
         num_samples: Posterior samples per image.
         seed: Seed of the latent noise.
-        epoch: Passed through.
-        train_loss: Passed through.
+        epoch: See `Validation`.
+        train_loss: See `Validation`.
         feature: See `predict`.
     """
     figures = []
@@ -92,7 +92,7 @@ def predict(
         images: Scaled as for training.
         num_samples: Posterior samples per image.
         seed: Seed of the latent noise.
-        feature: Their features, from `extract_features`, where they are known; the images are then not looked at.
+        feature: Of the images, from `extract_features`, where known; images are then not used.
     """
     device = network.pixel_mean.device
     generator = torch.Generator(device).manual_seed(seed)
@@ -108,7 +108,7 @@ def predict(
 
 
 def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np.ndarray, " n"] | None:
-    """Log density per m³ rad³ of each image's posterior at its true pose, (n,); None where only samples tell of it."""
+    """Log density per m³ rad³ of each image's posterior at its true pose, (n,); None without a closed form."""
     density = network.density
     if density is None:
         return None
@@ -122,7 +122,7 @@ def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np
 
 
 def batches(network: PoseRegressor, images: TrainingSet, size: int = _BATCH) -> Iterator[tuple[slice, Tensor]]:
-    """Which images, and their centre crops, normalised; the network is in evaluation mode until all are done."""
+    """Slices of the images and their normalised centre crops; the network is in evaluation mode meanwhile."""
     config, training = network.config, network.training
     network.eval()
     for start in range(0, len(images), size):

@@ -25,7 +25,7 @@ _MOST_CELLS = 50  # along the longer side of the plan
 
 @dataclass(frozen=True)
 class Plan:
-    """A map from above.
+    """A map from above, which the cameras outline.
 
     Attributes:
         axes: Right and up on the map, and up in the world: unit vectors in the world, rows (3, 3).
@@ -39,7 +39,7 @@ class Plan:
 
     @staticmethod
     def of(poses: Poses, near_m: float) -> Plan:
-        """The plan of where cameras (n,) were: up is the axis of the world that is up in most images."""
+        """The plan of cameras (n,): up is the axis of the world that is up in most images."""
         up = up_axis(poses)
         first = np.eye(3)[0 if up[0] == 0.0 else 1]
         second = np.cross(up, first)
@@ -53,13 +53,13 @@ class Plan:
         return poses.translation @ self.axes.T
 
     def sectors(self, poses: Poses) -> Int64[np.ndarray, " n"]:
-        """Which way cameras look: 0 to 7 from right on the map counterclockwise, 8 up and 9 down."""
+        """Directions of cameras: 0 to 7 from right on the map counterclockwise, 8 up and 9 down."""
         ahead = poses.rotation[:, :, 2] @ self.axes.T
         level = np.round(np.arctan2(ahead[:, 1], ahead[:, 0]) / (2 * np.pi / SECTORS)).astype(np.int64) % SECTORS
         return np.where(np.abs(ahead[:, 2]) < STEEP, level, np.where(ahead[:, 2] > 0, SECTORS, SECTORS + 1))
 
     def direction(self, sector: int) -> str:
-        """A direction in words: by the compass where z is up, with y to the north; else by axes."""
+        """A direction in words: by the compass where z is up and y north; else by axes."""
         if sector >= SECTORS:
             return "up" if sector == SECTORS else "down"
         if self.names == ("x", "y"):
@@ -74,7 +74,7 @@ class Plan:
 
 
 def _round(value: float) -> float:
-    """Up to 1, 2 or 5 times a power of ten."""
+    # Up to 1, 2 or 5 times a power of ten.
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * next(step for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9)))
 
@@ -113,7 +113,7 @@ class Floor:
         images: How many.
         names: Of the recordings that show it.
         trained: How many of these are not held out as a whole.
-        late: The last fraction of their images, in which alone all of them show it; None where it is shown earlier.
+        late: The last fraction of each recording's images, before which none shows it; None where one does.
     """
 
     low_m: float
@@ -132,8 +132,8 @@ class Cell:
         floor: From 0.
         column: From the left.
         row: From below.
-        passes: How many passes came near it.
-        looked: Of these, how many looked each way, by the number of the direction (`Plan.sectors`).
+        passes: Number of passes that came near it.
+        looked: Number of these that looked each way, by direction (`Plan.sectors`).
     """
 
     floor: int
@@ -153,14 +153,14 @@ _LATE = 0.25  # of a recording
 
 @dataclass(frozen=True)
 class Coverage:
-    """What n images with true poses of r recordings show.
+    """Coverage of a place by n images with true poses of r recordings.
 
     Attributes:
-        images: Them.
-        split: What `train` would hold out.
-        shown: Whether each image is shown by each recording, by another pass of it where it is its own, (n, r).
+        images: Without pixels.
+        split: As `train` would hold images out.
+        shown: Whether each recording, or of its own another pass, shows the surroundings of each image, (n, r).
         plan: The map.
-        way: How far the camera has come, (n,).
+        way: Length of the path up to each image, metres, (n,).
     """
 
     images: TrainingSet
@@ -171,25 +171,25 @@ class Coverage:
 
     @staticmethod
     def of(images: TrainingSet) -> Coverage:
-        """What these images show, by the same measure by which `train` holds some of them out."""
+        """Measured as `train` does to hold images out."""
         split = hold_out(images, TrainConfig().validation_fraction)
         plan = Plan.of(images.poses, split.near_m)
         return Coverage(images, split, shown_by(images, split.near_m), plan, way_of(images))
 
     @property
     def by_recordings(self) -> bool:
-        """Whether what other recordings show counts, as whole ones are held out; else what other passes do."""
+        """Whether other recordings count, as whole ones are held out; else other passes do."""
         return len(self.images.names) >= WHOLE_OF
 
     @cached_property
     def others(self) -> Int64[np.ndarray, " n"]:
-        """How many other recordings show each image; of few, how many do it in another pass."""
+        """Number of other recordings that show each image; of few recordings, of those that do in another pass."""
         own = np.arange(len(self.images)), self.images.sequence
         return self.shown.sum(axis=1) - (self.shown[own] if self.by_recordings else 0)
 
     @cached_property
     def places(self) -> Float64[np.ndarray, "n 3"]:
-        """On the map, and heights, metres."""
+        """Positions on the map and heights, metres."""
         return self.plan.places(self.images.poses)
 
     @cached_property
@@ -204,12 +204,12 @@ class Coverage:
 
     @cached_property
     def sectors(self) -> Int64[np.ndarray, " n"]:
-        """Which way each image looks."""
+        """Direction of each image, see `Plan.sectors`."""
         return self.plan.sectors(self.images.poses)
 
     @cached_property
     def passes(self) -> list[Cell]:
-        """The cells of the map in which an image is, each with the passes that came near it."""
+        """The cells of the map that have an image."""
         keys, index = np.unique(np.column_stack([self.floor, self.cells]), axis=0, return_inverse=True)
         index, near_m = index.ravel(), self.split.near_m
         position, ahead = self.images.poses.translation, self.images.poses.rotation[:, :, 2]
@@ -229,7 +229,7 @@ class Coverage:
         return found
 
     def alone(self) -> list[Segment]:
-        """Segments that no other recording shows, or of few recordings no other pass; from the longest down."""
+        """Segments that no other recording, or of few recordings no other pass, shows; from the longest down."""
         alone = self.others == 0
         sequence = self.images.sequence
         brief = ~alone & ~long_runs(~alone, self.way, sequence)
@@ -238,24 +238,15 @@ class Coverage:
             rows = np.arange(run.start, run.stop)
             rows = rows[np.flatnonzero(alone[rows])[[0, -1]]] if alone[rows].any() else rows[:0]
             if len(rows):
-                found.append(self._segment(slice(int(rows[0]), int(rows[-1]) + 1)))
+                number, heights = int(sequence[run.start]), self.places[rows[0] : rows[-1] + 1, 2]
+                first, last = (rows[[0, -1]] - int(np.argmax(sequence == number))).tolist()
+                floor = int(np.bincount(self.floor[rows[0] : rows[-1] + 1]).argmax())
+                low_m, high_m = float(heights.min()), float(heights.max())
+                found.append(Segment(self.images.names[number], first, last, low_m, high_m, floor))
         return sorted(found, key=lambda segment: segment.first - segment.last)
 
-    def _segment(self, run: slice) -> Segment:
-        number = int(self.images.sequence[run.start])
-        begin = int(np.argmax(self.images.sequence == number))
-        heights = self.places[run, 2]
-        return Segment(
-            self.images.names[number],
-            run.start - begin,
-            run.stop - 1 - begin,
-            float(heights.min()),
-            float(heights.max()),
-            int(np.bincount(self.floor[run]).argmax()),
-        )
-
     def floors(self) -> list[Floor]:
-        """From the lowest up; none where there is one only."""
+        """From the lowest up; empty where there is one only."""
         if self.floor.max() == 0:
             return []
         found = []
@@ -293,7 +284,7 @@ class Coverage:
 
 
 def _visits(near: Bool[np.ndarray, " n"], away: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> int:
-    """How often recordings come near something, having been away from it between."""
+    """Number of times that recordings come near, having been away between."""
     clear = np.flatnonzero(near | away)
     comes = near[clear]
     before = np.concatenate([[False], comes[:-1]])

@@ -33,16 +33,16 @@ _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))  # of a c
 
 @dataclass(frozen=True)
 class Axes:
-    """Which way odometry's axes point, seen by true poses.
+    """Directions of odometry's axes against true poses.
 
     Attributes:
         correlation: Of the motions as they are, translation and rotation: 1 where they are the same but for scale.
-        turned: The turn of the camera on its base, of all turns by quarters, that makes them most alike, (3, 3).
-        correlation_turned: Of the motions with it.
-        off_rad: Of the best turn of all, how far it is from none.
-        correlation_best: Of the motions with that.
-        correlation_mirrored: Of the motions of which one is mirrored, by the best mirroring along an axis.
-        length_ratio: How far odometry moves for each metre of the true poses; 1 where these have little in common.
+        turned: The quarter turns of the camera on its base that make them most alike, (3, 3).
+        correlation_turned: Of the motions with these turns.
+        off_rad: Angle of the best turn of all.
+        correlation_best: Of the motions with the best turn.
+        correlation_mirrored: Of the motions with the best mirroring of one of them along an axis.
+        length_ratio: Length of odometry per metre of the true poses; 1 where these have little in common.
     """
 
     correlation: float
@@ -55,13 +55,13 @@ class Axes:
 
     @property
     def mirrored(self) -> bool:
-        """Whether one of the two is left-handed: a mirroring explains the motions, and no turn does as well."""
+        """Whether one of the two is left-handed: a mirroring explains the motions better than any turn."""
         turned = max(self.correlation, self.correlation_turned, self.correlation_best)
         return self.correlation_mirrored >= _AGREES and self.correlation_mirrored > turned + _MIRRORED_BETTER
 
     @property
     def unit(self) -> str | None:
-        """What the longer of the two is likely in, where it is no metres; None where both may be."""
+        """The likely unit of the longer of the two; None where both may be in metres."""
         ratio = max(self.length_ratio, 1 / self.length_ratio)
         if ratio < _SAME_UNIT:
             return None
@@ -76,7 +76,7 @@ class Axes:
 
     @property
     def tilted(self) -> bool:
-        """Whether another turn does, of 10° and more."""
+        """Whether another turn, of 10° and more, does."""
         better = 1.0 - self.correlation_best < 0.8 * (1.0 - self.correlation)
         if self.mirrored or self.swapped:
             return False
@@ -87,8 +87,8 @@ class Axes:
         """Whether neither a turn nor a mirroring makes the motions alike."""
         return not self.mirrored and max(self.correlation, self.correlation_turned, self.correlation_best) < _AGREES
 
-    def said(self) -> str:
-        """What looks like what, of the swapped axes."""
+    def in_words(self) -> str:
+        """The swapped axes and their counterparts."""
         parts = []
         for axis in (2, 0, 1):
             seen = self.turned[:, axis]
@@ -101,13 +101,9 @@ class Axes:
 
 
 def compare_axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None:
-    """Compare motions over a second, translations and rotations, each in units of its own size.
+    """Compare motions over a second of odometry and true poses, given at the same times for each segment.
 
-    Args:
-        tracks: Odometry and true poses at the same times, of each segment.
-
-    Returns:
-        Which way the axes point; None where the camera moves too little to say.
+    Translations and rotations count in units of their own size. None where the camera moves too little.
     """
     pairs = [_motions(*track) for track in tracks]
     odometry, truth = (np.concatenate([pair[i] for pair in pairs]) for i in range(2))
@@ -137,7 +133,6 @@ def compare_axes(tracks: Sequence[tuple[Trajectory, Trajectory]]) -> Axes | None
 
 
 def _motions(odometry: Trajectory, truth: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Motions (k, 6) over a second each, by both."""
     begins, at_ns = [0], odometry.times_ns
     while (after := int(np.searchsorted(at_ns, at_ns[begins[-1]] + round(_WINDOW_S * 1e9)))) < len(at_ns):
         begins.append(after)
@@ -147,7 +142,6 @@ def _motions(odometry: Trajectory, truth: Trajectory) -> tuple[np.ndarray, np.nd
 
 
 def _quarter_turns() -> list[Float64[np.ndarray, "3 3"]]:
-    """The 24 rotations that carry axes to axes."""
     found = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         turn = np.zeros((3, 3))
@@ -162,16 +156,15 @@ _USUAL_OFFSET_S = 1.0  # at most, within one recording
 
 @dataclass(frozen=True)
 class OdometryCheck:
-    """What true poses say of odometry.
+    """Odometry against true poses.
 
     Attributes:
-        increments: Images to which odometry leads from the one before, where both have true poses.
-        axes: Which way its axes point; None where it moves too little to say.
-        late_ms: By recording: how much later odometry's stamps are than those of the true poses, of the same moment.
-        unknown_late: By recording: why that cannot be said.
-        fit: How wrong it is, with its axes turned as they should be and in the unit of the true poses; None where that
-            cannot be said.
-        no_fit: Why not.
+        increments: Number of odometry steps between images with true poses.
+        axes: Of odometry; None where it moves too little.
+        late_ms: Delay of odometry's stamps against those of the true poses, by recording.
+        unknown_late: Reason why it is unknown, by recording.
+        fit: Errors of odometry, after its axes and unit were corrected; None where unknown.
+        no_fit: Reason why they are unknown.
     """
 
     increments: int
@@ -189,20 +182,14 @@ class OdometryCheck:
     def as_json(self) -> dict[str, Any]:
         """Figures for the report."""
         axes = self.axes
+        figures = None
+        if axes is not None:
+            names = ("correlation", "correlation_turned", "swapped", "tilted", "mirrored", "length_ratio")
+            figures = {name: getattr(axes, name) for name in names}
+            figures |= {"turned": axes.turned.tolist(), "off_deg": float(np.degrees(axes.off_rad))}
         return {
             "increments": self.increments,
-            "axes": None
-            if axes is None
-            else {
-                "correlation": axes.correlation,
-                "correlation_turned": axes.correlation_turned,
-                "turned": axes.turned.tolist(),
-                "swapped": axes.swapped,
-                "off_deg": float(np.degrees(axes.off_rad)),
-                "tilted": axes.tilted,
-                "mirrored": axes.mirrored,
-                "length_ratio": axes.length_ratio,
-            },
+            "axes": figures,
             "late_ms": dict(self.late_ms),
             "unknown_late": dict(self.unknown_late),
             "fit": None if self.fit is None else asdict(self.fit),
@@ -216,10 +203,9 @@ def check_odometry(images: TrainingSet) -> OdometryCheck | None:
     if not segments:
         return None
     axes = compare_axes([_track(segment) for segment in segments])
-    if axes is not None and axes.unit is not None:
-        segments = [_scaled(segment, 1 / axes.length_ratio) for segment in segments]
-    if axes is not None and axes.swapped:
-        segments = [_turned(segment, axes.turned) for segment in segments]
+    if axes is not None and (axes.unit is not None or axes.swapped):
+        factor, turn = 1 / axes.length_ratio if axes.unit else 1.0, axes.turned if axes.swapped else np.eye(3)
+        segments = [_carried(segment, factor, turn) for segment in segments]
     fit, no_fit = None, ""
     try:
         fit = fit_odometry(segments)
@@ -232,19 +218,15 @@ def check_odometry(images: TrainingSet) -> OdometryCheck | None:
         odometry, truth = max(own, key=lambda tracks: len(tracks[0]))
         name = images.names[number]
         try:
-            late_ms[name] = 1e3 * _late_s(odometry, truth)
+            try:
+                late_s = find_time_offset(odometry, truth)
+            except SequenceError:  # a motion that repeats itself allows for several
+                late_s = find_time_offset(odometry, truth, within_s=_USUAL_OFFSET_S)
+            late_ms[name] = 1e3 * late_s
         except SequenceError as error:
             unknown[name] = str(error).removesuffix("; give --time-offset-s a number")
     increments = sum(len(segment.odometry) for segment in segments)
     return OdometryCheck(increments, axes, late_ms, unknown, fit, no_fit)
-
-
-def _late_s(odometry: Trajectory, truth: Trajectory) -> float:
-    """How much later odometry is; where a motion that repeats itself allows for several, the one below a second."""
-    try:
-        return find_time_offset(odometry, truth)
-    except SequenceError:
-        return find_time_offset(odometry, truth, within_s=_USUAL_OFFSET_S)
 
 
 def _track(segment: OdometrySegment) -> tuple[Trajectory, Trajectory]:
@@ -257,32 +239,17 @@ def _track(segment: OdometrySegment) -> tuple[Trajectory, Trajectory]:
 
 
 def chained(steps: Sequence[Poses]) -> Poses:
-    """Where n motions lead, one after the other, from the identity on, (n + 1,)."""
+    """Poses (n + 1,) along n motions, from the identity on."""
     return Poses.stack(list(accumulate(steps, Poses.__matmul__, initial=Poses.identity())))
 
 
-def _scaled(segment: OdometrySegment, factor: float) -> OdometrySegment:
-    """The same with odometry in another unit."""
-    each = np.diag([factor] * 3 + [1.0] * 3)
-    steps = [
-        Odometry(
-            Poses(step.previous_from_current.rotation, factor * step.previous_from_current.translation),
-            each @ step.covariance @ each,
-            step.duration_s,
-        )
-        for step in segment.odometry
-    ]
-    return OdometrySegment(steps, segment.truth, segment.recording)
-
-
-def _turned(segment: OdometrySegment, turn: Float64[np.ndarray, "3 3"]) -> OdometrySegment:
-    """The same with the axes of odometry turned."""
+def _carried(segment: OdometrySegment, factor: float, turn: Float64[np.ndarray, "3 3"]) -> OdometrySegment:
+    """The same with odometry in another unit, and its axes turned."""
     about = Poses(turn, np.zeros(3))
-    carry = about.adjoint()
-    steps = [
-        Odometry(
-            about @ step.previous_from_current @ about.inverse(), carry @ step.covariance @ carry.T, step.duration_s
-        )
-        for step in segment.odometry
-    ]
+    carry = about.adjoint() @ np.diag([factor] * 3 + [1.0] * 3)
+    steps = []
+    for step in segment.odometry:
+        moved = step.previous_from_current
+        moved = about @ Poses(moved.rotation, factor * moved.translation) @ about.inverse()
+        steps.append(Odometry(moved, carry @ step.covariance @ carry.T, step.duration_s))
     return OdometrySegment(steps, segment.truth, segment.recording)

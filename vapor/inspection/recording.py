@@ -1,4 +1,4 @@
-"""What was recorded, in space, as a Rerun recording: cameras by how many passes show the same, images, predictions."""
+"""Recordings in space for Rerun: cameras by the number of passes that show the same, images, predictions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vapor.inspection.predictions import Predictions
 from vapor.reporting.rerun_layout import log_legend, space_view, with_legend
 from vapor.reporting.rerun_place import Place, log_cameras
 from vapor.reporting.rerun_recording import recorded
-from vapor.reporting.rerun_shapes import Photographs, steps, thinned
+from vapor.reporting.rerun_shapes import Photograph, steps, thinned
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -36,19 +36,19 @@ _PATH = (105, 105, 112)
 def record_coverage(
     path: Path,
     coverage: Coverage,
-    photographs: Photographs,
+    photographs: Sequence[tuple[int, Photograph]],
     predictions: Predictions | None = None,
     *,
     points: Sequence[ScenePoints] = (),
 ) -> Path:
-    """Record where the cameras were, with some of their images, and with a model's predictions where it puts them.
+    """Record the cameras, some of their images, and the cameras as a model predicts them.
 
     Args:
         path: The recording, `.rrd`; it appears under its name only when complete.
-        coverage: What images show.
-        photographs: Some of these images.
-        predictions: What a model says of them.
-        points: Of the place, as each of the data sets has them.
+        coverage: Of the images.
+        photographs: Some of these images, each with its number.
+        predictions: Of a model.
+        points: Of the place, from each data set that has them.
 
     Raises:
         SequenceError, VaporTrackError: it cannot be written.
@@ -78,7 +78,7 @@ def record_coverage(
             some = np.linspace(0, len(each) - 1, min(len(each), _POINTS)).round().astype(np.int64)
             cloud = rr.Points3D(each.positions[some], colors=each.colors[some], radii=rr.Radius.ui_points(1.0))
             stream.log(f"world/place/points/{number}", cloud, static=True)
-        for number, photograph in photographs.of_frame.items():
+        for number, photograph in photographs:
             where = f"world/images/{number}"
             photograph.log(stream, where, poses[number], color=colors[shown[number]], size_m=2 * place.small_camera_m)
         if predictions is not None:
@@ -87,7 +87,7 @@ def record_coverage(
 
 
 def _log_predictions(stream: rr.RecordingStream, coverage: Coverage, predictions: Predictions) -> None:
-    """Points where the model puts the cameras, and lines from some of them to where they were."""
+    """Cameras as points where the model predicts them, with lines from some to where they were."""
     import rerun as rr
 
     known = predictions.best.is_finite()

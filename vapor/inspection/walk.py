@@ -17,8 +17,7 @@ from sequences.reading.counts import ImageCounts
 from vapor.training_data.colours import Colours
 from vapor.training_data.views import Pair, ViewCheck
 
-SIDE_PX = 240
-"""Images are measured at this size of their shorter side."""
+_SIDE_PX = 240  # shorter side at which images are measured
 
 _MUCH_BLURRIER, _DULLER = 0.3, 0.7  # than the recording's median: variance, and variance over that of coarse detail
 _DARK, _BRIGHT = 25, 250  # of 255
@@ -27,17 +26,17 @@ _JUMP = 0.5  # of log2 of the mean brightness
 
 
 class Look(NamedTuple):
-    """What is kept of one image.
+    """Figures of one image.
 
     Attributes:
         sharpness: Variance of the Laplacian of the grey image, scaled to a shorter side of 240 pixels.
-        coarse: The same of the image at a quarter of that size, where blur takes less of it.
+        coarse: The same at a quarter of that size, where blur takes less of it.
         brightness: Mean of the grey image, 0 to 255.
         dark: Fraction of its pixels below 25.
         bright: Fraction of its pixels of 250 and more.
         digest: A checksum of all its bytes.
-        width: Of the whole image, pixels.
-        height: Likewise.
+        width: Pixels.
+        height: Pixels.
     """
 
     sharpness: float
@@ -51,8 +50,8 @@ class Look(NamedTuple):
 
 
 def look_at(image: UInt8[np.ndarray, "h w 3"]) -> Look:
-    """The numbers of one RGB image."""
-    scale = SIDE_PX / min(image.shape[:2])
+    """The figures of one RGB image."""
+    scale = _SIDE_PX / min(image.shape[:2])
     size = max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale))
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     grey = cv2.cvtColor(np.asarray(cv2.resize(image, size, interpolation=method)), cv2.COLOR_RGB2GRAY)
@@ -76,7 +75,7 @@ class Looks:
     Attributes:
         sharpness: Variance of the Laplacian, (n,).
         brightness: Mean of the grey image, 0 to 255, (n,).
-        blurred: Much blurrier than the recording's median, and not only as there is less to see, (n,).
+        blurred: Much blurrier than the recording's median, and not for lack of texture, (n,).
         dark: Nearly black, (n,).
         blown: With a large part blown out, (n,).
         jumps: Half a stop brighter or darker than the image before, (n,).
@@ -93,7 +92,7 @@ class Looks:
 
     @staticmethod
     def of(looks: Sequence[Look]) -> Looks:
-        """What the numbers of a recording's images, at least one, say beside each other."""
+        """Compare the images of a recording, at least one."""
         sharpness, coarse, brightness, dark, bright = (
             np.array([look[i] for look in looks], np.float64) for i in range(5)
         )
@@ -125,21 +124,20 @@ class Walk:
     Attributes:
         name: Of its file or folder.
         times_ns: Stamps, (n,).
-        sizes: Width and height of images, pixels, and how many have them.
-        looks: How its images look.
-        posed: Which of them have a true pose, (n,).
+        sizes: Number of images by width and height, pixels.
+        looks: Figures of its images.
+        posed: Whether each image has a true pose, (n,).
         poses: These k poses, world_from_camera.
-        odometry: Motion since the image before, n of them; None where it is not known.
-        counts: What became of the images of the recording, those that were not asked for among the skipped ones; None
-            of images on disk.
-        skipped: What was left out in reading, by reason: images, and messages that could not be read.
-        notices: What the reader says of odometry and true poses.
+        odometry: Motion since the image before, n of them; None where unknown.
+        counts: Counts of the images of the recording; None of images on disk.
+        skipped: Number of skipped images and unreadable messages, by reason.
+        notices: Warnings and hints of the reader on odometry and true poses.
         assumed_hz: The rate that was assumed for want of stamps; None where they were recorded.
-        lacks: What was not found, "true poses" and "odometry", and why.
+        lacks: Why "true poses" or "odometry" are missing.
         recorded: Whether it is a recording, rather than images on disk.
         pairs: Images that show the same, spread over the recording.
-        views: How what its images show compares with how true poses and odometry say that it moved.
-        colours: Which colours it has.
+        views: Motion of the images compared with that of true poses and odometry.
+        colours: Of its images.
     """
 
     name: str
@@ -169,7 +167,7 @@ class Walk:
 
     @property
     def gaps(self) -> list[tuple[float, float]]:
-        """Where no image is for long: seconds since the first image, and how long, from the longest down."""
+        """Long gaps between images: seconds since the first image, and duration, from the longest down."""
         if self.assumed_hz is not None or len(self) < 3:
             return []
         steps = np.diff(self.seconds)
@@ -179,18 +177,15 @@ class Walk:
 
     @property
     def frozen(self) -> list[tuple[int, int]]:
-        """First and last of images in a row that are one and the same, three at least."""
+        """First and last of at least three images in a row that are equal."""
         begins = np.flatnonzero(~self.looks.repeated)
         lengths = np.diff([*begins.tolist(), len(self)])
-        return [
-            (int(begin), int(begin + length - 1))
-            for begin, length in zip(begins, lengths, strict=True)
-            if length >= _LEAST_RUN
-        ]
+        long = lengths >= _LEAST_RUN
+        return [(begin, begin + length - 1) for begin, length in np.stack([begins, lengths], axis=1)[long].tolist()]
 
     @property
     def path_m(self) -> float | None:
-        """How far the camera came, by true poses or else by odometry; None without either."""
+        """Length of the path by true poses or else by odometry; None without either."""
         if len(self.poses):
             return float(np.linalg.norm(np.diff(self.poses.translation, axis=0), axis=1).sum())
         moved = [np.linalg.norm(step.previous_from_current.translation) for step in self.odometry if step is not None]
@@ -198,7 +193,7 @@ class Walk:
 
     @property
     def speed_m_per_s(self) -> float | None:
-        """Median speed of the camera by true poses; None where it is not known."""
+        """Median speed of the camera by true poses; None where unknown."""
         if len(self.poses) < 2 or self.assumed_hz is not None:
             return None
         seconds = np.maximum(np.diff(self.seconds[self.posed]), 1e-9)
@@ -206,7 +201,7 @@ class Walk:
 
     @property
     def blur_comes_with(self) -> str | None:
-        """ "turns" or "speed", by which of the two is larger in blurred images; None where that cannot be said."""
+        """ "turns" or "speed", whichever is larger in blurred images; None where unknown."""
         known = np.array([step is not None and step.duration_s > 0 for step in self.odometry])
         if known.sum() >= _RIPE:
             steps = [step for step, is_known in zip(self.odometry, known, strict=True) if step is not None and is_known]

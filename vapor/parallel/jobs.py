@@ -27,8 +27,8 @@ def in_processes(
 ) -> Iterator[Result]:
     """The result of `function(*job)` for every job, as each finishes, in no order.
 
-    A process takes seconds to start: no more are started than there are jobs, and none for a single job, or where one
-    is asked for. One that dies takes the others with it: what is not done then is begun again.
+    A process takes seconds to start: there are no more than jobs, and none for a single job or a single process. One
+    that dies takes the others with it: unfinished jobs are then begun again.
 
     Raises:
         TerminatedWorkerError: that happened three times.
@@ -78,12 +78,12 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Workers:
-    """Where jobs are done.
+    """Processes of this machine, each with one thread, or the workers of a scheduler.
 
     Attributes:
-        processes: So many processes of this machine, each with one thread.
-        cluster: The workers of a scheduler, instead of them.
-        tell: Called with a line on what a person should know, such as that a worker died.
+        processes: Number of processes.
+        cluster: The workers of a scheduler, instead of processes.
+        tell: Called with a line such as that a worker died.
     """
 
     processes: int = 1
@@ -92,15 +92,11 @@ class Workers:
 
     @property
     def are_this_process(self) -> bool:
-        """Whether jobs are done one after the other where they are asked for."""
+        """Whether jobs are done one after the other in this process."""
         return self.cluster is None and self.processes == 1
 
     def require_to_see(self, folder: Path) -> None:
-        """Check that a folder here is there for all workers, unless they reach it by a URL.
-
-        Raises:
-            ClusterError: it is not; names a worker.
-        """
+        """Raise ClusterError where a worker does not see a folder, unless it has a URL."""
         if self.cluster is not None and url_of(folder) is None:
             self.cluster.require_to_see(folder)
 
@@ -108,8 +104,8 @@ class Workers:
 def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers: Workers) -> Iterator[Result]:
     """The result of `function(*job)` for every job, as each finishes, in no order.
 
-    Jobs whose worker dies are done again, twice at most here, and as often as its scheduler allows on a cluster. So a
-    job must come to the same where it was begun before.
+    Jobs whose worker dies are done again, twice at most here, and as often as its scheduler allows on a cluster. So the
+    result of a job may not depend on whether it was begun before.
 
     Raises:
         TerminatedWorkerError: processes of this machine died again and again.

@@ -32,21 +32,21 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 SUMMARY = "summary.json"
-"""Name of the file that says what came of many sequences, beside their results."""
+"""Name of the file on the results of many sequences, beside these."""
 
 
 def is_fleet(paths: Sequence[Path]) -> bool:
-    """Whether these paths stand for several sequences: they are more than one, or a folder to search."""
+    """Whether there are several paths, or one folder to search."""
     return len(paths) > 1 or (len(paths) == 1 and _found_in(paths[0]) not in ([], list(paths)))
 
 
 def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
-    """The sequences that are meant, by the names of their results, in order.
+    """Sequences by the names of their results, in order.
 
-    A file or a rosbag2 folder is a sequence. Any other folder stands for all recordings in it and deeper, but for
-    results of earlier runs; where it holds none it stands for itself, and fails when it is opened. What is found twice
-    is localized once. A name is that of the file or folder, with those of folders above it where others have it too.
-    Copies of what is in storage are found there, and not made.
+    A file or a rosbag2 folder is a sequence. Any other folder stands for all recordings below it but for results of
+    earlier runs; an empty one stands for itself, and fails when it is opened. A sequence found twice is listed once. A
+    name is that of the file or folder, preceded by folders above it where others have it too. Copies of files in
+    storage are found there, and not made.
     """
     found: dict[Path, Path] = {}
     for path in paths:
@@ -56,7 +56,6 @@ def find_sequences(paths: Sequence[Path], output: Path) -> dict[str, Path]:
 
 
 def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
-    """Sequences that a path stands for, in order of their names."""
     if url_of(path) is not None:
         return _found_in_storage(path)
     if not path.is_dir() or (path / "metadata.yaml").is_file():
@@ -69,8 +68,9 @@ def _found_in(path: Path, leave_out: Path | None = None) -> list[Path]:
             not entry.is_symlink() or (entry / "metadata.yaml").is_file()
         ):  # links may run in circles
             sequences += _found_in(entry, leave_out)
-        elif entry.suffix in SUFFIXES and entry.is_file() and not _is_result(entry):
-            sequences.append(entry)
+        elif entry.suffix in SUFFIXES and entry.is_file():
+            is_result = entry.name == "estimate.mcap" and entry.with_name("report.json").is_file()
+            sequences += [] if is_result else [entry]
     return sequences
 
 
@@ -79,23 +79,13 @@ def _found_in_storage(path: Path) -> list[Path]:
     bags = {file.parent for file in files if file.name == "metadata.yaml"}
     if path in bags or path in files or not files:
         return [path]
-    reports = {file.parent for file in files if file.name == "report.json"}
-    single = (
-        file
-        for file in files
-        if file.suffix in SUFFIXES
-        and bags.isdisjoint(file.parents)
-        and not (file.name == "estimate.mcap" and file.parent in reports)
-    )
-    return sorted([*bags, *single])
-
-
-def _is_result(file: Path) -> bool:
-    return file.name == "estimate.mcap" and (file.parent / "report.json").is_file()
+    results = {file.with_name("estimate.mcap") for file in files if file.name == "report.json"}
+    single = {file for file in files if file.suffix in SUFFIXES and bags.isdisjoint(file.parents)}
+    return sorted(bags | single - results)
 
 
 def unique_names(sequences: Sequence[Path]) -> list[str]:
-    """The shortest names that tell sequences apart; numbered where whole paths do not, as with `a.mcap` and `a/`."""
+    """The shortest distinct names of sequences; numbered where whole paths are alike, as with `a.mcap` and `a/`."""
     parts = [(*path.parent.parts[1:], path.stem if path.suffix in SUFFIXES else path.name) for path in sequences]
     lengths = [1] * len(parts)
     while True:
@@ -118,12 +108,12 @@ def unique_names(sequences: Sequence[Path]) -> list[str]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one sequence: figures, or the error that kept it from being localized.
+    """The result of one sequence: figures, or an error.
 
     Attributes:
         name: Name of its folder among the results.
         sequence: Path of the sequence.
-        error: Why there are no figures; None where there are.
+        error: None where there are figures.
         images: Images localized.
         duration_s: From the first to the last of them.
         status: Fraction of the images by status.
@@ -134,7 +124,7 @@ class Outcome:
         success: Whether the filter found the place, and kept it.
         skipped: Images and messages left out, by reason.
         few_images: A sentence where fewer than half of the images were used.
-        notices: What a person should know of the sequence.
+        notices: Warnings and hints.
     """
 
     name: str
@@ -175,13 +165,13 @@ def run_fleet(
         reading: What to read of every sequence.
         overwrite: See `run`; it applies to the folder of each sequence, and to `summary.json`.
         progress: Called after every image with the name of the sequence, the number done and an upper bound of all; not
-            of those that other processes localize.
+            for sequences that other processes localize.
         workers: Where they are localized; None for one after the other here.
         command: See `run`.
 
     Yields:
-        What came of each, when it is done: in the order of the sequences where it is one after the other. A sequence
-        that cannot be used does not keep the others from being localized.
+        The result of each when it is done, in order without other processes. A sequence that cannot be used does not
+        stop the others.
 
     Raises:
         VaporTrackError: unusable model or output, or one that workers do not see; with the first sequence.
@@ -192,22 +182,18 @@ def run_fleet(
     reads = list({path: None for sequence in sequences.values() for path in files_read(sequence, loaded, reading)})
     for name in sequences:
         require_replaceable(output / name, RESULTS, reads, overwrite=overwrite)
-    refuse_other(output / SUMMARY, "summary of a fleet", _is_summary, reads=reads, overwrite=overwrite)
+    is_summary = partial(is_report, keys=("sequences_in_all",))
+    refuse_other(output / SUMMARY, "summary of a fleet", is_summary, reads=reads, overwrite=overwrite)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise VaporTrackError(f"{output}: cannot write: {error.strerror or error}") from error
     workers.require_to_see(output)
-    here = partial(_localized, model=loaded, progress=progress, command=command)
-    there = partial(
-        _localized_elsewhere,
-        file=loaded.file,
-        model=loaded.name,
-        sha256=loaded.sha256,
-        told=workers.cluster is not None,
-        command=command,
-    )
-    jobs = [(name, sequence, output / name, config, reading, overwrite) for name, sequence in sequences.items()]
+    localized = partial(_localized, config=config, reading=reading, overwrite=overwrite, command=command)
+    here = partial(localized, model=loaded, progress=progress)
+    stated = {"file": loaded.file, "model": loaded.name, "sha256": loaded.sha256, "config": config}
+    there = partial(_localized_elsewhere, localized, stated, workers.cluster is not None)
+    jobs = [(name, sequence, output / name) for name, sequence in sequences.items()]
     done: dict[str, Outcome] = {}
     for outcome in in_parallel(here if workers.are_this_process else there, jobs, workers):
         sequence = sequences[outcome.name]
@@ -221,10 +207,10 @@ def _localized(
     name: str,
     sequence: Path,
     output: Path,
+    *,
     config: RunConfig,
     reading: SequenceOptions | None,
     overwrite: bool,
-    *,
     model: LoadedModel,
     command: str,
     progress: Callable[[str, int, int], None] | None = None,
@@ -232,39 +218,25 @@ def _localized(
     advance = None if progress is None else partial(progress, name)
     options = {"reading": reading, "overwrite": overwrite, "progress": advance, "command": command}
     try:
-        result = run(fetched(sequence), model, output, config, **options)
-        return _outcome(name, sequence, result)
+        return _outcome(name, sequence, run(fetched(sequence), model, output, config, **options))
     except (VaporTrackError, OSError) as error:
         return Outcome(name, str(sequence), error=" ".join(str(error).splitlines()))
 
 
 def _localized_elsewhere(
-    name: str,
-    sequence: Path,
-    output: Path,
-    config: RunConfig,
-    reading: SequenceOptions | None,
-    overwrite: bool,
-    *,
-    file: Path,
-    model: str,
-    sha256: str,
-    told: bool,
-    command: str,
+    localized: Callable[..., Outcome], stated: dict[str, Any], on_cluster: bool, name: str, sequence: Path, output: Path
 ) -> Outcome:
-    """As `_localized` in another process; on `told`, an error names the machine."""
-    loaded = _loaded_once(file, model, sha256, config)
-    outcome = _localized(name, sequence, output, config, reading, overwrite, model=loaded, command=command)
-    return replace(outcome, error=f"{outcome.error} (on {node()})") if told and outcome.error else outcome
+    """As `_localized` in another process, which loads the model; on a cluster an error names the machine."""
+    outcome = localized(name, sequence, output, model=_loaded_once(**stated))
+    return replace(outcome, error=f"{outcome.error} (on {node()})") if on_cluster and outcome.error else outcome
 
 
 @lru_cache(maxsize=1)
-def _loaded_once(file: Path, name: str, sha256: str, config: RunConfig) -> LoadedModel:
-    """The model under the name that it was asked for by, the same in every process."""
+def _loaded_once(file: Path, model: str, sha256: str, config: RunConfig) -> LoadedModel:
     loaded = load_model(str(fetched(file)), config)
     if loaded.sha256 != sha256:
         raise VaporTrackError(f"{file}: is another model than where the run was started, expected the same")
-    return replace(loaded, name=name)
+    return replace(loaded, name=model)
 
 
 def _outcome(name: str, sequence: Path, result: RunResult) -> Outcome:
@@ -288,7 +260,7 @@ def _outcome(name: str, sequence: Path, result: RunResult) -> Outcome:
 
 
 def total(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """What sequences add up to: fractions are of all images, the median is that of the sequences' medians."""
+    """Sums over sequences: fractions are of all images, the median is that of the sequences' medians."""
     images = sum(outcome.images for outcome in outcomes)
     converged = sum(outcome.images * outcome.status.get("converged", 0.0) for outcome in outcomes)
     medians = [outcome.median_translation_m for outcome in outcomes if outcome.median_translation_m is not None]
@@ -302,10 +274,6 @@ def total(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "judged": len(successes),
         "successes": sum(successes),
     }
-
-
-def _is_summary(path: Path) -> bool:
-    return is_report(path, "sequences_in_all")
 
 
 def _write_summary(file: Path, model: str, outcomes: Sequence[Outcome], *, of: int) -> None:

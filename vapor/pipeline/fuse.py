@@ -25,7 +25,7 @@ from vapor.reporting.rerun_place import Place
 
 @dataclass(frozen=True)
 class EstimateConfig:
-    """How far to trust estimates."""
+    """Errors and weights of estimates."""
 
     std_m: tuple[float, ...] = (0.05,)
     """Stated standard deviation of position along each axis, metres; one for all files or one for each."""
@@ -56,12 +56,12 @@ class EstimateModel:
     """Pose estimates as an observation model: `observe` takes them instead of an image, and draws nothing.
 
     Args:
-        num_files: How many methods there are.
-        config: How far to trust them.
-        errors: How they err over time.
+        num_files: Number of methods.
+        config: Errors and weights of their estimates.
+        errors: Errors over time.
 
     Raises:
-        VaporTrackError: as many uncertainties are stated as neither one nor the number of files.
+        VaporTrackError: the number of stated uncertainties is neither one nor the number of files.
     """
 
     def __init__(self, num_files: int, config: EstimateConfig, errors: ErrorModel) -> None:
@@ -74,11 +74,7 @@ class EstimateModel:
         self._std_rad = np.radians(np.broadcast_to(config.std_deg, num_files))
 
     def observe(self, image: Shaped[np.ndarray, " h"], *, rng: np.random.Generator) -> PosePosterior:
-        """The posterior of one image: of m methods with an estimate of it each has 1/m, shared by its hypotheses.
-
-        Args:
-            image: Hypotheses of dtype `HYPOTHESIS`, (h,).
-            rng: Not used.
+        """The posterior of one frame's hypotheses, of dtype `HYPOTHESIS`, (h,); weights are of `mixture_weights`.
 
         Raises:
             VaporTrackError: there is no hypothesis.
@@ -103,7 +99,7 @@ def mixture_weights(
 
     Args:
         file: Number of the file of each; of m files.
-        weight: Above 0, in the unit of w₀.
+        weight: w, above 0.
         outlier_weight: w₀, 0 or more.
     """
     files, own = np.unique(file, return_inverse=True)
@@ -112,7 +108,7 @@ def mixture_weights(
 
 
 def errors_of(sequence: EstimateSequence, trust: EstimateConfig) -> ErrorModel:
-    """How estimates err: as stated, alike while the camera comes as far as it does in the time stated.
+    """Errors as stated, alike while the camera comes as far as it does in the time stated.
 
     Poses are taken to be spread evenly over a box, and all rotations. It holds the middle 98 % of the positions along
     each axis, and a tenth of its diagonal more on each side: cameras can be where no estimate is.
@@ -158,7 +154,7 @@ def fuse(
         odometry: Recorded odometry.
         simulate_odometry: True poses to simulate odometry from, where there is none.
         ground_truth: True poses; None for those that the odometry is simulated from.
-        trust: How far to trust the estimates.
+        trust: Errors and weights of the estimates.
         reading: How to read the files.
         overwrite: See `vapor.pipeline.run.run`.
         progress: Called after every frame with the number done and an upper bound of all.

@@ -37,6 +37,10 @@ def draw_posterior(
 ) -> Path:
     """Draw posterior samples of one image.
 
+    The sphere is the base of the Hopf fibration in Mollweide's projection, the angle about the axis is the colour
+    (Murphy et al., "Implicit-PDF: non-parametric representation of probability distributions on the rotation manifold",
+    ICML 2021).
+
     Args:
         path: The picture, PNG.
         samples: world_from_camera, (m,).
@@ -70,7 +74,7 @@ def draw_posterior(
 def hopf_coordinates(
     rotation: Float64[np.ndarray, "n 3 3"], axis: int
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Where an axis of the camera points, and how far it is turned about it.
+    """Direction of an axis of the camera, and the angle about it.
 
     Args:
         rotation: world_from_camera rotations.
@@ -90,7 +94,7 @@ def hopf_coordinates(
 
 
 def level_axis(rotation: Float64[np.ndarray, "n 3 3"]) -> int:
-    """The axis of the camera that lies most level: the sphere has no poles where it points."""
+    """The axis of the camera that lies most level: it points to no pole of the sphere."""
     return int(np.argmin(np.square(rotation[:, 2]).mean(axis=0)))
 
 
@@ -151,7 +155,7 @@ def _draw_orientations(ax: Axes, samples: Poses, truth: Poses | None) -> None:
 
 _CLOUD_SIZE, _FRUSTA = 2000, 100
 _LEGEND = (
-    "**orange** samples of the image's posterior  ·  **blue** the place that most of them say, **other colours** the"
+    "**orange** samples of the image's posterior  ·  **blue** the place with most of them, **other colours** the"
     " others, each with its fraction of the samples and an ellipsoid of two standard deviations  ·  **white** true pose"
     "  ·  **grey** {what}"
 )
@@ -160,11 +164,11 @@ _LEGEND = (
 def record_posterior(
     path: Path, posterior: PosePosterior, *, frame: Frame, truth: Poses, place: Place, title: str
 ) -> Path:
-    """Record an image's posterior in space, among what outlines the place.
+    """Record the posterior of a frame's image in space, with the cameras that outline the place.
 
     Args:
         path: The recording, `.rrd`; it appears under its name only when complete.
-        posterior: What the image says.
+        posterior: Of the image.
         frame: The image.
         truth: Its true pose.
         place: Where it happens.

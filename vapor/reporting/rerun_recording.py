@@ -7,6 +7,7 @@ import shutil
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -24,11 +25,11 @@ _MAGIC = b"RRF2"
 
 
 class Recording:
-    """A file that Rerun writes through a pipe: where there is no room, Rerun itself would wait for ever.
+    """A file that Rerun writes through a pipe, as Rerun itself would hang on a full disk.
 
     Attributes:
         pipe: Path that Rerun is to write to.
-        error: Why the file could not be written; None while it can. What is written to the pipe then is lost.
+        error: Why the file could not be written; None while it can.
 
     Raises:
         SequenceError: the folder is missing or cannot be written to.
@@ -54,7 +55,7 @@ class Recording:
                     f"{self._path}: the recording cannot be written: {error.strerror or error}; expected room for it on"
                     " the disk, a run with --no-recording needs none"
                 )
-            while stream.read(1 << 16):  # so that nobody waits for room in the pipe
+            while stream.read(1 << 16):  # so that Rerun does not wait for room in the pipe
                 pass
 
     def close(self, *, keep: bool) -> None:
@@ -77,7 +78,7 @@ def recorded(path: Path, application: str, title: str) -> Iterator[rr.RecordingS
 
     Args:
         path: The file, `.rrd`.
-        application: What of its kind has layout and panels in common in the viewer.
+        application: Recordings of one application share layout and panels in the viewer.
         title: Its name there.
 
     Raises:
@@ -104,7 +105,7 @@ def is_recording(path: Path) -> bool:
 
 
 def load_rerun() -> ModuleType:
-    """Rerun, which takes a while, and does not print of errors what is told of them here."""
+    """Import Rerun, which takes a while, with its own error log off: errors are reported here."""
     level = os.environ.get("RUST_LOG")
     os.environ["RUST_LOG"] = level or "off"  # read when it is imported
     try:
@@ -121,7 +122,7 @@ _EPOCH_NS = 10**17  # stamps below are seconds since some start, not since 1970
 
 
 class Rows:
-    """Collects what is to be shown of each image, until it is sent.
+    """Collects rows of each image, until they are sent.
 
     Args:
         stream: Where to.
@@ -140,13 +141,7 @@ class Rows:
         self._times_ns.append(time_ns)
 
     def add(self, entity: str, archetype: Any, **components: Any) -> None:
-        """Add a row of this image.
-
-        Args:
-            entity: Path of what is shown.
-            archetype: Its kind, such as `rerun.Points3D`.
-            components: Their values by name, an instance of each per point, line or other thing shown.
-        """
+        """Add a row of this image: an entity's archetype, such as `rerun.Points3D`, and its components by name."""
         self._rows.setdefault((entity, archetype), []).append((self._times_ns[-1], components))
 
     def send(self) -> None:
@@ -155,15 +150,13 @@ class Rows:
         for (entity, archetype), each in rows.items():
             values = {name: [components[name] for _, components in each] for name in each[0][1]}
             lengths = [len(value) for value in next(iter(values.values()))]
-            columns = archetype.columns(**{name: _joined(value) for name, value in values.items()}).partition(lengths)
+            joined = {
+                name: np.concatenate(parts) if isinstance(parts[0], np.ndarray) else list(chain.from_iterable(parts))
+                for name, parts in values.items()
+            }
+            columns = archetype.columns(**joined).partition(lengths)
             times = time_column(np.array([time_ns for time_ns, _ in each], np.int64))
             self._stream.send_columns(entity, [times], columns)
-
-
-def _joined(values: list[Any]) -> Any:
-    if isinstance(values[0], np.ndarray):
-        return np.concatenate(values)
-    return [item for value in values for item in value]
 
 
 def time_column(times_ns: Int64[np.ndarray, " n"]) -> rr.TimeColumn:

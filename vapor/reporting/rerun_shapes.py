@@ -14,11 +14,12 @@ from filtering.estimate import Mode
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.frame import Camera, Frame
+from vapor.reporting.drawing import as_jpeg, shrunk
 
 if TYPE_CHECKING:
     import rerun as rr
 
-_IMAGE_SIDE = 480  # pixels
+SMALL_SIDE, _IMAGE_SIDE = 240, 480  # pixels
 _JPEG_QUALITY = 75
 
 
@@ -42,32 +43,6 @@ def steps(points: Float64[np.ndarray, "n 3"], limit_m: float = np.inf) -> Float3
     jumps = np.linalg.norm(points - begins, axis=1) > limit_m
     begins[jumps] = points[jumps]
     return np.stack([begins, points], axis=1).astype(np.float32)
-
-
-def as_jpeg(image: UInt8[np.ndarray, "height width 3"], longest_side: int = _IMAGE_SIDE) -> tuple[bytes, int, int]:
-    """The image as JPEG with its longer side at most so many pixels, its width and its height."""
-    import cv2
-
-    height, width = image.shape[:2]
-    scale = min(1.0, longest_side / max(height, width))
-    if scale < 1.0:
-        width, height = max(1, round(width * scale)), max(1, round(height * scale))
-        image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    return jpeg.tobytes(), width, height
-
-
-def pinhole(camera: Camera, width: int, height: int) -> list[list[float]]:
-    """The matrix of a camera for its image at another size; Rerun's pixels begin at integers, ours lie on them."""
-    own = camera.scaled(width, height)
-    return [[own.fx, 0.0, own.cx + 0.5], [0.0, own.fy, own.cy + 0.5], [0.0, 0.0, 1.0]]
-
-
-def stand_in_camera(image: UInt8[np.ndarray, "height width 3"]) -> Camera:
-    """60° across, for the frustum's shape only, where the sequence does not tell the intrinsics."""
-    height, width = image.shape[:2]
-    focal = width / (2.0 * np.tan(np.radians(30.0)))
-    return Camera(width, height, float(focal), float(focal), (width - 1) / 2, (height - 1) / 2)
 
 
 def ellipsoids(
@@ -111,8 +86,8 @@ class HypothesisColors:
         """Colours of the hypotheses after another image.
 
         Args:
-            poses: Of them, world_from_camera, (n,), the best one first.
-            odometry: Motion since the last image; None where it is unknown, and taken for small.
+            poses: world_from_camera, (n,), the best one first.
+            odometry: Motion since the last image; None where unknown, which counts as none.
         """
         numbers = np.full(len(poses), -1)
         if self._poses is not None:
@@ -131,13 +106,7 @@ class HypothesisColors:
 def shown_modes(
     modes: Sequence[Mode], colors: UInt8[np.ndarray, "n 3"], *, camera_m: float
 ) -> Iterator[tuple[str, Any, dict[str, Any]]]:
-    """What is to be shown of hypotheses: entity, archetype, and its components by name.
-
-    Args:
-        modes: The hypotheses, n ≥ 1.
-        colors: Of each.
-        camera_m: Size of a camera, metres.
-    """
+    """Entity, archetype and components by name that show hypotheses, n ≥ 1, with cameras of a size in metres."""
     import rerun as rr
 
     poses = Poses.stack([mode.world_from_camera for mode in modes])
@@ -159,10 +128,6 @@ def shown_modes(
     yield "world/modes/cameras", rr.LineStrips3D, {"strips": frusta(poses, camera_m), "colors": colors}
 
 
-_MOST = 150  # of one recording: Rerun keeps each apart, and of more in one place all are selected
-_SMALL_SIDE = 240  # pixels
-
-
 @dataclass(frozen=True)
 class Photograph:
     """An image, and how it was projected.
@@ -180,24 +145,24 @@ class Photograph:
     image_from_camera: list[list[float]]
 
     @staticmethod
-    def of(frame: Frame, longest_side: int = 480) -> Photograph:
-        """The image of a frame, with its longer side at most so many pixels."""
-        jpeg, width, height = as_jpeg(frame.image, longest_side)
-        camera = frame.camera or stand_in_camera(frame.image)
-        return Photograph(jpeg, width, height, pinhole(camera, width, height))
+    def of(frame: Frame, longest_side: int = _IMAGE_SIDE) -> Photograph:
+        """The image of a frame, its longer side at most so many pixels; 60° across where the intrinsics are unknown."""
+        height, width = frame.image.shape[:2]
+        camera = frame.camera
+        if camera is None:
+            focal = float(width / (2.0 * np.tan(np.radians(30.0))))
+            camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+        image = shrunk(frame.image, longest_side)
+        height, width = image.shape[:2]
+        own = camera.scaled(width, height)
+        # Rerun's pixels begin at integers, ours lie on them.
+        matrix = [[own.fx, 0.0, own.cx + 0.5], [0.0, own.fy, own.cy + 0.5], [0.0, 0.0, 1.0]]
+        return Photograph(as_jpeg(image, _JPEG_QUALITY), width, height, matrix)
 
     def log(
         self, stream: rr.RecordingStream, entity: str, pose: Poses, *, color: tuple[int, int, int], size_m: float
     ) -> None:
-        """Show it where it was taken.
-
-        Args:
-            stream: Where to.
-            entity: Its path.
-            pose: world_from_camera, one pose.
-            color: Of the camera.
-            size_m: How far in front of the camera the image is.
-        """
+        """Show it where it was taken, `size_m` in front of the camera at `pose`, world_from_camera."""
         import rerun as rr
 
         camera = rr.Pinhole(
@@ -209,23 +174,3 @@ class Photograph:
         stream.log(entity, rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation), static=True)
         stream.log(entity, camera, static=True)
         stream.log(entity, rr.EncodedImage(contents=self.jpeg, media_type="image/jpeg"), static=True)
-
-
-class Photographs:
-    """Images of frames with a true pose, small, and evenly spaced where there are more than 150."""
-
-    def __init__(self) -> None:
-        self._every, self._seen = 1, 0
-        self.of_frame: dict[int, Photograph] = {}
-        """By the number of the frame among those with a true pose."""
-
-    def take(self, frame: Frame) -> None:
-        """Take the next frame."""
-        if frame.world_from_camera is None:
-            return
-        if self._seen % self._every == 0:
-            self.of_frame[self._seen] = Photograph.of(frame, _SMALL_SIDE)
-        self._seen += 1
-        if len(self.of_frame) > _MOST:
-            self._every *= 2
-            self.of_frame = {number: each for number, each in self.of_frame.items() if number % self._every == 0}

@@ -13,10 +13,7 @@ HEAD = "network.latent_mean.weight"
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (
-            lambda t, m: m.update(version="1"),
-            "format version is '1', expected '10'; train the model anew",
-        ),
+        (lambda t, m: m.update(version="1"), "format version is '1', expected '10'; train the model anew"),
         (lambda t, m: m.update(format="other"), "format is 'other'"),
         (lambda t, m: t.pop(HEAD), f"lacks tensor {HEAD} (1 such), expected exactly the"),
         (lambda t, m: t.update({"network.more": torch.zeros(1)}), "has surplus tensor network.more"),

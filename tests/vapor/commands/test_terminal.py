@@ -151,7 +151,7 @@ def test_signals_within_a_python_program_stay_its_own(capsys):
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
     assert main(["--help"]) == 0
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
-    assert Signals("x").tell() == 130
+    assert Signals("x").report() == 130
     assert capsys.readouterr().err == "x: interrupted\n"
 
 

@@ -13,12 +13,10 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from rich.console import RenderableType
-from rich.text import Text as RichText
-
 from sequences.atomic import atomic_output
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
     from rich.table import Table as RichTable
 
 _BEGIN = '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="generator" content="vapor-track">'
@@ -27,21 +25,16 @@ _PACKING = 6  # of gzip: 9 takes twice as long for two per cent
 
 @runtime_checkable
 class Block(Protocol):
-    """Something on a page, one below the other."""
+    """Part of a page; parts stand one below the other."""
 
     def html(self, packed: dict[str, Any]) -> str:
-        """Its HTML; what its script needs is put into `packed` under a name of its own."""
+        """Its HTML; data for its script go into `packed` under a name of their own."""
         ...
 
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph.
-
-    Attributes:
-        words: What it says, plain text.
-        kind: "note" for what explains, "notice" for what a person should know.
-    """
+    """A paragraph of plain text, whose kind is "note" or, for warnings and hints, "notice"."""
 
     words: str
     kind: str = "note"
@@ -58,7 +51,7 @@ class Table:
     Attributes:
         columns: Headings, the first of the names.
         rows: Cells, as text.
-        caption: What it is of; also its name for a screen reader.
+        caption: Also its name for a screen reader.
         ours: Numbers of the rows that are set in bold.
         words: Whether cells are words, to be wrapped, rather than figures.
     """
@@ -92,7 +85,7 @@ class Picture:
 
     Attributes:
         data: The bytes of a PNG or JPEG file.
-        alt: What it shows, for who does not see it.
+        alt: Text for a screen reader.
         caption: Below it; empty for none.
     """
 
@@ -113,8 +106,8 @@ class Plot:
     Attributes:
         name: Its name on the page, of letters.
         traces: Plotly's traces; the colour "ink" is that of text.
-        layout: Plotly's layout, but for what follows from light or dark.
-        label: What it shows, for who does not see it.
+        layout: Plotly's layout, without the colours of light and dark.
+        label: Text for a screen reader.
         caption: Below it; empty for none.
     """
 
@@ -135,12 +128,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Folded:
-    """Blocks that are shown when asked for.
-
-    Attributes:
-        title: What to click on.
-        blocks: What is shown then; no figures of Plotly, which need to know how wide they are.
-    """
+    """Blocks that are shown after a click on the title; no `Plot`, which needs a width."""
 
     title: str
     blocks: Sequence[Block]
@@ -163,7 +151,7 @@ class Code:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, and what stands below it."""
+    """A heading, and the blocks below it."""
 
     title: str
     blocks: Sequence[Block]
@@ -175,14 +163,14 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """What a command found.
+    """The findings of a command.
 
     Attributes:
-        title: Of the sequence, or of whatever was looked at.
-        asked: What was asked, in a line.
-        verdict: What came of it, in a sentence.
+        title: Such as the name of the sequence.
+        asked: The question, in a line.
+        verdict: The answer, in a sentence.
         sections: The rest.
-        notices: What a person should know.
+        notices: Warnings and hints, shown first.
     """
 
     title: str
@@ -231,7 +219,7 @@ def is_page(path: Path) -> bool:
 
 
 def data_url(data: bytes) -> str:
-    """A PNG or JPEG as an address that holds it."""
+    """A PNG or JPEG as a data URL."""
     kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
     return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
@@ -265,13 +253,12 @@ def findings_page(
     """A page with a section for each part.
 
     Args:
-        title: What was looked at.
-        asked: What was asked, in a line.
-        verdict: What came of it.
-        parts: Headings, and what stands below each: blocks, tables as printed, lines,
-            and files of pictures.
-        settings: What it was made with, as JSON.
-        command: The command that was given; empty where there was none.
+        title: See `Page`.
+        asked: See `Page`.
+        verdict: See `Page`.
+        parts: Headings, each with blocks, printed tables, lines and files of pictures.
+        settings: Settings of the command, as JSON.
+        command: The command line; empty where there was none.
     """
     sections = [Section(heading, [_block(item, heading) for item in items]) for heading, items in parts if items]
     made: list[Block] = [] if not command else [Code(command)]
@@ -289,18 +276,14 @@ def _block(item: RichTable | str | Path | Block, heading: str) -> Block:
 
 
 def _printed_table(table: RichTable, caption: str) -> Table:
-    """The cells of a table of Rich; rows that are bold there are so here.
-
-    Args:
-        table: The table.
-        caption: What it is of, where the table has no title.
-    """
-    columns = [[_plain(cell) for cell in column.cells] for column in table.columns]
-    rows = list(zip(*columns, strict=True))
+    """A table of Rich with its bold rows; the caption is for one without a title."""
+    rows = list(zip(*(map(_plain, column.cells) for column in table.columns), strict=True))
     ours = [number for number, row in enumerate(table.rows) if "bold" in str(row.style or "")]
     title = _plain(table.title) if table.title is not None else caption
     return Table([_plain(column.header) for column in table.columns], rows, title or caption, ours)
 
 
 def _plain(cell: RenderableType) -> str:
+    from rich.text import Text as RichText
+
     return cell.plain if isinstance(cell, RichText) else RichText.from_markup(str(cell)).plain

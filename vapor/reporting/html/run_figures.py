@@ -11,13 +11,14 @@ from jaxtyping import Float64, Int64
 
 from sequences.frame import Trajectory
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS, associate, pose_errors
-from vapor.reporting.drawing import COLORS
+from vapor.reporting.drawing import COLORS, as_jpeg, rgb
 from vapor.reporting.html.page import Plot, data_url
 from vapor.reporting.record import Keyframe, RunRecord, choose_keyframes
 from vapor.reporting.rerun_shapes import frusta
 from vapor.tracking.methods import METHODS
 
-_MOST_POINTS = 1500  # of a path
+_MOST_POINTS, _MOST_TIMES = 1500, 3000  # of a path, and of a curve over time
+_LEAST = 1e-3  # of an error that is drawn: dead reckoning begins on the truth
 _MOST_IMAGES = 12
 _THINNEST = 0.2  # of the longest axis of the box
 _CAMERA_OF_EXTENT = 0.03  # the size of a drawn camera
@@ -30,7 +31,7 @@ class RunScene:
     record: RunRecord
 
     def html(self, packed: dict[str, Any]) -> str:
-        """See `vapor.reporting.html.page.Block`."""
+        """See `Block`."""
         record = self.record
         packed["run"] = _data(record)
         last = len(record.moments) - 1
@@ -51,16 +52,13 @@ class RunScene:
 
 
 def _moment_button(keyframe: Keyframe, record: RunRecord) -> str:
-    import cv2
-
     seconds = (keyframe.time_ns - int(record.times_ns[0])) / 1e9
     moments_ns = np.array([record.times_ns[moment.index] for moment in record.moments])
     moment = int(np.abs(moments_ns - keyframe.time_ns).argmin())
-    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(keyframe.thumbnail, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 80])
     words = f"{seconds:.1f} s · {keyframe.status}"
     return (
         f'<button type="button" data-moment="{moment}" aria-pressed="false">'
-        f'<img alt="" src="{data_url(jpeg.tobytes())}">{escape(words)}</button>'
+        f'<img alt="" src="{data_url(as_jpeg(keyframe.thumbnail, 80))}">{escape(words)}</button>'
     )
 
 
@@ -79,7 +77,7 @@ def _data(record: RunRecord) -> dict[str, Any]:
     moments = []
     for moment in record.moments:
         nearest = np.linalg.norm(moment.particles[:, None] - moment.modes, axis=-1).argmin(axis=1)
-        told = {
+        shown = {
             "time_s": round((int(record.times_ns[moment.index]) - start_ns) / 1e9, 3),
             "status": record.status[moment.index],
             "particles": _millimetres(moment.particles),
@@ -89,25 +87,36 @@ def _data(record: RunRecord) -> dict[str, Any]:
             "camera": _millimetres(lines[moment.index]),
         }
         if moment.jpeg:
-            told["image"] = data_url(moment.jpeg)
+            shown["image"] = data_url(moment.jpeg)
         if found[moment.index]:
-            told["truth"] = _millimetres(truth_lines[position_of_truth[moment.index]])
-        moments.append(told)
+            shown["truth"] = _millimetres(truth_lines[position_of_truth[moment.index]])
+        moments.append(shown)
     paths = [
         _path(METHODS[name].label, METHODS[name].color, trajectory, visible=name in ("filter", "smoothed"))
         for name, trajectory in record.methods.items()
         if METHODS[name].kind != "image"
     ]
-    paths.append(_points("single_image", record.methods["single_image"]))
+    single = record.methods["single_image"].poses.translation
+    single = single[_evenly(len(single))].round(3)
+    paths.append(
+        {
+            "type": "scatter3d",
+            "mode": "markers",
+            "name": METHODS["single_image"].label,
+            **{axis: single[:, number].tolist() for number, axis in enumerate("xyz")},
+            "marker": {"size": 2, "color": METHODS["single_image"].color},
+            "hoverinfo": "name",
+            "visible": "legendonly",
+        }
+    )
     if record.truth is not None:
         paths.append(_path("truth", "ink", record.truth, visible=True))
-    none, all_ = (_rgb(COLORS[name]) for name in ("other", "filter"))
     ratio = (high - low) / (high - low).max()
     return {
         "moments": moments,
         "paths": paths,
-        "none": none,
-        "all": all_,
+        "none": rgb(COLORS["other"]),
+        "all": rgb(COLORS["filter"]),
         "ranges": np.stack([low, high]).T.round(3).tolist(),
         "ratio": dict(zip("xyz", ratio.round(3).tolist(), strict=True)),
     }
@@ -131,7 +140,8 @@ def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> di
     jumped = _jumps(points)
     kept = np.unique(np.concatenate([_evenly(len(points)), jumped, np.maximum(jumped - 1, 0)]))
     broken = np.isin(kept, jumped)
-    x, y, z = (_with_gaps(points[kept, axis], broken) for axis in range(3))
+    drawn = np.insert(points[kept].round(3).astype(object), np.flatnonzero(broken), None, axis=0)
+    x, y, z = drawn.T.tolist()
     return {
         "type": "scatter3d",
         "mode": "lines",
@@ -153,41 +163,12 @@ def _jumps(positions: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " k"]:
     return np.flatnonzero(step > 0.4 + 6.0 * np.median(step)) + 1
 
 
-def _with_gaps(values: np.ndarray, broken: np.ndarray) -> list[float | None]:
-    told: list[float | None] = []
-    for value, after_gap in zip(values.round(3).tolist(), broken, strict=True):
-        told += [None, value] if after_gap else [value]
-    return told
-
-
-def _points(name: str, trajectory: Trajectory) -> dict[str, Any]:
-    method = METHODS[name]
-    points = trajectory.poses.translation[_evenly(len(trajectory))].round(3)
-    return {
-        "type": "scatter3d",
-        "mode": "markers",
-        "name": method.label,
-        **{axis: points[:, number].tolist() for number, axis in enumerate("xyz")},
-        "marker": {"size": 2, "color": method.color},
-        "hoverinfo": "name",
-        "visible": "legendonly",
-    }
-
-
-def _evenly(count: int) -> np.ndarray:
-    return np.linspace(0, count - 1, min(count, _MOST_POINTS)).round().astype(int)
+def _evenly(count: int, most: int = _MOST_POINTS) -> np.ndarray:
+    return np.linspace(0, count - 1, min(count, most)).round().astype(int)
 
 
 def _millimetres(points: np.ndarray) -> list[list[int]]:
     return np.round(1000.0 * points).astype(int).T.tolist()
-
-
-def _rgb(code: str) -> list[int]:
-    return [int(code[i : i + 2], 16) for i in (1, 3, 5)]
-
-
-_LEAST = 1e-3  # of an error that is drawn: dead reckoning begins on the truth
-_MOST_TIMES = 3000
 
 
 @dataclass(frozen=True)
@@ -197,7 +178,7 @@ class StatusStrip:
     record: RunRecord
 
     def html(self, packed: dict[str, Any]) -> str:
-        """See `vapor.reporting.html.page.Block`."""
+        """See `Block`."""
         record = self.record
         seconds = (record.times_ns - record.times_ns[0]) / 1e9
         total = max(float(seconds[-1]), 1e-9)
@@ -231,7 +212,7 @@ def error_plot(record: RunRecord) -> Plot | None:
     for name, trajectory in record.methods.items():
         method = METHODS[name]
         times_ns, *errors = pose_errors(trajectory, record.truth)
-        some = np.linspace(0, len(times_ns) - 1, min(len(times_ns), _MOST_TIMES)).round().astype(int)
+        some = _evenly(len(times_ns), _MOST_TIMES)
         seconds = ((times_ns[some] - start_ns) / 1e9).round(3).tolist()
         drawn = {"mode": "markers", "marker": {"size": 3, "color": method.color, "opacity": 0.6}}
         if method.kind != "image":
@@ -266,11 +247,9 @@ def error_plot(record: RunRecord) -> Plot | None:
         for axis, limit in zip(("y", "y2"), limits, strict=True)
     ]
     layout = {
-        "margin": {"l": 65, "r": 10, "t": 10, "b": 40},
+        **_layout(record),
         "hovermode": "closest",
         "shapes": lines,
-        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
-        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2", "range": [0, _duration_s(record)]},
         "yaxis": {"title": {"text": "position [m]"}, "type": "log", "domain": [0.54, 1.0], "minor": {"nticks": 0}},
         "yaxis2": {"title": {"text": "rotation [°]"}, "type": "log", "domain": [0.0, 0.46]},
     }
@@ -285,7 +264,7 @@ def error_plot(record: RunRecord) -> Plot | None:
 
 def belief_plot(record: RunRecord) -> Plot:
     """How sure the filter was, over time: weight of the best mode, agreement of the images, number of modes."""
-    some = np.linspace(0, len(record.times_ns) - 1, min(len(record.times_ns), _MOST_TIMES)).round().astype(int)
+    some = _evenly(len(record.times_ns), _MOST_TIMES)
     seconds = ((record.times_ns[some] - record.times_ns[0]) / 1e9).round(3).tolist()
     position_m = np.sqrt(np.linalg.eigvalsh(record.covariance[some, :3, :3])[:, -1])
     curves = (
@@ -306,14 +285,17 @@ def belief_plot(record: RunRecord) -> Plot:
         for name, values, color, axis in curves
     ]
     layout = {
-        "margin": {"l": 65, "r": 10, "t": 10, "b": 40},
-        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
-        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2", "range": [0, _duration_s(record)]},
+        **_layout(record),
         "yaxis": {"title": {"text": "fraction"}, "range": [0, 1.05], "domain": [0.54, 1.0]},
         "yaxis2": {"title": {"text": "deviation [m]"}, "type": "log", "domain": [0.0, 0.46]},
     }
     return Plot("belief", traces, layout, "How sure the filter was, over time")
 
 
-def _duration_s(record: RunRecord) -> float:
-    return max(float(record.times_ns[-1] - record.times_ns[0]) / 1e9, 1e-3)
+def _layout(record: RunRecord) -> dict[str, Any]:
+    duration_s = max(float(record.times_ns[-1] - record.times_ns[0]) / 1e9, 1e-3)
+    return {
+        "margin": {"l": 65, "r": 10, "t": 10, "b": 40},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y2", "range": [0, duration_s]},
+    }

@@ -7,18 +7,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
 
 from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.landmarks.shown import ShownLandmarks
+from vapor.reporting.drawing import as_jpeg
 from vapor.reporting.html.page import Block, Code, Folded, Page, Picture, Section, Table, Text
 from vapor.reporting.html.run_figures import RunScene, StatusStrip, belief_plot, error_plot
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import method_table
 from vapor.tracking.methods import METHODS, in_order
 
-_LONGER = 5  # times as long as it is each distance is drawn: of a pixel little would be seen
+_LONGER = 5  # distances are drawn so many times too long, as one of a pixel would hardly be seen
 _WIDTH = 960  # of the picture
 _GREY, _RIM, _GREEN, _LINE = (200, 200, 200), (70, 70, 70), (60, 230, 80), (255, 150, 40)
 _QUALITY = 85
@@ -45,23 +45,11 @@ def landmark_picture(shown: ShownLandmarks) -> bytes:
     for at, end in zip(drawn(shown.seen), drawn(ends), strict=True):
         cv2.line(picture, at, end, _LINE, 2, cv2.LINE_AA, fraction)
         cv2.circle(picture, at, 5 << fraction, _GREEN, 2, cv2.LINE_AA, fraction)
-    return _encoded(picture)
-
-
-def _encoded(picture: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    import cv2
-
-    _, jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return jpeg.tobytes()
+    return as_jpeg(picture, _QUALITY)
 
 
 def landmark_caption(shown: ShownLandmarks, seconds: float) -> str:
-    """What the picture shows, in numbers.
-
-    Args:
-        shown: What is drawn.
-        seconds: Since the first image.
-    """
+    """The picture in numbers; `seconds` count since the first image."""
     off = float(np.median(np.linalg.norm(shown.predicted - shown.seen, axis=1)))
     said = (
         f"Image {shown.number}, at {seconds:.1f} s: of {len(shown.features)} features (grey) {len(shown.seen)} are"
@@ -91,18 +79,18 @@ def run_page(
 
     Args:
         record: The run.
-        report: What `build_report` says of it, whose numbers the page shows.
+        report: Of `build_report`.
         title: Name of the sequence.
         settings: Content of `config.json`.
-        notices: What a person should know.
-        command: The command that was given; empty where there was none.
+        notices: Warnings and hints, shown first.
+        command: The command line; empty where there was none.
     """
     sections = _sections(record, report, settings, command)
     return Page(title, _asked(report, settings), verdict(report, record), sections, notices)
 
 
 def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
-    """What was localized with what; and what is synthetic or simulated, as far as the data say so themselves."""
+    """The question of the page: images, model, odometry, and whether these are synthetic or simulated."""
     sequence = settings.get("sequence", {})
     kind = "synthetic images" if str(sequence.get("image_source")).startswith("synthetic") else "images"
     model = settings.get("model", {}).get("name")
@@ -115,10 +103,15 @@ def _asked(report: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
 
 
 def verdict(report: Mapping[str, Any], record: RunRecord) -> str:
-    """What came of a run, in a sentence or two."""
+    """The result of a run, in a sentence or two."""
     if "filter" not in report:
-        return f"{_sure(record)}. There are no true poses to compare with."
-    found, consistency = said_of_filter(report).removesuffix("."), report["consistency"]
+        sure = [index for index, status in enumerate(record.status) if status == "converged"]
+        found = "Never sure where it is"
+        if sure:
+            first_s = int(record.times_ns[sure[0]] - record.times_ns[0]) / 1e9
+            found = f"Sure in {100 * len(sure) / len(record.status):.0f} % of the images, first after {first_s:.1f} s"
+        return f"{found}. There are no true poses to compare with."
+    found, consistency = filter_sentence(report).removesuffix("."), report["consistency"]
     if consistency["images"] == 0:
         return f"{found}; never sure."
     if consistency["wrong"] == 0.0:
@@ -127,8 +120,8 @@ def verdict(report: Mapping[str, Any], record: RunRecord) -> str:
     return f"{found}; sure and wrong in {wrong} of the {consistency['images']} images that it called converged."
 
 
-def said_of_filter(report: Mapping[str, Any]) -> str:
-    """How good the filter was, in a sentence, where there are true poses."""
+def filter_sentence(report: Mapping[str, Any]) -> str:
+    """How good the filter was against true poses, in a sentence."""
     metrics = report["filter"]
     off = f"{100 * metrics['median_translation_m']:.1f} cm and {metrics['median_rotation_deg']:.1f}° off in the median"
     if metrics["converged_at_s"] is None:
@@ -138,22 +131,14 @@ def said_of_filter(report: Mapping[str, Any]) -> str:
     return f"Right from {since} on, {off}."
 
 
-def _sure(record: RunRecord) -> str:
-    sure = [index for index, status in enumerate(record.status) if status == "converged"]
-    if not sure:
-        return "Never sure where it is"
-    first_s = int(record.times_ns[sure[0]] - record.times_ns[0]) / 1e9
-    return f"Sure in {100 * len(sure) / len(record.status):.0f} % of the images, first after {first_s:.1f} s"
-
-
 def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[str, Any], command: str) -> list[Section]:
     sections = [Section("Where it was", [RunScene(record)])]
     over_time: list[Block] = [StatusStrip(record)]
     if (errors := error_plot(record)) is not None:
         columns, rows = method_table(report)
         ours = [number for number, row in enumerate(rows) if row[0] == METHODS["filter"].label]
-        told = "Errors, and the fraction of images within both limits; no trajectory was aligned"
-        sections.append(Section("How good", [Table(columns, rows, told, ours)]))
+        caption = "Errors, and the fraction of images within both limits; no trajectory was aligned"
+        sections.append(Section("How good", [Table(columns, rows, caption, ours)]))
         over_time.append(errors)
     sections.append(Section("Over time", [*over_time, belief_plot(record)]))
     if record.verified is not None:
@@ -165,12 +150,8 @@ def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[st
     sections.append(Section("What was used", [_counts(report)]))
     blocks: list[Block] = [] if not command else [Code(command)]
     versions = settings.get("versions", {})
-    blocks.append(
-        Folded(
-            "Versions",
-            [Table(("", "version"), [(name, str(versions[name])) for name in versions], "Versions", words=True)],
-        )
-    )
+    rows = [(name, str(version)) for name, version in versions.items()]
+    blocks.append(Folded("Versions", [Table(("", "version"), rows, "Versions", words=True)]))
     rest = {name: value for name, value in settings.items() if name != "versions"}
     blocks.append(Folded("Settings", [Code(json.dumps(rest, indent=2))]))
     sections.append(Section("How it was made", blocks))
