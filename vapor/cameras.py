@@ -13,7 +13,7 @@ from sequences.images.undistortion import undistorted
 from vapor.images import cover_size
 
 _SAME_PX = 0.5  # of the images that a network sees: too little for a network to notice
-_LEAST_FRACTION = 0.8  # of the view, below which a notice says so
+_LEAST_FRACTION = 0.8  # of the view, below which there is a notice
 _SAME_ASPECT = 0.02
 
 

@@ -16,7 +16,7 @@ COMMANDS = {
     "replay": "publish a recording as ROS 2 topics, in real time",
     "demo": "synthesize a sequence, localize in it with a model that ships, and compare",
     "fuse": "localize from pose estimates of others, given as text, and odometry",
-    "inspect": "say of recordings whether they are good enough to train on, and what to record again",
+    "inspect": "judge whether recordings are good enough to train on, and what to record again",
     "train": "train a pose regressor on sequences or data sets with true poses",
     "calibrate": "calibrate a trained model on held-out sequences with true poses",
     "export": "write a trained model as an ONNX file, for robots without torch",

@@ -74,22 +74,15 @@ def command_line(command: str, arguments: Sequence[str], program: str = "vapor-t
     return shlex.join([program, command, *arguments])
 
 
-def parse(
-    command: str,
-    options: type[Options],
-    arguments: Sequence[str],
-    default: Options | None = None,
-    program: str = "vapor-track",
-) -> Options:
+def parse(command: str, options: type[Options], arguments: Sequence[str], program: str = "vapor-track") -> Options:
     """Options from the words of the command line; wrong ones print a line and exit with status 2."""
-    given: dict[str, Any] = {} if default is None else {"default": default}
     errors, helped, columns = io.StringIO(), _Help(), os.environ.get("COLUMNS")
     try:
         is_help = {"-h", "--help"} & set(arguments)
         # Help is as wide as the terminal, which is not seen behind `helped`; in messages no word is broken.
         os.environ["COLUMNS"] = str(width()) if is_help else "1000000"
         with redirect_stderr(errors), redirect_stdout(helped):
-            return tyro.cli(options, prog=f"{program} {command}", args=arguments, **given)
+            return tyro.cli(options, prog=f"{program} {command}", args=arguments)
     except VaporTrackError as error:  # a value that its dataclass refuses
         usage_error(command, str(error), program)
     except SystemExit:

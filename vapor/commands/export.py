@@ -18,7 +18,7 @@ from vapor.engines.onnx_file import is_exported
 
 @dataclass(frozen=True)
 class Options:
-    """Write a trained model as an ONNX file, checked against torch; docs/export.md says what goes in and comes out."""
+    """Write a trained model as an ONNX file, checked against torch; docs/export.md lists its inputs and outputs."""
 
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
     """Model file, or name of a model that ships with the package."""

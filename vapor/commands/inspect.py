@@ -41,18 +41,18 @@ _FILES = (_MAP, _RECORDING, _REPORT, _PAGE)
 
 @dataclass(frozen=True)
 class Options:
-    """Say of recordings whether they are good enough to train on, and what to record again."""
+    """Judge whether recordings are good enough to train on, and what to record again."""
 
     data: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DATA ...")]
     """MCAP files, rosbag2 folders, data set folders or files that list a split; PATH@START:STOP takes only those images
     of it."""
     model: str | None = None
-    """Model file, or name of a model that ships with the package: say, too, where it is unsure or wrong."""
+    """Model file, or name of a model that ships with the package: report, too, where it is unsure or wrong."""
     output: OutputPath | None = None
     """Folder for report.html, report.json and, where there are true poses, map.png and recording.rrd; new or with
     earlier ones."""
     recording: bool = True
-    """Write recording.rrd for the Rerun viewer: where the cameras were, and what the model says of them."""
+    """Write recording.rrd for the Rerun viewer: where the cameras were, and where the model puts them."""
     overwrite: Overwrite = False
     json: bool = False
     """Print the report as JSON instead."""

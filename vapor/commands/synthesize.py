@@ -38,7 +38,7 @@ class Options:
     """Test paths pass something unique in their first half; training paths go everywhere. In a building, those of seeds
     0 to 4 begin evenly spread over a tour of all of it."""
     cues: Cues | None = None
-    """Something unique in the first half, at will, or never. Default: as the split says."""
+    """Something unique in the first half, at will, or never. Default: by the split."""
     width: int = 320
     """Image width in pixels."""
     height: int = 240

@@ -93,7 +93,7 @@ class Options:
     paper's."""
     method: Method | None = None
     """What is trained: the variational regressor, one without its sampling or its KL divergence, or another one.
-    Default: what the preset says, which is retrieval for auto and variational for all others."""
+    Default: that of the preset, which is retrieval for auto and variational for all others."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = PRESETS["auto"]
     reading: Annotated[SequenceOptions, tyro.conf.arg(name="")] = field(default_factory=SequenceOptions)
 
@@ -170,14 +170,14 @@ def _checked(check: TrainingCheck) -> Table:
     for name, figures in check.methods.items():
         error = f"{figures.median_m:.3f} m {figures.median_deg:.1f}°"
         table.add_row(name.replace("_", " "), error, f"{100 * figures.right:.0f} %")
-    said = f"the filter says converged in {100 * check.converged:.0f} % of the images"
+    caption = f"the filter reports converged in {100 * check.converged:.0f} % of the images"
     if check.wrong is not None:
-        said += f", of which {100 * check.wrong:.1f} % are wrong"
+        caption += f", of which {100 * check.wrong:.1f} % are wrong"
     if check.coverage is not None:
-        said += "; of these in its regions: " + ", ".join(
+        caption += "; of these in its regions: " + ", ".join(
             f"{name}: {100 * fraction:.0f} %" for name, fraction in check.coverage.items()
         )
-    table.caption, table.caption_justify = said, "left"
+    table.caption, table.caption_justify = caption, "left"
     return table
 
 

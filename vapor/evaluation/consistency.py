@@ -93,11 +93,11 @@ def evaluate_belief(
     trajectory, true_trajectory = Trajectory(times_ns, best), Trajectory(times_ns, truth)
     covariance = np.stack([modes[0].covariance for modes in belief.modes])
     counts = Counter(belief.status)
-    said = np.array([status == "converged" for status in belief.status])
+    sure = np.array([status == "converged" for status in belief.status])
     elapsed_s = (times_ns - times_ns[0]) / 1e9
-    after = np.zeros(len(said), bool) if converged_at_s is None else elapsed_s >= converged_at_s - 1e-9
+    after = np.zeros(len(sure), bool) if converged_at_s is None else elapsed_s >= converged_at_s - 1e-9
     right, error_m = is_right(best, truth), best.distance(truth)[0]
-    over = {"said_converged": said, "after_convergence": after, "all_images": np.ones(len(said), bool)}
+    over = {"said_converged": sure, "after_convergence": after, "all_images": np.ones(len(sure), bool)}
     if floor_height_m is not None:
         over["on_floor"] = once_on_floor(best, truth, floor_height_m)
     kidnap = None
@@ -105,10 +105,10 @@ def evaluate_belief(
         images = recovery_images(right, kidnap_index=kidnap_index)
         kidnap = {"right_before": bool(right[kidnap_index - 1]), "images": images}
     return {
-        "status": {name: counts[name] / len(said) for name in ("converged", "ambiguous", "lost")},
+        "status": {name: counts[name] / len(sure) for name in ("converged", "ambiguous", "lost")},
         **{name: evaluate_consistency(trajectory, covariance, of, true_trajectory) for name, of in over.items()},
         "truth_among_modes": truth_among_modes(belief.modes, truth),
-        "longest_wrong_s": longest_s(said & ~right, times_ns),
+        "longest_wrong_s": longest_s(sure & ~right, times_ns),
         "false_recoveries": count_false_recoveries(right, error_m, kidnap_index=kidnap_index),
         "kidnap": kidnap,
     }

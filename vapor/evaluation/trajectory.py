@@ -33,6 +33,9 @@ SURE = 0.95
 """Fraction of the remaining images that must be right once a method has converged."""
 
 
+_MOST_GAP_NS = 250_000_000  # between true poses that are interpolated
+
+
 def is_right(poses: Poses, truth: Poses) -> Bool[np.ndarray, "*n"]:
     """Which poses are within 0.3 m and 20° of the truth."""
     limit_m, limit_deg = THRESHOLDS[RIGHT]
@@ -40,25 +43,18 @@ def is_right(poses: Poses, truth: Poses) -> Bool[np.ndarray, "*n"]:
     return (translation_m <= limit_m) & (np.degrees(rotation_rad) <= limit_deg)
 
 
-def associate(
-    times_ns: Int64[np.ndarray, " n"], truth: Trajectory, *, max_gap_s: float = 0.25
-) -> tuple[Bool[np.ndarray, " n"], Poses]:
-    """True poses at given stamps: exact where a stamp is equal, else interpolated on SE(3) between its neighbours.
-
-    Args:
-        times_ns: Stamps (n,), integer nanoseconds.
-        truth: True poses, at least one.
-        max_gap_s: Longest gap between neighbours, in seconds, that is interpolated over.
+def associate(times_ns: Int64[np.ndarray, " n"], truth: Trajectory) -> tuple[Bool[np.ndarray, " n"], Poses]:
+    """True poses at stamps (n,): exact where a stamp is equal, else interpolated on SE(3) between its neighbours.
 
     Returns:
-        Which stamps (n,) have a true pose, and the true poses (k,) of those, in order.
+        Whether each stamp has a true pose, (n,), and these true poses (k,) in order.
     """
     known_ns = truth.times_ns
     after = np.searchsorted(known_ns, times_ns, side="left")
     right = np.minimum(after, len(known_ns) - 1)
     left = np.maximum(after - 1, 0)
     exact = known_ns[right] == times_ns
-    between = (after > 0) & (after < len(known_ns)) & (known_ns[right] - known_ns[left] <= round(max_gap_s * 1e9))
+    between = (after > 0) & (after < len(known_ns)) & (known_ns[right] - known_ns[left] <= _MOST_GAP_NS)
     found = exact | between
     left, right = np.where(exact, right, left)[found], right[found]
     span = np.maximum(known_ns[right] - known_ns[left], 1)

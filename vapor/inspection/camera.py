@@ -83,7 +83,7 @@ class CameraViews:
         if fit is None:
             return unknown("too few points are seen from two sides")
         if fit.by_stated is None and fit.by_found is None:
-            return unknown("hardly any point is seen where the true poses say that it must be, whatever the camera")
+            return unknown("hardly any point is seen where the true poses put it, whatever the camera")
         return CameraCheck(count, camera, fit, len(cameras) == 1, None)
 
 

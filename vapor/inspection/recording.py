@@ -56,8 +56,8 @@ def record_coverage(
     import rerun as rr
 
     poses, names = coverage.images.poses, coverage.images.names
-    said = [] if predictions is None else [predictions.best[predictions.best.is_finite()]]
-    place = Place(Poses.concatenate([poses, *said]), "cameras")
+    predicted = [] if predictions is None else [predictions.best[predictions.best.is_finite()]]
+    place = Place(Poses.concatenate([poses, *predicted]), "cameras")
     colors = [color for _, color in _SHOWN.values()]
     shown = np.minimum(coverage.others, len(colors) - 1)
     title = names[0] if len(names) == 1 else f"{len(names)} recordings"
@@ -66,9 +66,9 @@ def record_coverage(
         stream.send_blueprint(with_legend(view, [], [], selection=True))
         place.log_up(stream)
         log_legend(stream, _legend(coverage, predictions is not None))
-        for number, said in enumerate(_SHOWN):
+        for number, passes in enumerate(_SHOWN):
             if (own := shown == number).any():
-                entity = f"world/cameras/{said.replace(' ', '_')}"
+                entity = f"world/cameras/{passes.replace(' ', '_')}"
                 log_cameras(stream, entity, poses[own], colors[number], size_m=place.small_camera_m)
         for number, name in enumerate(names):
             lines = steps(poses.translation[coverage.images.sequence == number])
@@ -108,7 +108,7 @@ def _log_predictions(stream: rr.RecordingStream, coverage: Coverage, predictions
 
 def _legend(coverage: Coverage, with_model: bool) -> str:
     those = " (passes of one recording count as one)" if coverage.by_recordings else ""
-    cameras = ", ".join(f"**{name}** {said}" for said, (name, _) in _SHOWN.items())
+    cameras = ", ".join(f"**{name}** {passes}" for passes, (name, _) in _SHOWN.items())
     legend = f"cameras by how many passes show what they saw{those}: {cameras}; select an image to see it large"
     if with_model:
         legend += "  ·  the model's best place of each image: **green** right (within 0.3 m and 20°), **pink** wrong"

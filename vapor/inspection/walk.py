@@ -114,7 +114,7 @@ class Looks:
 
 _GAP_STEPS, _GAP_S = 3.0, 0.25  # longer than so many usual steps, and than so long
 _LEAST_RUN = 3  # images that are one and the same
-_RIPE = 50  # images with odometry or poses, to say whether blur comes with turns
+_RIPE = 50  # images with odometry or poses, to find whether blur comes with turns
 
 
 @dataclass(frozen=True)

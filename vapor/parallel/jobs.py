@@ -109,7 +109,7 @@ def in_parallel(function: Callable[..., Result], jobs: Iterable[tuple], workers:
 
     Raises:
         TerminatedWorkerError: processes of this machine died again and again.
-        VaporTrackError: what a job raised, or on a cluster what `Cluster.results` says.
+        VaporTrackError: of a job, or on a cluster those of `Cluster.results`.
     """
     if workers.cluster is not None:
         yield from workers.cluster.results(function, list(jobs))

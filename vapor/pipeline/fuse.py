@@ -38,7 +38,7 @@ class EstimateConfig:
     over the sum of those of its file and frame and this. With counts of inliers it is the number that a wrong pose has
     by chance, such as 10; at 0 weights are of any unit, and only their ratios count."""
     outlier_probability: float = 0.1
-    """Fraction of the frames in which no estimate says where the camera is."""
+    """Fraction of the frames in which no estimate is right."""
     independent_after_s: float = 1.0
     """Frames so far apart err independently, at the speed that the camera has on the whole; frames of a camera that
     stands do not."""

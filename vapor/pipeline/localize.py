@@ -34,25 +34,22 @@ from vapor.tracking.methods import poses_at_end, start_baselines
 
 Item = TypeVar("Item")
 
+_ROOM = 2  # items that wait at most; one more is being computed
 _TURN_S = 2e-4  # between threads: Python's 5 ms are as long as the network takes for an image
 
 
 @contextmanager
-def ahead(items: Iterable[Item], *, room: int = 2) -> Iterator[Iterator[Item]]:
+def ahead(items: Iterable[Item]) -> Iterator[Iterator[Item]]:
     """The same items in the same order, computed in a thread while those before are in use.
 
     An error comes in the place of the item that it kept from being computed. The thread has ended at the end of the
     block, however that ends.
-
-    Args:
-        items: Used by nothing else meanwhile.
-        room: How many items wait at most; one more is being computed.
     """
     source, end = (item for item in items), object()
     turn_s = sys.getswitchinterval()
     sys.setswitchinterval(min(turn_s, _TURN_S))
     thread = ThreadPoolExecutor(1)
-    waiting = deque(thread.submit(next, source, end) for _ in range(room + 1))
+    waiting = deque(thread.submit(next, source, end) for _ in range(_ROOM + 1))
 
     def computed() -> Iterator[Item]:
         while (item := waiting.popleft().result()) is not end:

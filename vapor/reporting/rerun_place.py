@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 _POINTS, _FRUSTA = 2000, 200
-_TAIL = 0.005  # of the positions, at either end of each axis: what networks say may lie anywhere
+_TAIL = 0.005  # of the positions, at either end of each axis: predictions of networks may lie anywhere
 _MARGIN = 0.05  # of the box that is looked at, in its diagonals
 _CAMERA, _SMALL_CAMERA = 0.05, 0.012  # sizes of cameras, in diagonals
 _AROUND_RAD, _DOWN_RAD = np.radians([30.0, 33.0])  # from where one looks at the long side of the place

@@ -218,7 +218,7 @@ class RerunViewer:
             if keep:
                 self._rows.send()
             self._stream.flush(timeout_sec=_FLUSH_S if self._recording is None else math.inf)
-        except RuntimeError as error:  # it says no more than that there was one
+        except RuntimeError as error:
             if keep:
                 keep = False
                 raise VaporTrackError(f"the Rerun viewer cannot be written to: {error}") from error

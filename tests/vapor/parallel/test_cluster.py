@@ -140,7 +140,7 @@ def test_a_scheduler_that_goes_away_is_told(monkeypatch):
         results = in_parallel(time.sleep, [(0.1,)] * 20, Workers(1, cluster))
         next(results)
         local.close()
-        with pytest.raises(ClusterError, match=r"the scheduler went away; what is done stays"):
+        with pytest.raises(ClusterError, match=r"the scheduler went away; finished jobs stay"):
             list(results)
 
 

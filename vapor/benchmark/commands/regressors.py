@@ -86,7 +86,7 @@ def _fill_table(o: Options, workers: Workers, command: str) -> None:
 
 def _table_page(results: Sequence[Mapping[str, Any]], gamma: float, settings: Mapping[str, Any], command: str) -> Page:
     tables = scene_tables(results, gamma)
-    parts = [(each.scene, [html.Table(each.columns, each.rows, each.measured)]) for each in tables]
+    parts = [(each.scene, [html.table(each.columns, each.rows, each.measured)]) for each in tables]
     best = [f"{each.scene}: {each.best} has the highest recall within {RIGHT}, {each.best_recall}." for each in tables]
     said = " ".join(best) or "No network could be trained."
     asked = f"{len(results)} networks: every method on every scene, the same budget"

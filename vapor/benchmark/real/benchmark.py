@@ -36,7 +36,6 @@ _CODE = (
     "vapor.checkpoints",
     "vapor.evaluation",
     "vapor.pipeline.fuse",
-    "vapor.pipeline.fuse",
     "vapor.tracking",
 )
 

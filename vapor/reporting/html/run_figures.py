@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from html import escape
 from typing import Any
 
@@ -12,7 +11,7 @@ from jaxtyping import Float64, Int64
 from sequences.frame import Trajectory
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS, associate, pose_errors
 from vapor.reporting.drawing import COLORS, as_jpeg, rgb
-from vapor.reporting.html.page import Plot, data_url
+from vapor.reporting.html.page import Block, data_url, plot
 from vapor.reporting.record import Keyframe, RunRecord, choose_keyframes
 from vapor.reporting.rerun_shapes import frusta
 from vapor.tracking.methods import METHODS
@@ -24,31 +23,24 @@ _THINNEST = 0.2  # of the longest axis of the box
 _CAMERA_OF_EXTENT = 0.03  # the size of a drawn camera
 
 
-@dataclass(frozen=True)
-class RunScene:
-    """The run, to be turned and played."""
-
-    record: RunRecord
-
-    def html(self, packed: dict[str, Any]) -> str:
-        """See `Block`."""
-        record = self.record
-        packed["run"] = _data(record)
-        last = len(record.moments) - 1
-        shown = min(int(0.15 * last), last)
-        keyframes = [each for each in choose_keyframes(list(record.keyframes), _MOST_IMAGES) if each.thumbnail.size]
-        buttons = "".join(_moment_button(each, record) for each in keyframes)
-        seen = '<figure class="seen"><img alt="What the camera saw"><figcaption></figcaption></figure>'
-        strip = f'<div class="moments" aria-label="Images" role="group">{buttons}</div>' if keyframes else ""
-        return (
-            '<figure data-figure="run" aria-label="Paths, particles and modes in space">'
-            f'<div class="beside"><div class="plot space"></div>{seen if keyframes else ""}</div>'
-            '<div class="player"><button type="button" class="play">▶ Play</button>'
-            f'<input type="range" min="0" max="{last}" value="{shown}" aria-label="Moment of the run"><output></output>'
-            f"</div>{strip}<figcaption>Drag to turn, scroll or pinch to zoom; a click in the legend shows or hides. "
-            "Particles have the colour of the mode that they are nearest to: blue where it holds the whole belief, "
-            "orange where it holds little of it.</figcaption></figure>"
-        )
+def run_scene(record: RunRecord) -> Block:
+    """A run in space, to be turned and played: paths, particles, modes and cameras."""
+    last = len(record.moments) - 1
+    first = min(int(0.15 * last), last)
+    keyframes = [each for each in choose_keyframes(list(record.keyframes), _MOST_IMAGES) if each.thumbnail.size]
+    buttons = "".join(_moment_button(each, record) for each in keyframes)
+    seen = '<figure class="seen"><img alt="What the camera saw"><figcaption></figcaption></figure>'
+    strip = f'<div class="moments" aria-label="Images" role="group">{buttons}</div>' if keyframes else ""
+    shown = (
+        '<figure data-figure="run" aria-label="Paths, particles and modes in space">'
+        f'<div class="beside"><div class="plot space"></div>{seen if keyframes else ""}</div>'
+        '<div class="player"><button type="button" class="play">▶ Play</button>'
+        f'<input type="range" min="0" max="{last}" value="{first}" aria-label="Moment of the run"><output></output>'
+        f"</div>{strip}<figcaption>Drag to turn, scroll or pinch to zoom; a click in the legend shows or hides. "
+        "Particles have the colour of the mode that they are nearest to: blue where it holds the whole belief, "
+        "orange where it holds little of it.</figcaption></figure>"
+    )
+    return Block(shown, {"run": _data(record)})
 
 
 def _moment_button(keyframe: Keyframe, record: RunRecord) -> str:
@@ -171,39 +163,32 @@ def _millimetres(points: np.ndarray) -> list[list[int]]:
     return np.round(1000.0 * points).astype(int).T.tolist()
 
 
-@dataclass(frozen=True)
-class StatusStrip:
+def status_strip(record: RunRecord) -> Block:
     """The status over time, as a strip of colours."""
-
-    record: RunRecord
-
-    def html(self, packed: dict[str, Any]) -> str:
-        """See `Block`."""
-        record = self.record
-        seconds = (record.times_ns - record.times_ns[0]) / 1e9
-        total = max(float(seconds[-1]), 1e-9)
-        starts = [i for i, status in enumerate(record.status) if i == 0 or status != record.status[i - 1]]
-        ends = [*(float(seconds[i]) for i in starts[1:]), total]
-        bars = "".join(
-            f'<rect x="{1000 * seconds[first] / total:.2f}" width="{1000 * (end - seconds[first]) / total:.2f}" y="0"'
-            f' height="10" style="fill:var(--{record.status[first]})"/>'
-            for first, end in zip(starts, ends, strict=True)
-        )
-        parts = {name: record.status.count(name) / len(record.status) for name in ("converged", "ambiguous", "lost")}
-        said = ", ".join(f"{name} in {100 * part:.0f} % of the images" for name, part in parts.items() if part)
-        key = "".join(
-            f'<span><i style="background:var(--{name})"></i>{name} {100 * part:.0f} %</span>'
-            for name, part in parts.items()
-            if part
-        )
-        return (
-            f'<svg class="strip" viewBox="0 0 1000 10" preserveAspectRatio="none" role="img"'
-            f' aria-label="{escape(f"Status over {total:.1f} s: {said}")}">{bars}</svg>'
-            f'<p class="note key">{key}over {total:.1f} s</p>'
-        )
+    seconds = (record.times_ns - record.times_ns[0]) / 1e9
+    total = max(float(seconds[-1]), 1e-9)
+    starts = [i for i, status in enumerate(record.status) if i == 0 or status != record.status[i - 1]]
+    ends = [*(float(seconds[i]) for i in starts[1:]), total]
+    bars = "".join(
+        f'<rect x="{1000 * seconds[first] / total:.2f}" width="{1000 * (end - seconds[first]) / total:.2f}" y="0"'
+        f' height="10" style="fill:var(--{record.status[first]})"/>'
+        for first, end in zip(starts, ends, strict=True)
+    )
+    parts = {name: record.status.count(name) / len(record.status) for name in ("converged", "ambiguous", "lost")}
+    words = ", ".join(f"{name} in {100 * part:.0f} % of the images" for name, part in parts.items() if part)
+    key = "".join(
+        f'<span><i style="background:var(--{name})"></i>{name} {100 * part:.0f} %</span>'
+        for name, part in parts.items()
+        if part
+    )
+    return Block(
+        f'<svg class="strip" viewBox="0 0 1000 10" preserveAspectRatio="none" role="img"'
+        f' aria-label="{escape(f"Status over {total:.1f} s: {words}")}">{bars}</svg>'
+        f'<p class="note key">{key}over {total:.1f} s</p>'
+    )
 
 
-def error_plot(record: RunRecord) -> Plot | None:
+def error_plot(record: RunRecord) -> Block | None:
     """Errors of position and rotation over time; None without any true pose."""
     if record.truth is None:
         return None
@@ -253,7 +238,7 @@ def error_plot(record: RunRecord) -> Plot | None:
         "yaxis": {"title": {"text": "position [m]"}, "type": "log", "domain": [0.54, 1.0], "minor": {"nticks": 0}},
         "yaxis2": {"title": {"text": "rotation [°]"}, "type": "log", "domain": [0.0, 0.46]},
     }
-    return Plot(
+    return plot(
         "errors",
         traces,
         layout,
@@ -262,7 +247,7 @@ def error_plot(record: RunRecord) -> Plot | None:
     )
 
 
-def belief_plot(record: RunRecord) -> Plot:
+def belief_plot(record: RunRecord) -> Block:
     """How sure the filter was, over time: weight of the best mode, agreement of the images, number of modes."""
     some = _evenly(len(record.times_ns), _MOST_TIMES)
     seconds = ((record.times_ns[some] - record.times_ns[0]) / 1e9).round(3).tolist()
@@ -289,7 +274,7 @@ def belief_plot(record: RunRecord) -> Plot:
         "yaxis": {"title": {"text": "fraction"}, "range": [0, 1.05], "domain": [0.54, 1.0]},
         "yaxis2": {"title": {"text": "deviation [m]"}, "type": "log", "domain": [0.0, 0.46]},
     }
-    return Plot("belief", traces, layout, "How sure the filter was, over time")
+    return plot("belief", traces, layout, "How sure the filter was, over time")
 
 
 def _layout(record: RunRecord) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from vapor.evaluation.consistency import REGIONS
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.landmarks.shown import ShownLandmarks
 from vapor.reporting.drawing import as_jpeg
-from vapor.reporting.html.page import Block, Code, Folded, Page, Picture, Section, Table, Text
-from vapor.reporting.html.run_figures import RunScene, StatusStrip, belief_plot, error_plot
+from vapor.reporting.html.page import Block, Page, code, folded, paragraph, picture, section, table
+from vapor.reporting.html.run_figures import belief_plot, error_plot, run_scene, status_strip
 from vapor.reporting.record import RunRecord
 from vapor.reporting.report import method_table
 from vapor.tracking.methods import METHODS, in_order
@@ -51,15 +51,15 @@ def landmark_picture(shown: ShownLandmarks) -> bytes:
 def landmark_caption(shown: ShownLandmarks, seconds: float) -> str:
     """The picture in numbers; `seconds` count since the first image."""
     off = float(np.median(np.linalg.norm(shown.predicted - shown.seen, axis=1)))
-    said = (
+    caption = (
         f"Image {shown.number}, at {seconds:.1f} s: of {len(shown.features)} features (grey) {len(shown.seen)} are"
         f" landmarks that agree with the pose (green). Orange lines, {_LONGER} times too long, lead to where these"
         f" must be seen from it, {off:.1f} of {shown.image.shape[1]} pixels off in the median."
     )
     if shown.others:
         places = "Another place is verified, by" if len(shown.others) == 1 else "Other places are verified, by"
-        said += f" {places} {', '.join(map(str, shown.others))} landmarks."
-    return said
+        caption += f" {places} {', '.join(map(str, shown.others))} landmarks."
+    return caption
 
 
 _LIMIT_M, _LIMIT_DEG = THRESHOLDS[RIGHT]
@@ -131,44 +131,44 @@ def filter_sentence(report: Mapping[str, Any]) -> str:
     return f"Right from {since} on, {off}."
 
 
-def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[str, Any], command: str) -> list[Section]:
-    sections = [Section("Where it was", [RunScene(record)])]
-    over_time: list[Block] = [StatusStrip(record)]
+def _sections(record: RunRecord, report: Mapping[str, Any], settings: Mapping[str, Any], command: str) -> list[Block]:
+    sections = [section("Where it was", [run_scene(record)])]
+    over_time: list[Block] = [status_strip(record)]
     if (errors := error_plot(record)) is not None:
         columns, rows = method_table(report)
         ours = [number for number, row in enumerate(rows) if row[0] == METHODS["filter"].label]
         caption = "Errors, and the fraction of images within both limits; no trajectory was aligned"
-        sections.append(Section("How good", [Table(columns, rows, caption, ours)]))
+        sections.append(section("How good", [table(columns, rows, caption, ours)]))
         over_time.append(errors)
-    sections.append(Section("Over time", [*over_time, belief_plot(record)]))
+    sections.append(section("Over time", [*over_time, belief_plot(record)]))
     if record.verified is not None:
-        sections.append(Section("Landmarks", _landmarks(record, record.verified)))
+        sections.append(section("Landmarks", _landmarks(record, record.verified)))
     if (trust := _trust(report)) is not None:
-        sections.append(Section("Is its confidence true", trust))
+        sections.append(section("Is its confidence true", trust))
     if report.get("floors") is not None:
-        sections.append(Section("Which floor", _floors(report["floors"])))
-    sections.append(Section("What was used", [_counts(report)]))
-    blocks: list[Block] = [] if not command else [Code(command)]
+        sections.append(section("Which floor", _floors(report["floors"])))
+    sections.append(section("What was used", [_counts(report)]))
+    blocks = [code(command)] if command else []
     versions = settings.get("versions", {})
     rows = [(name, str(version)) for name, version in versions.items()]
-    blocks.append(Folded("Versions", [Table(("", "version"), rows, "Versions", words=True)]))
+    blocks.append(folded("Versions", [table(("", "version"), rows, "Versions", words=True)]))
     rest = {name: value for name, value in settings.items() if name != "versions"}
-    blocks.append(Folded("Settings", [Code(json.dumps(rest, indent=2))]))
-    sections.append(Section("How it was made", blocks))
+    blocks.append(folded("Settings", [code(json.dumps(rest, indent=2))]))
+    sections.append(section("How it was made", blocks))
     return sections
 
 
 def _landmarks(record: RunRecord, verified: int) -> list[Block]:
     blocks: list[Block] = [
-        Text(
+        paragraph(
             f"Landmarks verified a place in {100 * verified / len(record.times_ns):.0f} % of the images: from there"
-            " they are seen where the image shows them, and the pose is as sharp as that tells."
+            " they are seen where the image shows them, and the pose is as sharp as that."
         )
     ]
     if (shown := record.landmarks) is not None:
         seconds = int(record.times_ns[shown.number] - record.times_ns[0]) / 1e9
         alt = "An image with its features, and the landmarks among them"
-        blocks.append(Picture(landmark_picture(shown), alt, landmark_caption(shown, seconds)))
+        blocks.append(picture(landmark_picture(shown), alt, landmark_caption(shown, seconds)))
     return blocks
 
 
@@ -178,7 +178,7 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
         return None
     images = consistency["images"]
     if images == 0:
-        return [Text("It called no image converged, so there is nothing to check.")]
+        return [paragraph("It called no image converged, so there is nothing to check.")]
     rows = [
         (
             f"true pose in the {name} region".replace("%", " %"),
@@ -192,8 +192,8 @@ def _trust(report: Mapping[str, Any]) -> list[Block] | None:
         (f"wrong: not {_WITHIN}", f"{100 * consistency['wrong']:.1f} %", "0 %"),
     ]
     return [
-        Table(("", "is", "true"), rows, f"Of the {images} images that it called converged"),
-        Text(
+        table(("", "is", "true"), rows, f"Of the {images} images that it called converged"),
+        paragraph(
             "A region is the smallest part of the stated Gaussian with that probability. NEES, the normalised "
             "estimation error squared, is larger than 5.35 where errors are larger than stated."
         ),
@@ -208,15 +208,15 @@ def _floors(floors: Mapping[str, Any]) -> list[Block]:
     sure = f"Sure of its floor, by 95 % and more, after {100 * floors['sure']:.0f} % of the images"
     if (wrong := floors.get("sure_and_wrong")) is not None:
         sure += f", of these wrong: {100 * wrong:.1f} %"
-    blocks: list[Block] = [Text(f"{sure}.")]
+    blocks: list[Block] = [paragraph(f"{sure}.")]
     if "accuracy" in floors:
         right = [(METHODS[name].label, f"{100 * part:.0f} %") for name, part in in_order(floors["accuracy"]).items()]
         ours = [number for number, row in enumerate(right) if row[0] == METHODS["filter"].label]
-        blocks.append(Table(("", "right floor"), right, "Images on the right floor", ours))
-    return [*blocks, Table(("", "belief"), rows, "Belief after the last image, by floor and height of the camera")]
+        blocks.append(table(("", "right floor"), right, "Images on the right floor", ours))
+    return [*blocks, table(("", "belief"), rows, "Belief after the last image, by floor and height of the camera")]
 
 
-def _counts(report: Mapping[str, Any]) -> Table:
+def _counts(report: Mapping[str, Any]) -> Block:
     step = report["step_ms"]
     rows = [("images localized", str(report["frames"])), ("with a true pose", str(report["frames_with_true_pose"]))]
     rows += [(f"skipped, {reason}", str(number)) for reason, number in report["skipped"].items()]
@@ -228,4 +228,4 @@ def _counts(report: Mapping[str, Any]) -> Table:
         rows.append(("smoothed poses that images do not fit", str(report["smoothed_doubtful"])))
     if report["peak_rss_mb"] is not None:
         rows.append(("peak memory", f"{report['peak_rss_mb']:.0f} MB"))
-    return Table(("", ""), rows, "Images, time and memory")
+    return table(("", ""), rows, "Images, time and memory")
