@@ -18,15 +18,11 @@ _SAME_ASPECT = 0.02
 
 
 class AsTakenBy:
-    """Images as one camera would have taken them, whichever camera took them.
+    """Images as one camera would have taken them, whichever camera took them; unchanged where that camera is unknown.
 
     Parts that the other camera did not see are filled with the colours of its border, which disturbs a network least:
-    black looks like objects, and enlarging the image makes everything seem nearer.
-
-    Attributes:
-        camera: That camera, None where unknown: then images stay as they are.
-        cameras: Number of images so far of each camera with another view.
-        least_fraction: Smallest fraction of that camera's view that any of them saw.
+    black looks like objects, and enlarging the image makes everything seem nearer. Counts of cameras with another view,
+    and the smallest fraction of the view that any of them saw, are over the images so far.
     """
 
     def __init__(self, camera: Camera | None, frame_size: tuple[int, int]) -> None:

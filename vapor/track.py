@@ -43,18 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run_program(program: str, about: str, commands: dict[str, str], package: str, arguments: list[str] | None) -> int:
-    """Run the command line of a program, whose commands are modules of a package that have a `main`.
-
-    Args:
-        program: As it is typed.
-        about: Its purpose, a sentence.
-        commands: Meanings by name.
-        package: Of the commands.
-        arguments: As for `main`.
-
-    Returns:
-        Exit status, as `main`.
-    """
+    """Run the command line of a program, whose commands are modules of a package that have a `main`; as `main`."""
     if arguments is None and _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # ends the process as SIGTERM does, until `take` below
     from vapor.commands.terminal import Signals, encode_anything, flush_output, overview, say, wrapped, write

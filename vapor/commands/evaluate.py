@@ -39,14 +39,13 @@ def evaluate_directory(
     time_offset_s: float | Literal["auto"] = 0.0,
     columns: str | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Metrics of the trajectories that a run wrote.
+    """Metrics of the trajectories that a run wrote, of which all but `trajectory.tum` may be missing.
 
     Args:
-        directory: What `vapor-track run` wrote; `trajectory.tum` must be there, other files of `FILES` may be missing.
-        ground_truth: True poses as TUM text, EuRoC's data.csv or KITTI's; None for
-            `ground_truth.tum` in the directory.
+        directory: Of `vapor-track run`.
+        ground_truth: True poses, see `read_pose_table`; None for `ground_truth.tum` in the directory.
         time_offset_s: Seconds to add to the stamps of true poses; auto finds them by the rotation of the filter's.
-        columns: Names of the columns of the true poses, as `read_pose_table` takes them.
+        columns: Of the true poses, see `read_pose_table`.
 
     Returns:
         `frames`, `frames_with_true_pose` and the metrics of each method found, as in `report.json`; and warnings and

@@ -90,15 +90,7 @@ def _run_one(options: Options, command: str) -> None:
 
 
 def show_run(result: RunResult, output: Path, *, title: str, recording: bool, tail: bool = False) -> None:
-    """Print figures, status, counts of images, and the paths of the results of a run; few images come last.
-
-    Args:
-        result: The run.
-        output: Directory of its results.
-        title: Of the table.
-        recording: Whether the results have a recording.
-        tail: See `format_table`.
-    """
+    """Print figures, status, counts of images, and the paths of the results of a run; few images come last."""
     results_are_complete()
     report = result.report
     if report["frames_with_true_pose"]:

@@ -115,16 +115,10 @@ def results_are_complete() -> None:
 class Signals:
     """The signals that ask a command to end.
 
-    SIGINT, SIGTERM and SIGHUP end it alike: with one line and exit status 128 + n. While the command works, they raise
-    KeyboardInterrupt. Before, while it is imported, and afterwards there is nothing to undo: they end the process at
-    once, as a KeyboardInterrupt within an import leaves a traceback.
-
-    Attributes:
-        prefix: Beginning of the line that reports a signal.
-        received: The first signal that came; None before.
-        working: Whether there is something to undo.
-        silent: Whether the last line was printed.
-        complete: Whether all results are there, so that a signal ends the command with status 0.
+    SIGINT, SIGTERM and SIGHUP end it alike: with one line, which begins with the prefix, and exit status 128 + n. While
+    the command works, they raise KeyboardInterrupt. Before, while it is imported, and afterwards there is nothing to
+    undo: they end the process at once, as a KeyboardInterrupt within an import leaves a traceback. Once all results are
+    there (`complete`), they end it with status 0.
     """
 
     def __init__(self, prefix: str) -> None:

@@ -45,15 +45,9 @@ def parse_named(
     config: Callable[..., Any],
     program: str = "vapor-track",
 ) -> _Options:
-    """As `parse`, where defaults depend on the options `preset` and `method`; an unknown one exits with status 2.
+    """As `parse`, for options with a `config` whose default depends on their fields `names`, of `preset` and `method`.
 
-    Args:
-        command: Its name, for messages.
-        options: A frozen dataclass with a `config` and the fields `names`.
-        arguments: Words of the command line.
-        names: Of `preset` and `method` those that the command has.
-        config: Makes the default of `config` from their values, given by keyword.
-        program: Its name, for messages.
+    An unknown preset or method exits with status 2; `config` makes the default from their values, given by keyword.
     """
     chosen = {name: _named(arguments, name, getattr(options, name)) for name in names}
     for name, value in chosen.items():

@@ -75,12 +75,10 @@ def once_on_floor(poses: Poses, truth: Poses, floor_height_m: float) -> Bool[np.
 
 
 def evaluate_floor(poses: Poses, truth: Poses, floor_height_m: float) -> dict[str, Any]:
-    """Fractions of poses (n,) that are right but for their floor, and once their floor is right.
+    """Fractions of poses (n,) that are right but for their floor (`but_for_it`), and once their floor is right.
 
-    Returns:
-        `but_for_it`: fraction of the images that are right if they are moved to the true floor. `settled_images`: those
-        from the first on which, and on all later ones of which, the floor is right; `settled_right`: fraction of
-        them that is right, None if there are none.
+    `settled_images` are those from the first on which, and on all later ones of which, the floor is right;
+    `settled_right` is the fraction of them that is right, None if there are none.
     """
     right, settled = is_right(poses, truth), once_on_floor(poses, truth, floor_height_m)
     up = np.zeros_like(poses.translation)

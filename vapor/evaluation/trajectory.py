@@ -137,12 +137,8 @@ def convergence_s(
     """Seconds from the first image of a sequence to the moment from which on a method is right; None if never.
 
     It is the first image that is right, from which on, itself included, at least 95 % of the images are right, and that
-    lies strictly before four fifths of the sequence's duration: a single lucky image at the end does not count.
-
-    Args:
-        times_ns: Stamps (n,).
-        right: Whether each image's pose is right, (n,).
-        start_ns: Stamp of the sequence's first image; the first of `times_ns` if None.
+    lies strictly before four fifths of the sequence's duration: a single lucky image at the end does not count. The
+    stamp of the sequence's first image is that of the first given image, or `start_ns`.
     """
     start_ns = int(times_ns[0]) if start_ns is None else start_ns
     remaining = np.arange(len(right), 0, -1)

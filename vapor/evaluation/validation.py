@@ -25,15 +25,11 @@ LOG_FLOOR = float(np.log(1e-4))
 
 @dataclass(frozen=True)
 class Validation:
-    """Figures of one epoch on held-out images, means over the images.
+    """Figures of one epoch on held-out images, means over the images; epochs count from 1.
 
-    Attributes:
-        epoch: Epochs trained, from 1.
-        train_loss: Mean training loss of that epoch.
-        sample_recall: Fraction of the posterior samples within 0.3 m and 20° of the true pose.
-        mode_recall: Fraction of the images whose sample of highest density is.
-        log_density: Mean of log(p̂(true pose) + 10⁻⁴ per m³ rad³): unlike the recalls it falls when a possible place is
-            forgotten, which no filter can repair.
+    The recalls are fractions within 0.3 m and 20° of the true pose: of the posterior samples, and of the images by
+    their sample of highest density. The log density is the mean of log(p̂(true pose) + 10⁻⁴ per m³ rad³): unlike the
+    recalls it falls when a possible place is forgotten, which no filter can repair.
     """
 
     epoch: int
@@ -54,17 +50,10 @@ def validate(
     train_loss: float,
     feature: Float[Tensor, "n f"] | None = None,
 ) -> Validation:
-    """Evaluate the posteriors of held-out images, with the same latent noise every time.
+    """Evaluate the posteriors of the centre crops of held-out images, scaled as for training.
 
-    Args:
-        network: In any mode; evaluated in evaluation mode, and left as it was.
-        held_out: Images scaled as for training; their centre crops are used.
-        calibration: Kernel widths.
-        num_samples: Posterior samples per image.
-        seed: Seed of the latent noise.
-        epoch: See `Validation`.
-        train_loss: See `Validation`.
-        feature: See `predict`.
+    The latent noise is that of the seed, the same every time; the network may be in any mode, and is left as it was.
+    For features see `predict`; `epoch` and `train_loss` are passed through.
     """
     figures = []
     for i, samples in enumerate(predict(network, held_out, num_samples, seed, feature)):
@@ -85,14 +74,9 @@ def predict(
     seed: int,
     feature: Float[Tensor, "n f"] | None = None,
 ) -> Iterator[Poses]:
-    """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic.
+    """Posterior samples (num_samples,) of each image's centre crop, float32 arithmetic, with latent noise of the seed.
 
-    Args:
-        network: In any mode.
-        images: Scaled as for training.
-        num_samples: Posterior samples per image.
-        seed: Seed of the latent noise.
-        feature: Of the images, from `extract_features`, where known; images are then not used.
+    Images are scaled as for training; they are not used where their features, from `extract_features`, are given.
     """
     device = network.pixel_mean.device
     generator = torch.Generator(device).manual_seed(seed)

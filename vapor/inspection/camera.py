@@ -89,14 +89,10 @@ class CameraViews:
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """The stated intrinsics beside those that fit images and true poses.
+    """The stated intrinsics, and those that fit a number of images and their true poses.
 
-    Attributes:
-        images: Number of images used.
-        camera: As stated, at their size, or a guess; None without true poses.
-        fit: Intrinsics that fit; None where unknown.
-        of_all: Whether all images are of this camera.
-        unknown: Why there is no fit; None where there is one.
+    The camera is as stated, at the size of the images, or a guess; None without true poses. Without a fit, `unknown` is
+    the reason. `of_all`: whether all images are of this camera.
     """
 
     images: int

@@ -24,13 +24,10 @@ _DRAWS, _GOOD = 100, 0.03  # and of the mean residual, focal lengths
 
 @dataclass(frozen=True)
 class ImageClock:
-    """Delay of the stamps of a recording's images against those of odometry or true poses.
+    """Delay of the stamps of a recording's images against those of odometry, or without any of true poses.
 
-    Attributes:
-        name: Of the recording.
-        against: "odometry", or without any "true poses"; None where there is neither.
-        late_ms: Milliseconds; None where unknown, as where the camera hardly turns, or always alike.
-        as_stated: Whether images are as stated then, neither turned nor mirrored.
+    The delay, milliseconds, is None where unknown, as where the camera hardly turns, or always alike. `as_stated`:
+    whether images are neither turned nor mirrored then.
     """
 
     name: str

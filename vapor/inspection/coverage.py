@@ -25,12 +25,10 @@ _MOST_CELLS = 50  # along the longer side of the plan
 
 @dataclass(frozen=True)
 class Plan:
-    """A map from above, which the cameras outline.
+    """A map from above, which the cameras outline, with cells of a side in metres.
 
-    Attributes:
-        axes: Right and up on the map, and up in the world: unit vectors in the world, rows (3, 3).
-        names: Of the first two, such as "x" or "-y".
-        cell_m: Side of its cells, metres.
+    Axes are right and up on the map, and up in the world: unit vectors in the world, rows (3, 3); the first two have
+    names such as "x" or "-y".
     """
 
     axes: Float64[np.ndarray, "3 3"]
@@ -81,15 +79,9 @@ def _round(value: float) -> float:
 
 @dataclass(frozen=True)
 class Segment:
-    """Images in a row of one recording: numbers count its images with a true pose, from 0.
+    """Images in a row of one recording, first to last: numbers count its images with a true pose, from 0.
 
-    Attributes:
-        name: Of the recording.
-        first: The first of its images.
-        last: The last of them.
-        low_m: Height of the lowest, metres.
-        high_m: Height of the highest.
-        floor: The floor that most of them are on, from 0.
+    Heights, in metres, are of the lowest and the highest; most images are on the floor with the number `floor`, from 0.
     """
 
     name: str
@@ -105,15 +97,10 @@ class Segment:
 
 @dataclass(frozen=True)
 class Floor:
-    """One of several floors.
+    """One of several floors: heights in metres of its lowest and highest camera, its images, and the recordings there.
 
-    Attributes:
-        low_m: Height of the lowest camera, metres.
-        high_m: Height of the highest.
-        images: How many.
-        names: Of the recordings that show it.
-        trained: How many of these are not held out as a whole.
-        late: The last fraction of each recording's images, before which none shows it; None where one does.
+    `trained` of these are not held out as a whole. `late` is the last fraction of each recording's images, before which
+    none shows it; None where one does.
     """
 
     low_m: float
@@ -126,14 +113,9 @@ class Floor:
 
 @dataclass(frozen=True)
 class Cell:
-    """A square of the map.
+    """A square of the map: floor from 0, column from the left, row from below.
 
-    Attributes:
-        floor: From 0.
-        column: From the left.
-        row: From below.
-        passes: Number of passes that came near it.
-        looked: Number of these that looked each way, by direction (`Plan.sectors`).
+    `passes` came near it, of which `looked` counts those that looked each way, by direction (`Plan.sectors`).
     """
 
     floor: int
@@ -153,14 +135,10 @@ _LATE = 0.25  # of a recording
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage of a place by n images with true poses of r recordings.
+    """Coverage of a place by n images with true poses of r recordings, measured as `train` does to hold images out.
 
-    Attributes:
-        images: Without pixels.
-        split: As `train` would hold images out.
-        shown: Whether each recording, or of its own another pass, shows the surroundings of each image, (n, r).
-        plan: The map.
-        way: Length of the path up to each image, metres, (n,).
+    `shown`: whether each recording, or of its own another pass, shows the surroundings of each image, (n, r). `way`:
+    length of the path up to each image, metres, (n,).
     """
 
     images: TrainingSet

@@ -77,13 +77,9 @@ def inspect(
 ) -> Inspection:
     """Inspect recordings.
 
-    Args:
-        data: Each `PATH` or `PATH@START:STOP`, as `train` takes them; true poses and odometry may be missing.
-        reading: Topics and range to read; None for whole recordings.
-        model: Observes every image, where given.
-        seed: Of its latent noise.
-        see: Called with every frame, in order.
-        progress: Called with the stage, how much of it is done, and of how much.
+    Data are `PATH` or `PATH@START:STOP`, as `train` takes them; true poses and odometry may be missing. A model
+    observes every image, with latent noise of the seed. `see` is called with every frame in order, `progress` with the
+    stage, how much of it is done, and of how much.
 
     Raises:
         TrainingError: no data, a bad range, or a pose that is not finite.

@@ -35,14 +35,10 @@ _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))  # of a c
 class Axes:
     """Directions of odometry's axes against true poses.
 
-    Attributes:
-        correlation: Of the motions as they are, translation and rotation: 1 where they are the same but for scale.
-        turned: The quarter turns of the camera on its base that make them most alike, (3, 3).
-        correlation_turned: Of the motions with these turns.
-        off_rad: Angle of the best turn of all.
-        correlation_best: Of the motions with the best turn.
-        correlation_mirrored: Of the motions with the best mirroring of one of them along an axis.
-        length_ratio: Length of odometry per metre of the true poses; 1 where these have little in common.
+    Correlations are of the motions, translation and rotation, 1 where they are the same but for scale: as they are,
+    with the quarter turns `turned` (3, 3) of the camera on its base that make them most alike, with the best turn of
+    all, by the angle `off_rad`, and with the best mirroring along an axis. The length ratio is odometry's length per
+    metre of the true poses; 1 where these have little in common.
     """
 
     correlation: float
@@ -156,15 +152,10 @@ _USUAL_OFFSET_S = 1.0  # at most, within one recording
 
 @dataclass(frozen=True)
 class OdometryCheck:
-    """Odometry against true poses.
+    """Odometry against true poses, of a number of increments.
 
-    Attributes:
-        increments: Number of odometry steps between images with true poses.
-        axes: Of odometry; None where it moves too little.
-        late_ms: Delay of odometry's stamps against those of the true poses, by recording.
-        unknown_late: Reason why it is unknown, by recording.
-        fit: Errors of odometry, after its axes and unit were corrected; None where unknown.
-        no_fit: Reason why they are unknown.
+    The delays of odometry's stamps, or the reasons why they are unknown, are by recording. The fit is of the errors,
+    after axes and unit were corrected; None where they are unknown, for the reason `no_fit`.
     """
 
     increments: int

@@ -23,11 +23,8 @@ _WRONG_FRACTION = 0.5  # of its images
 class Prediction(NamedTuple):
     """Figures of one image's posterior.
 
-    Attributes:
-        places: Number of places with at least a tenth of the samples.
-        spread_m: Distance from the best place within which nine tenths of the samples are, metres.
-        best: world_from_camera of the place with most samples; None where there is no place.
-        unfamiliarity: 0 for a training image, above 1 for a foreign one.
+    The places hold at least a tenth of the samples each; the spread, metres, is the distance from the best place
+    (world_from_camera; None without a place) within which nine tenths of the samples are.
     """
 
     places: int
@@ -49,13 +46,8 @@ class Prediction(NamedTuple):
 class WeakPlace:
     """Images of a cell of the map, looking one way, most of which the model gets wrong.
 
-    Attributes:
-        position: Their middle, world, metres.
-        looking: Direction in words.
-        images: Their number.
-        median_m: Their median error, metres.
-        places: Number of possible places by the model, median.
-        passes: Number of passes that show it.
+    The position is their middle in the world, metres; `places` is the median number of places that the model finds
+    possible, `passes` the number of passes that show it.
     """
 
     position: tuple[float, float, float]
@@ -76,17 +68,10 @@ class WeakPlace:
 
 @dataclass(frozen=True)
 class Predictions:
-    """Predictions of a model for n images.
+    """Predictions of a model for n images, of which k have true poses (`posed`, (n,)).
 
-    Attributes:
-        places: Number of possible places of each, (n,).
-        spread_m: Spread of its samples, metres, (n,).
-        unfamiliarity: (n,).
-        error_m: Of the best place, against the true poses of those k that have one, metres, (k,); NaN without a place.
-        right: Within 0.3 m and 20°, (k,).
-        posed: Whether each image has a true pose, (n,).
-        best: world_from_camera of the best place of those k; NaN without a place.
-        why_foreign: Why most images look unlike the training images; empty where they do not.
+    Errors, metres, are of the best places (k,), and NaN without a place; `right` is within 0.3 m and 20°. Why most
+    images look unlike the training images stands in `why_foreign`, which is empty where they do not.
     """
 
     places: Int64[np.ndarray, " n"]

@@ -34,11 +34,8 @@ def read_walks(
 ) -> list[Walk]:
     """Read recordings once, one image at a time.
 
-    Args:
-        data: Each `PATH` or `PATH@START:STOP`, as `train` takes them; true poses may be missing.
-        reading: Topics and range to read; None for whole recordings.
-        see: Called with every frame, in order.
-        progress: Called with the number of images read so far.
+    Data are `PATH` or `PATH@START:STOP`, as `train` takes them; true poses may be missing. `see` is called with every
+    frame in order, `progress` with the number of images read so far.
 
     Raises:
         TrainingError: no data, a bad range, or a pose that is not finite.

@@ -41,14 +41,9 @@ def record_coverage(
     *,
     points: Sequence[ScenePoints] = (),
 ) -> Path:
-    """Record the cameras, some of their images, and the cameras as a model predicts them.
+    """Record cameras, some of their images by number, points of the place, and the cameras as a model predicts them.
 
-    Args:
-        path: The recording, `.rrd`; it appears under its name only when complete.
-        coverage: Of the images.
-        photographs: Some of these images, each with its number.
-        predictions: Of a model.
-        points: Of the place, from each data set that has them.
+    The recording, `.rrd`, appears under its name only when complete.
 
     Raises:
         SequenceError, VaporTrackError: it cannot be written.

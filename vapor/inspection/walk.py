@@ -28,15 +28,9 @@ _JUMP = 0.5  # of log2 of the mean brightness
 class Look(NamedTuple):
     """Figures of one image.
 
-    Attributes:
-        sharpness: Variance of the Laplacian of the grey image, scaled to a shorter side of 240 pixels.
-        coarse: The same at a quarter of that size, where blur takes less of it.
-        brightness: Mean of the grey image, 0 to 255.
-        dark: Fraction of its pixels below 25.
-        bright: Fraction of its pixels of 250 and more.
-        digest: A checksum of all its bytes.
-        width: Pixels.
-        height: Pixels.
+    Sharpness is the variance of the Laplacian of the grey image, scaled to a shorter side of 240 pixels; `coarse` is
+    the same at a quarter of that size, where blur takes less of it. Brightness is the mean of the grey image, 0 to 255;
+    `dark` and `bright` are the fractions of its pixels below 25 and from 250 on. The digest is a checksum of all bytes.
     """
 
     sharpness: float
@@ -70,16 +64,10 @@ def look_at(image: UInt8[np.ndarray, "h w 3"]) -> Look:
 
 @dataclass(frozen=True)
 class Looks:
-    """Images of one recording, n of them, in order.
+    """Figures and flags of the n images of one recording, in order, (n,) each.
 
-    Attributes:
-        sharpness: Variance of the Laplacian, (n,).
-        brightness: Mean of the grey image, 0 to 255, (n,).
-        blurred: Much blurrier than the recording's median, and not for lack of texture, (n,).
-        dark: Nearly black, (n,).
-        blown: With a large part blown out, (n,).
-        jumps: Half a stop brighter or darker than the image before, (n,).
-        repeated: The same to the last bit as the image before, (n,).
+    `blurred`: much blurrier than the recording's median, and not for lack of texture. `blown`: with a large part blown
+    out. `jumps`: half a stop brighter or darker than the image before. `repeated`: equal to it to the last bit.
     """
 
     sharpness: Float64[np.ndarray, " n"]

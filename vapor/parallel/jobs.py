@@ -78,12 +78,9 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Workers:
-    """Processes of this machine, each with one thread, or the workers of a scheduler.
+    """Processes of this machine, each with one thread, or the workers of a scheduler instead.
 
-    Attributes:
-        processes: Number of processes.
-        cluster: The workers of a scheduler, instead of processes.
-        tell: Called with a line such as that a worker died.
+    `tell` is called with a line such as that a worker died.
     """
 
     processes: int = 1

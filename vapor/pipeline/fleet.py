@@ -108,23 +108,11 @@ def unique_names(sequences: Sequence[Path]) -> list[str]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of one sequence: figures, or an error.
+    """The result of one sequence, by the name of its folder: figures, or an error.
 
-    Attributes:
-        name: Name of its folder among the results.
-        sequence: Path of the sequence.
-        error: None where there are figures.
-        images: Images localized.
-        duration_s: From the first to the last of them.
-        status: Fraction of the images by status.
-        final_status: Status of the last image.
-        images_with_true_pose: How many have one.
-        median_translation_m: Median error of the filter; None without true poses, like the next two.
-        median_rotation_deg: Median error of the filter.
-        success: Whether the filter found the place, and kept it.
-        skipped: Images and messages left out, by reason.
-        few_images: A sentence where fewer than half of the images were used.
-        notices: Warnings and hints.
+    Without true poses the median errors of the filter, and `success` (whether it found the place, and kept it), are
+    None. `status` has fractions of the images; `few_images` is a sentence where fewer than half of the images were
+    used.
     """
 
     name: str
@@ -155,26 +143,18 @@ def run_fleet(
     workers: Workers | None = None,
     command: str = "",
 ) -> Iterator[Outcome]:
-    """Localize many sequences; each has the results that it would have alone.
+    """Localize many sequences, by the names of their results; each has the results that it would have alone.
 
-    Args:
-        sequences: Paths of the sequences, by the names of their results.
-        model: Model file, or name of a model that ships with the package; each process loads it once.
-        output: Directory for the results: a folder for each sequence, and `summary.json` on those done so far.
-        config: Settings of every run.
-        reading: What to read of every sequence.
-        overwrite: See `run`; it applies to the folder of each sequence, and to `summary.json`.
-        progress: Called after every image with the name of the sequence, the number done and an upper bound of all; not
-            for sequences that other processes localize.
-        workers: Where they are localized; None for one after the other here.
-        command: See `run`.
+    The output gets a folder for each sequence, and `summary.json` on those done so far. Each process loads the model
+    once. Progress has the name of a sequence, the images done and an upper bound of all; sequences that other processes
+    localize have none. Without workers they are localized one after the other here. Other arguments are as of `run`.
 
     Yields:
         The result of each when it is done, in order without other processes. A sequence that cannot be used does not
         stop the others.
 
     Raises:
-        VaporTrackError: unusable model or output, or one that workers do not see; with the first sequence.
+        VaporTrackError: unusable model or output, or an output that workers do not see; with the first sequence.
     """
     config, workers = config or RunConfig(), workers or Workers()
     folder_to_write(output)

@@ -53,12 +53,7 @@ class EstimateConfig:
 
 
 class EstimateModel:
-    """Pose estimates as an observation model: `observe` takes them instead of an image, and draws nothing.
-
-    Args:
-        num_files: Number of methods.
-        config: Errors and weights of their estimates.
-        errors: Errors over time.
+    """Pose estimates of a number of methods as an observation model: `observe` takes them instead of an image.
 
     Raises:
         VaporTrackError: the number of stated uncertainties is neither one nor the number of files.
@@ -92,15 +87,10 @@ class EstimateModel:
 def mixture_weights(
     file: Int64[np.ndarray, " h"], weight: Float64[np.ndarray, " h"], outlier_weight: float
 ) -> Float64[np.ndarray, " h"]:
-    """Probabilities (h,) of a frame's hypotheses: w / (Σ w + w₀) / m, the sum over those of the same file.
+    """Probabilities (h,) of a frame's hypotheses: w / (Σ w + w₀) / m, the sum over those of the same of m files.
 
     With counts of inliers each is a vote for its hypothesis, and w₀ votes are for none of them: the mean of a Dirichlet
     distribution with these counts. In all they are 1 where w₀ is 0.
-
-    Args:
-        file: Number of the file of each; of m files.
-        weight: w, above 0.
-        outlier_weight: w₀, 0 or more.
     """
     files, own = np.unique(file, return_inverse=True)
     total = np.bincount(own, weight, minlength=len(files)) + outlier_weight

@@ -94,7 +94,7 @@ def localize(
         progress: Called after every frame with the number done and an upper bound of all.
 
     Raises:
-        VaporTrackError: unusable frames, none, or fewer than one in ten of those asked for.
+        VaporTrackError: unusable frames, none, or too few.
     """
     settings = config.localizer
     if odometry_fit is not None:

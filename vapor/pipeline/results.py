@@ -31,13 +31,9 @@ RESULTS = frozenset(
 
 @dataclass(frozen=True)
 class RunResult:
-    """The result of a run.
+    """The result of a run: everything collected on the way, the content of `report.json`, warnings and hints.
 
-    Attributes:
-        record: Everything collected on the way.
-        report: Content of `report.json`.
-        notices: Warnings and hints on the sequence, the model and the smoothed trajectory.
-        engine: Engine, device and precision of the network; empty without one.
+    `engine` has engine, device and precision of the network; empty without one.
     """
 
     record: RunRecord
@@ -60,16 +56,7 @@ def write_results(
     notices: Sequence[str] = (),
     command: str = "",
 ) -> RunResult:
-    """Write trajectories, `config.json` (settings, and the versions they were used with), and the report.
-
-    Args:
-        record: The run.
-        directory: Where to.
-        settings: Settings of the run, as JSON.
-        title: Name of the sequence.
-        notices: Warnings and hints on the sequence and the model.
-        command: The command line; empty where there was none.
-    """
+    """Write trajectories, `config.json` (settings, and versions of packages), and the report of a run."""
     for name, trajectory in record.methods.items():
         write_tum(directory / FILES[name], trajectory)
     if record.truth is not None:

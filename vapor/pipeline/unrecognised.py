@@ -49,11 +49,7 @@ def why_unrecognised(images: Sequence[SeenImage], unfamiliarity: Callable[[np.nd
     """Why images of a run are not recognised, as a sentence about them.
 
     Each change above is tried: the one whose images look most like training images to the network is named where the
-    images as they are do not.
-
-    Args:
-        images: Of the run.
-        unfamiliarity: How unlike training images an image is, such as `VaporObservationModel.unfamiliarity`.
+    images as they are do not. How unlike they look is measured as by `VaporObservationModel.unfamiliarity`.
     """
     grey = np.median([float(np.ptp(image.astype(np.int16), axis=-1).mean()) for image, _ in images]) < _GREY
     now = _score(images, unfamiliarity, np.asarray)

@@ -35,22 +35,11 @@ def draw_posterior(
     truth: Poses | None = None,
     title: str,
 ) -> Path:
-    """Draw posterior samples of one image.
+    """Draw posterior samples (m,) of one image, and the true pose where known, as a PNG that appears when complete.
 
     The sphere is the base of the Hopf fibration in Mollweide's projection, the angle about the axis is the colour
     (Murphy et al., "Implicit-PDF: non-parametric representation of probability distributions on the rotation manifold",
-    ICML 2021).
-
-    Args:
-        path: The picture, PNG.
-        samples: world_from_camera, (m,).
-        image: RGB.
-        surroundings: Positions that outline the scene: posterior samples of training images, metres.
-        truth: The true pose, one pose, where it is known.
-        title: Such as the name of the sequence and the stamp of the image.
-
-    Returns:
-        The picture; it appears under its name only when complete.
+    ICML 2021). Positions (metres) of the surroundings outline the scene: posterior samples of training images.
     """
     figure = new_figure(12.0, 5.6)
     left, right = figure.add_gridspec(1, 2, width_ratios=[1.3, 1.0])
@@ -164,15 +153,9 @@ _LEGEND = (
 def record_posterior(
     path: Path, posterior: PosePosterior, *, frame: Frame, truth: Poses, place: Place, title: str
 ) -> Path:
-    """Record the posterior of a frame's image in space, with the cameras that outline the place.
+    """Record the posterior of a frame's image in space, with its true pose and the cameras that outline the place.
 
-    Args:
-        path: The recording, `.rrd`; it appears under its name only when complete.
-        posterior: Of the image.
-        frame: The image.
-        truth: Its true pose.
-        place: Where it happens.
-        title: Such as the name of the sequence and the stamp of the image.
+    The recording, `.rrd`, appears under its name only when complete.
 
     Raises:
         SequenceError, VaporTrackError: it cannot be written.

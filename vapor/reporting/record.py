@@ -58,14 +58,9 @@ class EvenlySpaced(Generic[Item]):
 class Keyframe:
     """One image of the run in full: what the camera saw and what the filter believed.
 
-    Attributes:
-        time_ns: Header stamp of the image.
-        thumbnail: The image, its longer side at most 320 pixels, RGB; empty where there is none.
-        cloud: 300 poses that represent the belief, equally weighted, world_from_camera.
-        modes: The hypotheses, the reported one first.
-        status: The filter's own status.
-        world_from_camera: True pose, one pose, or None.
-        spread_m: Root mean square distance of the particles from their mean, metres.
+    The thumbnail, RGB, has at most 320 pixels along its longer side, and is empty where there is no image. The cloud
+    has 300 equally weighted poses, world_from_camera; the spread is their root mean square distance from their mean,
+    metres.
     """
 
     time_ns: int
@@ -118,14 +113,10 @@ def choose_keyframes(keyframes: list[Keyframe], count: int) -> list[Keyframe]:
 
 @dataclass(frozen=True)
 class Moment:
-    """The belief after one image, small enough to show up to 300 of them on a page.
+    """The belief after an image, small enough to show up to 300 of them on a page.
 
-    Attributes:
-        index: Number of the image.
-        particles: Positions of 60 particles, equally weighted, (60, 3), metres.
-        modes: Positions of the hypotheses, best first, (k, 3), metres.
-        weights: Their weights, (k,).
-        jpeg: The image, its longer side at most 200 pixels, as a JPEG file; empty where there is none.
+    It has 60 equally weighted particles, and the hypotheses, best first, with their weights; positions are in metres.
+    The JPEG has at most 200 pixels along its longer side, and is empty where there is no image.
     """
 
     index: int

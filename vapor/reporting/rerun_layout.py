@@ -95,11 +95,9 @@ def log_legend(stream: rr.RecordingStream, legend: str) -> None:
 
 
 def run_blueprint(place: Place | None = None, *, live: bool = False) -> rrb.Blueprint:
-    """The belief in space, large; beside it the image and the plots.
+    """The belief in space, large; beside it the image and the plots. The first view shows all of the place, if known.
 
-    Args:
-        place: Where it happens, all of which the first view shows; None where that is unknown.
-        live: Follow the camera, show five minutes of its path and one of the belief, and plot no errors.
+    A live view follows the camera, shows five minutes of its path and one of the belief, and plots no errors.
     """
     import rerun.blueprint as rrb
 

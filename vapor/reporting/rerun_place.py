@@ -29,12 +29,7 @@ _FAINT = (105, 105, 112)
 
 @dataclass(frozen=True)
 class Place:
-    """Where something happens.
-
-    Attributes:
-        poses: Of cameras that outline it, world_from_camera, (n,), n ≥ 1.
-        what: What they are, in a few words.
-    """
+    """The place of a run, outlined by cameras (n,), world_from_camera, n ≥ 1, and what these are, in a few words."""
 
     poses: Poses
     what: str

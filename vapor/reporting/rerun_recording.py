@@ -27,9 +27,7 @@ _MAGIC = b"RRF2"
 class Recording:
     """A file that Rerun writes through a pipe, as Rerun itself would hang on a full disk.
 
-    Attributes:
-        pipe: Path that Rerun is to write to.
-        error: Why the file could not be written; None while it can.
+    `error`: why the file could not be written; None while it can.
 
     Raises:
         SequenceError: the folder is missing or cannot be written to.
@@ -74,12 +72,9 @@ class Recording:
 
 @contextmanager
 def recorded(path: Path, application: str, title: str) -> Iterator[rr.RecordingStream]:
-    """A stream of Rerun into a file, which appears under its name at the end of the block, and after no error.
+    """A stream of Rerun into a file, `.rrd`, which appears under its name at the end of the block, and after no error.
 
-    Args:
-        path: The file, `.rrd`.
-        application: Recordings of one application share layout and panels in the viewer.
-        title: Its name there.
+    Recordings of one application share layout and panels in the viewer; the title is the name there.
 
     Raises:
         SequenceError: the folder is missing or cannot be written to.

@@ -130,14 +130,7 @@ def shown_modes(
 
 @dataclass(frozen=True)
 class Photograph:
-    """An image, and how it was projected.
-
-    Attributes:
-        jpeg: The image.
-        width: Of it, pixels.
-        height: Of it, pixels.
-        image_from_camera: Rows of the matrix of intrinsics, in pixels of this size.
-    """
+    """A JPEG image, its size, and the rows of its matrix of intrinsics, in pixels of this size."""
 
     jpeg: bytes
     width: int

@@ -39,8 +39,8 @@ class RerunViewer:
 
     Args:
         path: The recording to write, `.rrd`; it appears under its name on `close`. None for none.
-        spawn: Whether to open the viewer's window now and stream into it.
-        connect: Address of a viewer that is open, to stream into, such as rerun+http://127.0.0.1:9876/proxy.
+        spawn: Whether to open the viewer's window and stream into it.
+        connect: Address of an open viewer to stream into, such as rerun+http://127.0.0.1:9876/proxy.
         title: Name of the run in the viewer.
         place: Where it happens; the first view shows all of it, and cameras are in proportion to it.
         live: See `run_blueprint`.

@@ -24,12 +24,7 @@ from vapor.tracking.loop import Baselines, Step
 class RunOutputs:
     """Writes and shows a run image by image; used in a `with` block, so that an error leaves nothing half-written.
 
-    Args:
-        baselines: The other trackers.
-        directory: Where `estimate.mcap` and `recording.rrd` go.
-        recording: Whether to write `recording.rrd`.
-        view: Whether to open the Rerun viewer and stream into it.
-        place: Where the run happens, for the viewer.
+    `estimate.mcap`, and `recording.rrd` if asked for, go into the directory; `view` opens the Rerun viewer.
 
     Raises:
         SequenceError: the folder is missing or cannot be written to.

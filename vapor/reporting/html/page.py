@@ -72,14 +72,9 @@ def picture(image: bytes, alt: str, caption: str = "") -> Block:
 def plot(
     name: str, traces: Sequence[Mapping[str, Any]], layout: Mapping[str, Any], label: str, caption: str = ""
 ) -> Block:
-    """A figure that Plotly draws.
+    """A figure that Plotly draws, by a name of letters, with a label for a screen reader.
 
-    Args:
-        name: Its name on the page, of letters.
-        traces: Plotly's traces; the colour "ink" is that of text.
-        layout: Plotly's layout, without the colours of light and dark.
-        label: Text for a screen reader.
-        caption: Below it; empty for none.
+    In traces the colour "ink" is that of text; the layout is without the colours of light and dark.
     """
     shown = (
         f'<figure data-figure="{name}" aria-label="{escape(label)}"><div class="plot"></div>{_below(caption)}</figure>'
@@ -110,15 +105,7 @@ def _joined(before: str, blocks: Iterable[Block], after: str) -> Block:
 
 @dataclass(frozen=True)
 class Page:
-    """The findings of a command.
-
-    Attributes:
-        title: Such as the name of the sequence.
-        asked: The question, in a line.
-        verdict: The answer, in a sentence.
-        sections: The rest.
-        notices: Warnings and hints, shown first.
-    """
+    """The findings of a command: title, question in a line, answer in a sentence, notices, and sections."""
 
     title: str
     asked: str
@@ -191,15 +178,9 @@ def findings_page(
     settings: Mapping[str, Any] | None = None,
     command: str = "",
 ) -> Page:
-    """A page with a section for each part.
+    """A page with a section for each part: a heading, and blocks, printed tables, lines and files of pictures.
 
-    Args:
-        title: See `Page`.
-        asked: See `Page`.
-        verdict: See `Page`.
-        parts: Headings, each with blocks, printed tables, lines and files of pictures.
-        settings: Settings of the command, as JSON.
-        command: The command line; empty where there was none.
+    Settings of the command are JSON; the command line is empty where there was none.
     """
     sections = [section(heading, [_block(item, heading) for item in items]) for heading, items in parts if items]
     made = [code(command)] if command else []

@@ -75,16 +75,7 @@ def run_page(
     notices: Sequence[str] = (),
     command: str = "",
 ) -> Page:
-    """The page of a run.
-
-    Args:
-        record: The run.
-        report: Of `build_report`.
-        title: Name of the sequence.
-        settings: Content of `config.json`.
-        notices: Warnings and hints, shown first.
-        command: The command line; empty where there was none.
-    """
+    """The page of a run, with its report, the name of its sequence, the content of `config.json`, and its command."""
     sections = _sections(record, report, settings, command)
     return Page(title, _asked(report, settings), verdict(report, record), sections, notices)
 
