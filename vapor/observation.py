@@ -118,11 +118,7 @@ class VaporObservationModel:
         return self._as_learned.notices
 
     def observe(self, image: np.ndarray, *, rng: np.random.Generator) -> PosePosterior:
-        """The posterior of one image, and how unlike the training images it is, from one pass of the network.
-
-        Args:
-            image: (H, W, 3) uint8 RGB of any size.
-            rng: Source of the latent noise ε.
+        """The posterior of one image, (H, W, 3) uint8 RGB of any size, from one pass of the network with latent noise.
 
         Raises:
             VaporTrackError: the image is not (H, W, 3) uint8.

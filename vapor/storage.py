@@ -82,9 +82,7 @@ def fetched(path: Path) -> Path:
 def published(path: Path, *, last: str = "") -> None:
     """Write a finished copy to its URL: a file, or those files of a folder that are not there already.
 
-    Args:
-        path: The copy; of any other path nothing is done.
-        last: Name of the file that marks a folder as complete.
+    The file with the name `last` marks a folder as complete. Any other path is left alone.
 
     Raises:
         StorageError: the storage cannot be reached or written to.

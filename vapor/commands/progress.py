@@ -134,14 +134,10 @@ class Progress:
 
 @contextmanager
 def progress(name: str = "", unit: str = "images") -> Iterator[Progress]:
-    """Show the progress of a task on standard error, as long as the context lasts.
+    """Show the progress of a task, which may be named by its stages only, in units (a plural) on standard error.
 
     At a terminal it is a line that changes, and goes after an error. In a log file it is a line every ten seconds and
     at the end.
-
-    Args:
-        name: Of the task; may be empty where all stages have names.
-        unit: Counted units, a plural.
     """
     console = Console(stderr=True, highlight=False, markup=False, color_system=color_system())
     shown = Progress(name, unit, console)

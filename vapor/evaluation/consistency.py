@@ -32,11 +32,7 @@ def evaluate_consistency(
 ) -> dict[str, Any]:
     """Whether a filter is as good as it reports, over the images with status "converged".
 
-    Args:
-        estimate: Best modes, world_from_camera, (n,).
-        covariance: Their covariances in the tangent at the mode, ξ = (v, ω).
-        converged: Whether the status was "converged", (n,).
-        truth: True world_from_camera.
+    Best modes (n,) are world_from_camera, with covariances in the tangent at the mode, ξ = (v, ω).
 
     Returns:
         `images`: number with that status and a true pose. `wrong`: the fraction of them that are not right (`RIGHT`).

@@ -25,13 +25,7 @@ def floor_accuracy(poses: Poses, truth: Poses, floors: Floors) -> float:
 def evaluate_floors(
     floors: Floors, belief: Float64[np.ndarray, "n f"], methods: Mapping[str, Trajectory], truth: Trajectory | None
 ) -> dict[str, Any]:
-    """Which floor the filter believes in, and how often each method is on the right one.
-
-    Args:
-        floors: The f floors.
-        belief: Of the filter on each floor after each of n images, see `Floors.belief`.
-        methods: Trajectories by name; the filter's has a pose for each of the n images.
-        truth: True poses; None where they are unknown, or belong to none of the images.
+    """Floors that the filter believed in after each of n images (`Floors.belief`), and each method's floor accuracy.
 
     Returns:
         `heights_m` of the floors; `belief`: fraction of the belief on each after the last image; `sure`: fraction of

@@ -89,19 +89,14 @@ def pose_errors(
 
 
 def evaluate_trajectory(estimate: Trajectory, truth: Trajectory, *, tracking: bool) -> dict[str, Any]:
-    """Errors of a trajectory against the truth, without any alignment.
-
-    Args:
-        estimate: Estimated world_from_camera; poses whose truth is unknown are left out (see `associate`).
-        truth: True world_from_camera.
-        tracking: Whether the method carries a belief from image to image, and so can converge.
+    """Errors of a trajectory (world_from_camera) against the truth, without alignment, of poses whose truth is known.
 
     Returns:
         `median_translation_m`, `median_rotation_deg`, `ape_rmse_m` (root mean square of the translation error) and
         `recall`: for each of `THRESHOLDS` the fraction of images within both limits; `position_recall`: for each of
         `POSITION_M` the fraction of images whose translation error is within it; `worse_than`: for each of `TAIL_M` the
-        fraction of images with a larger one. With `tracking` also `converged_at_s` (see
-        `convergence_s`, null if never), `success`: whether that moment lies before four fifths of the sequence, and
+        fraction of images with a larger one. With `tracking`, of a method that carries a belief from image to image,
+        also `converged_at_s` (see `convergence_s`, null if never), `success` (whether it converged), and
         `after_convergence`: number of `images` from that moment on, and their `recall` (null if never).
 
     Raises:

@@ -30,17 +30,10 @@ _MOST = 0.5  # of the images
 
 @dataclass(frozen=True)
 class Inspection:
-    """The findings.
+    """The findings on recordings, at least one, and notices on their true poses.
 
-    Attributes:
-        walks: The recordings, at least one.
-        coverage: None without true poses.
-        odometry: Against true poses; None without both.
-        clocks: The images' stamps against those of odometry or true poses, of each recording.
-        camera: The stated intrinsics and those that fit.
-        predictions: Of a model; None without one.
-        notices: Warnings and hints on the true poses.
-        verdict: Sentences, the most important first.
+    Without true poses there is no coverage, without both them and odometry no comparison of these. The verdict has the
+    most important sentence first.
     """
 
     walks: tuple[Walk, ...]

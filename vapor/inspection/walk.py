@@ -109,23 +109,11 @@ _RIPE = 50  # images with odometry or poses, to find whether blur comes with tur
 class Walk:
     """One recording of n images, without its pixels.
 
-    Attributes:
-        name: Of its file or folder.
-        times_ns: Stamps, (n,).
-        sizes: Number of images by width and height, pixels.
-        looks: Figures of its images.
-        posed: Whether each image has a true pose, (n,).
-        poses: These k poses, world_from_camera.
-        odometry: Motion since the image before, n of them; None where unknown.
-        counts: Counts of the images of the recording; None of images on disk.
-        skipped: Number of skipped images and unreadable messages, by reason.
-        notices: Warnings and hints of the reader on odometry and true poses.
-        assumed_hz: The rate that was assumed for want of stamps; None where they were recorded.
-        lacks: Why "true poses" or "odometry" are missing.
-        recorded: Whether it is a recording, rather than images on disk.
-        pairs: Images that show the same, spread over the recording.
-        views: Motion of the images compared with that of true poses and odometry.
-        colours: Of its images.
+    Sizes count images by width and height, pixels. Stamps, whether an image has a true pose (`posed`), and the odometry
+    since the image before (None where unknown) are (n,), the k true poses (k,), world_from_camera. Counts are None of
+    images on disk; `skipped` has images and unreadable messages by reason, `lacks` the reasons why "true poses" or
+    "odometry" are missing. A rate is assumed for want of stamps only. `pairs` of images show the same, spread over the
+    recording; `views` compare their motion with that of true poses and odometry.
     """
 
     name: str

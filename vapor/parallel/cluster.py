@@ -138,13 +138,7 @@ class ClusterError(VaporTrackError):
 
 @dataclass(frozen=True)
 class Cluster:
-    """The workers of a scheduler, from `connected`.
-
-    Attributes:
-        address: Of the scheduler.
-        client: Connected to it; a `Client` of Dask, whose answers have other types where it is asynchronous.
-        expected: Version that every worker must have.
-    """
+    """The workers of a scheduler, from `connected`: its address, a `Client` of Dask, and their expected version."""
 
     address: str
     client: Any

@@ -191,12 +191,7 @@ class RerunViewer:
             self._rows.add("status", rr.StateChange, state=[estimate.status])
 
     def log_at_end(self, methods: Mapping[str, Trajectory], truth: Trajectory | None) -> None:
-        """Show paths and errors of methods beside the filter, which are known only at the end of a run.
-
-        Args:
-            methods: Trajectories of tracking methods by name, at the stamps of the images.
-            truth: True poses of the images that have one.
-        """
+        """Show paths of methods at the stamps of the images, and their errors against known true poses, at the end."""
         import rerun as rr
 
         for name in ERROR_CURVES:

@@ -71,13 +71,7 @@ class RunOutputs:
     def record(
         self, *, skipped: Mapping[str, int], images: ImageCounts, at_end: Mapping[str, Poses] | None = None
     ) -> RunRecord:
-        """The record of all images, with the peak memory of this process.
-
-        Args:
-            skipped: See `RunRecord`.
-            images: See `RunRecord`.
-            at_end: Poses (n,) by name of the methods that see the whole run at once, which are shown too.
-        """
+        """The record of all images, with the peak memory of this process and the methods that see the whole run."""
         record = self._recorder.finish(skipped=skipped, images=images, peak_rss_mb=_peak_rss_mb())
         record = record.with_methods(at_end or {})
         if self._viewer is not None:
