@@ -132,8 +132,8 @@ def _path(name: str, color: str, trajectory: Trajectory, *, visible: bool) -> di
     jumped = _jumps(points)
     kept = np.unique(np.concatenate([_evenly(len(points)), jumped, np.maximum(jumped - 1, 0)]))
     broken = np.isin(kept, jumped)
-    drawn = np.insert(points[kept].round(3).astype(object), np.flatnonzero(broken), None, axis=0)
-    x, y, z = drawn.T.tolist()
+    drawn = np.insert(points[kept].round(3), np.flatnonzero(broken), np.nan, axis=0)
+    x, y, z = np.where(np.isnan(drawn), np.array(None), drawn).T.tolist()
     return {
         "type": "scatter3d",
         "mode": "lines",
