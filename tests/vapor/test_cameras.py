@@ -18,7 +18,7 @@ from tests.helpers.tiny_training import TINY
 from vapor.cameras import AsTakenBy, fraction_seen, resampled
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.regressors.describer import Describer
+from vapor.regressors.backbones import Describer
 from vapor.regressors.familiarity import Familiarity
 from vapor.tensor_files import CheckpointError
 from vapor.training.train import train_on

@@ -8,14 +8,12 @@ import torch
 from safetensors.torch import save_file
 
 from tests.helpers.checkpoints import SMALL, make_checkpoint
-from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.checkpoints.shipped_models import SHIPPED
+from vapor.checkpoints.file_format import SHIPPED, load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import Validation
-from vapor.regressors.pretrained import load_pretrained
+from vapor.regressors.backbones import load_pretrained
 from vapor.tensor_files import CHECKSUM, CheckpointError, content_sha256, read_safetensors, write_safetensors
 from vapor.training.config import TrainConfig
-from vapor.training.start import start
-from vapor.training.state import load_state, save_state
+from vapor.training.state import load_state, save_state, start
 
 DAMAGED = r"m\.safetensors: (damaged: .* do not match its checksum, expected the file as it was|cannot be read .*exp)"
 

@@ -23,8 +23,7 @@ from sequences.images.decoding import decode_image_bytes
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox
 
 _IMAGE_SHAPE = (240, 320, 3)

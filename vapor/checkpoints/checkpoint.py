@@ -14,19 +14,48 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.checkpoints.calibration import Calibration
-from vapor.checkpoints.description import ModelDescription, poses_of
-from vapor.checkpoints.stored_landmarks import landmark_arrays, landmarks_config
+from vapor.checkpoints.stored_tensors import landmark_arrays, landmarks_config, poses_of
 from vapor.landmarks.verify import Landmarks
 from vapor.regressors.familiarity import Familiarity
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from vapor.regressors.base import PoseRegressor
-    from vapor.regressors.memory import Memory
+    from vapor.regressors.retrieval import Memory
+
+
+@dataclass(frozen=True)
+class ModelDescription:
+    """A model without its weights.
+
+    Attributes:
+        network: Shape of the network.
+        box: Box of predicted positions.
+        calibration: How wrong its posteriors are.
+        prior_poses: A posterior sample of each of n ≤ 2000 training images, batch (n,): they outline the scene.
+        network_sha256: Digest of what the posterior samples depend on: network, box, weights and memory.
+        training: Where it came from (data names, seed, images seen, validation figures); any JSON.
+        familiarity: What training images look like to the network; None where that was never learned.
+        camera: The camera of the training images, undistorted; None where unknown.
+        memory_poses: True poses of the training images that a retrieval regressor remembers; None with any other.
+        file: The file that it was read from; None of one in memory.
+        landmarks: Points of the place, by which poses are found to centimetres; None where there are none.
+    """
+
+    network: NetworkConfig
+    box: SceneBox
+    calibration: Calibration
+    prior_poses: Poses
+    network_sha256: str
+    training: Mapping[str, Any] = field(default_factory=dict)
+    familiarity: Familiarity | None = None
+    camera: Camera | None = None
+    memory_poses: Poses | None = None
+    file: Path | None = None
+    landmarks: Landmarks | None = None
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
@@ -60,3 +60,17 @@ def default_errors(poses: Poses) -> ErrorModel:
 def _sides(poses: Poses) -> Float64[np.ndarray, "3"]:
     low, high = np.quantile(poses.translation, [_TAIL, 1.0 - _TAIL], axis=0)
     return high - low
+
+
+MAX_PRIOR_POSES = 2000
+"""Most prior poses that a model file holds."""
+
+
+def spaced(count: int, limit: int) -> Int64[np.ndarray, " n"]:
+    """Indices of min(count, limit) of `count` things, evenly spaced in their order."""
+    return np.linspace(0, count - 1, min(count, limit)).round().astype(np.int64)
+
+
+def thin_poses(poses: Poses, limit: int = MAX_PRIOR_POSES) -> Poses:
+    """At most `limit` of the poses (n,), evenly spaced in their order."""
+    return poses if len(poses) <= limit else poses[spaced(len(poses), limit)]

@@ -28,12 +28,11 @@ from vapor.commands.console import (
 from vapor.commands.named_settings import Method, Preset, parse_named
 from vapor.commands.progress import Progress, progress
 from vapor.evaluation.validation import Validation
-from vapor.training.check_result import TrainingCheck
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS, PRESETS
 from vapor.training.processes import is_first, joined_processes
 from vapor.training.progress import Progress as Where
-from vapor.training.progress import TrainResult
+from vapor.training.progress import TrainingCheck, TrainResult
 from vapor.training.state import is_training_state, state_path
 from vapor.training.train import train
 from vapor.training_data.entries import files_read

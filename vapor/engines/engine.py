@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, UInt8
+
+from filtering.errors import VaporTrackError
+
+if TYPE_CHECKING:
+    import torch
 
 EngineName = Literal["auto", "torch", "openvino"]
 Precision = Literal["float32", "bfloat16"]
@@ -71,3 +76,19 @@ class Engine(Protocol):
             noise: Standard normal, d numbers for each of m posterior samples.
         """
         ...
+
+
+Device = Literal["auto", "cpu", "cuda"]
+
+
+def resolve_device(device: Device) -> torch.device:
+    """The torch device of an option; "auto" is CUDA where there is one.
+
+    Raises:
+        VaporTrackError: CUDA asked for and absent.
+    """
+    import torch
+
+    if device == "cuda" and not torch.cuda.is_available():
+        raise VaporTrackError("device cuda: this torch finds no CUDA device, expected --device cpu or auto")
+    return torch.device("cuda" if device != "cpu" and torch.cuda.is_available() else "cpu")

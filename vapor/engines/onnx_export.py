@@ -18,7 +18,7 @@ from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines.onnx_file import add_description
 
 if TYPE_CHECKING:
-    from vapor.engines.whole_network import WholeNetwork
+    from vapor.engines.torch_engine import WholeNetwork
 
 INPUTS = "image", "noise"
 OUTPUTS = "translation", "rotation", "description"
@@ -43,7 +43,7 @@ def export_onnx(checkpoint: Checkpoint, output: Path) -> tuple[str, float, float
         VaporTrackError: what is needed is not installed, the network cannot be exported, its poses differ by more than
             `WITHIN_M` or `WITHIN_RAD`, or the file cannot be written.
     """
-    from vapor.engines.whole_network import WholeNetwork
+    from vapor.engines.torch_engine import WholeNetwork
 
     if find_spec("onnx") is None:
         raise VaporTrackError("export: onnx is not installed, expected it: pip install 'vapor-track[export]'")
@@ -68,7 +68,7 @@ def export_onnx(checkpoint: Checkpoint, output: Path) -> tuple[str, float, float
 def _write(whole: WholeNetwork, path: Path) -> None:
     import torch
 
-    from vapor.engines.whole_network import traced_inputs
+    from vapor.engines.torch_engine import traced_inputs
 
     inputs, graph = traced_inputs(whole), io.BytesIO()
     outputs = OUTPUTS if whole.described else OUTPUTS[:2]
@@ -96,7 +96,7 @@ def _difference(whole: WholeNetwork, path: Path, runtime: str) -> tuple[float, f
     """Largest differences between what a runtime and torch make of one image and noise: metres and radians."""
     import torch
 
-    from vapor.engines.whole_network import traced_inputs
+    from vapor.engines.torch_engine import traced_inputs
 
     image, noise = traced_inputs(whole, samples=_CHECKED)
     with torch.inference_mode():

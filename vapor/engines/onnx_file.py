@@ -11,13 +11,13 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from vapor.checkpoints.description import ModelDescription
-from vapor.checkpoints.file_format import shapes_beside_weights
-from vapor.checkpoints.stored_description import (
+from vapor.checkpoints.checkpoint import ModelDescription
+from vapor.checkpoints.file_format import (
     description_arrays,
     description_metadata,
     parse_description,
     parse_stored_config,
+    shapes_beside_weights,
 )
 from vapor.checkpoints.stored_tensors import MEMORY_ROTATION, MEMORY_TRANSLATION, check_tensors
 from vapor.tensor_files import CheckpointError, arrays_as_bytes, parse_stored

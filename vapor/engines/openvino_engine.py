@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import importlib.metadata
 import io
+import json
+import os
 import re
 import sys
 import warnings
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -16,10 +22,10 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from filtering.errors import VaporTrackError
-from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.description import ModelDescription
+from sequences.atomic import CACHE
+from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription
 from vapor.engines.engine import EngineName, Precision, Seen
-from vapor.tensor_files import CheckpointError
+from vapor.tensor_files import CheckpointError, read_stored, write_arrays
 
 if TYPE_CHECKING:
     import openvino
@@ -106,7 +112,7 @@ def converted_network(checkpoint: Checkpoint) -> openvino.Model:
     """A model's network as OpenVINO has it before it is compiled; BatchNorm becomes part of the convolutions then."""
     import torch
 
-    from vapor.engines.whole_network import WholeNetwork, traced_inputs
+    from vapor.engines.torch_engine import WholeNetwork, traced_inputs
 
     openvino = imported()
     whole = WholeNetwork(checkpoint).eval()
@@ -178,3 +184,116 @@ def _settings(precision: Precision, threads: int) -> dict[str, object]:
 def processor() -> str:
     """What compiled networks depend on beside OpenVINO's version."""
     return imported().Core().get_property("CPU", "FULL_DEVICE_NAME")
+
+
+_FORMAT = "vapor-track compiled network"
+_VERSION = "1"
+_BLOB = "blob"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What a compiled network depends on.
+
+    Attributes:
+        network: Digest of the network.
+        described: Whether it gives a description of the image.
+        precision: Of its arithmetic.
+        processor: That it was compiled for.
+        openvino: Version of OpenVINO.
+        package: Version of this package.
+    """
+
+    network: str
+    described: bool
+    precision: str
+    processor: str
+    openvino: str
+    package: str = importlib.metadata.version("vapor-track")
+
+    @property
+    def name(self) -> str:
+        """What its file is called after the model's: first what all variants of a model share while they are valid."""
+        return f"{_digest(self.network, self.openvino, self.package)}-{_digest(*map(str, asdict(self).values()))}"
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """A compiled network.
+
+    Attributes:
+        blob: What the engine makes it from.
+        faster: Whether it was faster than torch when it was compiled; None where torch was not asked.
+    """
+
+    blob: bytes
+    faster: bool | None
+
+
+def read_compiled(model: Path, variant: Variant) -> Compiled | None:
+    """The compiled network of a model file; None where there is none that can be used."""
+    for folder in _folders(model):
+        file = folder / f"{model.name}-{variant.name}"
+        with suppress(CheckpointError, ValueError, KeyError, TypeError):
+            metadata, tensors = read_stored(file)
+            config = json.loads(metadata["config"])
+            if (metadata["format"], metadata["version"], config["variant"]) == (_FORMAT, _VERSION, asdict(variant)):
+                return Compiled(bytes(tensors[_BLOB].data), config["faster"])
+    return None
+
+
+def write_compiled(model: Path, variant: Variant, compiled: Compiled) -> bool:
+    """Keep a compiled network, in the place of those of the same model that are not valid any more; whether it could.
+
+    The file appears when it is complete; of two processes the last one's stays.
+    """
+    config = {"variant": asdict(variant), "faster": compiled.faster}
+    metadata = {"format": _FORMAT, "version": _VERSION, "config": json.dumps(config)}
+    for folder in _folders(model):
+        try:
+            folder.mkdir(parents=folder != _beside(model), exist_ok=True)
+            ignore = folder / ".gitignore"
+            if not ignore.exists():
+                ignore.write_text("*\n", encoding="utf-8")
+            file = folder / f"{model.name}-{variant.name}"
+            write_arrays(file, {_BLOB: np.frombuffer(compiled.blob, np.uint8)}, metadata)
+        except (OSError, VaporTrackError):
+            continue
+        _remove_invalid(file)
+        return True
+    return False
+
+
+def can_be_kept(model: Path) -> bool:
+    """Whether compiled networks of a model file can be kept anywhere, as far as that is known before."""
+    return any(os.access(_nearest(folder), os.W_OK) for folder in _folders(model))
+
+
+def _folders(model: Path) -> tuple[Path, Path]:
+    """Where compiled networks of a model may be: beside it, and in the user's cache by where the model is."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return _beside(model), cache / "vapor-track" / _digest(str(model.parent.resolve()))
+
+
+def _beside(model: Path) -> Path:
+    return model.parent / CACHE
+
+
+def _nearest(folder: Path) -> Path:
+    """The folder, or the first of those above it that exists."""
+    return folder if folder.exists() else _nearest(folder.parent)
+
+
+def _remove_invalid(file: Path) -> None:
+    """Remove compiled networks of the same model file that are of another network or version."""
+    valid, _, _ = file.name.rpartition("-")
+    model, _, _ = valid.rpartition("-")
+    for other in file.parent.glob("*"):
+        named, _, _ = other.name.rpartition("-")
+        if named != valid and named.rpartition("-")[0] == model:
+            with suppress(OSError):
+                other.unlink()
+
+
+def _digest(*texts: str) -> str:
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:12]

@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from filtering.errors import VaporTrackError
-from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.description import ModelDescription
+from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription
 from vapor.checkpoints.file_format import is_onnx, load_checkpoint, load_description
 from vapor.engines import openvino_engine
-from vapor.engines.compiled_cache import Compiled, Variant, can_be_kept, read_compiled, write_compiled
-from vapor.engines.device import Device
-from vapor.engines.engine import Engine, EngineConfig, Precision
+from vapor.engines.engine import Device, Engine, EngineConfig, Precision
 from vapor.engines.onnx_file import describe_onnx
+from vapor.engines.openvino_engine import Compiled, Variant, can_be_kept, read_compiled, write_compiled
 from vapor.threads import limited_threads
 
 _SAMPLES = 1000  # with which engines are timed

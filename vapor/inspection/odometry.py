@@ -19,7 +19,7 @@ from sequences.odometry_fit.pieces import OdometrySegment
 from sequences.odometry_fit.result import OdometryFit
 from sequences.trajectories.time_offset import find_time_offset
 from vapor.inspection.axes import Axes, compare_axes
-from vapor.training_data.passes import odometry_segments
+from vapor.training_data.ground import odometry_segments
 from vapor.training_data.training_set import TrainingSet
 
 _USUAL_OFFSET_S = 1.0  # at most, within one recording

@@ -13,7 +13,7 @@ from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.reading.counts import ImageCounts
 from vapor.inspection.looks import Looks
-from vapor.training_data.colours import Colours
+from vapor.training_data.checks import Colours
 from vapor.training_data.views import Pair, ViewCheck
 
 _GAP_STEPS, _GAP_S = 3.0, 0.25  # longer than so many usual steps, and than so long

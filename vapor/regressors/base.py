@@ -1,6 +1,6 @@
 """What every pose regressor has: an image in, samples of the posterior over camera poses out; and how it is trained.
 
-A new regressor is a file with a subclass of `PoseRegressor`, and its row in `vapor.regressors.registry`.
+A new regressor is a file with a subclass of `PoseRegressor`, and its row in `vapor.regressors.network_config`.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from filtering.se3 import Poses
-from vapor.regressors.backbones import make_backbone, pixel_statistics
 from vapor.regressors.loss import Loss, LossConfig
-from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.network_config import NetworkConfig, make_backbone, pixel_statistics
 from vapor.regressors.scene_box import SceneBox
 
 if TYPE_CHECKING:
-    from vapor.regressors.memory import Memory, RecallingRegressor
+    from vapor.regressors.retrieval import Memory, RecallingRegressor
 
 
 class PoseRegressor(nn.Module, ABC):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from filtering.errors import VaporTrackError
-from vapor.regressors.backbones import Backbone, stage_channels
+from vapor.regressors.network_config import Backbone, stage_channels
 
 LEAST_IMAGES = 50
 QUANTILE = 0.995
@@ -24,7 +24,7 @@ CHROMA = 2 * (len(CHROMA_EDGES) + 1)
 class Familiarity:
     """What the training images of a network look like to it.
 
-    An image is described by d numbers (`vapor.regressors.describer`). Less the mean and in units of `scale`, they are
+    An image is described by d numbers (`vapor.regressors.backbones`). Less the mean and in units of `scale`, they are
     projected on p principal axes, and stretched. The distance of two images is Euclidean there; what the axes leave
     over of an image is one coordinate more, in which training images are at 0.
 

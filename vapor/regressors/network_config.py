@@ -2,12 +2,75 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, get_args
 
 from filtering.errors import VaporTrackError, require_within
-from vapor.regressors.backbones import Backbone
-from vapor.regressors.registry import REGRESSORS
+
+if TYPE_CHECKING:
+    from vapor.regressors.backbones import EfficientNetLite0, ResNet18
+    from vapor.regressors.base import PoseRegressor
+    from vapor.regressors.scene_box import SceneBox
+
+Backbone = Literal["resnet18", "resnet18-half", "resnet18-quarter", "efficientnet-lite0"]
+
+# Mean and standard deviation of RGB pixels in 0..255 that the published weights expect.
+_IMAGENET = ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375))
+_LITE0 = ((127.0, 127.0, 127.0), (128.0, 128.0, 128.0))
+_WIDTHS = {"resnet18": 64, "resnet18-half": 32, "resnet18-quarter": 16}
+
+
+def make_backbone(name: Backbone) -> ResNet18 | EfficientNetLite0:
+    """The convolutional network of that name, with random weights and without classifier."""
+    if name == "efficientnet-lite0":
+        from vapor.regressors.backbones import EfficientNetLite0
+
+        return EfficientNetLite0()
+    from vapor.regressors.backbones import ResNet18
+
+    return ResNet18(width=_WIDTHS[name])
+
+
+def stage_channels(name: Backbone) -> tuple[int, int, int, int]:
+    """Channels of the image at the four depths that are the backbone's `stages`."""
+    if name == "efficientnet-lite0":
+        return 24, 40, 112, 320
+    width = _WIDTHS[name]
+    return width, 2 * width, 4 * width, 8 * width
+
+
+def pixel_statistics(name: Backbone) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Mean and standard deviation of RGB pixels in 0..255 by which the backbone's images are normalised."""
+    return _LITE0 if name == "efficientnet-lite0" else _IMAGENET
+
+
+REGRESSORS: Mapping[str, str] = MappingProxyType(
+    {
+        "variational": "variational.VariationalPoseRegressor",
+        "deterministic": "variational.DeterministicPoseRegressor",
+        "point": "point.PointRegressor",
+        "dropout": "point.DropoutRegressor",
+        "mixture": "mixture.MixtureRegressor",
+        "flow": "flow.FlowRegressor",
+        "retrieval": "retrieval.RetrievalRegressor",
+    }
+)
+"""Name -> module of `vapor.regressors` and class, imported when it is asked for."""
+
+
+def regressor_class(head: str) -> type[PoseRegressor]:
+    """The class of a name in `REGRESSORS`."""
+    module, name = REGRESSORS[head].split(".")
+    return getattr(import_module(f"vapor.regressors.{module}"), name)
+
+
+def make_regressor(config: NetworkConfig, box: SceneBox) -> PoseRegressor:
+    """The configured regressor, with random weights."""
+    return regressor_class(config.head)(config, box)
+
 
 if TYPE_CHECKING:
     Head = str

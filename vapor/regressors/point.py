@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import torch
 from jaxtyping import Float
+from scipy.special import ndtri
 from torch import Tensor, nn
 
 from vapor.regressors.base import PoseRegressor
+from vapor.regressors.layers import PoseMap, repeated
 from vapor.regressors.loss import Loss, LossConfig, pose_distance, pose_errors
 from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.pose_map import PoseMap, repeated
 from vapor.regressors.scene_box import SceneBox
 
 
@@ -73,3 +74,20 @@ def _relative(translation: Tensor, rotation: Tensor, half: int, axes: Tensor) ->
     back = rotation[:half].mT
     shift = (axes @ back @ (translation[half : 2 * half] - translation[:half])[..., None])[..., 0]
     return shift, back @ rotation[half : 2 * half]
+
+
+class DropoutRegressor(PointRegressor):
+    """A pose for every draw of the units of the feature that are left out; trained as a point regressor is."""
+
+    def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
+        super().__init__(config, box)
+        self.noise_dim = config.feature_dim
+
+    def sample(
+        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
+    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+        """Poses without the units whose noise is among the least."""
+        with torch.autocast(feature.device.type, enabled=False):
+            dropped = self.config.dropout
+            kept = noise > float(ndtri(dropped))
+            return self.pose_map((feature / (1.0 - dropped))[:, None] * kept)

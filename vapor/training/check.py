@@ -27,8 +27,8 @@ from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.tracking.follow import Followed, follow
 from vapor.tracking.passage import Passage, posterior_of
-from vapor.training.check_result import Figures, TrainingCheck, verdict
-from vapor.training.held_out_landmarks import HeldOutLandmarks
+from vapor.training.landmarks import HeldOutLandmarks
+from vapor.training.progress import Figures, TrainingCheck, verdict
 from vapor.training_data.training_set import TrainingSet
 
 METHODS = ("single_image", "kalman", "filter", "smoothed")

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from vapor.checkpoints.calibration import Calibration
-from vapor.engines.device import Device
+from vapor.engines.engine import Device
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import REGRESSORS, regressor_class
+from vapor.regressors.network_config import REGRESSORS, NetworkConfig, regressor_class
 from vapor.training.augment import AugmentConfig
 from vapor.training_data.training_set import TrainingError
 

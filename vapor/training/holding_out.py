@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from vapor.calibration.image_errors import LEAST_IMAGES
-from vapor.checkpoints.scene_scale import typical_side_m
-from vapor.checkpoints.thinning import spaced
+from vapor.checkpoints.scene_scale import spaced, typical_side_m
 from vapor.training_data.ground import (
     DIRECTION_RAD,
     FARTHEST,

@@ -11,9 +11,8 @@ from torch import Tensor
 
 from vapor.evaluation.validation import batches
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.memory import RecallingRegressor
-from vapor.training.ahead import one_ahead
-from vapor.training.augment import Variation, draw_variation, jitter_and_normalise, random_crops
+from vapor.regressors.retrieval import RecallingRegressor
+from vapor.training.augment import Variation, draw_variation, jitter_and_normalise, one_ahead, random_crops
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import way_of
 from vapor.training.processes import own_part, sum_of_all

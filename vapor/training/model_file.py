@@ -13,18 +13,16 @@ from vapor.calibration.calibrate import CalibrationResult, calibrate
 from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.scene_scale import default_errors
-from vapor.checkpoints.thinning import MAX_PRIOR_POSES, spaced
+from vapor.checkpoints.scene_scale import MAX_PRIOR_POSES, default_errors, spaced
 from vapor.evaluation.validation import predict
 from vapor.landmarks.verify import Landmarks
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.training.check import check
-from vapor.training.check_result import TrainingCheck
 from vapor.training.config import TrainConfig
-from vapor.training.held_out_landmarks import HeldOutLandmarks
 from vapor.training.holding_out import Split
-from vapor.training.landmarks import FoundLandmarks
+from vapor.training.landmarks import FoundLandmarks, HeldOutLandmarks
+from vapor.training.progress import TrainingCheck
 from vapor.training.trainer import weights_of
 from vapor.training_data.training_set import TrainingSet
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.network_config import Head, NetworkConfig
-from vapor.regressors.registry import regressor_class
+from vapor.regressors.network_config import Head, NetworkConfig, regressor_class
 from vapor.training.augment import AugmentConfig
 from vapor.training.config import TrainConfig
 
@@ -136,4 +135,4 @@ METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
 )
 """What `--method` offers, by the names of the literature: what each makes of a configuration. They are the paper's
 regressor, the same without its parts, those it is compared with, one that is a density, and one that recalls training
-images. Every head of `vapor.regressors.registry` can be trained without a row here."""
+images. Every head of `vapor.regressors.network_config` can be trained without a row here."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
 
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.evaluation.validation import Validation
-from vapor.training.check_result import TrainingCheck
 
 
 @dataclass(frozen=True)
@@ -77,3 +76,110 @@ class TrainResult:
 
 
 ProgressCallback = Callable[[Progress], None]
+
+
+_WORSE_RIGHT, _WORSE_MEDIAN = 0.02, 1.1  # than the single image: fraction of the images, and times the median error
+_LEAST_COVERAGE = 0.8  # of the 95 % region
+_HARDLY, _FEW, _SCALE = 0.2, 10.0, 0.1
+
+
+@dataclass(frozen=True)
+class Figures:
+    """How good one method was.
+
+    Attributes:
+        median_m: Error of position, metres.
+        median_deg: Error of rotation, degrees.
+        right: Fraction of the images within 0.3 m and 20°.
+    """
+
+    median_m: float
+    median_deg: float
+    right: float
+
+
+@dataclass(frozen=True)
+class TrainingCheck:
+    """Filter and single image over held-out passes, the same that errors were fitted on.
+
+    Attributes:
+        images: That were evaluated.
+        passes: In so many passes, each begun anew.
+        methods: By name, those of `METHODS`.
+        converged: Fraction of the images called converged.
+        wrong: Fraction of these beyond 0.3 m or 20°; None where none is.
+        coverage: Fraction of these in the filter's 50, 90 and 95 % regions, by name; None where they are fewer than 50.
+        inflation: Factor by which the variances of images were enlarged, as the fitted ones were not good enough.
+        assumed: Whether errors in proportion to the scene took the place of the fitted ones, for the same reason.
+        verdict: A sentence on whether the filter is worth more than the single image, and why not where it is not.
+    """
+
+    images: int
+    passes: int
+    methods: Mapping[str, Figures]
+    converged: float
+    wrong: float | None
+    coverage: Mapping[str, float] | None
+    inflation: float = 1.0
+    assumed: bool = False
+    verdict: str = ""
+
+    @property
+    def worse(self) -> bool:
+        """Whether the filter is worse than the single image."""
+        single, ours = self.methods["single_image"], self.methods["filter"]
+        return ours.right < single.right - _WORSE_RIGHT or ours.median_m > _WORSE_MEDIAN * single.median_m
+
+    @property
+    def overconfident(self) -> bool:
+        """Whether its regions hold too few true poses."""
+        return self.coverage is not None and self.coverage["95%"] < _LEAST_COVERAGE
+
+    @property
+    def rank(self) -> tuple[bool, float, bool]:
+        """Of several checks the one with the greatest rank is kept, of equal ones the first.
+
+        What counts most is that the filter is not overconfident. Which of two is worse by less says nothing: it is
+        luck which wrong place a filter stays at.
+        """
+        held = 1.0
+        if self.overconfident and self.coverage is not None:
+            held = self.coverage["95%"]
+        return not self.overconfident, held, not self.worse
+
+    @property
+    def as_json(self) -> dict[str, Any]:
+        """For the model file."""
+        return asdict(self)
+
+
+def verdict(found: TrainingCheck, result: CalibrationResult) -> str:
+    """A sentence on a check, given what was calibrated before it."""
+    single, ours = found.methods["single_image"], found.methods["filter"]
+    told = f"right in {100 * ours.right:.0f} % of {found.images} held-out images, the single image in"
+    told = f"the filter is {told} {100 * single.right:.0f} %"
+    if found.inflation > 1.0:
+        told += f"; variances of images are taken {found.inflation:.0f} times as large as they were found"
+    if found.assumed:
+        told += "; how images err is assumed, as what was found did worse"
+    if not (found.worse or found.overconfident):
+        return told
+    what = "it is worse than the single image" if found.worse else "it is overconfident"
+    return f"{told}. Beware: {what}; likely {_cause(found, result)}"
+
+
+def _cause(found: TrainingCheck, result: CalibrationResult) -> str:
+    odometry = result.calibration.odometry
+    if found.methods["single_image"].right < _HARDLY:
+        return "because the network hardly knows the place: record more of it, or train for longer"
+    if odometry is not None and abs(odometry.scale) > _SCALE:
+        return (
+            f"because odometry and true poses disagree ({100 * odometry.scale:+.0f} % in distance): check extrinsics"
+            " and stamps"
+        )
+    if 0.0 < result.effective_images < _FEW:
+        return (
+            f"because the held-out images are worth only {result.effective_images:.0f} independent ones: record another"
+            " pass"
+        )
+    return "because errors last longer than any held-out pass shows: record passes on another day or in other light"

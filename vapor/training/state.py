@@ -5,22 +5,33 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from filtering.errors import quoted
+from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.values import parse_number
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.stored_config import parse_config, parse_metadata
+from vapor.engines.engine import resolve_device
 from vapor.evaluation.validation import Validation
+from vapor.regressors.backbones import load_pretrained
 from vapor.regressors.base import PoseRegressor
+from vapor.regressors.network_config import make_regressor
+from vapor.regressors.scene_box import SceneBox
 from vapor.storage import published
 from vapor.tensor_files import CheckpointError, format_of, read_safetensors, write_safetensors
+from vapor.training.config import TrainConfig
 from vapor.training.memory import TrainingFeatures
+from vapor.training.processes import from_first, make_learner, num_processes
+from vapor.training_data.training_set import TrainingError
 
 FORMAT = "vapor-track training state"
 VERSION = 2
@@ -165,3 +176,121 @@ def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) ->
         if each.keys() != _MOMENTS:
             raise ValueError(f"optimizer.{index} has {quoted(sorted(each))} instead of {quoted(sorted(_MOMENTS))}")
     return moments
+
+
+def initial_model(config: TrainConfig) -> Checkpoint | None:
+    """The model all of whose weights are the start, if one is configured.
+
+    Raises:
+        TrainingError: its network has another shape.
+        CheckpointError: it cannot be read.
+    """
+    if config.initial_model is None:
+        return None
+    initial = load_checkpoint(config.initial_model)
+    wanted = config.network
+    sizes = {name: getattr(wanted, name) for name in ("image_width", "image_height", "shortest_edge")}
+    shortcut = initial.network.shortcut or wanted.shortcut  # `take_weights` adds one that is missing
+    found = replace(initial.network, shortcut=shortcut, **sizes)  # convolutions fit images of any size
+    if other := [name for name, value in asdict(wanted).items() if getattr(found, name) != value]:
+        told = ", ".join(f"{name} {getattr(found, name)!r} (expected {getattr(wanted, name)!r})" for name in other)
+        raise TrainingError(f"{config.initial_model}: its network has {told} as configured")
+    return initial
+
+
+def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint | None) -> TrainingState:
+    """A network before its first step, its average, which is a copy, and its optimizer, on the configured device.
+
+    Args:
+        config: How it will be trained.
+        box: Where cameras can be.
+        poses: world_from_camera of the training images, (n,); some regressors start from them.
+        initial: From `initial_model`.
+
+    Raises:
+        VaporTrackError: weights of the backbone or the device are not there.
+    """
+    device = resolve_device(config.device)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        network = make_regressor(config.network, box)
+        average = make_regressor(config.network, box)
+    packaged = config.pretrained and config.network.backbone == "efficientnet-lite0"
+    if config.pretrained_weights is not None or packaged:
+        load_pretrained(network, config.pretrained_weights)
+    network.initialise(poses, log_variance=config.initial_log_variance)
+    if initial is not None:
+        network.take_weights(initial.state_dict)
+    average.load_state_dict(network.state_dict())
+    network, average = (
+        n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        for n in (network, average)
+    )
+    learner = make_learner(network)
+    optimizer = torch.optim.AdamW(parameter_groups(network, config), lr=config.learning_rate, fused=True)
+    return TrainingState(network, average, learner, optimizer)
+
+
+def parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[str, Any]]:
+    """Matrices of the encoder, those of the rest, and what does not decay: biases and BatchNorm."""
+    encoder = {id(p) for part in network.encoder for p in part.parameters()}
+    matrices = [p for p in network.parameters() if p.ndim > 1]
+    decay = config.weight_decay if config.encoder_weight_decay is None else config.encoder_weight_decay
+    return [
+        {"params": [p for p in matrices if id(p) in encoder], "weight_decay": decay},
+        {"params": [p for p in matrices if id(p) not in encoder], "weight_decay": config.weight_decay},
+        {"params": [p for p in network.parameters() if p.ndim <= 1], "weight_decay": 0.0},
+    ]
+
+
+_SELDOM = 50.0  # times as long as the last one took, at least, from one saving to the next
+
+
+class Saving:
+    """Saves a training's state after its epochs, but where these are short not after each: that would slow it down.
+
+    Args:
+        path: From `state_path`.
+        identity: JSON that must be equal for a training to be the same.
+    """
+
+    def __init__(self, path: Path, identity: Mapping[str, Any]) -> None:
+        self._path, self._identity = path, identity
+        self._next_s = 0.0
+
+    def resume(self, state: TrainingState) -> None:
+        """Fill a fresh state from the file, if there is one."""
+        if self._path.exists():
+            load_state(self._path, state, self._identity)
+
+    def save(self, state: TrainingState, *, last: bool = False) -> None:
+        """Write the state between two epochs; always the first one, and the last before something that takes long."""
+        begin_s = perf_counter()
+        if last or begin_s >= self._next_s:
+            save_state(self._path, state, self._identity)
+            end_s = perf_counter()
+            self._next_s = end_s + _SELDOM * (end_s - begin_s)
+
+    def remove(self) -> None:
+        """Remove the file of a training that is finished."""
+        self._path.unlink(missing_ok=True)
+
+
+def share_state(state: TrainingState) -> None:
+    """Give the first process' weights, moments and epochs to all others, in place."""
+    if num_processes() == 1:
+        return
+    parts = state.network, state.average, state.optimizer
+    values = from_first([_on_cpu(part.state_dict()) for part in parts])
+    for part, value in zip(parts, values, strict=True):
+        part.load_state_dict(value)
+    state.epochs, state.epoch, state.seconds = from_first((state.epochs, state.epoch, state.seconds))
+
+
+def _on_cpu(values: Any) -> Any:
+    """A state's tensors on the CPU, in their memory layout: another process has another GPU."""
+    if isinstance(values, torch.Tensor):
+        return values.detach().cpu()
+    if isinstance(values, dict):
+        return {name: _on_cpu(value) for name, value in values.items()}
+    return [_on_cpu(value) for value in values] if isinstance(values, list) else values

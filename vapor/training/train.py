@@ -15,10 +15,9 @@ from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import save_checkpoint
-from vapor.checkpoints.thinning import spaced
+from vapor.checkpoints.scene_scale import spaced
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
-from vapor.training.duration import fitting_epochs
 from vapor.training.epoch import features_for
 from vapor.training.holding_out import Split, hold_out, within_map
 from vapor.training.landmarks import find_landmarks
@@ -26,13 +25,10 @@ from vapor.training.memory import remember
 from vapor.training.model_file import calibrate_and_check, model_checkpoint
 from vapor.training.processes import from_first, is_first, require_shares
 from vapor.training.progress import Progress, ProgressCallback, TrainResult
-from vapor.training.saving import Saving, share_state
-from vapor.training.start import initial_model, start
-from vapor.training.state import TrainingState, state_path
-from vapor.training.trainer import Trainer, weights_of
+from vapor.training.state import Saving, TrainingState, initial_model, share_state, start, state_path
+from vapor.training.trainer import Trainer, fitting_epochs, weights_of
 from vapor.training_data.checks import require_variety, too_few
-from vapor.training_data.entries import open_sequences
-from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.entries import open_sequences, require_no_leakage
 from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingError, TrainingSet
 

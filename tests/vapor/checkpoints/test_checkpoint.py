@@ -8,11 +8,9 @@ import torch
 from filtering.se3 import Poses
 from sequences.odometry_fit.result import OdometryFit
 from tests.helpers.checkpoints import SMALL, make_checkpoint
-from vapor.checkpoints import shipped_models
-from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.checkpoints.scene_scale import default_errors
-from vapor.checkpoints.shipped_models import find_model
-from vapor.checkpoints.thinning import thin_poses
+from vapor.checkpoints import file_format
+from vapor.checkpoints.file_format import find_model, load_checkpoint, save_checkpoint
+from vapor.checkpoints.scene_scale import default_errors, thin_poses
 from vapor.regressors.network_config import NetworkConfig
 from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 
@@ -227,7 +225,7 @@ def test_what_is_no_safetensors_file_is_refused(tmp_path, damage):
 
 
 def test_models_are_found_by_path_or_by_the_name_they_ship_under(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped_models, "SHIPPED", tmp_path)
+    monkeypatch.setattr(file_format, "SHIPPED", tmp_path)
     for name in ("staircase", "ceiling"):
         (tmp_path / f"{name}.safetensors").write_bytes(b"")
     assert find_model("staircase") == tmp_path / "staircase.safetensors"

@@ -5,7 +5,7 @@ import torch
 
 from tests.helpers.command_line import contents, refuse, refuse_run, words_of_run
 from tests.helpers.tiny_model import altered
-from vapor.checkpoints import shipped_models
+from vapor.checkpoints import file_format
 
 HEAD = "network.latent_mean.weight"
 
@@ -41,7 +41,7 @@ def test_an_unknown_model_is_refused_with_a_list_of_those_that_ship(walk_of_25, 
     shipped.mkdir()
     for name in ("staircase", "ceiling"):
         (shipped / f"{name}.safetensors").write_bytes(b"")
-    monkeypatch.setattr(shipped_models, "SHIPPED", shipped)
+    monkeypatch.setattr(file_format, "SHIPPED", shipped)
     refuse(words_of_run(walk_of_25, "atrium", tmp_path / "out"), capsys, "atrium: no such model", "ceiling, staircase")
     assert not (tmp_path / "out").exists()
 

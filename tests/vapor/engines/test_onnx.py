@@ -25,7 +25,7 @@ from vapor.engines.onnx_export import export_onnx
 from vapor.engines.onnx_file import describe_onnx, is_exported
 from vapor.engines.start import start_engine
 from vapor.engines.torch_engine import TorchEngine
-from vapor.regressors.registry import REGRESSORS
+from vapor.regressors.network_config import REGRESSORS
 from vapor.tensor_files import CheckpointError
 
 

@@ -15,11 +15,10 @@ from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.mixture_density import log_rotation_normaliser
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.mixture import log_rotation_normaliser
+from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox
-from vapor.training.pairs import paired
+from vapor.training.epoch import paired
 from vapor.training.presets import METHODS
 from vapor.training.train import train_on
 

@@ -20,12 +20,10 @@ from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import LOG_FLOOR, exact_log_density
 from vapor.observation import VaporObservationModel
 from vapor.regressors.base import DensityRegressor
-from vapor.regressors.flow import FlowRegressor
+from vapor.regressors.flow import FlowRegressor, Spline
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox
-from vapor.regressors.splines import Spline
 from vapor.training.presets import METHODS
 from vapor.training.train import train_on
 from vapor.training_data.load import load_training_set

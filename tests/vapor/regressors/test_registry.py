@@ -7,8 +7,7 @@ import torch
 from filtering.se3 import Poses
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import REGRESSORS, make_regressor, regressor_class
+from vapor.regressors.network_config import REGRESSORS, NetworkConfig, make_regressor, regressor_class
 from vapor.regressors.scene_box import SceneBox
 
 BOX = SceneBox((-2.0, -2.0, -2.0), (2.0, 2.0, 2.0))

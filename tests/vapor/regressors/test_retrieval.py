@@ -15,19 +15,18 @@ from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 from vapor.training import memory as training_memory
 from vapor.training.augment import AugmentConfig
-from vapor.training.duration import fitting_epochs
 from vapor.training.holding_out import hold_out
 from vapor.training.memory import VARIANTS, extract_training_features, features_of
 from vapor.training.presets import METHODS, PRESETS
-from vapor.training.start import start
+from vapor.training.state import start
 from vapor.training.train import train_on
+from vapor.training.trainer import fitting_epochs
 from vapor.training_data.load import load_training_set
 
 BOX = SceneBox((-2.0, -1.0, 0.0), (2.0, 3.0, 1.0))

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from vapor.training.ahead import one_ahead
+from vapor.training.augment import one_ahead
 
 
 def test_results_come_in_order_and_one_is_made_while_the_one_before_is_used():

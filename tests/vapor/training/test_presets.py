@@ -11,7 +11,7 @@ from vapor.checkpoints.calibration import Calibration
 from vapor.regressors.loss import LossConfig
 from vapor.training.augment import AugmentConfig
 from vapor.training.config import TrainConfig
-from vapor.training.precision import uses_bfloat16
+from vapor.training.epoch import uses_bfloat16
 from vapor.training.presets import PRESETS
 from vapor.training.schedule import learning_rate, samples_per_image
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.helpers.short_training import train_on_most
 from tests.helpers.tiny_training import TINY, make_frames
-from vapor.training import batches
+from vapor.training import epoch as batches
 from vapor.training.presets import PRESETS
 from vapor.training.schedule import first_epoch_of_size, image_size, step_cost
 

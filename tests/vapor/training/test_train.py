@@ -16,10 +16,10 @@ from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.evaluation.validation import validate
 from vapor.observation import VaporObservationModel
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import CheckpointError
-from vapor.training.ema import update_average
+from vapor.training.epoch import update_average
 from vapor.training.train import train_on, train_on_images
 from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingError

@@ -12,7 +12,7 @@ from tests.helpers.full import full, some
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.calibration import Calibration
 from vapor.training import check as training_check
-from vapor.training import check_result
+from vapor.training import progress as check_result
 from vapor.training.check import check
 from vapor.training_data.load import load_training_set
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.tiny_training import TINY, make_frames
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
-from vapor.training.start import parameter_groups
+from vapor.training.state import parameter_groups
 from vapor.training.train import train_on
 from vapor.training_data.training_set import TrainingError
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vapor.training_data.colours import Colours, said_of_colours
+from vapor.training_data.checks import Colours, said_of_colours
 
 
 def colours(seed: int, *, warmth: int = 30, swapped: bool = False) -> Colours:

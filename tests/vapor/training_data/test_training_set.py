@@ -11,13 +11,12 @@ from tests.helpers.data_sets import make_7scenes, make_colmap
 from tests.helpers.sequence_files import Walk, as_split_folder
 from tests.helpers.tiny_training import TINY, make_frames, pose
 from vapor.evaluation.validation import predict
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.track import main
-from vapor.training.pairs import paired
+from vapor.training.epoch import paired
 from vapor.training.train import train, train_on
-from vapor.training_data.entries import open_sequences
-from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.entries import open_sequences, require_no_leakage
 from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingError
 
