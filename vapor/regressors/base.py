@@ -19,7 +19,20 @@ from vapor.regressors.network_config import NetworkConfig, make_backbone, pixel_
 from vapor.regressors.scene_box import SceneBox
 
 if TYPE_CHECKING:
-    from vapor.regressors.retrieval import Memory, RecallingRegressor
+    from vapor.regressors.retrieval import Memory, RetrievalRegressor
+
+Images = Float[Tensor, "b 3 h w"]
+"""Images as `PoseRegressor.normalise` gives them."""
+Features = Float[Tensor, "b f"]
+"""Features of images, as `PoseRegressor.extract_features` gives them."""
+Noise = Float[Tensor, "b m d"]
+"""Standard normal numbers, d for each of m posterior samples of an image."""
+Positions = Float[Tensor, "b 3"]
+"""True positions, metres, world_from_camera."""
+Rotations = Float[Tensor, "b 3 3"]
+"""True rotation matrices, world_from_camera."""
+PoseSamples = tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]
+"""Positions in metres and rotation matrices of m posterior samples of each image, world_from_camera."""
 
 
 class PoseRegressor(nn.Module, ABC):
@@ -66,7 +79,7 @@ class PoseRegressor(nn.Module, ABC):
         return None
 
     @property
-    def recalling(self) -> RecallingRegressor | None:
+    def recalling(self) -> RetrievalRegressor | None:
         """This regressor where it recalls training images; None where it has learned all that it knows of them."""
         return None
 
@@ -84,9 +97,7 @@ class PoseRegressor(nn.Module, ABC):
         return torch.relu(self.feature(self.backbone(images))).to(self.feature.weight.dtype)
 
     @abstractmethod
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """Posterior samples of images with these features (`extract_features`), for given noise, d = `noise_dim`.
 
         Translations in metres and rotation matrices, world_from_camera, m of each image.
@@ -102,12 +113,7 @@ class PoseRegressor(nn.Module, ABC):
 
     @abstractmethod
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b m d"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
         """The loss of one batch, in training mode.
 

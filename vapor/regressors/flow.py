@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from filtering.se3 import Poses
-from vapor.regressors.base import DensityRegressor
+from vapor.regressors.base import DensityRegressor, Features, Images, Noise, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import count_below, normal_cdf, rodrigues
 from vapor.regressors.loss import Loss, LossConfig, pose_distance
 from vapor.regressors.network_config import NetworkConfig
@@ -65,9 +65,7 @@ class FlowRegressor(DensityRegressor):
         self.world_axes.copy_(eye.roll(int(world) + 1, 0))  # its last column is the axis of the world
         self.camera_axes.copy_(eye.roll(int(camera) + 1, 1))  # its last row is the axis of the camera
 
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m 6"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """Draws, coordinate after coordinate through the inverse splines."""
         with torch.autocast(feature.device.type, enabled=False):
             condition = self.condition(feature)[:, None]
@@ -98,12 +96,7 @@ class FlowRegressor(DensityRegressor):
             return torch.where(inside, torch.stack(slopes).sum(dim=0) - log_volume, -torch.inf)
 
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b 1 6"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
         """Negative log density of the true poses, nats, after noise of the configured size.
 

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from vapor.regressors.base import DensityRegressor
+from vapor.regressors.base import DensityRegressor, Features, Images, Noise, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import count_below, normal_cdf, rodrigues, rotation_from_6d
 from vapor.regressors.loss import Loss, LossConfig, pose_distance
 from vapor.regressors.network_config import NetworkConfig
@@ -55,9 +55,7 @@ class MixtureDensity(DensityRegressor):
     def components(self, feature: Float[Tensor, "b f"]) -> Components:
         """The mixtures of images with these features (`extract_features`)."""
 
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """Draws from the mixture."""
         log_weights, translation, rotation, widths = self.components(feature)
         which = count_below(log_weights.exp().cumsum(dim=-1), normal_cdf(noise[..., 0]))
@@ -153,12 +151,7 @@ class MixtureRegressor(MixtureDensity):
             return Components(log_weights, torch.lerp(self.lower, self.upper, in_box), rotation, widths)
 
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b m d"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
         """Negative log likelihood of the component that fits best, a little of the others', and which one it is.
 

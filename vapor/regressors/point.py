@@ -7,11 +7,10 @@ Sources: PoseNet, Kendall and Cipolla, "Geometric loss functions for camera pose
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
 from scipy.special import ndtri
 from torch import Tensor, nn
 
-from vapor.regressors.base import PoseRegressor
+from vapor.regressors.base import Features, Images, Noise, PoseRegressor, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import PoseMap, repeated
 from vapor.regressors.loss import Loss, LossConfig, pose_distance, pose_errors
 from vapor.regressors.network_config import NetworkConfig
@@ -30,20 +29,13 @@ class PointRegressor(PoseRegressor):
         self.log_scale = nn.Parameter(torch.tensor([0.0, -3.0]))
         self.noise_dim = 0
 
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """The pose, m times."""
         with torch.autocast(feature.device.type, enabled=False):
             return repeated(self.pose_map(feature), noise.shape[1])
 
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b 1 d"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
         """Errors of position and rotation, weighted by scales that are learned: |e| exp(−s) + s (Kendall and Cipolla).
 
@@ -83,9 +75,7 @@ class DropoutRegressor(PointRegressor):
         super().__init__(config, box)
         self.noise_dim = config.feature_dim
 
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """Poses without the units whose noise is among the least."""
         with torch.autocast(feature.device.type, enabled=False):
             dropped = self.config.dropout

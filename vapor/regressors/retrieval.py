@@ -1,4 +1,4 @@
-"""A regressor that remembers: which training images a view is like, and how the camera stood against each.
+"""A regressor with a memory: the training images that an image is like, and the camera's motion from each.
 
 The posterior is a mixture with one component for each of the training images that look most alike: its weight says how
 alike, its mean is that image's pose moved by what the two images tell of the motion between them. So it has as many
@@ -13,7 +13,6 @@ pose of the image found, moved by a learned relative pose).
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
@@ -23,12 +22,23 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vapor.regressors.base import PoseRegressor
+from vapor.regressors.base import Features, Images, Noise, Positions, Rotations
 from vapor.regressors.layers import mean_of_cells, rodrigues
 from vapor.regressors.loss import Loss, LossConfig, pose_distance
 from vapor.regressors.mixture import Components, MixtureDensity
 from vapor.regressors.network_config import NetworkConfig, stage_channels
 from vapor.regressors.scene_box import SceneBox
+
+_GRID = 3, 4  # rows and columns in which the third stage is kept: where in the image things are
+_KEY_DIM = 128
+_SCALE = 15.0  # of the cosine between two keys, at first
+_UNIT = 0.02  # of the geometric mean of the scene box's edges: what counts as a small distance
+_TURN_RAD = 0.1  # a small turn
+_REACH = 2.0, 3.0  # offsets of one unit of the network's output, in small distances and turns
+_NARROWEST, _WIDEST = 0.05, 20.0  # component, in small distances and turns
+_WIDEST_RAD = 1.0
+_EVEN = 0.05  # fraction of the density that the loss spreads over the scene
+_HIDDEN = -1e4  # in place of the likeness of what must not be recalled
 
 
 @dataclass(frozen=True)
@@ -56,118 +66,7 @@ class Memory:
         return Memory(**{name: value.cpu() for name, value in self.tensors().items()})
 
 
-class RecallingRegressor(PoseRegressor):
-    """A regressor with a frozen backbone and a memory of training images.
-
-    Attributes:
-        centre: Mean of the backbone's numbers over training images; subclasses register it as a buffer of zeros.
-        spread: Their standard deviation; a buffer of ones before there are any.
-    """
-
-    frozen_backbone = True
-    centre: Tensor
-    spread: Tensor
-
-    @property
-    def recalling(self) -> RecallingRegressor:
-        """This regressor."""
-        return self
-
-    def train(self, mode: bool = True) -> RecallingRegressor:
-        """Training mode of all but the backbone, whose statistics stay as they are."""
-        super().train(mode)
-        self.backbone.eval()
-        return self
-
-    @property
-    def standardised(self) -> bool:
-        """Whether `standardise` was called."""
-        return bool((self.spread != 1.0).any())
-
-    @torch.no_grad()
-    def standardise(self, features: Float[Tensor, "n f"]) -> None:
-        """Let `extract_features` give 0 where training images have their mean, in units of their standard deviation.
-
-        Args:
-            features: Those of training images so far.
-        """
-        spread, centre = torch.std_mean(features, dim=0)
-        self.centre.copy_(centre)
-        self.spread.copy_(spread.clamp_min(1e-3))
-
-    @torch.no_grad()
-    def standardise_like(self, other: RecallingRegressor) -> None:
-        """Take mean and standard deviation from another regressor of the same shape."""
-        self.centre.copy_(other.centre)
-        self.spread.copy_(other.spread)
-
-    @abstractmethod
-    def remember(
-        self, features: Float[Tensor, "n f"], translation: Float[Tensor, "n 3"], rotation: Float[Tensor, "n 3 3"]
-    ) -> None:
-        """Replace the memory by n images.
-
-        Args:
-            features: From `extract_features`, in any precision.
-            translation: Their true positions, metres.
-            rotation: Their true rotations, world_from_camera.
-        """
-
-    @abstractmethod
-    def memory_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Of one image, the shapes of what is remembered of it, by name."""
-
-    @abstractmethod
-    def loss_of_features(
-        self,
-        feature: Float[Tensor, "b f"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        hidden: Bool[Tensor, "b n"] | None,
-        config: LossConfig,
-    ) -> Loss:
-        """The loss of one batch, in training mode.
-
-        Args:
-            feature: Of the images, from `extract_features`.
-            true_translation: Metres, of world_from_camera.
-            true_rotation: Rotation matrices of world_from_camera.
-            hidden: Which of the n images in memory must not be recalled for each; None for none.
-            config: Weights of the loss.
-        """
-
-    def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b m d"],
-        config: LossConfig,
-    ) -> Loss:
-        """The loss of images of which none is in memory."""
-        return self.loss_of_features(self.extract_features(images), true_translation, true_rotation, None, config)
-
-    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> RecallingRegressor:
-        """Take the memory along to another device."""
-        super()._apply(fn, recurse)
-        if self.memory is not None:
-            self.memory = Memory(**{name: fn(value) for name, value in self.memory.tensors().items()})
-        return self
-
-
-_GRID = 3, 4  # rows and columns in which the third stage is kept: where in the image things are
-_KEY_DIM = 128
-_SCALE = 15.0  # of the cosine between two keys, at first
-_UNIT = 0.02  # of the geometric mean of the scene box's edges: what counts as a small distance
-_TURN_RAD = 0.1  # a small turn
-_REACH = 2.0, 3.0  # offsets of one unit of the network's output, in small distances and turns
-_NARROWEST, _WIDEST = 0.05, 20.0  # component, in small distances and turns
-_WIDEST_RAD = 1.0
-_EVEN = 0.05  # fraction of the density that the loss spreads over the scene
-_HIDDEN = -1e4  # in place of the likeness of what must not be recalled
-
-
-class RetrievalRegressor(MixtureDensity, RecallingRegressor):
+class RetrievalRegressor(MixtureDensity):
     """A mixture whose components are training images that look alike, moved by learned relative poses.
 
     The backbone is taken as it is, ImageNet's mostly, and never changes: an image is the means of its last layer, and
@@ -177,7 +76,15 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
         config: Shape; `components` is how many training images are looked at, `hidden_width` the size of the map from
             pairs of images to relative poses, `feature_dim` that of the map to keys.
         box: Of the training positions; its size is the unit of lengths.
+
+    Attributes:
+        centre: Mean of the backbone's numbers over training images.
+        spread: Their standard deviation; ones before there are any.
     """
+
+    frozen_backbone = True
+    centre: Tensor
+    spread: Tensor
 
     def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
         super().__init__(config, box)
@@ -198,8 +105,37 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
         self.unit_m = _UNIT * float(box.extent.prod()) ** (1 / 3)
 
     @property
+    def recalling(self) -> RetrievalRegressor:
+        """This regressor."""
+        return self
+
+    def train(self, mode: bool = True) -> RetrievalRegressor:
+        """Training mode of all but the backbone, whose statistics stay as they are."""
+        super().train(mode)
+        self.backbone.eval()
+        return self
+
+    @property
+    def standardised(self) -> bool:
+        """Whether `standardise` was called."""
+        return bool((self.spread != 1.0).any())
+
+    @torch.no_grad()
+    def standardise(self, features: Float[Tensor, "n f"]) -> None:
+        """Let `extract_features` give 0 for the mean of these features, in units of their standard deviation."""
+        spread, centre = torch.std_mean(features, dim=0)
+        self.centre.copy_(centre)
+        self.spread.copy_(spread.clamp_min(1e-3))
+
+    @torch.no_grad()
+    def standardise_like(self, other: RetrievalRegressor) -> None:
+        """Take mean and standard deviation from another regressor of the same shape."""
+        self.centre.copy_(other.centre)
+        self.spread.copy_(other.spread)
+
+    @property
     def encoder(self) -> tuple[nn.Module, ...]:
-        """What learns from images."""
+        """The layers that learn from images."""
         return self.feature, self.key, self.own_view, self.view
 
     def extract_features(self, images: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
@@ -214,7 +150,7 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
     def remember(
         self, features: Float[Tensor, "n f"], translation: Float[Tensor, "n 3"], rotation: Float[Tensor, "n 3 3"]
     ) -> None:
-        """Replace the memory by n images, as the weights see them now."""
+        """Replace the memory by n images with these features, of any precision, and true poses, world_from_camera."""
         parts = [(self._keys(part), self.view(part)) for part in map(Tensor.float, features.split(4096))]
         keys, views = (torch.cat(list(each)) for each in zip(*parts, strict=True))
         self.memory = Memory(keys, views, translation, rotation)
@@ -247,16 +183,16 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
 
     def loss_of_features(
         self,
-        feature: Float[Tensor, "b f"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
+        feature: Features,
+        true_translation: Positions,
+        true_rotation: Rotations,
         hidden: Bool[Tensor, "b n"] | None,
         config: LossConfig,
     ) -> Loss:
         """Negative log density of the true poses, nats; a twentieth of the density counts as even over the scene's box.
 
-        So an image that nothing else shows, of which there is nothing to learn, cannot outweigh the rest. The distance
-        is that of the heaviest component.
+        So an image that nothing else shows, of which there is nothing to learn, cannot outweigh the rest. The images
+        in memory that are `hidden` are not recalled. The distance is that of the heaviest component.
         """
         mixture = self.components(feature, hidden)
         truth = true_translation[:, None], true_rotation[:, None]
@@ -271,6 +207,19 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
     def memory_shapes(self) -> dict[str, tuple[int, ...]]:
         """Of one image, the shapes of what is remembered of it, by name."""
         return {"keys": (_KEY_DIM,), "views": (self.config.hidden_width,), "translation": (3,), "rotation": (3, 3)}
+
+    def loss(
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
+    ) -> Loss:
+        """The loss of images of which none is in memory."""
+        return self.loss_of_features(self.extract_features(images), true_translation, true_rotation, None, config)
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> RetrievalRegressor:
+        """Take the memory along to another device."""
+        super()._apply(fn, recurse)
+        if self.memory is not None:
+            self.memory = Memory(**{name: fn(value) for name, value in self.memory.tensors().items()})
+        return self
 
     def _keys(self, feature: Float[Tensor, "b f"]) -> Float[Tensor, "b k"]:
         return functional.normalize(self.key(torch.relu(self.feature(feature))), dim=-1)

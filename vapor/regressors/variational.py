@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from filtering.se3 import Poses
-from vapor.regressors.base import PoseRegressor
+from vapor.regressors.base import Features, Images, Noise, PoseRegressor, PoseSamples, Positions, Rotations
 from vapor.regressors.layers import PoseMap, repeated
 from vapor.regressors.loss import Loss, LossConfig, pose_distance
 from vapor.regressors.network_config import NetworkConfig
@@ -52,19 +52,12 @@ class VariationalPoseRegressor(PoseRegressor):
         with torch.autocast(latent.device.type, enabled=False):
             return self.pose_map(latent)
 
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """The pose map of z = μ + σ ⊙ ε, for given ε."""
         return self.decode(sample_latent(*self.latent(feature), noise))
 
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b m d"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
         """β KL + mean d_pose over the batch and, of each image, the ⌊αM⌋ samples nearest to its true pose.
 
@@ -119,20 +112,13 @@ class DeterministicPoseRegressor(VariationalPoseRegressor):
         super().__init__(config, box)
         self.noise_dim = 0
 
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """The pose map of z = μ, m times."""
         mean, _ = self.latent(feature)
         return repeated(self.decode(mean), noise.shape[1])
 
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b m d"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
         """Mean d_pose over the batch."""
         mean, _ = self.encode(images)

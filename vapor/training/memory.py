@@ -11,7 +11,7 @@ from torch import Tensor
 
 from vapor.evaluation.validation import batches
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.retrieval import RecallingRegressor
+from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.training.augment import Variation, draw_variation, jitter_and_normalise, one_ahead, random_crops
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import way_of
@@ -57,7 +57,7 @@ class TrainingFeatures:
         return int(np.clip(_VARIANTS_BYTES // (self.features.nbytes + 1), 1, VARIANTS))
 
     def varied(
-        self, network: RecallingRegressor, number: int, config: TrainConfig, *, bfloat16: bool
+        self, network: RetrievalRegressor, number: int, config: TrainConfig, *, bfloat16: bool
     ) -> Float[Tensor, "n f"]:
         """Features of the images when they are varied, half precision; the same for the same number.
 
@@ -98,7 +98,7 @@ class TrainingFeatures:
 
 
 def extract_training_features(
-    network: RecallingRegressor, images: TrainingSet, known: TrainingFeatures | None = None
+    network: RetrievalRegressor, images: TrainingSet, known: TrainingFeatures | None = None
 ) -> TrainingFeatures:
     """Features of training images, once for all of a training.
 
@@ -135,7 +135,7 @@ def extract_training_features(
 
 
 @torch.no_grad()
-def features_of(network: RecallingRegressor, images: TrainingSet) -> Float[Tensor, "n f"]:
+def features_of(network: RetrievalRegressor, images: TrainingSet) -> Float[Tensor, "n f"]:
     """Features of the centre crops of images."""
     none = torch.empty(0, len(network.centre), device=network.pixel_mean.device)
     return torch.cat([none, *(network.extract_features(crops) for _, crops in batches(network, images))])
