@@ -69,11 +69,6 @@ class PoseRegressor(nn.Module, ABC):
         self.register_buffer("pixel_std", torch.tensor(std), persistent=False)
 
     @property
-    def encoder(self) -> tuple[nn.Module, ...]:
-        """What learns from images; the rest makes poses of its features."""
-        return self.backbone, self.feature
-
-    @property
     def density(self) -> DensityRegressor | None:
         """This regressor where its posterior is a density that can be evaluated; None where there are only samples."""
         return None

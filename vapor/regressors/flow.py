@@ -24,6 +24,7 @@ from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 
 _CIRCULAR = False, False, False, True, False, True  # x, y, z, a, c, g
+_TARGET_NOISE_M, _TARGET_NOISE_RAD = 0.05, 0.05  # six of the former are the least margin of a scene box
 _OCTAVES = 4  # of sines and cosines in which a coordinate tells the later ones where it is
 
 
@@ -98,18 +99,19 @@ class FlowRegressor(DensityRegressor):
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
-        """Negative log density of the true poses, nats, after noise of the configured size.
+        """Negative log density of the true poses, nats, after a little noise.
 
-        The same noise moves the true poses and gives one sample of each image, of which the distance is.
+        Without noise the density of mere points would grow without bounds, and nothing beside them would be learned.
+        The same noise draws one sample of each image, whose distance from the true pose is reported.
         """
         feature = self.extract_features(images)
         truth = true_translation[:, None], true_rotation[:, None]
         with torch.no_grad():
             distance = pose_distance(*self.sample(feature, noise), *truth, config, self.box).mean()
         with torch.autocast(images.device.type, enabled=False):
-            turn = config.target_noise_rad * noise[..., 3:]
+            turn = _TARGET_NOISE_RAD * noise[..., 3:]
             angle = torch.linalg.vector_norm(turn, dim=-1).clamp_min(1e-9)
-            translation = truth[0] + config.target_noise_m * noise[..., :3]
+            translation = truth[0] + _TARGET_NOISE_M * noise[..., :3]
             rotation = truth[1] @ rodrigues(turn / angle[..., None], angle)
         total = -self.log_density(feature, translation, rotation).mean()
         return Loss(total, torch.zeros_like(distance), distance)

@@ -40,13 +40,6 @@ class LossConfig:
     """Weight of relative poses between pairs of images beside that of poses, for point regressors: MapNet."""
     pair_gap: int = 10
     """relative: images from one of a pair to the other, at most."""
-    relaxation: float = 0.05
-    """mixture: fraction of the loss that goes to the components other than the best one."""
-    target_noise_m: float = 0.05
-    """flow: standard deviation of noise on true positions along each axis, metres: the density of
-    mere points grows without bounds, and what lies beside the points is never learned."""
-    target_noise_rad: float = 0.05
-    """flow: standard deviation of noise on true rotations about each axis, radians."""
 
     def __post_init__(self) -> None:
         if self.position_unit not in get_args(PositionUnit):
@@ -61,9 +54,6 @@ class LossConfig:
             num_samples=(1, 10**6),
             relative=(0.0, 1e9),
             pair_gap=(1, 10**6),
-            relaxation=(0.0, 1.0),
-            target_noise_m=(0.0, 0.05),  # six of them are the least margin of a scene box
-            target_noise_rad=(0.0, 1.0),
         )
 
     @property

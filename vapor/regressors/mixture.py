@@ -117,6 +117,7 @@ def _angle(width_rad: Float[Tensor, "b k"], which: Tensor, quantile: Float[Tenso
 
 _STD_M = 0.02, 3.0  # narrowest and widest component of a mixture
 _WIDTH_RAD = 0.02, 2.0
+_RELAXATION = 0.05  # fraction of the loss that goes to the components other than the best one
 
 
 class MixtureRegressor(MixtureDensity):
@@ -164,8 +165,8 @@ class MixtureRegressor(MixtureDensity):
         distance = pose_distance(translation, rotation, *truth, config, self.box)
         best = distance.argmin(dim=1, keepdim=True)
         winner = torch.zeros_like(log_weights).scatter_(1, best, 1.0)
-        others = config.relaxation / log_weights.shape[1]
-        learning = (1.0 - config.relaxation) * winner + others
+        others = _RELAXATION / log_weights.shape[1]
+        learning = (1.0 - _RELAXATION) * winner + others
         total = -(learning * log_likelihood).sum(dim=1).mean() - log_weights.gather(1, best).mean()
         nearest = distance.gather(1, best).mean()
         return Loss(total, torch.zeros_like(nearest), nearest.detach())

@@ -133,11 +133,6 @@ class RetrievalRegressor(MixtureDensity):
         self.centre.copy_(other.centre)
         self.spread.copy_(other.spread)
 
-    @property
-    def encoder(self) -> tuple[nn.Module, ...]:
-        """The layers that learn from images."""
-        return self.feature, self.key, self.own_view, self.view
-
     def extract_features(self, images: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
         """The backbone's numbers of normalised images, each in units of its spread over the training images."""
         with torch.no_grad():

@@ -33,11 +33,6 @@ class VariationalPoseRegressor(PoseRegressor):
         self.pose_map = PoseMap(nn.Sequential(*layers), config.hidden_width, box, shortcut_dim)
         self.noise_dim = config.latent_dim
 
-    @property
-    def encoder(self) -> tuple[nn.Module, ...]:
-        """From the image to μ and log σ²."""
-        return *super().encoder, self.latent_mean, self.latent_log_variance
-
     def encode(self, images: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]:
         """Mean μ and log variance log σ² of the latent Gaussian of normalised images."""
         return self.latent(self.extract_features(images))

@@ -75,19 +75,10 @@ class TrainConfig:
     """Largest learning rate of AdamW."""
     weight_decay: float = 1e-2
     """Decoupled weight decay of matrices; with 0, AdamW is Adam."""
-    encoder_weight_decay: float | None = None
-    """The same of the encoder, all from the image to μ and log σ² (with other heads, to the feature); None for as much
-    as the rest. With enough of it no image is learned by heart, and posteriors stay broad."""
-    schedule: Literal["one-cycle", "steps"] = "one-cycle"
-    """One cosine up and down, or a decay by a factor every so many epochs, as in the paper."""
     warmup: float = 0.1
-    """one-cycle: fraction of the training in which the rate rises."""
-    decay_factor: float = 0.8
-    """steps: the factor."""
-    decay_epochs: int = 50
-    """steps: epochs between two decays, n in the paper."""
-    decay_times: int = 10
-    """steps: how often, at most."""
+    """Fraction of the training in which the learning rate rises by a cosine, before it falls by another."""
+    decay_epochs: int | None = None
+    """Instead, the learning rate decays by 0.8 every so many epochs, ten times at most: n in the paper."""
     ewta_fraction: float = 0.0
     """Fraction of the training in which the samples per image grow from the number of winners, who then all learn, to
     M (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, what the image does tell is
@@ -110,8 +101,6 @@ class TrainConfig:
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it, but for efficientnet-lite0
     on a CPU, which gains nothing by it."""
-    store_float16: bool = True
-    """Store weight matrices as float16."""
     seed: int = 0
     """Of initial weights, order, augmentation and latent noise."""
     device: Device = "auto"
@@ -146,10 +135,9 @@ class TrainConfig:
             )
         if not -10.0 <= self.initial_log_variance <= 5.0:
             raise TrainingError(f"training: initial_log_variance is {self.initial_log_variance}, expected -10 to 5")
-        for name in ("weight_decay", "encoder_weight_decay"):
-            if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
-                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a number of at least 0")
-        Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # which refuses what is no width
+        if not 0.0 <= self.weight_decay < math.inf:
+            raise TrainingError(f"training: weight_decay is {self.weight_decay}, expected a number of at least 0")
+        Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # refuses widths out of range
         if self.seed < 0:
             raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
         for name in ("ewta_fraction", "small_images_first", "ema_decay", "validation_fraction", "warmup"):

@@ -10,14 +10,15 @@ from vapor.training_data.training_set import TrainingSet
 
 _SMALL = (0.4, 0.6)  # of the images' edges, one after the other
 _SMALLEST = 32  # pixels of the shorter edge: the backbones have a stride of 32
+_DECAY, _MOST_DECAYS = 0.8, 10  # of the rate, where it decays in steps as in the paper
 _FINISHING_RATE = 0.3  # of the largest learning rate, when a trained model goes on with more data
 
 
 def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float:
     """The learning rate of one step, counted from 0 over the whole training."""
-    if config.schedule == "steps":
-        decays = min(step // steps_per_epoch // config.decay_epochs, config.decay_times)
-        return config.learning_rate * config.decay_factor**decays
+    if config.decay_epochs is not None:
+        decays = min(step // steps_per_epoch // config.decay_epochs, _MOST_DECAYS)
+        return config.learning_rate * _DECAY**decays
     done = (step + 0.5) / (steps_per_epoch * config.known_epochs)
     if done < config.warmup:
         return config.learning_rate * (1 - math.cos(math.pi * done / config.warmup)) / 2

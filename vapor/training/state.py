@@ -232,13 +232,9 @@ def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint 
 
 
 def parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[str, Any]]:
-    """Matrices of the encoder, those of the rest, and what does not decay: biases and BatchNorm."""
-    encoder = {id(p) for part in network.encoder for p in part.parameters()}
-    matrices = [p for p in network.parameters() if p.ndim > 1]
-    decay = config.weight_decay if config.encoder_weight_decay is None else config.encoder_weight_decay
+    """Matrices, which decay, and biases and BatchNorm, which do not."""
     return [
-        {"params": [p for p in matrices if id(p) in encoder], "weight_decay": decay},
-        {"params": [p for p in matrices if id(p) not in encoder], "weight_decay": config.weight_decay},
+        {"params": [p for p in network.parameters() if p.ndim > 1], "weight_decay": config.weight_decay},
         {"params": [p for p in network.parameters() if p.ndim <= 1], "weight_decay": 0.0},
     ]
 

@@ -231,7 +231,7 @@ def _fit(
         "landmarks": list(of_landmarks),
     }
     checkpoint = model_checkpoint(model, learned, split, evaluated, found, config, provenance)
-    save_checkpoint(output, checkpoint, store_float16=config.store_float16)
+    save_checkpoint(output, checkpoint, store_float16=True)
     saving.remove()
     apart = split.held_out.images is not split.training.images
     skipped, notices = split.training.skipped, split.training.notices

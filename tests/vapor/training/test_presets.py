@@ -72,7 +72,7 @@ def test_paper_presets_have_the_papers_numbers(name, lambda_r, batch, epochs, n,
     c = PRESETS[name]
     assert (c.loss.lambda_translation, c.loss.lambda_rotation, c.loss.alpha) == (5, lambda_r, alpha)
     assert (c.loss.beta, c.loss.num_samples, c.batch_size, c.epochs) == (0.01, 1000, batch, epochs)
-    assert (c.schedule, c.learning_rate, c.decay_factor, c.decay_epochs, c.decay_times) == ("steps", 1e-4, 0.8, n, 10)
+    assert (c.learning_rate, c.decay_epochs) == (1e-4, n)
     assert (c.network.backbone, c.network.latent_dim, c.network.hidden_layers) == ("resnet18", 16, layers)
     assert (c.network.feature_dim, c.network.hidden_width) == (2048, 128)
     assert (c.network.image_width, c.network.image_height, c.network.frame_size) == (224, 224, (256, 256))
