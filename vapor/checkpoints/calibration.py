@@ -42,10 +42,6 @@ class Calibration:
 def parse_calibration(path: Path, values: Any) -> Calibration:
     """The calibration in a model file, from JSON: every field must be there, those of its parts too, and no other.
 
-    Args:
-        path: The file, for messages.
-        values: JSON.
-
     Raises:
         CheckpointError: missing, surplus or unusable values.
     """

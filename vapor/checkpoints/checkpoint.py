@@ -34,14 +34,13 @@ class ModelDescription:
     Attributes:
         network: Shape of the network.
         box: Box of predicted positions.
-        calibration: How wrong its posteriors are.
         prior_poses: A posterior sample of each of n ≤ 2000 training images, batch (n,): they outline the scene.
-        network_sha256: Digest of what the posterior samples depend on: network, box, weights and memory.
-        training: Where it came from (data names, seed, images seen, validation figures); any JSON.
-        familiarity: What training images look like to the network; None where that was never learned.
+        network_sha256: Digest of the network, box, weights and memory, on which the posterior samples depend.
+        training: Provenance (data names, seed, images seen, validation figures); any JSON.
+        familiarity: Descriptions of training images; None where they were never learned.
         camera: The camera of the training images, undistorted; None where unknown.
         memory_poses: True poses of the training images that a retrieval regressor remembers; None with any other.
-        file: The file that it was read from; None of one in memory.
+        file: The file that it was read from; None of a model in memory.
         landmarks: Points of the place, by which poses are found to centimetres; None where there are none.
     """
 
@@ -60,20 +59,11 @@ class ModelDescription:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A trained model: everything that an observation model needs.
+    """A trained model: everything that an observation model needs. Fields as of `ModelDescription`, and:
 
     Attributes:
-        network: Shape of the network.
-        box: Box of predicted positions.
-        calibration: How wrong its posteriors are.
-        prior_poses: A posterior sample of each of n ≤ 2000 training images, batch (n,): they outline the scene.
         state_dict: Parameters and BatchNorm statistics of the `PoseRegressor`, float32 on the CPU.
-        training: Where it came from (data names, seed, images seen, validation figures); any JSON.
-        familiarity: What training images look like to the network; None where that was never learned.
-        camera: The camera of the training images, undistorted; None where unknown.
-        memory: The training images as a retrieval regressor remembers them; None with any other.
-        file: The file that it was read from; None of a model in memory.
-        landmarks: Points of the place, by which poses are found to centimetres; None where there are none.
+        memory: The training images that a retrieval regressor remembers; None with any other.
     """
 
     network: NetworkConfig
@@ -114,13 +104,13 @@ class Checkpoint:
         )
 
     def network_sha256(self) -> str:
-        """Digest of what the posterior samples depend on: network, box, weights and memory, but not the calibration."""
+        """Digest of network, box, weights and memory, on which the posterior samples depend."""
         weights = {name: value.numpy() for name, value in self.state_dict.items()}
         memory = self.memory.tensors().values() if self.memory else ()
         return network_sha256(self.network, self.box, weights, [value.numpy() for value in memory])
 
     def seen_sha256(self) -> str:
-        """Digest of all that what the network says of an image depends on: the same, what is familiar, the camera."""
+        """Digest of all that the network's result for an image depends on: weights, familiarity, camera, landmarks."""
         seen = hashlib.sha256(self.network_sha256().encode())
         for each in fields(self.familiarity) if self.familiarity else ():
             seen.update(each.name.encode() + np.asarray(getattr(self.familiarity, each.name)).tobytes())

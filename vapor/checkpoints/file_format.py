@@ -50,14 +50,7 @@ VERSION = 10
 
 
 class StoredConfig(NamedTuple):
-    """Metadata of a model file, of which the network's shape was read.
-
-    Attributes:
-        network: Shape of the network.
-        box: Box of predicted positions.
-        training: Where the model came from.
-        rest: All of the configuration, JSON.
-    """
+    """Metadata of a model file: the parsed shape of the network, and in `rest` all of the configuration, JSON."""
 
     network: NetworkConfig
     box: SceneBox
@@ -79,7 +72,7 @@ def description_metadata(model: ModelDescription | Checkpoint) -> dict[str, str]
 
 
 def description_arrays(model: ModelDescription | Checkpoint) -> dict[str, np.ndarray]:
-    """What a model file has as tensors beside weights and memory; more than 2000 prior poses are thinned evenly."""
+    """Tensors of a model file beside weights and memory; more than 2000 prior poses are thinned evenly."""
     poses = thin_poses(model.prior_poses)
     arrays = {PRIOR_ROTATION: poses.rotation, PRIOR_TRANSLATION: poses.translation}
     arrays |= {} if model.familiarity is None else familiarity_arrays(model.familiarity)
@@ -111,12 +104,6 @@ def parse_description(
     path: Path, config: StoredConfig, tensors: Mapping[str, StoredTensor], network_sha256: str
 ) -> ModelDescription:
     """The rest of a model file, once its tensors were checked.
-
-    Args:
-        path: The file.
-        config: Its metadata.
-        tensors: Its tensors beside the weights.
-        network_sha256: Digest of its network.
 
     Raises:
         CheckpointError: unusable values.
@@ -206,7 +193,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
 
 def load_description(path: Path) -> ModelDescription:
-    """Read what a model file says beside its weights, which are not looked at but for their digest; without torch.
+    """Read a model file without its weights, which only their digest is taken of; torch is not imported.
 
     Raises:
         CheckpointError: as `load_checkpoint`, but for the weights.
@@ -231,19 +218,18 @@ def _refuse_exported(path: Path) -> None:
 
 
 def shapes_beside_weights(config: StoredConfig, tensors: Mapping[str, StoredTensor]) -> Shapes:
-    """What of its description a file must have as tensors, beside the prior poses."""
+    """Shapes of the tensors that a file must have beside weights and prior poses."""
     known = familiarity_shapes(tensors, description_size(config.network.backbone))
     remembered = memory_shapes(tensors, POSES) if MEMORY_ROTATION in tensors else {}
     return {**known, **remembered, **landmark_shapes(tensors)}
 
 
 def is_model(path: Path) -> bool:
-    """Whether a file is a model of this package, by what it says of itself."""
+    """Whether the metadata of a file are those of a model of this package."""
     return format_of(path) == FORMAT
 
 
 def _digest(config: StoredConfig, weights: Mapping[str, StoredTensor]) -> str:
-    """As `Checkpoint.network_sha256`."""
     network = {name.removeprefix(NETWORK): float32(v) for name, v in weights.items() if name.startswith(NETWORK)}
     memory = [float32(weights[MEMORY + name]) for name in MEMORY_FIELDS if MEMORY + name in weights]
     return network_sha256(config.network, config.box, network, memory)

@@ -36,11 +36,7 @@ def flat_log_density(poses: Poses) -> float:
 
 
 def default_errors(poses: Poses) -> ErrorModel:
-    """Errors of a network that was not calibrated, lengths in proportion to the scene.
-
-    Args:
-        poses: That outline the scene, such as a model's prior poses, world_from_camera, (n,).
-    """
+    """Errors of a network that was not calibrated, in proportion to the scene that poses (n,) outline."""
     extent = scene_extent(poses)
     floor = _FLOOR * extent, _FLOOR * extent, _FLOOR * extent, _FLOOR_RAD, _FLOOR_RAD, _FLOOR_RAD
     typical = 1.4 * np.array(floor)  # the samples' own spread is as large, say

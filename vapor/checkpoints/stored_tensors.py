@@ -45,13 +45,7 @@ Shapes = Mapping[str, tuple[tuple[int, ...], str]]
 
 
 def check_tensors(path: Path, tensors: Mapping[str, StoredTensor], beside_poses: Shapes) -> None:
-    """Check that exactly the expected tensors and the prior poses are there: shapes, types, finite, rotations.
-
-    Args:
-        path: The file, for messages.
-        tensors: What was found.
-        beside_poses: Weights of the network, what is familiar to it and its memory.
-    """
+    """Check that exactly the prior poses and the other expected tensors are there: shapes, types, finite, rotations."""
     expected = beside_poses.keys() | {PRIOR_ROTATION, PRIOR_TRANSLATION}
     for what, names in (("lacks", expected - tensors.keys()), ("has surplus", tensors.keys() - expected)):
         if names:
@@ -106,7 +100,7 @@ def read_poses(tensors: Mapping[str, StoredTensor], rotation: str, translation: 
 
 
 def familiarity_arrays(familiarity: Familiarity) -> dict[str, np.ndarray]:
-    """What is familiar to a network, as it is stored: matrices as float16, the rest as float32."""
+    """Familiarity as tensors of a model file: matrices as float16, the rest as float32."""
     found = {each.name: np.asarray(getattr(familiarity, each.name)) for each in fields(Familiarity)}
     return {
         FAMILIARITY + name: value.astype(np.float16 if value.ndim == 2 else np.float32) for name, value in found.items()
@@ -114,11 +108,9 @@ def familiarity_arrays(familiarity: Familiarity) -> dict[str, np.ndarray]:
 
 
 def familiarity_shapes(tensors: Mapping[str, StoredTensor], size: int) -> Shapes:
-    """What of `familiarity_arrays` a file must have; none if it has none of it.
+    """Shapes of `familiarity_arrays` in a file whose network gives so many features; empty if it has none of them.
 
-    Args:
-        tensors: Of the file; its exemplars say how many exemplars and axes there should be.
-        size: How many features of an image the network has.
+    The tensor of exemplars determines how many exemplars and axes there should be.
     """
     if not any(name.startswith(FAMILIARITY) for name in tensors):
         return {}
@@ -133,7 +125,7 @@ def familiarity_shapes(tensors: Mapping[str, StoredTensor], size: int) -> Shapes
 
 
 def read_familiarity(path: Path, tensors: Mapping[str, StoredTensor]) -> Familiarity:
-    """What is familiar to a network, from tensors that were checked.
+    """Familiarity from tensors that were checked.
 
     Raises:
         CheckpointError: values that cannot be used.
@@ -147,11 +139,9 @@ def read_familiarity(path: Path, tensors: Mapping[str, StoredTensor]) -> Familia
 
 
 def memory_shapes(tensors: Mapping[str, StoredTensor], of_one_image: Mapping[str, tuple[int, ...]]) -> Shapes:
-    """What a file must have of what a retrieval regressor remembers.
+    """Shapes of the memory of a retrieval regressor in a file, given those of one image by name.
 
-    Args:
-        tensors: Of the file; the first of those expected says how many images there should be.
-        of_one_image: Shapes of what is remembered of one image, by name.
+    The first tensor that is there determines how many images there should be.
     """
     first = [tensors[MEMORY + name].shape for name in of_one_image if MEMORY + name in tensors][:1]
     count = max(1, first[0][0]) if first and first[0] else 1
@@ -167,7 +157,7 @@ _NUMBERS = "depth_m", "k1", "k2"
 
 
 def landmark_arrays(landmarks: Landmarks) -> dict[str, np.ndarray]:
-    """What a model file has of landmarks as tensors."""
+    """Landmarks as tensors of a model file."""
     found = {name: np.asarray(getattr(landmarks.map, name)) for name in _ARRAYS}
     return {LANDMARKS + name: v.astype(np.float16) if name in _HALVED else v for name, v in found.items()}
 
@@ -186,7 +176,7 @@ def landmarks_config(landmarks: Landmarks) -> dict[str, Any]:
 
 
 def landmark_shapes(tensors: Mapping[str, StoredTensor]) -> Shapes:
-    """What of `landmark_arrays` a file must have; none if it has none of it."""
+    """Shapes of `landmark_arrays` in a file; empty if it has none of them."""
     if not any(name.startswith(LANDMARKS) for name in tensors):
         return {}
 

@@ -30,18 +30,18 @@ class EngineConfig:
 
     @property
     def network(self) -> EngineConfig:
-        """These settings alone, of settings that hold others as well."""
+        """These two settings alone, without those of a subclass."""
         return EngineConfig(self.engine, self.precision)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What a network makes of one image.
+    """Result of a network for one image.
 
     Attributes:
         translation: Positions of its posterior samples, metres, world_from_camera.
         rotation: Their rotation matrices.
-        description: What `Familiarity` compares; empty where the model does not say what is familiar.
+        description: Input of `Familiarity`; empty where the model has none.
     """
 
     translation: Float32[np.ndarray, "m 3"]
@@ -69,12 +69,7 @@ class Engine(Protocol):
         ...
 
     def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:
-        """What the network makes of an image.
-
-        Args:
-            image: RGB, of the size that the network sees (`vapor.images.prepare`).
-            noise: Standard normal, d numbers for each of m posterior samples.
-        """
+        """Run on an RGB image of the network's size (`vapor.images.prepare`), with standard normal noise."""
         ...
 
 

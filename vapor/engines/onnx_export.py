@@ -32,16 +32,12 @@ _CHECKED = 200  # posterior samples, other than the network was traced with
 def export_onnx(checkpoint: Checkpoint, output: Path) -> tuple[str, float, float]:
     """Write a model as an ONNX file, complete or not at all, once it gave the poses that torch gives.
 
-    Args:
-        checkpoint: A trained model.
-        output: File to write.
-
     Returns:
-        What ran it for that, and the largest differences of positions in metres and of rotations in radians.
+        The runtime that checked it, and the largest differences of positions in metres and of rotations in radians.
 
     Raises:
-        VaporTrackError: what is needed is not installed, the network cannot be exported, its poses differ by more than
-            `WITHIN_M` or `WITHIN_RAD`, or the file cannot be written.
+        VaporTrackError: a package is missing, the network cannot be exported, its poses differ by more than `WITHIN_M`
+            or `WITHIN_RAD`, or the file cannot be written.
     """
     from vapor.engines.torch_engine import WholeNetwork
 

@@ -33,7 +33,7 @@ _MOST_BYTES_OF_VARINT = 10
 
 
 def add_description(path: Path, model: ModelDescription) -> None:
-    """Append to an ONNX file what a model says of itself beside its graph, and the graph's digest."""
+    """Append the description of a model to an ONNX file, and the graph's digest."""
     metadata, arrays = description_metadata(model), description_arrays(model)
     if (poses := model.memory_poses) is not None:
         arrays |= {MEMORY_ROTATION: poses.rotation, MEMORY_TRANSLATION: poses.translation}
@@ -44,7 +44,7 @@ def add_description(path: Path, model: ModelDescription) -> None:
 
 
 def describe_onnx(path: Path) -> ModelDescription:
-    """What an exported model says of itself.
+    """The description in an exported model.
 
     Raises:
         CheckpointError: no such file, no ONNX file, one that `vapor-track export` did not write, or a damaged one.
@@ -144,12 +144,10 @@ def _varint(content: memoryview, position: int) -> tuple[int, int]:
 
 
 def _entry(name: str, text: str) -> bytes:
-    """An entry of an ONNX file's metadata."""
     return _field(_METADATA_PROPS, _field(_KEY, name.encode()) + _field(_VALUE, text.encode()))
 
 
 def _field(number: int, content: bytes) -> bytes:
-    """A message's field of bytes."""
     return _as_varint(number << 3 | 2) + _as_varint(len(content)) + content
 
 

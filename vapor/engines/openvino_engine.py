@@ -41,11 +41,7 @@ _POSES = "translation f32 [?,3], rotation f32 [?,3,3]"
 
 
 class OpenVINOEngine:
-    """A network that OpenVINO runs, in a thread of its own that sleeps between images.
-
-    Args:
-        compiled: From `compiled_network`.
-    """
+    """A network that OpenVINO runs, in a thread of its own that sleeps between images."""
 
     name: EngineName = "openvino"
     device = "cpu"
@@ -68,10 +64,10 @@ def is_installed() -> bool:
 
 
 def imported() -> ModuleType:
-    """OpenVINO without its telemetry, which nobody here was asked about.
+    """OpenVINO without its telemetry, to which no user of this package agreed.
 
-    It tells the Internet of every import and conversion, from forks of this process, and a fork of a process with
-    threads can hang. Where the telemetry cannot be imported OpenVINO does without, for good.
+    It reports every import and conversion to the Internet, from forks of this process, and a fork of a process with
+    threads can hang. Where the telemetry cannot be imported OpenVINO does without, permanently.
     """
     hidden = sys.modules.keys().isdisjoint({"openvino", _TELEMETRY})
     if hidden:
@@ -84,7 +80,7 @@ def imported() -> ModuleType:
 
 
 def version() -> str:
-    """Which OpenVINO it is."""
+    """Version of OpenVINO."""
     return imported().__version__
 
 
@@ -150,7 +146,7 @@ def compile_exported(model: ModelDescription, precision: Precision, threads: int
 
 
 def last_line(error: RuntimeError) -> str:
-    """Of the many lines of an error of OpenVINO the one that says most."""
+    """The last of the many lines of an error of OpenVINO, its most informative one."""
     return (str(error).strip().splitlines() or [type(error).__name__])[-1]
 
 
@@ -182,7 +178,7 @@ def _settings(precision: Precision, threads: int) -> dict[str, object]:
 
 
 def processor() -> str:
-    """What compiled networks depend on beside OpenVINO's version."""
+    """Name of the processor that compiled networks depend on."""
     return imported().Core().get_property("CPU", "FULL_DEVICE_NAME")
 
 
@@ -193,16 +189,7 @@ _BLOB = "blob"
 
 @dataclass(frozen=True)
 class Variant:
-    """What a compiled network depends on.
-
-    Attributes:
-        network: Digest of the network.
-        described: Whether it gives a description of the image.
-        precision: Of its arithmetic.
-        processor: That it was compiled for.
-        openvino: Version of OpenVINO.
-        package: Version of this package.
-    """
+    """Everything that a compiled network depends on: `network` is a digest, `described` whether it describes images."""
 
     network: str
     described: bool
@@ -213,7 +200,7 @@ class Variant:
 
     @property
     def name(self) -> str:
-        """What its file is called after the model's: first what all variants of a model share while they are valid."""
+        """Suffix of its file after the model's name: first a part that all valid variants of a model share."""
         return f"{_digest(self.network, self.openvino, self.package)}-{_digest(*map(str, asdict(self).values()))}"
 
 
@@ -222,8 +209,8 @@ class Compiled:
     """A compiled network.
 
     Attributes:
-        blob: What the engine makes it from.
-        faster: Whether it was faster than torch when it was compiled; None where torch was not asked.
+        blob: OpenVINO's form of it.
+        faster: Whether it was faster than torch when it was compiled; None where torch was not timed.
     """
 
     blob: bytes
@@ -243,7 +230,7 @@ def read_compiled(model: Path, variant: Variant) -> Compiled | None:
 
 
 def write_compiled(model: Path, variant: Variant, compiled: Compiled) -> bool:
-    """Keep a compiled network, in the place of those of the same model that are not valid any more; whether it could.
+    """Keep a compiled network in place of invalid ones of the same model; returns whether that was possible.
 
     The file appears when it is complete; of two processes the last one's stays.
     """
@@ -265,7 +252,7 @@ def write_compiled(model: Path, variant: Variant, compiled: Compiled) -> bool:
 
 
 def can_be_kept(model: Path) -> bool:
-    """Whether compiled networks of a model file can be kept anywhere, as far as that is known before."""
+    """Whether compiled networks of a model file can be kept anywhere, as far as that is known in advance."""
     return any(os.access(_nearest(folder), os.W_OK) for folder in _folders(model))
 
 

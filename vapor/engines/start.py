@@ -21,7 +21,7 @@ _TIMED = 5  # times, after one that is not counted; the least counts: the machin
 
 
 def describe(file: Path) -> ModelDescription:
-    """What a model says of itself, from its file or from an exported one; no weights are looked at, no torch is loaded.
+    """A model without its weights, from a model file or an exported one; torch is not imported.
 
     Raises:
         CheckpointError: no such file, or one that cannot be used.
@@ -36,15 +36,11 @@ def start_engine(
     device: Device = "auto",
     threads: int = 1,
 ) -> Engine:
-    """The engine of a model.
+    """The engine of a model, whose weights are read only where the engine has not kept the compiled network.
 
-    Args:
-        model: The model; its weights are read from its file only where the engine does not have the network compiled.
-        config: Which engine, and how precise. "auto" takes OpenVINO on a processor where it is installed and was
-            faster than torch when the network was compiled. That finding is kept with the compiled network, so that
-            the same model runs the same way every time; where nothing can be kept, torch is taken.
-        device: Where the network runs; "auto" is CUDA where there is one.
-        threads: Processor threads of OpenVINO's network; torch's are set by `limited_threads`.
+    "auto" takes OpenVINO on a processor where it is installed and was faster than torch when the network was compiled.
+    That finding is kept with the compiled network, so that a model runs the same way every time; where nothing can be
+    kept, torch is taken. `threads` are those of OpenVINO; torch's are set by `limited_threads`.
 
     Raises:
         VaporTrackError: an engine that is not installed, or does not go with the device, the precision or the model.
@@ -61,7 +57,7 @@ def start_engine(
 
 
 def _what(config: EngineConfig, exported: Path | None) -> str:
-    """What asks for OpenVINO, in words."""
+    """The setting that requires OpenVINO, in words."""
     if exported is not None:
         return str(exported)
     return "engine openvino" if config.engine == "openvino" else f"precision {config.precision} on a processor"
@@ -109,7 +105,7 @@ def _with_weights(model: Checkpoint | ModelDescription) -> Checkpoint:
 def _openvino(
     model: Checkpoint | ModelDescription, config: EngineConfig, *, exported: bool, threads: int, must: bool
 ) -> Engine:
-    """OpenVINO's engine from what is kept, or compiled and kept; torch's where that was faster and will do."""
+    """OpenVINO's engine as kept, or compiled and kept; torch's where that was faster and is allowed."""
     described = model if isinstance(model, ModelDescription) else model.description
     variant = Variant(
         described.network_sha256,

@@ -21,12 +21,7 @@ _WARM_UP = 3  # runs before a graph is recorded, in which libraries choose their
 
 
 class TorchEngine:
-    """A network that torch runs.
-
-    Args:
-        checkpoint: A trained model.
-        device: Where it runs; "auto" is CUDA where there is one.
-        precision: bfloat16 is for GPUs: the backbone's arithmetic, poses are made in float32.
+    """A network that torch runs, eagerly on processors; bfloat16 is for the backbone, on GPUs only.
 
     Raises:
         VaporTrackError: a device or a precision that is not there.
@@ -50,12 +45,12 @@ class TorchEngine:
 
     @property
     def device(self) -> str:
-        """Where it runs: cpu or cuda."""
+        """cpu or cuda."""
         return str(self._device)
 
     @torch.inference_mode()
     def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:
-        """What the network makes of an image."""
+        """Run on an image, as `Engine.run`."""
         inputs = torch.from_numpy(np.ascontiguousarray(image)), torch.from_numpy(noise)
         outputs = self._on_gpu(*inputs) if self._device.type == "cuda" else self._network(*inputs)
         translation, rotation, *description = (output.float().cpu().numpy() for output in outputs)
@@ -96,11 +91,7 @@ class _Recorded:
 
 
 class WholeNetwork(nn.Module):
-    """One image and noise in; positions, rotations and, where the model says what is familiar, a description out.
-
-    Args:
-        checkpoint: A trained model.
-    """
+    """One image and noise in; positions, rotations and, for a model with familiarity, a description out."""
 
     def __init__(self, checkpoint: Checkpoint) -> None:
         super().__init__()
@@ -122,7 +113,7 @@ class WholeNetwork(nn.Module):
 def traced_inputs(whole: WholeNetwork, *, samples: int = 20) -> tuple[UInt8[Tensor, "h w 3"], Float32[Tensor, "m d"]]:
     """An image and noise by which a network is traced; then it takes any number of rows of noise.
 
-    The noise has one column at least, as formats of networks have no empty inputs: what draws nothing ignores it.
+    The noise has one column at least, as formats of networks have no empty inputs.
     """
     config, generator = whole.network.config, torch.Generator().manual_seed(0)
     shape = (config.image_height, config.image_width, 3)

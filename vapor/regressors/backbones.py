@@ -40,12 +40,7 @@ class BasicBlock(nn.Module):
 
 
 class ResNet18(nn.Module):
-    """ResNet-18: images to pooled features, or to class scores.
-
-    Args:
-        width: Channels of the first stage; the stages have 1, 2, 4, 8 times as many. 64 is the published network.
-        num_classes: Size of `fc`; None leaves the classifier away.
-    """
+    """ResNet-18, whose stages have 1, 2, 4, 8 times `width` channels; `num_classes` None leaves the classifier out."""
 
     def __init__(self, width: int = 64, num_classes: int | None = None) -> None:
         super().__init__()
@@ -65,11 +60,11 @@ class ResNet18(nn.Module):
 
     @property
     def stages(self) -> tuple[nn.Module, ...]:
-        """Modules whose outputs are the image at four depths, with `backbones.stage_channels` channels."""
+        """Modules whose outputs are the image at four depths, with `stage_channels` channels."""
         return self.layer1, self.layer2, self.layer3, self.layer4
 
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
-        """What the third and the last of `stages` make of ImageNet-normalised images."""
+        """Outputs of the third and the last of `stages` for ImageNet-normalised images."""
         x = self.maxpool(torch.relu_(self.bn1(self.conv1(x))))
         third = self.layer3(self.layer2(self.layer1(x)))
         return third, self.layer4(third)
@@ -141,11 +136,7 @@ class _Block(nn.Module):
 
 
 class EfficientNetLite0(nn.Module):
-    """EfficientNet-Lite0: images to pooled features, or to class scores.
-
-    Args:
-        num_classes: Size of the classifier `_fc`; None leaves it away.
-    """
+    """EfficientNet-Lite0; `num_classes` None leaves the classifier `_fc` out."""
 
     def __init__(self, num_classes: int | None = None) -> None:
         super().__init__()
@@ -169,11 +160,11 @@ class EfficientNetLite0(nn.Module):
 
     @property
     def stages(self) -> tuple[nn.Module, ...]:
-        """Modules whose outputs are the image at four depths, with `backbones.stage_channels` channels."""
+        """Modules whose outputs are the image at four depths, with `stage_channels` channels."""
         return tuple(self._blocks[number] for number in _STAGE_ENDS)
 
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
-        """What the third of `stages` and the last layer make of images scaled to (pixel − 127)/128."""
+        """Outputs of the third of `stages` and of the last layer for images scaled to (pixel − 127)/128."""
         x = functional.relu6(self._bn0(self._conv_stem(x)), inplace=True)
         third = x
         for number, block in enumerate(self._blocks):
@@ -209,8 +200,8 @@ def load_pretrained(network: PoseRegressor, weights: Path | None) -> None:
 
     Args:
         network: The network to fill.
-        weights: A safetensors file or a torch state dict with torchvision's names, or a model of ours; None takes the
-            weights that a package carries, which EfficientNet-Lite0 has.
+        weights: A safetensors file or a torch state dict with torchvision's names, or a model of ours; None for the
+            weights of the package of EfficientNet-Lite0.
 
     Raises:
         VaporTrackError: no weights for this backbone, an unreadable file, or other tensors than expected.
@@ -258,15 +249,11 @@ _CELL_PX, _DARK = 4, 30.0
 
 
 class Describer:
-    """Describes images by what the network's backbone makes of them on its way to a pose.
+    """Describes images by the activations of a network's backbone.
 
-    The mean of every channel after each of four stages, and, as a network trained under changing colours says little
-    of them, how common which colours are: histograms of how much more red, and more blue, than green there is in
-    cells of 4 × 4 pixels, as square roots. It listens to the network: the last batch that went through is described.
-    A context manager stops listening at its end.
-
-    Args:
-        network: Listened to from now on.
+    The mean of every channel after each of four stages and, as a network trained under changing colours has little of
+    them, histograms of how much more red, and more blue, than green there is in cells of 4 × 4 pixels, as square roots.
+    The last batch that went through the network is described. A context manager stops listening at its end.
     """
 
     def __init__(self, network: PoseRegressor) -> None:

@@ -36,20 +36,15 @@ PoseSamples = tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]
 
 
 class PoseRegressor(nn.Module, ABC):
-    """Image -> samples of the posterior over camera poses.
+    """Image -> samples of the posterior over camera poses, inside a box; or a mixture whose means lie in it.
 
-    Subclasses say how samples are drawn (`sample`) and what is minimised (`loss`); the other methods are theirs to
-    replace.
-
-    Args:
-        config: Shape of the network.
-        box: Box that predicted positions lie in; of a mixture, the means of its components.
+    Subclasses define how samples are drawn (`sample`) and the loss; the other methods may be replaced.
 
     Attributes:
         noise_dim: Standard normal numbers that one sample is made from, beside the image.
         memory: The training images that it recalls; None before there are any, and of a regressor that recalls none.
         learns_relative_poses: Whether its loss compares pairs of images where `LossConfig.relative` asks for it.
-        frozen_backbone: Whether the backbone is taken as it is and never learns.
+        frozen_backbone: Whether the backbone never learns.
     """
 
     noise_dim: int
@@ -70,12 +65,12 @@ class PoseRegressor(nn.Module, ABC):
 
     @property
     def density(self) -> DensityRegressor | None:
-        """This regressor where its posterior is a density that can be evaluated; None where there are only samples."""
+        """This regressor where its posterior density can be evaluated, else None."""
         return None
 
     @property
     def recalling(self) -> RetrievalRegressor | None:
-        """This regressor where it recalls training images; None where it has learned all that it knows of them."""
+        """This regressor where it recalls training images, else None."""
         return None
 
     # --- from images to poses ----------------------------------------------------------------------
@@ -93,15 +88,12 @@ class PoseRegressor(nn.Module, ABC):
 
     @abstractmethod
     def sample(self, feature: Features, noise: Noise) -> PoseSamples:
-        """Posterior samples of images with these features (`extract_features`), for given noise, d = `noise_dim`.
-
-        Translations in metres and rotation matrices, world_from_camera, m of each image.
-        """
+        """Posterior samples of images with these features, for given noise."""
 
     def forward(
         self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]
     ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
-        """Posterior samples of normalised images for given noise, d = `noise_dim`: metres and rotation matrices."""
+        """Posterior samples of normalised images for given noise."""
         return self.sample(self.extract_features(images), noise)
 
     # --- training ----------------------------------------------------------------------------------
@@ -110,27 +102,17 @@ class PoseRegressor(nn.Module, ABC):
     def loss(
         self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
-        """The loss of one batch, in training mode.
+        """The loss of one batch, in training mode, with noise of `samples_in_training` samples of each image.
 
-        Args:
-            images: Normalised images; with `relative`, the two halves of the batch are pairs.
-            true_translation: Metres, of world_from_camera.
-            true_rotation: Rotation matrices of world_from_camera.
-            noise: Standard normal, d = `noise_dim`, m = `samples_in_training`.
-            config: Weights of the loss.
+        With `relative`, the two halves of the batch are pairs.
         """
 
     def samples_in_training(self, scheduled: int) -> int:
-        """How many posterior samples of an image its loss takes, where the schedule is at so many."""
+        """Posterior samples of an image that its loss takes, where the schedule is at so many."""
         return 1
 
     def initialise(self, training_poses: Poses, *, log_variance: float) -> None:
-        """Change the first weights before training, where they depend on more than the seed.
-
-        Args:
-            training_poses: world_from_camera of the training images, (n,).
-            log_variance: Configured log σ² of a latent, about.
-        """
+        """Change the first weights before training by training poses (n,) and the configured log σ² of a latent."""
 
     def take_weights(self, state: Mapping[str, Tensor]) -> None:
         """Start from all weights of a trained model of the same shape."""

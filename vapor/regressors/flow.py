@@ -186,13 +186,7 @@ _STEEPEST = 3.0  # log ratio of the slope at a knot and that of the bins beside 
 
 @dataclass(frozen=True)
 class Spline:
-    """Monotone maps of [0, 1] onto itself, rational quadratics between knots.
-
-    Attributes:
-        x: Knots in the coordinate.
-        y: Their images: how much of the distribution lies below.
-        slope: dy/dx at the knots.
-    """
+    """Monotone maps of [0, 1] onto itself: rational quadratics between knots x with images y."""
 
     x: Float[Tensor, "b n k"]
     y: Float[Tensor, "b n k"]

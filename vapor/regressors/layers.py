@@ -14,13 +14,9 @@ from vapor.regressors.scene_box import SceneBox
 
 
 class PoseMap(nn.Module):
-    """Vectors to camera poses inside the scene's box.
+    """Vectors to camera poses inside the scene's box, through hidden layers that give `width` numbers.
 
-    Args:
-        hidden: Layers before the last.
-        width: Size of what they give.
-        box: Box that positions lie in.
-        shortcut_dim: Size of the vectors, for a linear map from them to the pose beside the layers; 0 for no such map.
+    With `shortcut_dim`, the size of the vectors, there is a linear map from them to the pose beside the layers.
     """
 
     lower: Tensor

@@ -67,10 +67,9 @@ class Loss:
     """The loss of one batch and its parts, scalars.
 
     Attributes:
-        total: What is minimised; carries the gradient.
+        total: Minimised; carries the gradient.
         kl: Mean KL divergence over the batch, nats; 0 where there is no latent Gaussian.
-        distance: Mean d_pose of those that learn: the winners, the one pose, or the best component; of a flow, of a
-            sample.
+        distance: Mean d_pose of the winners, the one pose, the best component, or of a flow's sample.
     """
 
     total: Tensor
@@ -86,10 +85,7 @@ def pose_distance(
     config: LossConfig,
     box: SceneBox,
 ) -> Float[Tensor, "*batch"]:
-    """d_pose = λ_t ‖t̂ − t‖₂ + λ_r ‖R̂ − R‖_F; true poses broadcast.
-
-    The box, that of the scene, gives the unit of positions where it is not metres.
-    """
+    """d_pose = λ_t ‖t̂ − t‖₂ + λ_r ‖R̂ − R‖_F; true poses broadcast, the box gives the unit of positions."""
     position, chord = pose_errors((translation, rotation), (true_translation, true_rotation), config, box)
     return config.lambda_translation * position + config.lambda_rotation * chord
 

@@ -23,14 +23,7 @@ _ANGLES = 257  # points at which the distribution of a rotation's angle is tabul
 
 
 class Components(NamedTuple):
-    """Of a mixture, k of them for each of b images.
-
-    Attributes:
-        log_weights: Log weights, whose exponentials add up to 1, (b, k).
-        translation: Mean positions, metres, (b, k, 3).
-        rotation: Mean rotations, (b, k, 3, 3).
-        widths: Standard deviations of position along each axis, metres, and widths of rotation, radians, (b, k, 2).
-    """
+    """k components for each of b images, whose weights add up to 1; widths are in metres along each axis and radians."""
 
     log_weights: Float[Tensor, "b k"]
     translation: Float[Tensor, "b k 3"]
@@ -53,7 +46,7 @@ class MixtureDensity(DensityRegressor):
 
     @abstractmethod
     def components(self, feature: Float[Tensor, "b f"]) -> Components:
-        """The mixtures of images with these features (`extract_features`)."""
+        """The mixtures of images with these features."""
 
     def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """Draws from the mixture."""
@@ -142,7 +135,7 @@ class MixtureRegressor(MixtureDensity):
         self.register_buffer("most", most, persistent=False)
 
     def components(self, feature: Float[Tensor, "b f"]) -> Components:
-        """The components of images with these features."""
+        """The mixtures of images with these features."""
         with torch.autocast(feature.device.type, enabled=False):
             log_weights = torch.log_softmax(self.logits(feature), dim=-1)
             in_box = torch.sigmoid(self.translation(feature).unflatten(-1, (-1, 3)))

@@ -138,7 +138,7 @@ class NetworkConfig:
 
     @property
     def frame_size(self) -> tuple[int, int]:
-        """Width and height of what crops are taken from, pixels: shortest edge and aspect as configured."""
+        """Width and height of the frames that crops are taken from, pixels."""
         scale = self.shortest_edge / min(self.image_width, self.image_height)
         return round(self.image_width * scale), round(self.image_height * scale)
 
@@ -148,12 +148,7 @@ class NetworkConfig:
         return replace(self, **edges)
 
     def for_camera(self, width: int, height: int) -> NetworkConfig:
-        """The same for images of another aspect: about as many pixels, but no more than the camera has.
-
-        Args:
-            width: Of the camera's images, pixels.
-            height: Likewise.
-        """
+        """The same for images of a camera's aspect: about as many pixels, but no more than the camera has."""
         aspect = min(max(width / height, 1 / _MOST_ASPECT), _MOST_ASPECT)
         pixels = min(self.image_width * self.image_height, width * height)
         scale = self.shortest_edge / min(self.image_width, self.image_height)

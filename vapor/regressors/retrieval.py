@@ -43,14 +43,7 @@ _HIDDEN = -1e4  # in place of the likeness of what must not be recalled
 
 @dataclass(frozen=True)
 class Memory:
-    """What is kept of n training images.
-
-    Attributes:
-        keys: What each looks like, as unit vectors.
-        views: What of each tells relative poses.
-        translation: Its true position, metres.
-        rotation: Its true rotation, world_from_camera.
-    """
+    """Training images in memory: unit vectors `keys` for likeness, `views` for relative poses, and true poses."""
 
     keys: Float[Tensor, "n k"]
     views: Float[Tensor, "n v"]
@@ -69,13 +62,10 @@ class Memory:
 class RetrievalRegressor(MixtureDensity):
     """A mixture whose components are training images that look alike, moved by learned relative poses.
 
-    The backbone is taken as it is, ImageNet's mostly, and never changes: an image is the means of its last layer, and
-    those of the third stage in twelve cells. All that is learned are maps of these numbers.
-
-    Args:
-        config: Shape; `components` is how many training images are looked at, `hidden_width` the size of the map from
-            pairs of images to relative poses, `feature_dim` that of the map to keys.
-        box: Of the training positions; its size is the unit of lengths.
+    The backbone, mostly ImageNet's, never changes: an image is the means of its last layer, and those of the third
+    stage in twelve cells. Only maps of these numbers are learned. Of the configuration, `components` are the training
+    images looked at, `hidden_width` is the size of the map from pairs of images to relative poses, `feature_dim` that
+    of the map to keys. The size of the box is the unit of lengths.
 
     Attributes:
         centre: Mean of the backbone's numbers over training images.
@@ -151,12 +141,7 @@ class RetrievalRegressor(MixtureDensity):
         self.memory = Memory(keys, views, translation, rotation)
 
     def components(self, feature: Float[Tensor, "b f"], hidden: Bool[Tensor, "b n"] | None = None) -> Components:
-        """The mixtures of images with these features.
-
-        Args:
-            feature: From `extract_features`.
-            hidden: Remembered images that must not be recalled for each of them; None for none.
-        """
+        """The mixtures of images with these features, without the remembered images that are `hidden` from each."""
         memory = self._remembered()
         with torch.autocast(feature.device.type, enabled=False):
             likeness = self.log_scale.exp() * self._keys(feature) @ memory.keys.T
@@ -200,7 +185,7 @@ class RetrievalRegressor(MixtureDensity):
         return Loss(total, torch.zeros_like(distance), distance)
 
     def memory_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Of one image, the shapes of what is remembered of it, by name."""
+        """Shapes of the memory of one image, by name."""
         return {"keys": (_KEY_DIM,), "views": (self.config.hidden_width,), "translation": (3,), "rotation": (3, 3)}
 
     def loss(

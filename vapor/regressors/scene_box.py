@@ -15,12 +15,7 @@ _MAX_POSITION_M = 1e8  # further than anything on Earth
 
 @dataclass(frozen=True)
 class SceneBox:
-    """Axis-aligned box that predicted camera positions lie in, metres, from training poses only.
-
-    Attributes:
-        lower: Smallest x, y, z.
-        upper: Largest x, y, z.
-    """
+    """Axis-aligned box that predicted camera positions lie in, metres, from training poses only."""
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
@@ -35,7 +30,7 @@ class SceneBox:
 
     @property
     def extent(self) -> Float64[np.ndarray, "3"]:
-        """Its edges, metres."""
+        """Edges, metres."""
         return np.array(self.upper) - self.lower
 
     @staticmethod

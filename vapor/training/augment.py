@@ -56,12 +56,12 @@ class AugmentConfig:
 
 @dataclass(frozen=True)
 class Variation:
-    """What was drawn for each image of a batch.
+    """Random variation of each image of a batch.
 
     Attributes:
         top: First row of its crop.
         left: First column of its crop.
-        sigma_px: Of its blur; 0 for none.
+        sigma_px: Standard deviation of its blur; 0 for none.
         contrast: Factor of contrast.
         saturation: Factor of saturation.
         gain: Factor of each channel.
@@ -77,20 +77,13 @@ class Variation:
     light: Float[np.ndarray, "b 1 3 3"] | None
 
     def __getitem__(self, part: Int64[np.ndarray, " k"]) -> Variation:
-        """The same for some of the images."""
+        """The variation of some of the images."""
         found = {name: value[part] for name, value in vars(self).items() if value is not None}
         return replace(self, **found)
 
 
 def draw_variation(config: AugmentConfig, count: int, spare: tuple[int, int], *, rng: np.random.Generator) -> Variation:
-    """Draw how each of so many images varies.
-
-    Args:
-        config: Amounts.
-        count: Of the images.
-        spare: Rows and columns by which they are larger than crops of them.
-        rng: Source of all that is drawn.
-    """
+    """Draw the variation of `count` images, which have `spare` rows and columns more than crops of them."""
 
     def factor(amount: float, *shape: int) -> np.ndarray:
         return rng.uniform(1 - amount, 1 + amount, (count, *shape)).astype(np.float32)
@@ -111,14 +104,9 @@ def random_crops(
     size: tuple[int, int],
     shrunk: tuple[int, int] | None = None,
 ) -> UInt8[np.ndarray, "b h2 w2 3"]:
-    """The drawn part of each chosen image, some of them blurred; only what is cropped is read.
+    """The drawn part of each chosen image, some of them blurred; nothing else of the images is read.
 
-    Args:
-        images: All there are.
-        indices: Of those chosen.
-        variation: Of each of these.
-        size: Width and height of the parts, pixels.
-        shrunk: Width and height to which the parts are then shrunk, by areas; None for as they are.
+    Parts are `size` pixels wide and high, and then shrunk to `shrunk`, by areas, where that is given.
     """
     (width, height), shrunk = size, shrunk or size
     crops = np.empty((len(indices), shrunk[1], shrunk[0], 3), np.uint8)
@@ -169,8 +157,8 @@ Result = TypeVar("Result")
 def one_ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """`function(item)` of every item, in order, each made by a thread while the one before is in use.
 
-    One thread makes all of them, one after the other: what `function` draws does not depend on timing. An error is
-    raised where its result would have come.
+    One thread makes all of them in order, so random numbers that `function` draws do not depend on timing. An error is
+    raised in place of its result.
     """
     with ThreadPoolExecutor(1, thread_name_prefix="ahead") as thread:
         coming: Future[Result] | None = None

@@ -56,10 +56,10 @@ def check(
         network: With its final weights.
         images: Recordings, n images, of which some are held out.
         held_out: Those, (n,).
-        result: What was calibrated.
-        familiarity: What is familiar to the network.
-        scene: Poses that outline it.
-        landmarks: Of what is not held out; None where there are none.
+        result: Calibration of the network.
+        familiarity: Of the network.
+        scene: Poses that outline the scene.
+        landmarks: Of the images that are not held out; None where there are none.
         seed: Of latent noise and the filter's draws.
         advance: Called with the number of images done and of all.
 
@@ -128,7 +128,7 @@ def check(
 
 
 def _inflated(errors: ErrorModel, factor: float) -> ErrorModel:
-    """Errors of all places, verified ones too, whose variances are larger by a factor."""
+    """Errors of all places, verified ones too, with larger variances."""
     verified_errors = None if errors.verified is None else errors.verified.inflated(factor)
     return replace(errors.inflated(factor), verified=verified_errors)
 
@@ -190,7 +190,6 @@ def _summed(followed: Sequence[Followed]) -> TrainingCheck:
 
 
 def _figures(followed: Sequence[Followed], poses: Sequence[Poses]) -> Figures:
-    """Of the poses that a method found for each passage, (n,)."""
     passages = [(found, each.passage.truth) for found, each in zip(poses, followed, strict=True)]
     apart = [found.distance(truth) for found, truth in passages]
     moved_m, turned = (np.concatenate(part) for part in zip(*apart, strict=True))

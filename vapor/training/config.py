@@ -153,7 +153,7 @@ class TrainConfig:
 
     @property
     def known_epochs(self) -> int:
-        """Times every training image is seen, once that is known."""
+        """Number of epochs, once that is known."""
         if self.epochs is None:
             raise TrainingError(
                 "training: epochs is None, expected a number by the time that a schedule follows from it"
@@ -166,5 +166,5 @@ class TrainConfig:
         return tuple(file for file in (self.initial_model, self.pretrained_weights) if file is not None)
 
     def settings(self) -> dict[str, Any]:
-        """What makes a training this one: all but where it runs."""
+        """Settings that identify a training: all but where it runs."""
         return {name: value for name, value in asdict(self).items() if name not in ("device", "resume")}

@@ -190,13 +190,9 @@ def uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
 
 @torch.no_grad()
 def update_average(average: nn.Module, network: nn.Module, decay: float, step: int) -> None:
-    """Move the average towards the weights and BatchNorm statistics; faster in the first steps, which know little.
+    """Move the average towards the weights and BatchNorm statistics; faster in the first steps of a training.
 
-    Args:
-        average: Changed in place.
-        network: Of the same shape.
-        decay: Part of the average that is left after a step; 0 leaves the average as it is.
-        step: Counted from 0 over the whole training.
+    `decay` of the average is left after a step; 0 leaves the average as it is.
     """
     if not decay:
         return

@@ -34,16 +34,16 @@ _STRETCH, _IN_STRETCH = 0.7, 4  # of a way and images at least, which are held o
 
 @dataclass(frozen=True)
 class Split:
-    """What is trained on and what is held out; some images may be neither.
+    """Images to train on and images that are held out; some images may be neither.
 
     Attributes:
         training: Images to train on.
-        source: Recordings of which images are held out, n images: those between them tell how the camera moved.
-        held_out_mask: Which are held out, (n,): trained images show what is around each, and none of them is next to
-            it in time.
-        notes: What was done, in sentences.
+        source: Recordings of which images are held out, n images: those between them carry the camera's motion.
+        held_out_mask: The images held out, (n,): trained images show the surroundings of each, and none of them is next
+            to it in time.
+        notes: The reasons of the choice, in sentences.
         everything: Images to learn from once the model was evaluated.
-        near_m: How far away a place counts as shown, metres.
+        near_m: Distance within which a place counts as shown, metres.
     """
 
     training: TrainingSet
@@ -60,15 +60,11 @@ class Split:
 
 
 def hold_out(images: TrainingSet, fraction: float) -> Split:
-    """Hold out about a fraction of the images.
+    """Hold out about a fraction of the images, in [0, 1).
 
     Of four recordings and more whole ones, those that the others cover best; of fewer the segments that are covered
-    best by the rest. What no other pass shows is trained on, and images next to it are left out. Where nothing is
-    covered, the middles of short stretches are held out.
-
-    Args:
-        images: All that there are, n of them.
-        fraction: Of them, in [0, 1); 0 for none.
+    best by the rest. Ground that no other pass shows is trained on, and images next to it are left out. Where nothing
+    is covered, the middles of short stretches are held out.
     """
     nothing = np.zeros(len(images), bool)
     side = typical_side_m(images.poses)
@@ -145,11 +141,8 @@ def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
 def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
     """Whether each of n images is shown by each of r recordings: by another pass of it where the image is its own.
 
-    Another pass is one before which the camera was elsewhere, or looked away by more than 90°.
-
-    Args:
-        images: Of r recordings.
-        near_m: How far away a place counts as shown, metres, as `hold_out` found it.
+    Another pass is one before which the camera was elsewhere, or looked away by more than 90°. A place within `near_m`
+    counts as shown, as `hold_out` found it.
     """
     scale_m = FARTHEST * typical_side_m(images.poses)
     way = way_of(images)
@@ -175,7 +168,7 @@ def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
 
 
 def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
-    """How far the camera has come, (n,): 1 where it is elsewhere, and for each 45° turned."""
+    """Distance that the camera has covered, (n,): 1 where it is elsewhere, and for each 45° turned."""
     steps = np.zeros(len(images))
     if len(images) > 1:
         moved_m, turned = images.poses[:-1].distance(images.poses[1:])
@@ -243,7 +236,7 @@ def long_runs(
 
 
 def _told(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
-    """Which images of which recordings these are."""
+    """The images of a mask by recording, in words."""
     parts = []
     for number in np.unique(images.sequence[mask]):
         own = np.flatnonzero(images.sequence == number)

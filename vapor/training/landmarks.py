@@ -40,14 +40,14 @@ Advance = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class FoundLandmarks:
-    """A map of landmarks, and what is known of it.
+    """A map of landmarks of the images that are learned from.
 
     Attributes:
-        built: The map of all images that are learned from.
-        verified: How poses err that it verifies.
-        verification: What is known so far of what it says of a place: where it can verify any.
+        built: The map.
+        verified: Errors of the poses that it verifies.
+        verification: Where it can verify poses, as far as that is known yet.
         images: The images that it is of.
-        notes: What was found, in sentences.
+        notes: Findings, in sentences.
     """
 
     built: BuiltMap
@@ -57,7 +57,7 @@ class FoundLandmarks:
     notes: tuple[str, ...]
 
     def without(self, trained: TrainingSet) -> tuple[LandmarkLocalizer, Poses]:
-        """What localizes by the images that a network was trained on, and the poses of the key images it lacks."""
+        """A localizer by the images that a network was trained on, and the poses of the key images it lacks."""
         material = self.built.material
         hidden = np.zeros(len(material.key), bool)
         if self.images.images is trained.images:
@@ -69,12 +69,9 @@ class FoundLandmarks:
 def find_landmarks(
     images: TrainingSet, choice: CameraChoice, advance: Advance = lambda done, total: None
 ) -> tuple[FoundLandmarks | None, tuple[str, ...]]:
-    """Landmarks of training images, None where these do not show any; and what to say of that.
+    """Landmarks of training images with views, and findings in sentences; None where images do not show any.
 
-    Args:
-        images: All images to learn from, with views.
-        choice: Whether the camera is the stated one, the one that fits the images, or which fits clearly better.
-        advance: Called with the number of images done and of all, stage by stage.
+    `advance` is called with the number of images done and of all, stage by stage.
     """
     if images.view_camera is None or not len(images.views):
         return None, ()
@@ -156,14 +153,14 @@ _AROUND = 1.5  # depths or radians: what key images further away show is not loo
 
 @dataclass(frozen=True)
 class HeldOutLandmarks:
-    """What verifies held-out images.
+    """Verification of held-out images by the landmarks that trained images show.
 
     Attributes:
-        localizer: By what trained images show.
+        localizer: By the trained images.
         hidden: Poses of the key images that it lacks, (h,).
-        verification: What it says of a place that landmarks verify it.
+        verification: Meaning of a verified place.
         none_right: Probability that none of the verified places of an image is the right one.
-        mistaken_lengths: Over how many lengths of their errors verified places are mistaken for others.
+        mistaken_lengths: Lengths of their errors over which verified places are mistaken for others.
     """
 
     localizer: LandmarkLocalizer
@@ -174,7 +171,7 @@ class HeldOutLandmarks:
 
     @cached_property
     def mapped(self) -> MappedViews:
-        """Where it can verify places."""
+        """Region in which it can verify places."""
         return self.localizer.mapped(self.verification.reach, self.verification.elsewhere)
 
     @staticmethod
@@ -186,7 +183,7 @@ class HeldOutLandmarks:
         familiarity: Familiarity | None,
         config: TrainConfig,
     ) -> HeldOutLandmarks:
-        """Find on the held-out images what a verified place is worth."""
+        """Find on the held-out images how reliable a verified place is."""
         localizer, hidden = landmarks.without(split.training)
         held = HeldOutLandmarks(localizer, hidden, landmarks.verification)
         rows = np.flatnonzero(split.held_out_mask)

@@ -39,20 +39,17 @@ def num_processes() -> int:
 
 
 def is_first() -> bool:
-    """Whether this is the process that evaluates, writes and tells."""
+    """Whether this is the process that evaluates, writes and reports."""
     return num_processes() == 1 or dist.get_rank() == 0
 
 
 @contextmanager
 def joined_processes(device: Device) -> Iterator[None]:
-    """Join the processes that torchrun started, if it did, inside a `with` block.
-
-    Args:
-        device: Where to train: on GPUs each process of a machine takes its own.
+    """Join the processes that torchrun started, if it did, inside a `with` block; each takes a GPU of its own.
 
     Raises:
         TrainingError: they cannot be joined, or another process ended.
-        SystemExit: an error that another process has told already.
+        SystemExit: another process has reported its error already.
     """
     if _whole("WORLD_SIZE", 1) == 1 or not all(name in os.environ for name in _LAUNCHED):
         yield
@@ -80,12 +77,7 @@ def joined_processes(device: Device) -> Iterator[None]:
 
 
 def own_part(count: int, *, pairs: bool = False) -> Int64[np.ndarray, " k"]:
-    """Which of the images of a batch this process learns from.
-
-    Args:
-        count: Of the images of the whole batch.
-        pairs: Whether the two halves of the batch are pairs, which stay together.
-    """
+    """Images of a batch that this process learns from; `pairs` keeps the two halves of the batch together."""
     rows = np.arange(count)
     shared = rows.reshape(2, -1) if pairs else rows[None]
     rank = 0 if is_first() else dist.get_rank()
@@ -93,10 +85,10 @@ def own_part(count: int, *, pairs: bool = False) -> Int64[np.ndarray, " k"]:
 
 
 def require_shares(batch: int, *, pairs: bool) -> None:
-    """Refuse a batch that cannot be divided among the processes: their means would not be that of the batch.
+    """Refuse a batch that cannot be divided evenly among the processes.
 
     Raises:
-        TrainingError: how many images it has, and how many processes there are.
+        TrainingError: with the sizes of both.
     """
     count, units = num_processes(), batch // 2 if pairs else batch
     if units % count:
@@ -108,7 +100,7 @@ def require_shares(batch: int, *, pairs: bool) -> None:
 
 
 class Learner(nn.Module):
-    """A network whose `forward` is its loss, as DistributedDataParallel wants it."""
+    """A network whose `forward` is its loss, as DistributedDataParallel requires."""
 
     def __init__(self, network: PoseRegressor) -> None:
         super().__init__()
@@ -120,7 +112,7 @@ class Learner(nn.Module):
 
 
 def make_learner(network: PoseRegressor) -> nn.Module:
-    """What gives the loss of a batch, or of this process' part of it; its gradients are then averages of all parts.
+    """A module that gives the loss of this process' part of a batch; its gradients are averages of all parts.
 
     With several processes BatchNorm takes the statistics of whole batches from now on.
     """
@@ -142,14 +134,14 @@ def mean_of_all(value: Tensor) -> Tensor:
 
 
 def sum_of_all(value: Tensor) -> Tensor:
-    """The sum of a tensor over all processes, in place: of what each has found for its part, with zeros elsewhere."""
+    """The sum of a tensor over all processes, in place; each has its part, with zeros elsewhere."""
     if num_processes() > 1:
         dist.all_reduce(value)
     return value
 
 
 def from_first(value: Value) -> Value:
-    """What the first process has, in all of them."""
+    """The value of the first process, in all of them."""
     if num_processes() == 1:
         return value
     values = [value]
@@ -177,7 +169,7 @@ def _backend(device: Device) -> str:
 
 
 def _first_to_fail(store: Store) -> bool:
-    """Whether no other process has failed before: what ended that one ends all, and is told once."""
+    """Whether no other process has failed before, so that one error is reported once."""
     with suppress(RuntimeError):  # the store went with the process that kept it
         return store.add("failed", 1) == 1
     return False

@@ -13,23 +13,22 @@ from vapor.evaluation.validation import Validation
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training stands.
+    """Progress of a training.
 
     Attributes:
-        stage: "reading" of images, "holding out" of some, "training", "landmarks", "calibrating", "checking" or
-            "training on everything".
+        stage: Present stage.
         done: Images read or held out, steps done since the training's start, interrupted or not, or held-out images
             seen.
         total: Steps or images in all; None while reading.
         epoch: The current epoch, from 1.
-        epochs: Of so many.
+        epochs: Epochs in all.
         loss: Mean training loss of this epoch so far.
         learning_rate: Of the last step.
         seconds: Of training since its start, interrupted or not, reading and evaluation left out.
-        left_s: Of training still to come, about.
+        left_s: Estimated seconds of training left.
         validation: Figures of the last epoch that was evaluated.
         best: Figures of the best epoch.
-        notes: What was held out and why, told once before the first step.
+        notes: Held-out images and the reasons, once before the first step.
     """
 
     stage: Literal[
@@ -58,10 +57,10 @@ class TrainResult:
         best: Figures of the epoch that was kept; None without held-out images.
         seconds: Of training since its start, interrupted or not, reading and evaluation left out.
         images_seen: Likewise.
-        calibration: What was calibrated at the end, and what that gained; None where it was not asked for.
+        calibration: Calibration at the end; None where it was not configured.
         check: The filter on the held-out passes; None without any, or without odometry through them.
         skipped: Images and poses of all data that were left out in reading, by reason.
-        notices: What a person should know of the data.
+        notices: Facts about the data for the user.
     """
 
     checkpoint: Checkpoint
@@ -85,13 +84,7 @@ _HARDLY, _FEW, _SCALE = 0.2, 10.0, 0.1
 
 @dataclass(frozen=True)
 class Figures:
-    """How good one method was.
-
-    Attributes:
-        median_m: Error of position, metres.
-        median_deg: Error of rotation, degrees.
-        right: Fraction of the images within 0.3 m and 20°.
-    """
+    """Median errors of a method, and the fraction of images that it has within 0.3 m and 20°."""
 
     median_m: float
     median_deg: float
@@ -100,18 +93,18 @@ class Figures:
 
 @dataclass(frozen=True)
 class TrainingCheck:
-    """Filter and single image over held-out passes, the same that errors were fitted on.
+    """Filter and single image over the held-out passes that errors were fitted on.
 
     Attributes:
-        images: That were evaluated.
-        passes: In so many passes, each begun anew.
-        methods: By name, those of `METHODS`.
+        images: Images evaluated.
+        passes: Passes, in each of which the filter starts with an empty belief.
+        methods: Figures by the names of `METHODS`.
         converged: Fraction of the images called converged.
         wrong: Fraction of these beyond 0.3 m or 20°; None where none is.
         coverage: Fraction of these in the filter's 50, 90 and 95 % regions, by name; None where they are fewer than 50.
-        inflation: Factor by which the variances of images were enlarged, as the fitted ones were not good enough.
-        assumed: Whether errors in proportion to the scene took the place of the fitted ones, for the same reason.
-        verdict: A sentence on whether the filter is worth more than the single image, and why not where it is not.
+        inflation: Factor of the variances of images, as the fitted ones were not good enough.
+        assumed: Whether errors in proportion to the scene replace the fitted ones, for the same reason.
+        verdict: A sentence that compares the filter with the single image, with the likely cause where it is worse.
     """
 
     images: int
@@ -137,10 +130,10 @@ class TrainingCheck:
 
     @property
     def rank(self) -> tuple[bool, float, bool]:
-        """Of several checks the one with the greatest rank is kept, of equal ones the first.
+        """The check with the greatest rank is kept, of equal ones the first.
 
-        What counts most is that the filter is not overconfident. Which of two is worse by less says nothing: it is
-        luck which wrong place a filter stays at.
+        Overconfidence counts most. Which of two filters is worse by less is luck: it depends on the wrong place they
+        stay at.
         """
         held = 1.0
         if self.overconfident and self.coverage is not None:

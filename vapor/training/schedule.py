@@ -69,7 +69,7 @@ def evaluation_interval(training: int, evaluated: int) -> int:
 
 
 def finishing(config: TrainConfig) -> TrainConfig:
-    """How a model that was evaluated goes on with everything: fewer epochs, lower rates."""
+    """Configuration of the training on everything after the evaluation: fewer epochs, lower rates."""
     epochs = max(1, round(config.finish * config.known_epochs))
     rate = _FINISHING_RATE * config.learning_rate
     return replace(config, epochs=epochs, learning_rate=rate, ewta_fraction=0.0, small_images_first=0.0)

@@ -46,15 +46,14 @@ class TrainingState:
     Attributes:
         network: The network being trained.
         average: Its exponential moving average, which is evaluated and becomes the model.
-        learner: What gives the network's loss, from `make_learner`.
+        learner: Gives the network's loss, from `make_learner`.
         optimizer: AdamW, with its moments.
-        epochs: How many there will be before the finished model is evaluated.
+        epochs: Epochs before the finished model is evaluated.
         epoch: Epochs done; more than that while it goes on with everything.
-        seconds: They took so many, evaluation left out.
+        seconds: Their duration, evaluation left out.
         history: Figures of the epochs done, where there are held-out images.
         best: Weights of the best epoch so far, on the CPU.
-        features: Of the images of the epoch, for a regressor that recalls images; extracted again after an
-            interruption.
+        features: Of the images of the epoch, for a regressor that recalls images; not stored.
     """
 
     network: PoseRegressor
@@ -70,7 +69,7 @@ class TrainingState:
 
 
 def state_path(output: Path) -> Path:
-    """Where the state of a training lies whose model will be `output`."""
+    """Path of the state of a training whose model will be `output`."""
     return output.with_suffix(".training.safetensors")
 
 
@@ -80,13 +79,7 @@ def is_training_state(path: Path) -> bool:
 
 
 def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> None:
-    """Write the state, complete or not at all.
-
-    Args:
-        path: From `state_path`.
-        state: The training.
-        identity: JSON that must be equal for a training to be the same (configuration, data).
-    """
+    """Write the state, complete or not at all, with the JSON (configuration, data) that identifies the training."""
     tensors = {f"network.{k}": v for k, v in state.network.state_dict().items()}
     tensors |= {f"average.{k}": v for k, v in state.average.state_dict().items()}
     tensors |= {f"best.{k}": v for k, v in state.best.items()}
@@ -202,9 +195,9 @@ def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint 
     """A network before its first step, its average, which is a copy, and its optimizer, on the configured device.
 
     Args:
-        config: How it will be trained.
-        box: Where cameras can be.
-        poses: world_from_camera of the training images, (n,); some regressors start from them.
+        config: Configuration of the training.
+        box: Box that cameras can be in.
+        poses: world_from_camera of the training images, (n,), by which some regressors are initialised.
         initial: From `initial_model`.
 
     Raises:
@@ -243,12 +236,7 @@ _SELDOM = 50.0  # times as long as the last one took, at least, from one saving 
 
 
 class Saving:
-    """Saves a training's state after its epochs, but where these are short not after each: that would slow it down.
-
-    Args:
-        path: From `state_path`.
-        identity: JSON that must be equal for a training to be the same.
-    """
+    """Saves a training's state after its epochs, of short ones not after each, which would slow the training down."""
 
     def __init__(self, path: Path, identity: Mapping[str, Any]) -> None:
         self._path, self._identity = path, identity
@@ -260,7 +248,7 @@ class Saving:
             load_state(self._path, state, self._identity)
 
     def save(self, state: TrainingState, *, last: bool = False) -> None:
-        """Write the state between two epochs; always the first one, and the last before something that takes long."""
+        """Write the state between two epochs; always the first one, and the last before a long stage."""
         begin_s = perf_counter()
         if last or begin_s >= self._next_s:
             save_state(self._path, state, self._identity)

@@ -45,13 +45,13 @@ def train(
     """Train on files and folders, and write the model.
 
     Args:
-        data: Whatever `posed_frames` reads; `PATH@START:STOP` takes those frames of it only.
+        data: Anything that `posed_frames` reads; `PATH@START:STOP` takes those frames of it only.
         output: The model file.
-        config: How.
+        config: Configuration.
         validation: Held-out data, likewise, with no image of the former, of which those images count whose surroundings
             training images show; without it passes over ground that others cover are held out, and no two of the data
             may share images.
-        reading: What to read of MCAP sequences, of both; None for all of it, as found.
+        reading: Options of reading MCAP sequences, of both; None for all of them, as found.
         progress: Called after every image read and every step.
 
     Raises:
@@ -106,13 +106,9 @@ def train_on(
 
 
 def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, config: TrainConfig) -> TrainResult:
-    """Train on images that were read before, as many training runs on the same do; some are held out as configured.
+    """Train on images that were read before, for the configured frame size and crop; some are held out as configured.
 
-    Args:
-        images: From `load_training_set`, for the configured frame size and crop.
-        names: Of their sequences, for the model file.
-        output: The model file.
-        config: How.
+    `names` are those of the sequences, for the model file.
 
     Raises:
         TrainingError: unusable images or configuration, or a loss that is not finite.
@@ -131,7 +127,7 @@ def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, con
 
 
 def _checked_start(output: Path, config: TrainConfig) -> Checkpoint | None:
-    """The model to start from, if any; raises what would otherwise be raised after reading or hours of training."""
+    """The model to start from, if any; raises errors that would otherwise come after hours of training."""
     if not output.parent.is_dir():
         raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
     if output.is_dir():
@@ -251,5 +247,5 @@ def _fit(
 
 
 def _settings(config: TrainConfig) -> dict[str, Any]:
-    """What makes a training this one, as JSON; file names without folders."""
+    """Settings that identify a training, as JSON; file names without folders."""
     return {key: value.name if isinstance(value, Path) else value for key, value in config.settings().items()}

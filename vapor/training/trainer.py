@@ -25,10 +25,10 @@ from vapor.training_data.training_set import TrainingSet
 
 
 class Trainer:
-    """A training under way: first on what is not held out, then, once the model was evaluated, on everything.
+    """A training under way: on the images that are not held out and, once the model was evaluated, on everything.
 
     Attributes:
-        state: Where it stands.
+        state: Its state.
         config: With its number of epochs.
         goes_on: Whether there is more to learn from once the model was evaluated.
         epochs: In all.
@@ -51,7 +51,7 @@ class Trainer:
         return self.state.average if self.config.ema_decay else self.state.network
 
     def images_seen(self, epochs: int) -> int:
-        """How many images were seen when so many epochs were done."""
+        """Number of images seen when so many epochs were done."""
         return sum(len(self._images(epoch)) for epoch in range(epochs))
 
     def epoch(self) -> float:
@@ -145,13 +145,9 @@ _EVALUATION = 0.5  # of the time of a step an image: to evaluate it
 
 
 def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: TrainConfig) -> int:
-    """How many epochs fit into the hours that a training may take, evaluation and finishing included.
+    """Number of epochs that fit into the configured hours, evaluation and finishing included.
 
-    Args:
-        state: Before the first step; it is left as it is.
-        split: What is trained on.
-        evaluated: Held-out images that epochs are evaluated on.
-        config: How.
+    The state before the first step is left as it is. Epochs are evaluated on so many held-out images.
     """
     trial, training, most = deepcopy(state), split.training, config.most_epochs
     batch = min(config.batch_size, len(training))
@@ -173,5 +169,5 @@ def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: T
 
 
 def _spared(config: TrainConfig) -> float:
-    """How many epochs less a training takes because its first images are small."""
+    """Epochs that a training is shorter by because its first images are small."""
     return sum(1.0 - step_cost(config, epoch) for epoch in range(config.known_epochs))

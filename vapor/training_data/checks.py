@@ -22,7 +22,7 @@ def require_variety(images: TrainingSet) -> None:
     """Refuse images from which nothing can be learned: of a camera that stands, or sees nothing, or is out of range.
 
     Raises:
-        TrainingError: what all of them have in common.
+        TrainingError: with the property that all of them share.
     """
     poses, few = images.poses, np.linspace(0, len(images) - 1, min(len(images), _COMPARED)).astype(int)
     moved_m, turned = poses.distance(poses[[0]])
@@ -51,14 +51,14 @@ def require_variety(images: TrainingSet) -> None:
 
 
 def too_few(images: TrainingSet) -> list[str]:
-    """What to say of so few images that hardly any place can be learned from them; nothing where there are enough."""
+    """A notice on too few images to learn a place from; nothing where there are enough."""
     if len(images) >= _FEW:
         return []
     return [f"{len(images)} images to learn from: a place takes hundreds, along every path that will be walked"]
 
 
 def too_far(poses: Poses) -> list[str]:
-    """What to say of positions so far from zero that float32 rounds them noticeably; nothing where there are none."""
+    """A notice on positions so far from zero that float32 rounds them noticeably; nothing where there are none."""
     furthest_m = float(np.abs(poses.translation).max())
     if furthest_m < _FAR_M:
         return []
@@ -104,7 +104,7 @@ class Colours:
 
 
 def said_of_colours(recordings: Mapping[str, Colours]) -> list[str]:
-    """Which recordings have red and blue swapped, or seem to; nothing where none has.
+    """Notices on recordings that have red and blue swapped, or seem to; nothing where none has.
 
     Of several, one whose colours are the others' only when swapped; all of them where they are bluish.
     """

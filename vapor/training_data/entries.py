@@ -23,15 +23,10 @@ from vapor.training_data.training_set import TrainingError
 def open_sequences(
     data: Sequence[Path | str], reading: SequenceOptions | None = None, odometry: OdometryUse = "optional"
 ) -> dict[str, Iterable[Frame]]:
-    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
-
-    Args:
-        data: The entries.
-        reading: What to read of those that are MCAP sequences; None for all of it, as found.
-        odometry: Whether their odometry is read.
+    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder, with or without their odometry.
 
     Raises:
-        TrainingError: what follows the @ is not a range.
+        TrainingError: the text after the @ is not a range.
     """
     return {
         name: posed_frames(path, frames=frames, options=reading, odometry=odometry)
@@ -43,7 +38,7 @@ def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
     """Path and frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
 
     Raises:
-        TrainingError: what follows the @ is not a range.
+        TrainingError: the text after the @ is not a range.
     """
     named: dict[str, tuple[Path, slice]] = {}
     for number, entry in enumerate(data):
@@ -55,10 +50,10 @@ def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
 
 
 def parse_entry(entry: Path | str) -> tuple[Path, slice]:
-    """Path and frames of `PATH` or `PATH@START:STOP`; of a URL the path of its copy, which is made.
+    """Path and frames of `PATH` or `PATH@START:STOP`; a URL is copied, and the path is that of its copy.
 
     Raises:
-        TrainingError: what follows the @ is not a range.
+        TrainingError: the text after the @ is not a range.
     """
     match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
     if is_url(text := match["path"] if match else str(entry)):
@@ -74,7 +69,7 @@ def files_read(data: Sequence[Path | str], reading: SequenceOptions | None = Non
     """Files and folders that `PATH`s and `PATH@START:STOP`s are read from; an output must be none of these.
 
     Raises:
-        TrainingError: what follows an @ is not a range.
+        TrainingError: the text after an @ is not a range.
     """
     for entry in data:
         yield from listing.files_read(parse_entry(entry)[0])
@@ -84,12 +79,10 @@ def files_read(data: Sequence[Path | str], reading: SequenceOptions | None = Non
 def require_no_leakage(data: Sequence[Path | str], held_out: Sequence[Path | str] | None = None) -> None:
     """Refuse held-out images that are trained on: the same files, or the same frames of one recording.
 
-    Args:
-        data: Each `PATH` or `PATH@START:STOP`.
-        held_out: Likewise; None where the last part of each of `data` is held out: then no two may share images.
+    Without `held_out`, parts of `data` are held out, and no two of these may share images.
 
     Raises:
-        TrainingError: two share images, or what follows an @ is not a range.
+        TrainingError: two share images, or the text after an @ is not a range.
         SequenceError: unreadable data.
     """
     source, files = cache(_source), cache(_files)

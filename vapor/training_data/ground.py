@@ -26,10 +26,10 @@ _LEAST_UNSHOWN = 0.05  # fraction of a run's images that no training image shows
 
 
 def told_unshown(poses: Poses, training: Poses) -> str | None:
-    """What to say of a run over ground that training images do not show; None where they show all of it.
+    """A notice on a run over ground that training images do not show; None where they show it.
 
     Args:
-        poses: Where the images of the run were taken, as found, (n,).
+        poses: Of the images of the run, as found, (n,).
         training: Of the training images, (m,).
     """
     shown, near_m = shown_around(poses, training)
@@ -43,12 +43,7 @@ def told_unshown(poses: Poses, training: Poses) -> str | None:
 
 
 def shown_around(poses: Poses, training: Poses) -> tuple[Bool[np.ndarray, " n"], float]:
-    """Whether training images show the surroundings of poses, and how far away counts as near, metres.
-
-    Args:
-        poses: Of images that are said to be of the place, (n,).
-        training: Of the training images, (m,).
-    """
+    """Whether training images (m,) show the surroundings of poses (n,), and the distance, metres, that is near."""
     farthest_m = _GIVEN * FARTHEST * typical_side_m(training)
     distances_m = nearest_m(poses, training, farthest_m)
     near_m = near_m_of(distances_m, farthest_m)
@@ -56,24 +51,21 @@ def shown_around(poses: Poses, training: Poses) -> tuple[Bool[np.ndarray, " n"],
 
 
 def near_scale_m(poses: Poses) -> float:
-    """How far away counts as near at least, metres, of the scene that poses (n,) outline."""
+    """Least distance that counts as near, metres, in the scene that poses (n,) outline."""
     return _NEAREST * FARTHEST * typical_side_m(poses)
 
 
 def near_m_of(distances_m: Float64[np.ndarray, " n"], farthest_m: float) -> float:
-    """How far away counts as near, by how far the nearest images of other passes are; no further than given."""
+    """Distance that counts as near, by the distances of the nearest images of other passes; `farthest_m` at most."""
     found = distances_m[distances_m <= farthest_m]
     usual = float(np.quantile(found, 0.25)) if len(found) else np.inf
     return float(np.clip(_USUAL * usual, _NEAREST * farthest_m, farthest_m))
 
 
 def nearest_m(poses: Poses, others: Poses, scale_m: float) -> Float64[np.ndarray, " n"]:
-    """How far the nearest of the others (m,) that looks the same way as each pose (n,) is; infinite without any.
+    """Distance, metres, of the nearest of the others (m,) that looks the same way as each pose (n,); or infinity.
 
-    Args:
-        poses: Of cameras.
-        others: Likewise.
-        scale_m: So far away is as different as 45°.
+    A distance of `scale_m` is as different as 45°.
     """
     if not len(poses) or not len(others):
         return np.full(len(poses), np.inf)

@@ -44,7 +44,7 @@ def load_training_set(
         frame_size: Width and height of that frame, pixels, or a function of the camera's width and height.
         central: Keep the part of the middle that fills the frame, so that images may differ in size; else keep the
             whole image, and all must have the aspect ratio of the first.
-        camera: The camera whose images they are resampled to where intrinsics are known; None for that of most images.
+        camera: The camera that images with known intrinsics are resampled to; None for that of most images.
         views: Keep them grey and larger, too, for landmarks.
         view_camera: The camera of these; None for that of most images.
         progress: Called with the number of images read so far.
@@ -146,7 +146,7 @@ def _commonest_camera(sequences: Mapping[str, Iterable[Frame]]) -> Camera | None
 
 
 def _of_cameras(as_taken: AsTakenBy, total: int) -> list[str]:
-    """What to say where not all images are of one camera."""
+    """A notice where not all images are of one camera."""
     if as_taken.camera is None or not as_taken.cameras:
         return as_taken.notices
     others = [f"{count} of {described(camera)}" for camera, count in as_taken.cameras.most_common(_MOST_CAMERAS)]
@@ -169,11 +169,7 @@ _USUAL_FOCAL = 0.8  # of the longer edge, where no focal length is stated: about
 
 
 class GreyViews:
-    """Takes images one by one; their camera is that of most of them, or a guess by the size of the first.
-
-    Attributes:
-        camera: Of the views; None as long as that is not known.
-    """
+    """Takes images one by one; `camera` is that of most of them, or a guess by the size of the first."""
 
     def __init__(self, camera: Camera | None, *, wanted: bool) -> None:
         """Set up for images of a camera, None where unknown; where they are not wanted, none is kept."""

@@ -52,14 +52,14 @@ ORIENTATIONS: Final[Mapping[str, Float64[np.ndarray, "3 3"]]] = {
 
 @dataclass(frozen=True)
 class ViewCheck:
-    """How what images show compares with how poses say that the camera moved.
+    """Comparison of the motion that images show with the motion of poses.
 
     Attributes:
-        by: Whose poses.
-        pairs: How many pairs of images were compared.
-        residual: Median distance of what is seen from where it should be, in focal lengths.
-        orientations: Keys of `ORIENTATIONS` with which the images fit the poses about equally well, the best first: one
-            of them is how it is. None where images and poses do not agree whichever way they are turned.
+        by: Source of the poses.
+        pairs: Pairs of images compared.
+        residual: Median distance of image points from their expected places, in focal lengths.
+        orientations: Keys of `ORIENTATIONS` with which the images fit the poses about equally well, the best first.
+            None where images and poses do not agree whichever way they are turned.
         residual_turned: With the best of all orientations.
         focal: The focal length over the stated one, where that is clearly another; None where it is not, or none is
             stated.
@@ -74,16 +74,12 @@ class ViewCheck:
 
     @property
     def is_right(self) -> bool:
-        """Whether images are as the poses say."""
+        """Whether images agree with the poses as stated."""
         return AS_STATED in self.orientations
 
 
 class Views:
-    """Features that pairs of images of one recording share, as its frames come.
-
-    Attributes:
-        pairs: Those kept, spread over the recording.
-    """
+    """Features that pairs of images of one recording share, as its frames come; `pairs` are spread over it."""
 
     def __init__(self) -> None:
         self.pairs: list[Pair] = []
@@ -117,7 +113,7 @@ class Views:
             self._add(self._pair(first, view, motions), view.time_ns * 1e-9)
 
     def checks(self) -> list[ViewCheck]:
-        """By true poses and by odometry, where there are enough pairs of images to say."""
+        """By true poses and by odometry, where there are enough pairs of images."""
         found = []
         by: By
         for by in ("true poses", "odometry"):
@@ -203,13 +199,13 @@ class _View(NamedTuple):
 
 @dataclass(frozen=True)
 class Pair:
-    """What two images share.
+    """Matches of two images.
 
     Attributes:
         times_ns: Stamps of both.
-        first: Directions of it in the first image, in focal lengths from the middle, (m, 2).
-        second: The same in the second image.
-        motions: second_from_first by each who says.
+        first: Directions in the first image, in focal lengths from the middle, (m, 2).
+        second: The same points in the second image.
+        motions: second_from_first by source.
         known_focal: Whether the focal length is known.
     """
 
@@ -221,7 +217,7 @@ class Pair:
 
 
 class Residuals:
-    """How far what pairs of images share is from where it should be, for all pairs at once."""
+    """Distances of the points that pairs of images share from their expected places, for all pairs at once."""
 
     def __init__(self, pairs: Sequence[Pair]) -> None:
         """Take up to 100 directions of each of p pairs."""
@@ -234,11 +230,11 @@ class Residuals:
     def of(
         self, motions: Poses, turn: Float64[np.ndarray, "3 3"] | None = None, focal: float = 1.0
     ) -> Float64[np.ndarray, " p"]:
-        """Median distance of what each second image shows from where it should be, however far away it is.
+        """Median distance of the points in each second image from their expected places, at any depth.
 
         Args:
             motions: second_from_first, (p,).
-            turn: Carries directions that an image shows to the axes of these; None for none.
+            turn: Carries directions in an image to the axes of these; None for none.
             focal: The focal length over that by which directions were found.
         """
         turn = np.eye(3) if turn is None else turn
@@ -287,12 +283,7 @@ def _check(by: By, pairs: Sequence[Pair]) -> ViewCheck:
 
 
 def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
-    """What a person should know of a recording's images and poses; nothing where they agree.
-
-    Args:
-        name: Of the recording.
-        checks: Of `Views.checks`.
-    """
+    """Notices on a recording whose images and poses do not agree; nothing where they do."""
     right = [check for check in checks if check.is_right]
     turned = [check for check in checks if check.orientations and not check.is_right]
     apart = [check for check in checks if not check.orientations]
