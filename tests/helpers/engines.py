@@ -40,7 +40,7 @@ def any_checkpoint(head: str = "variational", *, familiar: bool = True) -> Check
         ]
         known = Familiarity(*parts, own_distance=1.0, threshold=2.0)
     return Checkpoint(
-        config, BOX, Calibration(), poses, network.state_dict(), {"seed": 3}, familiarity=known, memory=memory
+        config, BOX, Calibration(), poses, network.state_dict(), training={"seed": 3}, familiarity=known, memory=memory
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import KW_ONLY, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,55 +28,58 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ModelDescription:
-    """A model without its weights.
-
-    Attributes:
-        network: Shape of the network.
-        box: Box of predicted positions.
-        prior_poses: A posterior sample of each of n ≤ 2000 training images, batch (n,): they outline the scene.
-        network_sha256: Digest of the network, box, weights and memory, on which the posterior samples depend.
-        training: Provenance (data names, seed, images seen, validation figures); any JSON.
-        familiarity: Descriptions of training images; None where they were never learned.
-        camera: The camera of the training images, undistorted; None where unknown.
-        memory_poses: True poses of the training images that a retrieval regressor remembers; None with any other.
-        file: The file that it was read from; None of a model in memory.
-        landmarks: Points of the place, by which poses are found to centimetres; None where there are none.
-    """
+class _Model:
+    """Everything that a model consists of, but for the network's weights."""
 
     network: NetworkConfig
+    """Shape of the network."""
     box: SceneBox
+    """Box of predicted positions."""
     calibration: Calibration
     prior_poses: Poses
-    network_sha256: str
+    """A posterior sample of each of n ≤ 2000 training images, batch (n,): they outline the scene."""
+    _: KW_ONLY
     training: Mapping[str, Any] = field(default_factory=dict)
+    """Provenance (data names, seed, images seen, validation figures); any JSON."""
     familiarity: Familiarity | None = None
+    """Descriptions of training images; None where they were never learned."""
     camera: Camera | None = None
-    memory_poses: Poses | None = None
+    """The camera of the training images, undistorted; None where unknown."""
     file: Path | None = None
+    """The file that it was read from; None of a model in memory."""
     landmarks: Landmarks | None = None
+    """Points of the place, by which poses are found to centimetres; None where there are none."""
 
 
 @dataclass(frozen=True)
-class Checkpoint:
-    """A trained model: everything that an observation model needs. Fields as of `ModelDescription`, and:
+class ModelDescription(_Model):
+    """A model without its weights.
+
+    Attributes:
+        network_sha256: Digest of network, box, weights and memory, on which the posterior samples depend.
+        memory_poses: True poses of the training images that a retrieval regressor remembers; None with any other.
+    """
+
+    network_sha256: str
+    memory_poses: Poses | None = None
+
+
+@dataclass(frozen=True)
+class Checkpoint(_Model):
+    """A trained model: everything that an observation model needs.
 
     Attributes:
         state_dict: Parameters and BatchNorm statistics of the `PoseRegressor`, float32 on the CPU.
         memory: The training images that a retrieval regressor remembers; None with any other.
     """
 
-    network: NetworkConfig
-    box: SceneBox
-    calibration: Calibration
-    prior_poses: Poses
     state_dict: Mapping[str, Tensor]
-    training: dict[str, Any] = field(default_factory=dict)
-    familiarity: Familiarity | None = None
-    camera: Camera | None = None
     memory: Memory | None = None
-    file: Path | None = None
-    landmarks: Landmarks | None = None
+
+    @staticmethod
+    def of(description: ModelDescription, state_dict: Mapping[str, Tensor], memory: Memory | None) -> Checkpoint:
+        """A model from its description."""
+        return Checkpoint(**_shared(description), state_dict=state_dict, memory=memory)
 
     def build_network(self) -> PoseRegressor:
         """The network with its weights, on the CPU, in evaluation mode."""
@@ -89,19 +92,8 @@ class Checkpoint:
     def description(self) -> ModelDescription:
         """The model without its weights."""
         memory = self.memory
-        return ModelDescription(
-            self.network,
-            self.box,
-            self.calibration,
-            self.prior_poses,
-            self.network_sha256(),
-            self.training,
-            self.familiarity,
-            self.camera,
-            None if memory is None else poses_of(memory.rotation.numpy(), memory.translation.numpy()),
-            self.file,
-            self.landmarks,
-        )
+        poses = None if memory is None else poses_of(memory.rotation.numpy(), memory.translation.numpy())
+        return ModelDescription(**_shared(self), network_sha256=self.network_sha256(), memory_poses=poses)
 
     def network_sha256(self) -> str:
         """Digest of network, box, weights and memory, on which the posterior samples depend."""
@@ -121,6 +113,10 @@ class Checkpoint:
             for name, value in landmark_arrays(self.landmarks).items():
                 seen.update(name.encode() + np.ascontiguousarray(value).data)
         return seen.hexdigest()
+
+
+def _shared(model: _Model) -> dict[str, Any]:
+    return {each.name: getattr(model, each.name) for each in fields(_Model)}
 
 
 def network_sha256(

@@ -13,7 +13,7 @@ import numpy as np
 from filtering.errors import quoted
 from vapor.checkpoints.calibration import parse_calibration
 from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription, network_sha256
-from vapor.checkpoints.scene_scale import thin_poses
+from vapor.checkpoints.scene_scale import MAX_PRIOR_POSES, spaced
 from vapor.checkpoints.stored_config import parse_box, parse_camera, parse_config, parse_metadata
 from vapor.checkpoints.stored_tensors import (
     FAMILIARITY,
@@ -73,7 +73,8 @@ def description_metadata(model: ModelDescription | Checkpoint) -> dict[str, str]
 
 def description_arrays(model: ModelDescription | Checkpoint) -> dict[str, np.ndarray]:
     """Tensors of a model file beside weights and memory; more than 2000 prior poses are thinned evenly."""
-    poses = thin_poses(model.prior_poses)
+    poses = model.prior_poses
+    poses = poses[spaced(len(poses), MAX_PRIOR_POSES)]
     arrays = {PRIOR_ROTATION: poses.rotation, PRIOR_TRANSLATION: poses.translation}
     arrays |= {} if model.familiarity is None else familiarity_arrays(model.familiarity)
     return arrays | ({} if model.landmarks is None else landmark_arrays(model.landmarks))
@@ -115,12 +116,12 @@ def parse_description(
         parse_calibration(path, config.rest.get("calibration")),
         read_poses(tensors, PRIOR_ROTATION, PRIOR_TRANSLATION),
         network_sha256,
-        config.training,
-        read_familiarity(path, tensors) if known else None,
-        parse_camera(path, config.rest.get("camera")),
         read_poses(tensors, MEMORY_ROTATION, MEMORY_TRANSLATION) if MEMORY_ROTATION in tensors else None,
-        path,
-        read_landmarks(path, config.rest.get("landmarks"), tensors),
+        training=config.training,
+        familiarity=read_familiarity(path, tensors) if known else None,
+        camera=parse_camera(path, config.rest.get("camera")),
+        file=path,
+        landmarks=read_landmarks(path, config.rest.get("landmarks"), tensors),
     )
 
 
@@ -177,19 +178,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         return tensor.float() if tensor.is_floating_point() else tensor
 
     memory = None if recalling is None else Memory(**{f.name: read(MEMORY + f.name) for f in fields(Memory)})
-    return Checkpoint(
-        config.network,
-        config.box,
-        model.calibration,
-        model.prior_poses,
-        {name: read(NETWORK + name) for name in weights},
-        config.training,
-        model.familiarity,
-        model.camera,
-        memory,
-        path,
-        model.landmarks,
-    )
+    return Checkpoint.of(model, {name: read(NETWORK + name) for name in weights}, memory)
 
 
 def load_description(path: Path) -> ModelDescription:

@@ -65,8 +65,3 @@ MAX_PRIOR_POSES = 2000
 def spaced(count: int, limit: int) -> Int64[np.ndarray, " n"]:
     """Indices of min(count, limit) of `count` things, evenly spaced in their order."""
     return np.linspace(0, count - 1, min(count, limit)).round().astype(np.int64)
-
-
-def thin_poses(poses: Poses, limit: int = MAX_PRIOR_POSES) -> Poses:
-    """At most `limit` of the poses (n,), evenly spaced in their order."""
-    return poses if len(poses) <= limit else poses[spaced(len(poses), limit)]

@@ -23,7 +23,7 @@ _ANGLES = 257  # points at which the distribution of a rotation's angle is tabul
 
 
 class Components(NamedTuple):
-    """k components for each of b images, whose weights add up to 1; widths are in metres along each axis and radians."""
+    """k components for each of b images, whose weights add up to 1; widths are metres along each axis and radians."""
 
     log_weights: Float[Tensor, "b k"]
     translation: Float[Tensor, "b k 3"]

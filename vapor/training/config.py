@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -109,40 +108,32 @@ class TrainConfig:
     """Go on with an interrupted training of the same output, configuration and data."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "epochs",
-            "most_epochs",
-            "hours",
-            "larger_from_hours",
-            "batch_size",
-            "learning_rate",
-            "decay_epochs",
-            "validation_images",
-        ):
+        for name in ("epochs", "most_epochs", "hours", "larger_from_hours", "learning_rate", "decay_epochs"):
             if (value := getattr(self, name)) is not None and not value > 0:
-                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
-        if self.batch_size < 2:
-            raise TrainingError(f"training: batch_size is {self.batch_size}, expected at least 2 for batch statistics")
+                raise TrainingError(f"training: {name} is {value}, expected a positive number")
+        for name, low, high in (
+            ("batch_size", 2, 10**9),  # batch statistics take two
+            ("validation_images", 1, 10**9),
+            ("initial_log_variance", -10, 5),
+            ("weight_decay", 0.0, 1e9),
+            ("seed", 0, 2**63),
+        ):
+            if not low <= (value := getattr(self, name)) <= high:
+                raise TrainingError(f"training: {name} is {value}, expected {low} to {high}")
+        for name in ("ewta_fraction", "small_images_first", "ema_decay", "validation_fraction", "warmup"):
+            if not 0 <= getattr(self, name) < 1:
+                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
+        Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # refuses widths out of range
         if self.initial_model is not None and self.pretrained_weights is not None:
             raise TrainingError(
                 f"training: initial_model {self.initial_model} and pretrained_weights {self.pretrained_weights} are"
-                " both given, expected one of them: a model brings its backbone along"
+                " both given, expected one of them: a model has its own backbone"
             )
         if self.loss.relative > 0.0 and not regressor_class(self.network.head).learns_relative_poses:
             able = " or ".join(head for head in REGRESSORS if regressor_class(head).learns_relative_poses)
             raise TrainingError(
                 f"training: loss.relative is {self.loss.relative} with head {self.network.head}, expected head {able}"
             )
-        if not -10.0 <= self.initial_log_variance <= 5.0:
-            raise TrainingError(f"training: initial_log_variance is {self.initial_log_variance}, expected -10 to 5")
-        if not 0.0 <= self.weight_decay < math.inf:
-            raise TrainingError(f"training: weight_decay is {self.weight_decay}, expected a number of at least 0")
-        Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # refuses widths out of range
-        if self.seed < 0:
-            raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
-        for name in ("ewta_fraction", "small_images_first", "ema_decay", "validation_fraction", "warmup"):
-            if not 0 <= getattr(self, name) < 1:
-                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
 
     def network_for(self, width: int, height: int) -> NetworkConfig:
         """The network's shape for a camera's images of a size, pixels: with `aspect` network as it is."""

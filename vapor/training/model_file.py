@@ -128,10 +128,10 @@ def model_checkpoint(
         found.calibration,
         _prior_poses(model, learned, config.seed),
         weights_of(model),
-        json.loads(json.dumps({**provenance, **found.provenance})),
-        familiarity,
-        split.training.camera,
         model.memory.cpu() if model.memory else None,
+        training=json.loads(json.dumps({**provenance, **found.provenance})),
+        familiarity=familiarity,
+        camera=split.training.camera,
         landmarks=found.landmarks,
     )
 

@@ -52,7 +52,7 @@ _TABLES = TrainConfig(
 
 
 def _learning(c: TrainConfig) -> TrainConfig:
-    """Of a preset for a regressor with a frozen backbone, what suits one all of which learns."""
+    """Settings for a regressor all of which learns, of a preset for one with a frozen backbone."""
     if not regressor_class(c.network.head).frozen_backbone:
         return c
     names = "weight_decay", "ema_decay", "finish", "most_epochs", "select_by"
@@ -60,26 +60,20 @@ def _learning(c: TrainConfig) -> TrainConfig:
     return replace(c, network=_FAST, loss=replace(c.loss, alpha=0.1), **usual)
 
 
-def _head(head: Head, *, relative: float = 0.0, **loss: float) -> Callable[[TrainConfig], TrainConfig]:
+def _head(
+    head: Head, *, components: int | None = None, relative: float = 0.0, **loss: float
+) -> Callable[[TrainConfig], TrainConfig]:
     def configured(c: TrainConfig) -> TrainConfig:
         c = _learning(c)
-        return replace(c, network=replace(c.network, head=head), loss=replace(c.loss, relative=relative, **loss))
-
-    return configured
-
-
-def _density(head: Head, components: int) -> Callable[[TrainConfig], TrainConfig]:
-    def configured(c: TrainConfig) -> TrainConfig:
-        c = _learning(c)
-        network = replace(c.network, head=head, components=components)
-        return replace(c, network=network, loss=replace(c.loss, relative=0.0))
+        network = replace(c.network, head=head, components=components or c.network.components)
+        return replace(c, network=network, loss=replace(c.loss, relative=relative, **loss))
 
     return configured
 
 
 def _flow(c: TrainConfig) -> TrainConfig:
     """Higher rates than 0.001 make it vague."""
-    return replace(_density("flow", 32)(c), learning_rate=min(c.learning_rate, 1e-3))
+    return replace(_head("flow", components=32)(c), learning_rate=min(c.learning_rate, 1e-3))
 
 
 def _retrieval(c: TrainConfig) -> TrainConfig:
@@ -124,12 +118,12 @@ METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
         "posenet": _head("point"),
         "bayesian-posenet": _head("dropout"),
         "mapnet": _head("point", relative=1.0),
-        "mixture-10": _density("mixture", 10),
-        "mixture-50": _density("mixture", 50),
+        "mixture-10": _head("mixture", components=10),
+        "mixture-50": _head("mixture", components=50),
         "flow": _flow,
         "retrieval": _retrieval,
     }
 )
-"""What `--method` offers, by the names of the literature: what each makes of a configuration. They are the paper's
-regressor, the same without its parts, those it is compared with, one that is a density, and one that recalls training
-images. Every head of `vapor.regressors.network_config` can be trained without a row here."""
+"""Choices of `--method` by the names of the literature: the paper's regressor, the same without its parts, those it is
+compared with, one that is a density, and one that recalls training images. Each changes a configuration. Every head of
+`REGRESSORS` can be trained without a row here."""

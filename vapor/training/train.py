@@ -19,13 +19,13 @@ from vapor.checkpoints.scene_scale import spaced
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
 from vapor.training.epoch import features_for
-from vapor.training.holding_out import Split, hold_out, within_map
+from vapor.training.holding_out import hold_out, within_map
 from vapor.training.landmarks import find_landmarks
 from vapor.training.memory import remember
 from vapor.training.model_file import calibrate_and_check, model_checkpoint
 from vapor.training.processes import from_first, is_first, require_shares
 from vapor.training.progress import Progress, ProgressCallback, TrainResult
-from vapor.training.state import Saving, TrainingState, initial_model, share_state, start, state_path
+from vapor.training.state import Saving, initial_model, share_state, start, state_path
 from vapor.training.trainer import Trainer, fitting_epochs, weights_of
 from vapor.training_data.checks import require_variety, too_few
 from vapor.training_data.entries import open_sequences, require_no_leakage
@@ -154,17 +154,6 @@ def _train(
     training = split.training
     box = SceneBox.around(split.everything.poses)
     state = start(config, box.union(initial.box) if initial else box, training.poses, initial)
-    return _fit(state, split, names, output, config, report)
-
-
-def _fit(
-    state: TrainingState,
-    split: Split,
-    names: dict[str, Any],
-    output: Path,
-    config: TrainConfig,
-    report: ProgressCallback,
-) -> TrainResult:
     require_shares(min(config.batch_size, len(split.training)), pairs=config.loss.relative > 0.0)
     evaluated = split.held_out.select(spaced(len(split.held_out), config.validation_images))
     poses = zlib.crc32(split.training.poses.as_matrix().tobytes())

@@ -10,7 +10,7 @@ from sequences.odometry_fit.result import OdometryFit
 from tests.helpers.checkpoints import SMALL, make_checkpoint
 from vapor.checkpoints import file_format
 from vapor.checkpoints.file_format import find_model, load_checkpoint, save_checkpoint
-from vapor.checkpoints.scene_scale import default_errors, thin_poses
+from vapor.checkpoints.scene_scale import default_errors, spaced
 from vapor.regressors.network_config import NetworkConfig
 from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 
@@ -51,10 +51,9 @@ def test_a_half_precision_demo_model_fits_in_eight_megabytes_and_predicts_the_sa
     assert (before[1] - after[1]).abs().max() < 5e-3
 
 
-def test_thinned_poses_are_evenly_spaced_and_keep_both_ends():
-    poses = Poses(np.broadcast_to(np.eye(3), (101, 3, 3)).copy(), np.arange(303.0).reshape(101, 3))
-    np.testing.assert_array_equal(thin_poses(poses, 11).translation[:, 0], np.arange(0, 303, 30))
-    assert thin_poses(poses, 101) is poses
+def test_thinned_indices_are_evenly_spaced_and_keep_both_ends():
+    np.testing.assert_array_equal(spaced(101, 11), np.arange(0, 101, 10))
+    np.testing.assert_array_equal(spaced(101, 101), np.arange(101))
 
 
 def test_an_error_while_saving_leaves_the_old_model_and_no_other_file(tmp_path):

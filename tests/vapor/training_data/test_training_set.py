@@ -128,7 +128,7 @@ def test_fewer_images_than_a_batch_are_one_batch_and_a_batch_of_one_is_refused(t
     config = replace(TINY, batch_size=64, calibrate=False, validation_fraction=0.0, epochs=2)
     result = train_on({"a": make_frames(5)}, tmp_path / "model.safetensors", config)
     assert result.images_seen == 10
-    with pytest.raises(TrainingError, match="batch_size is 1, expected at least 2"):
+    with pytest.raises(TrainingError, match="batch_size is 1, expected 2 to"):
         replace(TINY, batch_size=1)
 
 
