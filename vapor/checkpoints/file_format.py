@@ -47,6 +47,10 @@ from vapor.tensor_files import CheckpointError, StoredTensor, format_of, read_st
 
 FORMAT = "vapor-track model"
 VERSION = 10
+ONNX = ".onnx"
+"""How names of exported models end."""
+SHIPPED = Path(__file__).resolve().parents[1] / "models"
+"""Folder of the models that ship."""
 
 
 class StoredConfig(NamedTuple):
@@ -123,10 +127,6 @@ def parse_description(
         file=path,
         landmarks=read_landmarks(path, config.rest.get("landmarks"), tensors),
     )
-
-
-ONNX = ".onnx"
-"""How names of exported models end."""
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool = False) -> None:
@@ -222,10 +222,6 @@ def _digest(config: StoredConfig, weights: Mapping[str, StoredTensor]) -> str:
     network = {name.removeprefix(NETWORK): float32(v) for name, v in weights.items() if name.startswith(NETWORK)}
     memory = [float32(weights[MEMORY + name]) for name in MEMORY_FIELDS if MEMORY + name in weights]
     return network_sha256(config.network, config.box, network, memory)
-
-
-SHIPPED = Path(__file__).resolve().parents[1] / "models"
-"""Folder of the models that ship."""
 
 
 def find_model(name_or_path: str) -> Path:

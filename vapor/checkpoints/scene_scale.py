@@ -14,6 +14,8 @@ _TURNED = 0.15  # fraction of all rotations that cameras have: they are mostly u
 _RADIUS, _FLOOR, _FLOOR_RAD, _LENGTH = 0.04, 0.02, 0.05, 0.05  # in extents, but for the angle
 _MISTAKEN = 4.0  # lengths
 RADIUS_RAD, LENGTH_RAD = 0.5, 0.4
+MAX_PRIOR_POSES = 2000
+"""Most prior poses that a model file holds."""
 
 
 def scene_extent(poses: Poses) -> float:
@@ -56,10 +58,6 @@ def default_errors(poses: Poses) -> ErrorModel:
 def _sides(poses: Poses) -> Float64[np.ndarray, "3"]:
     low, high = np.quantile(poses.translation, [_TAIL, 1.0 - _TAIL], axis=0)
     return high - low
-
-
-MAX_PRIOR_POSES = 2000
-"""Most prior poses that a model file holds."""
 
 
 def spaced(count: int, limit: int) -> Int64[np.ndarray, " n"]:

@@ -42,6 +42,12 @@ _ORTHONORMAL_WITHIN = 1e-3
 
 Shapes = Mapping[str, tuple[tuple[int, ...], str]]
 """Of each expected tensor: shape and type; any floating one will do for float32."""
+_ARRAYS = (
+    "points", "descriptors", "rotation", "translation", "begins", "shown", "mean", "axes", "words", "summary_axes",
+    "summaries",
+)  # fmt: skip
+_HALVED = "summary_axes", "summaries"  # stored as float16
+_NUMBERS = "depth_m", "k1", "k2"
 
 
 def check_tensors(path: Path, tensors: Mapping[str, StoredTensor], beside_poses: Shapes) -> None:
@@ -146,14 +152,6 @@ def memory_shapes(tensors: Mapping[str, StoredTensor], of_one_image: Mapping[str
     first = [tensors[MEMORY + name].shape for name in of_one_image if MEMORY + name in tensors][:1]
     count = max(1, first[0][0]) if first and first[0] else 1
     return {MEMORY + name: ((count, *shape), "float32") for name, shape in of_one_image.items()}
-
-
-_ARRAYS = (
-    "points", "descriptors", "rotation", "translation", "begins", "shown", "mean", "axes", "words", "summary_axes",
-    "summaries",
-)  # fmt: skip
-_HALVED = "summary_axes", "summaries"  # stored as float16
-_NUMBERS = "depth_m", "k1", "k2"
 
 
 def landmark_arrays(landmarks: Landmarks) -> dict[str, np.ndarray]:

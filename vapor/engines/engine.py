@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 EngineName = Literal["auto", "torch", "openvino"]
 Precision = Literal["float32", "bfloat16"]
+Device = Literal["auto", "cpu", "cuda"]
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,6 @@ class Engine(Protocol):
     def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:
         """Run on an RGB image of the network's size (`vapor.images.prepare`), with standard normal noise."""
         ...
-
-
-Device = Literal["auto", "cpu", "cuda"]
 
 
 def resolve_device(device: Device) -> torch.device:

@@ -38,6 +38,9 @@ _BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}  # of Intel and AMD, Intel
 
 _NOISE = re.compile(r"noise f32 \[\?,[1-9]\d{0,4}]")  # columns: no regressor takes more, which would fill the memory
 _POSES = "translation f32 [?,3], rotation f32 [?,3,3]"
+_FORMAT = "vapor-track compiled network"
+_VERSION = "1"
+_BLOB = "blob"
 
 
 class OpenVINOEngine:
@@ -180,11 +183,6 @@ def _settings(precision: Precision, threads: int) -> dict[str, object]:
 def processor() -> str:
     """Name of the processor that compiled networks depend on."""
     return imported().Core().get_property("CPU", "FULL_DEVICE_NAME")
-
-
-_FORMAT = "vapor-track compiled network"
-_VERSION = "1"
-_BLOB = "blob"
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,20 @@ from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import CHROMA_EDGES
 from vapor.tensor_files import read_safetensors
 
+# (repeats, kernel, stride of the first, expansion, output channels) of each stage.
+_STAGES = (
+    (1, 3, 1, 1, 16),
+    (2, 3, 2, 6, 24),
+    (2, 5, 2, 6, 40),
+    (3, 3, 2, 6, 80),
+    (3, 5, 1, 6, 112),
+    (4, 5, 2, 6, 192),
+    (1, 3, 1, 6, 320),
+)
+
+_STAGE_ENDS = 2, 4, 10, 15  # blocks whose outputs are the image at four depths
+_CELL_PX, _DARK = 4, 30.0
+
 
 class BasicBlock(nn.Module):
     """Two 3 × 3 convolutions and a shortcut."""
@@ -73,20 +87,6 @@ class ResNet18(nn.Module):
         """Features (b, 8 width) of ImageNet-normalised images, or scores (b, num_classes)."""
         x = self.maps(x)[1].mean(dim=(2, 3))
         return x if self.fc is None else self.fc(x)
-
-
-# (repeats, kernel, stride of the first, expansion, output channels) of each stage.
-_STAGES = (
-    (1, 3, 1, 1, 16),
-    (2, 3, 2, 6, 24),
-    (2, 5, 2, 6, 40),
-    (3, 3, 2, 6, 80),
-    (3, 5, 1, 6, 112),
-    (4, 5, 2, 6, 192),
-    (1, 3, 1, 6, 320),
-)
-
-_STAGE_ENDS = 2, 4, 10, 15  # blocks whose outputs are the image at four depths
 
 
 class _SameConv2d(nn.Conv2d):
@@ -243,9 +243,6 @@ def _backbone_of(state: dict[str, Tensor]) -> dict[str, Tensor]:
     prefix = "network.backbone."
     ours = {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
     return {name: v.float() if v.is_floating_point() else v for name, v in ours.items()} or state
-
-
-_CELL_PX, _DARK = 4, 30.0
 
 
 class Describer:

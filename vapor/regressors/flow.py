@@ -26,6 +26,8 @@ from vapor.regressors.scene_box import SceneBox
 _CIRCULAR = False, False, False, True, False, True  # x, y, z, a, c, g
 _TARGET_NOISE_M, _TARGET_NOISE_RAD = 0.05, 0.05  # six of the former are the least margin of a scene box
 _OCTAVES = 4  # of sines and cosines in which a coordinate tells the later ones where it is
+_LEAST_WIDTH, _LEAST_HEIGHT = 1e-3, 1e-5  # of a bin: sharpest density, and what float32 resolves
+_STEEPEST = 3.0  # log ratio of the slope at a knot and that of the bins beside it, at most
 
 
 class FlowRegressor(DensityRegressor):
@@ -178,10 +180,6 @@ def _waves(known: Sequence[Tensor], like: Float[Tensor, "b n 6"]) -> Float[Tenso
 def _about_z(angle: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3 3"]:
     cos, sin, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
     return torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], dim=-1).unflatten(-1, (3, 3))
-
-
-_LEAST_WIDTH, _LEAST_HEIGHT = 1e-3, 1e-5  # of a bin: sharpest density, and what float32 resolves
-_STEEPEST = 3.0  # log ratio of the slope at a knot and that of the bins beside it, at most
 
 
 @dataclass(frozen=True)

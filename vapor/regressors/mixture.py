@@ -20,6 +20,9 @@ from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.scene_box import SceneBox
 
 _ANGLES = 257  # points at which the distribution of a rotation's angle is tabulated
+_STD_M = 0.02, 3.0  # narrowest and widest component of a mixture
+_WIDTH_RAD = 0.02, 2.0
+_RELAXATION = 0.05  # fraction of the loss that goes to the components other than the best one
 
 
 class Components(NamedTuple):
@@ -106,11 +109,6 @@ def _angle(width_rad: Float[Tensor, "b k"], which: Tensor, quantile: Float[Tenso
     low, high = table.gather(-1, above - 1), table.gather(-1, above)
     between = (quantile[..., None] - low) / (high - low).clamp_min(1e-12)
     return torch.lerp(angles.gather(-1, above - 1), angles.gather(-1, above), between.clamp(0.0, 1.0))[..., 0]
-
-
-_STD_M = 0.02, 3.0  # narrowest and widest component of a mixture
-_WIDTH_RAD = 0.02, 2.0
-_RELAXATION = 0.05  # fraction of the loss that goes to the components other than the best one
 
 
 class MixtureRegressor(MixtureDensity):

@@ -21,6 +21,19 @@ Backbone = Literal["resnet18", "resnet18-half", "resnet18-quarter", "efficientne
 _IMAGENET = ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375))
 _LITE0 = ((127.0, 127.0, 127.0), (128.0, 128.0, 128.0))
 _WIDTHS = {"resnet18": 64, "resnet18-half": 32, "resnet18-quarter": 16}
+REGRESSORS: Mapping[str, str] = MappingProxyType(
+    {
+        "variational": "variational.VariationalPoseRegressor",
+        "deterministic": "variational.DeterministicPoseRegressor",
+        "point": "point.PointRegressor",
+        "dropout": "point.DropoutRegressor",
+        "mixture": "mixture.MixtureRegressor",
+        "flow": "flow.FlowRegressor",
+        "retrieval": "retrieval.RetrievalRegressor",
+    }
+)
+"""Name -> module of `vapor.regressors` and class, imported when it is asked for."""
+_MOST_ASPECT = 4.0
 
 
 def make_backbone(name: Backbone) -> ResNet18 | EfficientNetLite0:
@@ -47,20 +60,6 @@ def pixel_statistics(name: Backbone) -> tuple[tuple[float, float, float], tuple[
     return _LITE0 if name == "efficientnet-lite0" else _IMAGENET
 
 
-REGRESSORS: Mapping[str, str] = MappingProxyType(
-    {
-        "variational": "variational.VariationalPoseRegressor",
-        "deterministic": "variational.DeterministicPoseRegressor",
-        "point": "point.PointRegressor",
-        "dropout": "point.DropoutRegressor",
-        "mixture": "mixture.MixtureRegressor",
-        "flow": "flow.FlowRegressor",
-        "retrieval": "retrieval.RetrievalRegressor",
-    }
-)
-"""Name -> module of `vapor.regressors` and class, imported when it is asked for."""
-
-
 def regressor_class(head: str) -> type[PoseRegressor]:
     """The class of a name in `REGRESSORS`."""
     module, name = REGRESSORS[head].split(".")
@@ -76,8 +75,6 @@ if TYPE_CHECKING:
     Head = str
 else:
     Head = Literal[tuple(REGRESSORS)]  # the choices of the option; a type checker wants them written out
-
-_MOST_ASPECT = 4.0
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from torch.nn import functional
 from filtering.errors import require_within
 
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)  # Rec. 601 luma
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -148,10 +150,6 @@ def jitter_and_normalise(
     pixels = pixels.flatten(1, 2)
     mapped = torch.baddbmm(offset[:, None], pixels, matrix.transpose(1, 2))
     return mapped.unflatten(1, crops.shape[1:3]).permute(0, 3, 1, 2)
-
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 def one_ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

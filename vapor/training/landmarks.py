@@ -36,6 +36,12 @@ from vapor.training_data.ground import near_scale_m, pass_numbers
 from vapor.training_data.training_set import TrainingSet
 
 Advance = Callable[[int, int], None]
+_NONE = "no landmarks: {}; places stay as coarse as the network says"
+_IMAGES = 200
+_NEAR = 0.25, 0.2  # depths and radians: a verified pose so near to the true one is of the right place
+_NONE_RIGHT = 0.05  # where nothing was held out
+_NEW_VIEW = 0.5  # depths: a view that differs by less shows the same landmarks
+_AROUND = 1.5  # depths or radians: what key images further away show is not looked for
 
 
 @dataclass(frozen=True)
@@ -113,9 +119,6 @@ def find_landmarks(
     return FoundLandmarks(built, verified, verification, images, (*notes, found)), (*notes, found)
 
 
-_NONE = "no landmarks: {}; places stay as coarse as the network says"
-
-
 def _best_map(
     images: TrainingSet,
     features: QueryFeatures,
@@ -142,13 +145,6 @@ def _best_map(
     taken = "" if choice == "estimated" or not known else "; so it is taken (--camera stated: the stated one)"
     said = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)
     return fit.by_found, (f"camera: {said}{taken}",)
-
-
-_IMAGES = 200
-_NEAR = 0.25, 0.2  # depths and radians: a verified pose so near to the true one is of the right place
-_NONE_RIGHT = 0.05  # where nothing was held out
-_NEW_VIEW = 0.5  # depths: a view that differs by less shows the same landmarks
-_AROUND = 1.5  # depths or radians: what key images further away show is not looked for
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,12 @@ from vapor.training.config import TrainConfig
 _RESNET18 = NetworkConfig("resnet18", image_width=224, image_height=224, shortest_edge=256)
 _FAST = NetworkConfig("efficientnet-lite0", image_width=128, image_height=96, shortest_edge=101)
 _LITE0 = replace(_RESNET18, backbone="efficientnet-lite0")
+_TABLES = TrainConfig(
+    network=NetworkConfig("resnet18-quarter", image_width=64, image_height=48, shortest_edge=52),
+    loss=LossConfig(num_samples=100),
+    epochs=8,
+    finish=0.0,
+)
 
 
 def _paper(
@@ -41,14 +47,6 @@ def _paper(
         validation_fraction=0.0,
         precision="float32",
     )
-
-
-_TABLES = TrainConfig(
-    network=NetworkConfig("resnet18-quarter", image_width=64, image_height=48, shortest_edge=52),
-    loss=LossConfig(num_samples=100),
-    epochs=8,
-    finish=0.0,
-)
 
 
 def _learning(c: TrainConfig) -> TrainConfig:

@@ -10,6 +10,10 @@ from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.evaluation.validation import Validation
 
+_WORSE_RIGHT, _WORSE_MEDIAN = 0.02, 1.1  # than the single image: fraction of the images, and times the median error
+_LEAST_COVERAGE = 0.8  # of the 95 % region
+_HARDLY, _FEW, _SCALE = 0.2, 10.0, 0.1
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -75,11 +79,6 @@ class TrainResult:
 
 
 ProgressCallback = Callable[[Progress], None]
-
-
-_WORSE_RIGHT, _WORSE_MEDIAN = 0.02, 1.1  # than the single image: fraction of the images, and times the median error
-_LEAST_COVERAGE = 0.8  # of the 95 % region
-_HARDLY, _FEW, _SCALE = 0.2, 10.0, 0.1
 
 
 @dataclass(frozen=True)

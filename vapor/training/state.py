@@ -37,6 +37,7 @@ FORMAT = "vapor-track training state"
 VERSION = 2
 _MOMENTS = {"step", "exp_avg", "exp_avg_sq"}  # AdamW's, of a parameter
 _ANEW = "remove the file, or train with --no-resume, to start anew"
+_SELDOM = 50.0  # times as long as the last one took, at least, from one saving to the next
 
 
 @dataclass
@@ -230,9 +231,6 @@ def parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[s
         {"params": [p for p in network.parameters() if p.ndim > 1], "weight_decay": config.weight_decay},
         {"params": [p for p in network.parameters() if p.ndim <= 1], "weight_decay": 0.0},
     ]
-
-
-_SELDOM = 50.0  # times as long as the last one took, at least, from one saving to the next
 
 
 class Saving:

@@ -23,6 +23,10 @@ from vapor.training.schedule import evaluation_interval, finishing, step_cost, s
 from vapor.training.state import TrainingState
 from vapor.training_data.training_set import TrainingSet
 
+_FEWEST = 4  # epochs
+_WARM_UP, _TIMED = 3, 8  # steps
+_EVALUATION = 0.5  # of the time of a step an image: to evaluate it
+
 
 class Trainer:
     """A training under way: on the images that are not held out and, once the model was evaluated, on everything.
@@ -137,11 +141,6 @@ def best_epoch(history: Sequence[Validation], config: TrainConfig) -> Validation
 def weights_of(network: PoseRegressor) -> dict[str, torch.Tensor]:
     """Copies of its parameters and statistics on the CPU, by name."""
     return {name: value.detach().cpu().clone() for name, value in network.state_dict().items()}
-
-
-_FEWEST = 4  # epochs
-_WARM_UP, _TIMED = 3, 8  # steps
-_EVALUATION = 0.5  # of the time of a step an image: to evaluate it
 
 
 def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: TrainConfig) -> int:

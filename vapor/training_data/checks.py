@@ -16,6 +16,9 @@ _COARSEST_M = 0.1  # that such a step may have
 _STILL_M, _STILL_RAD = 0.005, float(np.deg2rad(0.5))  # of a camera that stands, at most
 _COMPARED, _COARSE = 50, (8, 6)  # images, and the size at which they are compared, pixels
 _FEW = 100  # images
+_SIDE_PX, _BINS, _RANGE = 32, 24, 0.4  # of an image; and of each of two differences of colours, over the brightness
+_ALIKE, _LESS, _APART = 0.5, 0.6, 0.04  # squared Hellinger distances: at most; swapped, of that before; between both
+_BLUISH, _MOST = -0.03, 0.8  # red less blue, over the brightness; and of the images of a recording
 
 
 def require_variety(images: TrainingSet) -> None:
@@ -67,11 +70,6 @@ def too_far(poses: Poses) -> list[str]:
         f"positions up to {furthest_m:.3g} m from zero: the network tells them to {step_m:.2g} m only;"
         " --ground-truth-origin takes a point near them off"
     ]
-
-
-_SIDE_PX, _BINS, _RANGE = 32, 24, 0.4  # of an image; and of each of two differences of colours, over the brightness
-_ALIKE, _LESS, _APART = 0.5, 0.6, 0.04  # squared Hellinger distances: at most; swapped, of that before; between both
-_BLUISH, _MOST = -0.03, 0.8  # red less blue, over the brightness; and of the images of a recording
 
 
 class Colours:

@@ -23,6 +23,8 @@ _USUAL = 4.0  # times the distance to the nearest image of another pass, which a
 _LOOKED_AT = 8  # of the nearest
 _NAMED_RUNS = 3
 _LEAST_UNSHOWN = 0.05  # fraction of a run's images that no training image shows, from which on it is said
+RUN_IMAGES = 10
+_BREAK_S, _BREAK_STEPS = 1.0, 3.0
 
 
 def told_unshown(poses: Poses, training: Poses) -> str | None:
@@ -90,10 +92,6 @@ def told_runs(found: Sequence[slice], first: int) -> str:
     told = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_NAMED_RUNS]]
     told += [f"{len(found) - _NAMED_RUNS} more"] if len(found) > _NAMED_RUNS else []
     return " and ".join([*([", ".join(told[:-1])] if told[:-1] else []), told[-1]])
-
-
-RUN_IMAGES = 10
-_BREAK_S, _BREAK_STEPS = 1.0, 3.0
 
 
 def pass_numbers(images: TrainingSet) -> Int64[np.ndarray, " n"]:

@@ -25,6 +25,7 @@ from vapor.training_data.training_set import TrainingError, TrainingSet
 from vapor.training_data.views import Views, said_of_views
 
 _MOST_CAMERAS = 3  # that are named
+_USUAL_FOCAL = 0.8  # of the longer edge, where no focal length is stated: about 64° wide
 
 
 def load_training_set(
@@ -163,9 +164,6 @@ def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> t
     """Names of sequences, each given by the number of its file or folder and its own, said where there are several."""
     several = {file for file, count in Counter(file for file, _ in begun).items() if count > 1}
     return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)
-
-
-_USUAL_FOCAL = 0.8  # of the longer edge, where no focal length is stated: about 64° wide
 
 
 class GreyViews:
