@@ -206,16 +206,10 @@ def test_settings_for_all_to_read_that_were_changed_alone_are_refused(small):
     ("changed", "said"),
     [
         (lambda c: c["network"].update(image_width=10**9), "image_width 1000000000"),
-        (lambda c: c["network"].update(image_width="wide"), "image_width"),
-        (lambda c: c["network"].update(latent_dim=2**70), "latent_dim"),
         (lambda c: c["network"].update(head="os.system"), "head is 'os.system', expected one of"),
-        (lambda c: c["network"].pop("head"), "lacks ['head']"),
-        (lambda c: c["network"].update(more=1), "surplus ['more']"),
         (lambda c: c.update(network=[]), "network configuration lacks"),
-        (lambda c: c.update(box={"centre": [1, 2, "x"]}), "box configuration has centre"),
         (lambda c: c.update(camera={"width": "x"}), "camera configuration"),
         (lambda c: c.update(training=7), "training is int"),
-        (lambda c: c.pop("calibration"), "calibration"),
         (lambda c: c.update(calibration={"errors": 1e999}), "configuration"),
     ],
 )

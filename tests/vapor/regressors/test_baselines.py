@@ -241,12 +241,6 @@ LEARNED = (
     ("mixture-10", 3, 12, 12, 80, 2e-3),  # which image it is makes little of a density's loss, and is learned last
     ("flow", 3, 12, 12, 80, 2e-3),
 )
-OTHER_NUMBERS = ("no-kl", "posenet", "mixture-50")  # are these with other numbers
-ELSEWHERE = ("retrieval",)  # test_retrieval
-
-
-def test_no_method_is_forgotten_here():
-    assert {*METHODS} == {method for method, *_ in LEARNED} | {*OTHER_NUMBERS, *ELSEWHERE}
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -48,13 +48,3 @@ def test_what_is_a_density_or_recalls_images_says_so_itself(head):
     assert network.density is (network if head in ("mixture", "flow", "retrieval") else None)
     assert network.recalling is (network if head == "retrieval" else None)
     assert (network.memory is not None) == (head == "retrieval")
-
-
-@pytest.mark.parametrize("head", REGRESSORS)
-def test_all_weights_of_a_model_are_taken(head):
-    first, second = made(head), made(head)
-    with torch.no_grad():
-        for parameter in second.parameters():
-            parameter.add_(1.0)
-    second.take_weights(first.state_dict())
-    assert all(torch.equal(second.state_dict()[name], value) for name, value in first.state_dict().items())

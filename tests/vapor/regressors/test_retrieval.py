@@ -11,6 +11,7 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.helpers.checks import no_checks
 from tests.helpers.full import full
+from tests.helpers.short_training import Interrupted
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import predict
@@ -148,6 +149,15 @@ def test_the_backbone_never_changes():
     assert all(torch.equal(before[name], value) for name, value in network.backbone.state_dict().items())
 
 
+def test_features_far_beyond_those_of_the_training_give_gradients_that_are_numbers():
+    network, features, poses = made()
+    truth = torch.from_numpy(poses.translation[:4]).float(), torch.from_numpy(poses.rotation[:4]).float()
+    network.loss_of_features(1e4 * features[:4], *truth, None, RETRIEVAL.loss).total.backward()
+    gradients = [weight.grad for weight in network.parameters() if weight.grad is not None]
+    assert gradients
+    assert all(bool(torch.isfinite(gradient).all()) for gradient in gradients)
+
+
 # --- what must not be recalled while it learns -----------------------------------------------------
 
 
@@ -264,29 +274,20 @@ def test_epochs_are_as_many_as_fit_but_no_more_than_help(hours, epochs):
     assert state.features is None
 
 
-class _Interrupted(Exception):
-    pass
-
-
-def _interrupt_in(stage: str):
-    steps = 0
-
-    def progress(p):
-        nonlocal steps
-        steps += p.stage == stage
-        if steps == 35:  # in the middle of an epoch
-            raise _Interrupted
-
-    return progress
-
-
 @full
 @pytest.mark.usefixtures("unchecked")
 def test_a_training_that_is_interrupted_twice_ends_with_the_same_weights_and_memory(whole, tmp_path):
     output = tmp_path / "m.safetensors"
     for stage in ("training", "training on everything"):
-        with pytest.raises(_Interrupted):
-            trained(output, progress=_interrupt_in(stage))
+        steps = []
+
+        def progress(p, stage=stage, steps=steps):
+            steps.append(p.stage == stage)
+            if sum(steps) == 35:  # in the middle of an epoch
+                raise Interrupted
+
+        with pytest.raises(Interrupted):
+            trained(output, progress=progress)
     resumed, uninterrupted = trained(output).checkpoint, whole[0].checkpoint
     assert all(torch.equal(resumed.state_dict[name], value) for name, value in uninterrupted.state_dict.items())
     assert resumed.memory is not None

@@ -59,29 +59,6 @@ def test_arithmetic_is_chosen_by_hardware_and_network_unless_it_is_told(monkeypa
 
 
 @pytest.mark.parametrize(
-    ("name", "lambda_r", "batch", "epochs", "n", "alpha", "layers"),
-    [
-        ("paper-7scenes", 10, 64, 100, 10, 0.2, 3),
-        ("paper-cambridge", 100, 64, 500, 50, 0.2, 3),
-        ("paper-ambiguous", 2, 4, 500, 50, 0.2, 3),
-        ("paper-ceiling", 2, 4, 2000, 50, 0.05, 9),
-        ("paper-synthetic", 2, 4, 500, 50, 0.2, 3),
-    ],
-)
-def test_paper_presets_have_the_papers_numbers(name, lambda_r, batch, epochs, n, alpha, layers):
-    c = PRESETS[name]
-    assert (c.loss.lambda_translation, c.loss.lambda_rotation, c.loss.alpha) == (5, lambda_r, alpha)
-    assert (c.loss.beta, c.loss.num_samples, c.batch_size, c.epochs) == (0.01, 1000, batch, epochs)
-    assert (c.learning_rate, c.decay_epochs) == (1e-4, n)
-    assert (c.network.backbone, c.network.latent_dim, c.network.hidden_layers) == ("resnet18", 16, layers)
-    assert (c.network.feature_dim, c.network.hidden_width) == (2048, 128)
-    assert (c.network.image_width, c.network.image_height, c.network.frame_size) == (224, 224, (256, 256))
-    assert c.augment.crop == "anywhere"
-    assert (c.weight_decay, c.ema_decay, c.precision) == (0.0, 0.0, "float32")
-    assert (c.network.shortcut, c.loss.position_unit, c.initial_log_variance) == (False, "metre", 0.0)
-
-
-@pytest.mark.parametrize(
     ("kind", "change"),
     [
         (LossConfig, {"alpha": 0.0}),
