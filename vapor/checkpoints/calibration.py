@@ -1,4 +1,4 @@
-"""How wrong a model's posteriors are: what the likelihood of an image is made of, and how it is read."""
+"""Calibration of a model: the errors of its posteriors, and of odometry in its scene."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def parse_calibration(path: Path, values: Any) -> Calibration:
         CheckpointError: missing, surplus or unusable values.
     """
     if not isinstance(values, dict) or "errors" not in values:
-        return parse_config(path, "calibration", Calibration, values)  # which says what is wrong
+        return parse_config(path, "calibration", Calibration, values)  # raises
     errors = _parse_errors(path, "calibration.errors", values["errors"])
     odometry = values.get("odometry")
     if odometry is not None:
@@ -62,9 +62,9 @@ def parse_calibration(path: Path, values: Any) -> Calibration:
 
 
 def _parse_errors(path: Path, name: str, errors: Any) -> ErrorModel:
-    """An error model from JSON, and that of verified places within it."""
+    """An error model from JSON, with that of verified places in it."""
     if not isinstance(errors, dict):
-        return parse_config(path, name, ErrorModel, errors)  # which says what is wrong
+        return parse_config(path, name, ErrorModel, errors)  # raises
     for field in _SIX & errors.keys():
         found = errors[field]
         if not (isinstance(found, list) and len(found) == 6 and all(type(v) in (int, float) for v in found)):

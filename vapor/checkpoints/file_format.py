@@ -95,7 +95,7 @@ def parse_stored_config(path: Path, metadata: Mapping[str, str]) -> StoredConfig
         raise CheckpointError(f"{path}: format is {quoted(found)} in its metadata, expected {FORMAT!r}")
     version = metadata.get("version")
     if version != str(VERSION):
-        raise CheckpointError(f"{path}: format version is {version!r}, expected '{VERSION}'; train the model anew")
+        raise CheckpointError(f"{path}: format version is {version!r}, expected '{VERSION}'; train the model again")
     config = parse_metadata(path, metadata.get("config"))
     network = parse_config(path, "network", NetworkConfig, config.get("network"))
     box = parse_box(path, config.get("box"))

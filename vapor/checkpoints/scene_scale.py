@@ -1,4 +1,4 @@
-"""How large a scene is, and what errors to expect in one of which nothing else is known."""
+"""The size of a scene, the errors to expect in it by default, and even thinning."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def default_errors(poses: Poses) -> ErrorModel:
     """Errors of a network that was not calibrated, in proportion to the scene that poses (n,) outline."""
     extent = scene_extent(poses)
     floor = _FLOOR * extent, _FLOOR * extent, _FLOOR * extent, _FLOOR_RAD, _FLOOR_RAD, _FLOOR_RAD
-    typical = 1.4 * np.array(floor)  # the samples' own spread is as large, say
+    typical = 1.4 * np.array(floor)  # as if the samples' own spread were as large
     a, b, c, d, e, f = (float(value) for value in typical)
     return ErrorModel(
         radius_m=_RADIUS * extent,

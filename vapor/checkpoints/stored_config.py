@@ -46,10 +46,10 @@ def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Conf
             f" {quoted(sorted(found - expected))}, expected {', '.join(sorted(expected))}"
         )
     for f in fields(kind):  # pyright: ignore[reportArgumentType]
-        what, kinds = _KINDS.get(type(f.default), ("", None))
+        wanted, kinds = _KINDS.get(type(f.default), ("", None))
         if kinds and type(values[f.name]) not in kinds:
             raise CheckpointError(
-                f"{path}: {name} configuration has {f.name} {quoted(values[f.name])}, expected {what}"
+                f"{path}: {name} configuration has {f.name} {quoted(values[f.name])}, expected {wanted}"
             )
     try:
         return kind(**values)
@@ -64,7 +64,7 @@ def parse_box(path: Path, box: Any) -> SceneBox:
         CheckpointError: missing, surplus or unusable values.
     """
     if not isinstance(box, dict):
-        return parse_config(path, "box", SceneBox, box)  # which says what is wrong
+        return parse_config(path, "box", SceneBox, box)  # raises
     for name, values in box.items():
         if not (isinstance(values, list) and len(values) == 3 and all(isinstance(v, int | float) for v in values)):
             raise CheckpointError(f"{path}: box configuration has {name} {quoted(values)}, expected three numbers")

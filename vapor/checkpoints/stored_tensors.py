@@ -1,4 +1,4 @@
-"""Tensors in a model file: what they are called, which ones a model needs, and whether those found are usable."""
+"""Tensors in a model file: names, shapes, and checks of those found."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from vapor.tensor_files import FLOATS, CheckpointError, StoredTensor
 NETWORK = "network."
 FAMILIARITY = "familiarity."
 MEMORY = "memory."
-"""What the names of tensors begin with in a file: weights of the network, what is familiar to it, what it remembers."""
+"""Prefixes of the names of tensors in a file: weights of the network, familiarity, memory."""
 PRIOR_ROTATION, PRIOR_TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
 """Names of the tensors that hold the prior poses."""
 MEMORY_ROTATION, MEMORY_TRANSLATION = f"{MEMORY}rotation", f"{MEMORY}translation"
-"""Names of the tensors that hold the poses of what is remembered."""
+"""Names of the tensors that hold the poses in memory."""
 LANDMARKS = "landmarks."
 """What the names of the tensors of landmarks begin with in a file."""
 LANDMARKS_ROTATION = f"{LANDMARKS}rotation"
@@ -37,7 +37,7 @@ MEMORY_FIELDS = "keys", "views", "translation", "rotation"
 HALVED_MEMORY = "keys", "views"
 """What of a memory is stored as float16 where that is asked for: poses are exact."""
 POSES: Mapping[str, tuple[int, ...]] = MappingProxyType({"rotation": (3, 3), "translation": (3,)})
-"""Shapes of what is remembered of an image by every regressor that remembers."""
+"""Shapes of the poses in memory of one image."""
 _ORTHONORMAL_WITHIN = 1e-3
 
 Shapes = Mapping[str, tuple[tuple[int, ...], str]]
@@ -53,10 +53,10 @@ _NUMBERS = "depth_m", "k1", "k2"
 def check_tensors(path: Path, tensors: Mapping[str, StoredTensor], beside_poses: Shapes) -> None:
     """Check that exactly the prior poses and the other expected tensors are there: shapes, types, finite, rotations."""
     expected = beside_poses.keys() | {PRIOR_ROTATION, PRIOR_TRANSLATION}
-    for what, names in (("lacks", expected - tensors.keys()), ("has surplus", tensors.keys() - expected)):
+    for fault, names in (("lacks", expected - tensors.keys()), ("has surplus", tensors.keys() - expected)):
         if names:
             raise CheckpointError(
-                f"{path}: {what} tensor {min(names)} ({len(names)} such), expected exactly the {len(expected)} tensors"
+                f"{path}: {fault} tensor {min(names)} ({len(names)} such), expected exactly the {len(expected)} tensors"
                 " of its configuration"
             )
     shape = tensors[PRIOR_TRANSLATION].shape

@@ -1,4 +1,4 @@
-"""Engine: what runs a network on one image; and the settings by which one is chosen."""
+"""Engine: runs a network on one image; and the settings and device by which one is chosen."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 INPUTS = "image", "noise"
 OUTPUTS = "translation", "rotation", "description"
-"""Names of what goes in and comes out; the last one is there where the model says what is familiar."""
+"""Names of inputs and outputs; the last one is there for a model with familiarity."""
 WITHIN_M, WITHIN_RAD = 1e-4, 1e-4
 """How far poses of an exported network may be from torch's."""
 _OPSET = 17
@@ -89,7 +89,7 @@ def _write(whole: WholeNetwork, path: Path) -> None:
 
 
 def _difference(whole: WholeNetwork, path: Path, runtime: str) -> tuple[float, float]:
-    """Largest differences between what a runtime and torch make of one image and noise: metres and radians."""
+    """Largest differences between the poses of a runtime and of torch for one image and noise: metres and radians."""
     import torch
 
     from vapor.engines.torch_engine import traced_inputs

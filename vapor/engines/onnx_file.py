@@ -1,7 +1,7 @@
 """Models as ONNX files: the network as a graph, all else as metadata; read without the package onnx, and without torch.
 
-An ONNX file is a protocol buffer of numbered fields (github.com/onnx/onnx, onnx/onnx.proto). Those that tell of the
-model are few and come apart from the graph, which is skipped.
+An ONNX file is a protocol buffer of numbered fields (github.com/onnx/onnx, onnx/onnx.proto). The fields that
+describe the model are few and come apart from the graph, which is skipped.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def add_description(path: Path, model: ModelDescription) -> None:
     if (poses := model.memory_poses) is not None:
         arrays |= {MEMORY_ROTATION: poses.rotation, MEMORY_TRANSLATION: poses.translation}
     content = path.read_bytes()
-    said = base64.b64encode(arrays_as_bytes(arrays, metadata)).decode()
-    told = {CONFIG: metadata["config"], ARRAYS: said, GRAPH: hashlib.sha256(content).hexdigest()}
-    path.write_bytes(content + b"".join(_entry(name, text) for name, text in told.items()))
+    encoded = base64.b64encode(arrays_as_bytes(arrays, metadata)).decode()
+    entries = {CONFIG: metadata["config"], ARRAYS: encoded, GRAPH: hashlib.sha256(content).hexdigest()}
+    path.write_bytes(content + b"".join(_entry(name, text) for name, text in entries.items()))
 
 
 def describe_onnx(path: Path) -> ModelDescription:
@@ -51,16 +51,16 @@ def describe_onnx(path: Path) -> ModelDescription:
     """
     content = _read(path)
     try:
-        graph, told = _parts(content)
-        said = base64.b64decode(told[ARRAYS], validate=True)
+        graph, entries = _parts(content)
+        decoded = base64.b64decode(entries[ARRAYS], validate=True)
     except (ValueError, KeyError) as error:
         raise CheckpointError(f"{path}: no ONNX file of `vapor-track export`, or cut off, expected one") from error
-    if told.get(GRAPH) != hashlib.sha256(graph).hexdigest():
+    if entries.get(GRAPH) != hashlib.sha256(graph).hexdigest():
         raise CheckpointError(f"{path}: damaged: its graph does not match its digest, expected the file as written")
-    stored, tensors = parse_stored(path, said)
-    if told.get(CONFIG) != stored.get("config"):
+    stored, tensors = parse_stored(path, decoded)
+    if entries.get(CONFIG) != stored.get("config"):
         raise CheckpointError(
-            f"{path}: damaged: {CONFIG!r} in its metadata is not what {ARRAYS!r} has, expected the file as written"
+            f"{path}: damaged: {CONFIG!r} in its metadata differs from {ARRAYS!r}, expected the file as written"
         )
     config = parse_stored_config(path, stored)
     check_tensors(path, tensors, shapes_beside_weights(config, tensors))

@@ -1,4 +1,4 @@
-"""The network run by OpenVINO, on processors: what it is converted from, compiled to, and asked for."""
+"""Networks run by OpenVINO, on processors: converted, compiled, and kept beside the model or in the user's cache."""
 
 from __future__ import annotations
 
@@ -87,16 +87,16 @@ def version() -> str:
     return imported().__version__
 
 
-def require_installed(what: str) -> None:
-    """Raise a VaporTrackError where OpenVINO is not installed; `what` asks for it."""
+def require_installed(feature: str) -> None:
+    """Raise a VaporTrackError that names the feature where OpenVINO is not installed."""
     if not is_installed():
-        raise VaporTrackError(f"{what}: OpenVINO is not installed, expected it: pip install 'vapor-track[openvino]'")
+        raise VaporTrackError(f"{feature}: OpenVINO is not installed, expected it: pip install 'vapor-track[openvino]'")
 
 
 def require_bfloat16() -> None:
     """Raise a VaporTrackError where the processor has no bfloat16: OpenVINO would do without, and round all the same.
 
-    OpenVINO itself is asked only where the system does not list what the processor has.
+    OpenVINO itself is asked only where the system does not list the processor's instructions.
     """
     if _CPU_FLAGS.is_file():
         lines = (line.partition(":") for line in _CPU_FLAGS.read_text(encoding="utf-8").splitlines())
@@ -157,13 +157,13 @@ def compile_network(model: openvino.Model | Path, precision: Precision, threads:
     """A network compiled for this processor, from OpenVINO's own form or from an ONNX file.
 
     Raises:
-        RuntimeError: the file cannot be used, or the processor has not what the precision needs.
+        RuntimeError: the file cannot be used, or the processor lacks the precision's arithmetic.
     """
     return imported().Core().compile_model(model, "CPU", _settings(precision, threads))
 
 
 def compiled_network(blob: bytes, precision: Precision, threads: int) -> openvino.CompiledModel:
-    """A network that was compiled before, from what `CompiledModel.export_model` gave.
+    """A network that was compiled before, from the result of `CompiledModel.export_model`.
 
     Raises:
         RuntimeError: it cannot be used here.

@@ -121,7 +121,7 @@ def _openvino(
     if kept is not None:
         try:
             return openvino_engine.OpenVINOEngine(openvino_engine.compiled_network(kept.blob, precision, threads))
-        except RuntimeError:  # OpenVINO's way to say that the network is of another build: it is compiled anew
+        except RuntimeError:  # OpenVINO's way to say that the network is of another build: it is compiled again
             pass
     if exported:
         compiled, torch = openvino_engine.compile_exported(described, precision, threads), None
@@ -131,7 +131,7 @@ def _openvino(
         torch = _torch(checkpoint, "float32", "cpu")
         try:
             compiled = openvino_engine.compile_network(network, precision, threads)
-        except RuntimeError as error:  # as on a processor without what the precision needs
+        except RuntimeError as error:  # as on a processor without arithmetic of the precision
             if not must:
                 return torch
             reason = openvino_engine.last_line(error)

@@ -46,7 +46,7 @@ def _brightened(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]
 
 
 _CHANGES: Final[dict[str, Callable[[np.ndarray], np.ndarray]]] = {
-    "with red and blue swapped (BGR that is said to be RGB, or the reverse)": lambda image: image[..., ::-1],
+    "with red and blue swapped (BGR that is labelled RGB, or the reverse)": lambda image: image[..., ::-1],
     "turned by 180° (a camera mounted upside down)": lambda image: np.rot90(image, 2),
     "turned by 90° to the left (a camera mounted sideways)": lambda image: np.rot90(image, 1),
     "turned by 90° to the right (a camera mounted sideways)": lambda image: np.rot90(image, -1),

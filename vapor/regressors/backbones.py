@@ -94,7 +94,7 @@ class _SameConv2d(nn.Conv2d):
 
     def forward(self, input: Tensor) -> Tensor:
         height, width = (self._total(n) for n in input.shape[-2:])
-        around = height // 2, width // 2  # what is alike on both sides the convolution pads itself, without a copy
+        around = height // 2, width // 2  # symmetric padding is the convolution's own, without a copy
         if height % 2 or width % 2:
             input, around = functional.pad(input, (around[1], width - around[1], around[0], height - around[0])), (0, 0)
         return functional.conv2d(input, self.weight, None, self.stride, around, self.dilation, self.groups)

@@ -1,4 +1,4 @@
-"""How unlike the images that a network was trained on an image is: distance to the nearest of some of them."""
+"""Unlikeness of an image to the training images of a network: the distance to the nearest of some of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ QUANTILE = 0.995
 CHROMA_EDGES = (-0.1, -0.05, -0.03, -0.015, 0.0, 0.015, 0.03, 0.05, 0.1)
 """Bounds between kinds of colours."""
 CHROMA = 2 * (len(CHROMA_EDGES) + 1)
-"""How many of the numbers in a description of an image tell of its colours; they come last."""
+"""Number of colour features in a description of an image; they come last."""
 
 
 @dataclass(frozen=True)

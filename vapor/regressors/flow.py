@@ -25,8 +25,8 @@ from vapor.regressors.scene_box import SceneBox
 
 _CIRCULAR = False, False, False, True, False, True  # x, y, z, a, c, g
 _TARGET_NOISE_M, _TARGET_NOISE_RAD = 0.05, 0.05  # six of the former are the least margin of a scene box
-_OCTAVES = 4  # of sines and cosines in which a coordinate tells the later ones where it is
-_LEAST_WIDTH, _LEAST_HEIGHT = 1e-3, 1e-5  # of a bin: sharpest density, and what float32 resolves
+_OCTAVES = 4  # of sines and cosines of a coordinate, on which the later ones depend
+_LEAST_WIDTH, _LEAST_HEIGHT = 1e-3, 1e-5  # of a bin: sharpest density, and resolution of float32
 _STEEPEST = 3.0  # log ratio of the slope at a knot and that of the bins beside it, at most
 
 
@@ -159,7 +159,7 @@ class _Conditional(nn.Module):
         self, condition: Float[Tensor, "b 1 w"], before: Float[Tensor, "b n e"], like: Float[Tensor, "b n f"]
     ) -> Spline:
         hidden = self.first(condition)
-        # While a network is traced, only arithmetic keeps n open: what is empty, or zeros, would have a constant shape.
+        # While a network is traced, only arithmetic keeps n open: an empty tensor would have a constant shape.
         hidden = hidden + (0.0 * like[..., :1] if self.before is None else self.before(before))
         hidden = functional.relu(hidden)
         for layer in self.hidden:

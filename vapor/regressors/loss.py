@@ -1,4 +1,4 @@
-"""What the losses of all regressors have in common: their weights, and the distance between two poses."""
+"""The weights of the losses of all regressors, and the distance between two poses."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class LossConfig:
     """λ_t, per metre; with `position_unit` box per metre along the longest edge."""
     position_unit: PositionUnit = "box"
     """Unit of errors of position: the metre, as in the paper; or box, which multiplies the error along each axis by the
-    longest edge of the scene's box over its own edge, up to ten, so that what varies little, such as a height, is not
-    drowned by what varies much. Of a mixture it says which component is best, of a flow nothing."""
+    longest edge of the scene's box over its own edge, up to ten, so that a height, which varies little,
+    counts, too. In a mixture it decides which component is best, in a flow nothing."""
     lambda_rotation: float = 2.0
     """λ_r, per unit of ‖R̂ − R‖_F."""
     alpha: float = 0.2

@@ -43,7 +43,7 @@ class Components(NamedTuple):
 
 
 class MixtureDensity(DensityRegressor):
-    """A regressor whose posterior is such a mixture; subclasses say what its components are."""
+    """A regressor whose posterior is such a mixture; subclasses give its components."""
 
     noise_dim = 8  # one for the component, three for the position, three for the axis and one for the angle
 

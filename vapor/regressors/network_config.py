@@ -85,7 +85,7 @@ class NetworkConfig:
     """Convolutional network; resnet18-half has half of its channels, for demos, resnet18-quarter a quarter."""
     head: Head = "variational"
     """From feature to poses: "variational" through a random latent vector; "deterministic" through its mean; "point"
-    straight to one pose; "dropout" the same with random units of the feature left out, in use as well; "mixture" to
+    straight to one pose; "dropout" the same with random units of the feature left out, also in use; "mixture" to
     a density of Gaussians in position and isotropic matrix-Fisher distributions in rotation; "flow" to a density made
     of splines; "retrieval" to a mixture around training images that look alike."""
     image_width: int = 160
@@ -94,7 +94,7 @@ class NetworkConfig:
     image_height: int = 120
     """Its height, pixels."""
     shortest_edge: int = 126
-    """Shorter side of what crops are taken from, pixels: the image's middle, of the network's aspect."""
+    """Shorter side of the frames that crops are taken from, pixels: the image's middle, of the network's aspect."""
     feature_dim: int = 2048
     """Size of the image feature that the head takes."""
     latent_dim: int = 16

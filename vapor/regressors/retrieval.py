@@ -1,10 +1,10 @@
 """A regressor with a memory: the training images that an image is like, and the camera's motion from each.
 
-The posterior is a mixture with one component for each of the training images that look most alike: its weight says how
-alike, its mean is that image's pose moved by what the two images tell of the motion between them. So it has as many
-places as look like the image, and what is learned is about pairs of images, of which there are many more than images.
+The posterior is a mixture with one component for each of the training images that look most alike: its weight is the
+likeness, its mean is that image's pose moved by the estimated motion between the two. So it has as many places as look
+like the image, and learning is about pairs of images, of which there are many more than images.
 
-Sources: Arandjelović et al., "NetVLAD", CVPR 2016 (places by what they look like); Wu et al., "Improving generalization
+Sources: Arandjelović et al., "NetVLAD", CVPR 2016 (places by appearance); Wu et al., "Improving generalization
 via scalable neighborhood component analysis", ECCV 2018 (learned against a memory of all images); Balntas et al.,
 "RelocNet", ECCV 2018, and Laskar et al., "Camera relocalization by computing pairwise relative poses", ICCVW 2017 (the
 pose of the image found, moved by a learned relative pose).
@@ -32,13 +32,13 @@ from vapor.regressors.scene_box import SceneBox
 _GRID = 3, 4  # rows and columns in which the third stage is kept: where in the image things are
 _KEY_DIM = 128
 _SCALE = 15.0  # of the cosine between two keys, at first
-_UNIT = 0.02  # of the geometric mean of the scene box's edges: what counts as a small distance
+_UNIT = 0.02  # of the geometric mean of the scene box's edges: a small distance
 _TURN_RAD = 0.1  # a small turn
 _REACH = 2.0, 3.0  # offsets of one unit of the network's output, in small distances and turns
 _NARROWEST, _WIDEST = 0.05, 20.0  # component, in small distances and turns
 _WIDEST_RAD = 1.0
 _EVEN = 0.05  # fraction of the density that the loss spreads over the scene
-_HIDDEN = -1e4  # in place of the likeness of what must not be recalled
+_HIDDEN = -1e4  # in place of the likeness of images that must not be recalled
 
 
 @dataclass(frozen=True)
@@ -148,8 +148,8 @@ class RetrievalRegressor(MixtureDensity):
             if hidden is not None:
                 likeness = likeness.masked_fill(hidden, _HIDDEN)
             likeness, which = likeness.topk(min(self.config.components, likeness.shape[1]), dim=1)
-            said = self.relative(self.own_view(feature)[:, None] + memory.views[which])
-            move, turn, widths, more = said.split((3, 3, 2, 1), dim=-1)
+            output = self.relative(self.own_view(feature)[:, None] + memory.views[which])
+            move, turn, widths, more = output.split((3, 3, 2, 1), dim=-1)
             rotation = memory.rotation[which]
             move = _REACH[0] * self.unit_m * move
             translation = memory.translation[which] + (rotation @ move[..., None])[..., 0]

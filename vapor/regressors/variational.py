@@ -72,7 +72,7 @@ class VariationalPoseRegressor(PoseRegressor):
         return Loss(config.beta * kl + nearest, kl.detach(), nearest.detach())
 
     def samples_in_training(self, scheduled: int) -> int:
-        """As many as the schedule says: the winners are found among them."""
+        """As many as scheduled: the winners are found among them."""
         return scheduled
 
     @torch.no_grad()

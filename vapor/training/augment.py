@@ -1,4 +1,4 @@
-"""What training images go through: random crop, blur, brightness, contrast and colour."""
+"""Augmentation of training images: random crop, blur, brightness, contrast and colour."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class AugmentConfig:
     """How much training images vary; an amount a means a factor drawn from [1 − a, 1 + a]."""
 
     crop: Literal["central", "anywhere"] = "central"
-    """Crops from the middle, of the network's aspect, or from the whole image: a crop far off centre shows what a
-    turned camera would see."""
+    """Crops from the middle, of the network's aspect, or from the whole image: a crop far off centre shows the
+    view of a turned camera."""
     brightness: float = 0.3
     """Amount of brightness."""
     contrast: float = 0.3

@@ -165,24 +165,24 @@ def _summed(followed: Sequence[Followed]) -> TrainingCheck:
     """Figures of all methods but the smoothed trajectory, which decides nothing."""
     methods = {name: _figures(followed, [each.poses[name] for each in followed]) for name in METHODS[:-1]}
     passages = [each.passage for each in followed]
-    said = [
+    called = [
         evaluate_belief(each.beliefs["filter"], of.times_ns, of.truth, converged_at_s=None, kidnap_index=None)[
             "said_converged"
         ]
         for each, of in zip(followed, passages, strict=True)
     ]
-    said = [each for each in said if each["images"]]
-    images, converged = sum(len(each.times_ns) for each in passages), sum(each["images"] for each in said)
+    called = [each for each in called if each["images"]]
+    images, converged = sum(len(each.times_ns) for each in passages), sum(each["images"] for each in called)
 
     def fraction(of: Callable[[Mapping[str, Any]], float]) -> float:
-        return sum(each["images"] * of(each) for each in said) / converged
+        return sum(each["images"] * of(each) for each in called) / converged
 
     return TrainingCheck(
         images,
         len(passages),
         methods,
         converged / images,
-        fraction(lambda each: each["wrong"]) if said else None,
+        fraction(lambda each: each["wrong"]) if called else None,
         {name: fraction(lambda each, name=name: each["coverage"][name]) for name in REGIONS}
         if converged >= _LEAST_EVALUATED
         else None,

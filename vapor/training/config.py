@@ -26,8 +26,8 @@ class TrainConfig:
     """Shape of the network, and of its images."""
     aspect: Literal["camera", "network"] = "camera"
     """Aspect of the network's images: that of the camera of most images (of the first image, where none is known),
-    with as many pixels as `network` says but no more than the camera has; or the network's own, so that what sticks out
-    is cut off."""
+    with as many pixels as `network` has but no more than the camera has; or the network's own, to which images are
+    cropped."""
     loss: LossConfig = field(default_factory=LossConfig)
     """Weights of the loss."""
     augment: AugmentConfig = field(default_factory=AugmentConfig)
@@ -38,12 +38,12 @@ class TrainConfig:
     """Likewise about each axis, radians."""
     calibrate: bool = True
     """At the end find on the held-out images how wrong posteriors are (and odometry, where it was recorded), and learn
-    what the place looks like."""
+    the appearance of the place."""
     landmarks: bool = True
     """Keep a map of points that the images show, by which a pose is found to centimetres."""
     camera: CameraChoice = "auto"
     """The camera by which landmarks are found: the stated one, the one that fits images and poses, or the latter where
-    it fits clearly better; where none is stated, what fits."""
+    it fits clearly better; where none is stated, the one that fits."""
     pretrained_weights: Path | None = None
     """Weights of the backbone to start from: ImageNet's, as safetensors or a torch state dict with torchvision's names,
     or those of a model trained here. Without it a ResNet starts from random weights."""
@@ -54,8 +54,8 @@ class TrainConfig:
     with another loss. Its scene box is widened where the new data need it, and a missing shortcut is added."""
     initial_log_variance: float = -4.0
     """variational: log σ² of the latent before training, about; `initial_model` brings its own. With a low one the pose
-    map can use early what the encoder learns, which noise would hide; 0, as in the paper, is what images that tell
-    nothing of the place end at."""
+    map can use early what the encoder learns, which noise would hide; 0, as in the paper, is where images without
+    information on the place end."""
     epochs: int | None = None
     """Times every training image is seen; None for as many as `hours` allow, from 4 to `most_epochs`."""
     most_epochs: int = 200
@@ -64,10 +64,10 @@ class TrainConfig:
     """Hours that training takes where `epochs` are not given; the time of a step is measured first."""
     larger_from_hours: float | None = None
     """aspect camera: given so many hours, and where `epochs` follow from them, images are 1.75 times as large along
-    each edge as `network` says; None for never."""
+    each edge as in `network`; None for never."""
     finish: float = 0.2
-    """After its evaluation the model goes on learning from everything, what was held out of the data as well, for this
-    fraction of the epochs; 0 for none: then it never learns from what was held out."""
+    """After its evaluation the model goes on learning from everything, held-out images too, for this fraction of the
+    epochs; 0 for none: then it never learns from held-out images."""
     batch_size: int = 32
     """Images per step, at least 2; all of them where there are fewer."""
     learning_rate: float = 3e-3
@@ -80,10 +80,10 @@ class TrainConfig:
     """Instead, the learning rate decays by 0.8 every so many epochs, ten times at most: n in the paper."""
     ewta_fraction: float = 0.0
     """Fraction of the training in which the samples per image grow from the number of winners, who then all learn, to
-    M (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, what the image does tell is
+    M (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, unambiguous information is
     learned first. 0 draws all M from the start, as the paper does."""
     small_images_first: float = 0.0
-    """Fraction of the epochs in which images are shrunk, to 0.4 of their edges and later to 0.6: what looks alike is
+    """Fraction of the epochs in which images are shrunk, to 0.4 of their edges and later to 0.6: features of places are
     learned from them in a third to half of the time. These epochs are not evaluated. retrieval: without effect."""
     ema_decay: float = 0.998
     """Decay per step of the exponential moving average of weights, which becomes the model; with 0 it is the last

@@ -1,4 +1,4 @@
-"""What to hold out of training: passes over ground that others cover, apart from all that is trained on."""
+"""Choice of held-out images: passes over ground that others cover, apart from all images that are trained on."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WHOLE_OF = 4  # recordings from which on one is held out as a whole
 _LEAST_SHOWN = 0.25  # of a pass that is held out
 AWAY = 1.5  # times what counts as near: elsewhere
 _COMPARED = 4000  # images by which passes are compared
-_TOLD_NAMES = 5
+_NAMED = 5
 _STRETCH, _IN_STRETCH = 0.7, 4  # of a way and images at least, which are held out or left out at a time
 
 
@@ -84,10 +84,10 @@ def hold_out(images: TrainingSet, fraction: float) -> Split:
     held_out = shown & ~_touching(way, images.sequence, training)
     if held_out.sum() < LEAST_IMAGES:
         return _within_one_pass(images, way, fraction, near_m)
-    notes = [f"held out: {_told(images, held_out)}; other passes show what is there"]
+    notes = [f"held out: {_in_words(images, held_out)}; other passes show the same ground"]
     if alone.any():
         notes.append(
-            f"trained on, as no other recording shows it within {near_m:.2g} m and 45°: {_told(images, alone)}"
+            f"trained on, as no other recording shows it within {near_m:.2g} m and 45°: {_in_words(images, alone)}"
         )
     left = int((~training & ~held_out).sum())
     if left:
@@ -110,7 +110,7 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
     for share in (fraction, min(2.0 * fraction, 0.25)):  # the more, the fewer images there are
         period = stretch / (2.0 * share)
         away = np.abs(since % period - 0.5 * period)  # from the middle of a stretch
-        whole = (since - since % period + 0.5 * (period + stretch)) < until  # its other end is trained on as well
+        whole = (since - since % period + 0.5 * (period + stretch)) < until  # its other end is trained on, too
         left_out, held_out = (whole & (away < part * stretch) for part in (0.5, 0.25))
         held_out[1:] &= left_out[:-1]
         held_out[:-1] &= left_out[1:]
@@ -134,7 +134,7 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
     """Evaluate on those held-out images whose surroundings training images show."""
     shown, near_m = shown_around(held_out.poses, training.poses)
-    outside = f"not evaluated on, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
+    outside = f"not evaluated on, as no training image is within {near_m:.2g} m and 45°: {_in_words(held_out, ~shown)}"
     return Split(training, held_out, shown, () if shown.all() else (outside,), training, near_m)
 
 
@@ -235,7 +235,7 @@ def long_runs(
     return kept
 
 
-def _told(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
+def _in_words(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
     """The images of a mask by recording, in words."""
     parts = []
     for number in np.unique(images.sequence[mask]):
@@ -246,6 +246,4 @@ def _told(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
             continue
         own_runs = [run for run in runs(mask, images.sequence) if images.sequence[run.start] == number]
         parts.append(f"{name}, images {told_runs(own_runs, int(own[0]))}")
-    return "; ".join(parts[:_TOLD_NAMES]) + (
-        f"; and {len(parts) - _TOLD_NAMES} more" if len(parts) > _TOLD_NAMES else ""
-    )
+    return "; ".join(parts[:_NAMED]) + (f"; and {len(parts) - _NAMED} more" if len(parts) > _NAMED else "")

@@ -36,12 +36,12 @@ from vapor.training_data.ground import near_scale_m, pass_numbers
 from vapor.training_data.training_set import TrainingSet
 
 Advance = Callable[[int, int], None]
-_NONE = "no landmarks: {}; places stay as coarse as the network says"
+_NONE = "no landmarks: {}; places stay as coarse as the network's"
 _IMAGES = 200
 _NEAR = 0.25, 0.2  # depths and radians: a verified pose so near to the true one is of the right place
 _NONE_RIGHT = 0.05  # where nothing was held out
 _NEW_VIEW = 0.5  # depths: a view that differs by less shows the same landmarks
-_AROUND = 1.5  # depths or radians: what key images further away show is not looked for
+_AROUND = 1.5  # depths or radians: key images further away are ignored
 
 
 @dataclass(frozen=True)
@@ -100,10 +100,10 @@ def find_landmarks(
     left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
     verified = fit_verified_errors(left_out, poses, images.sequence, flat_log_density(poses))
     if verified is None:
-        few = f"without what was taken near them in time they verify the poses of {len(left_out.right)} images only"
+        few = f"without the images taken near them in time they verify the poses of {len(left_out.right)} images only"
         return None, (*notes, _NONE.format(f"{few}, and how poses err is found on {LEAST_IMAGES} or more"))
     found = (
-        f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without what was taken near them"
+        f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without the images taken near them"
         f" in time they verify the poses of {left_out.verified:.0%} of {len(left_out.image)} images, which then err by"
         f" {100 * verified.median_m:.1f} cm and {np.degrees(verified.median_rad):.1f}° (median)"
     )
@@ -128,7 +128,7 @@ def _best_map(
     *,
     known: bool,
 ) -> tuple[BuiltMap | None, tuple[str, ...]]:
-    """The map by the camera that fits, and what was found of it."""
+    """The map by the camera that fits, with a notice."""
     if choice == "stated":
         return build(material, stated), ()
     fit = fit_camera(
@@ -143,8 +143,8 @@ def _best_map(
     if fit.by_found is None or (choice == "auto" and not fit.is_better):
         return fit.by_stated, ()
     taken = "" if choice == "estimated" or not known else "; so it is taken (--camera stated: the stated one)"
-    said = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)
-    return fit.by_found, (f"camera: {said}{taken}",)
+    found = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)
+    return fit.by_found, (f"camera: {found}{taken}",)
 
 
 @dataclass(frozen=True)
@@ -204,9 +204,9 @@ class HeldOutLandmarks:
         travel = Travel.along(split.source.poses, pass_numbers(split.source))[np.array(which)]
         effective = effective_images(travel, lasting)
         verification, wrong = fit_verification(seen, effective, landmarks.verification), none_right(seen, effective)
-        said = evidence(seen, verification, wrong, errors.possible_fraction)
+        weights = evidence(seen, verification, wrong, errors.possible_fraction)
         lengths = LastingErrors(1.0, own.length_m, own.length_rad)
-        mistaken = max(mistaken_lengths(said, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
+        mistaken = max(mistaken_lengths(weights, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
         return replace(held, verification=verification, none_right=wrong, mistaken_lengths=mistaken)
 
     def found(self, images: TrainingSet, row: int, proposed: Poses | None = None) -> list[VerifiedPose]:
@@ -226,7 +226,7 @@ class HeldOutLandmarks:
         return localizer.ignoring(ignored).localize(features, proposed) if ignored.any() else found
 
     def _counterparts(self, found: Poses, truth: Poses) -> Bool[np.ndarray, " n"]:
-        """Key images around a pose that are there what hidden ones are around the true one: none if that is near."""
+        """Key images around a pose that correspond to hidden ones around the true pose; none if that is near."""
         localizer, depth_m = self.localizer, self.localizer.landmarks.depth_m
         ignored = np.zeros(len(localizer.landmarks.poses), bool)
         metres, radians = map(float, found.distance(truth))

@@ -1,4 +1,4 @@
-"""What a regressor that recalls images learns from: features extracted once, and which images it must not recall."""
+"""Training data of a regressor that recalls images: features extracted once, and the images it must not recall."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def remember(network: PoseRegressor, features: TrainingFeatures | None) -> None:
 
 
 def _shown_again(images: TrainingSet, way: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Whether another pass, or another recording, shows what each image shows."""
+    """Whether another pass, or another recording, shows the ground of each image."""
     at = (images.poses.translation / near_scale_m(images.poses)).astype(np.float32)
     ahead = images.poses.rotation[:, :, 2].astype(np.float32)
     square, shown = (at**2).sum(axis=1), np.zeros(len(images), bool)

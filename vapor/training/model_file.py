@@ -1,4 +1,4 @@
-"""What goes into the model file at the end of a training: calibration and check on held-out images, and provenance."""
+"""The model file at the end of a training: calibration and check on held-out images, and provenance."""
 
 from __future__ import annotations
 

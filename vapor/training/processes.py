@@ -1,7 +1,7 @@
 """One training by several processes (torchrun): each learns from its part of every batch, and gradients are averaged.
 
 All of them read the data, draw the same random numbers for whole batches, and hold the same weights after every step:
-a batch gives the loss that it gives one process, up to rounding. The first one evaluates, writes and tells.
+a batch gives the loss that it gives one process, up to rounding. The first one evaluates, writes and reports.
 """
 
 from __future__ import annotations

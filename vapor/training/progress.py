@@ -1,4 +1,4 @@
-"""What a training tells on its way, and its result."""
+"""Progress of a training, its result, and the check of the new model."""
 
 from __future__ import annotations
 
@@ -146,18 +146,18 @@ class TrainingCheck:
 
 
 def verdict(found: TrainingCheck, result: CalibrationResult) -> str:
-    """A sentence on a check, given what was calibrated before it."""
+    """A sentence on a check, given the calibration before it."""
     single, ours = found.methods["single_image"], found.methods["filter"]
-    told = f"right in {100 * ours.right:.0f} % of {found.images} held-out images, the single image in"
-    told = f"the filter is {told} {100 * single.right:.0f} %"
+    text = f"right in {100 * ours.right:.0f} % of {found.images} held-out images, the single image in"
+    text = f"the filter is {text} {100 * single.right:.0f} %"
     if found.inflation > 1.0:
-        told += f"; variances of images are taken {found.inflation:.0f} times as large as they were found"
+        text += f"; variances of images are taken {found.inflation:.0f} times as large as they were found"
     if found.assumed:
-        told += "; how images err is assumed, as what was found did worse"
+        text += "; errors of images are assumed, as those found did worse"
     if not (found.worse or found.overconfident):
-        return told
-    what = "it is worse than the single image" if found.worse else "it is overconfident"
-    return f"{told}. Beware: {what}; likely {_cause(found, result)}"
+        return text
+    fault = "it is worse than the single image" if found.worse else "it is overconfident"
+    return f"{text}. Beware: {fault}; likely {_cause(found, result)}"
 
 
 def _cause(found: TrainingCheck, result: CalibrationResult) -> str:

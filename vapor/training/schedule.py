@@ -1,4 +1,4 @@
-"""What changes over a training: learning rate and number of samples, and how often the network is evaluated."""
+"""Schedules of a training: learning rate, number of samples, image size and evaluation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an interrupted training needs to go on as if nothing had happened: one safetensors file beside the output."""
+"""State of a training: its start, and one safetensors file beside the output from which it resumes exactly."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from vapor.training_data.training_set import TrainingError
 FORMAT = "vapor-track training state"
 VERSION = 2
 _MOMENTS = {"step", "exp_avg", "exp_avg_sq"}  # AdamW's, of a parameter
-_ANEW = "remove the file, or train with --no-resume, to start anew"
+_AGAIN = "remove the file, or train with --no-resume, to start again"
 _SELDOM = 50.0  # times as long as the last one took, at least, from one saving to the next
 
 
@@ -109,7 +109,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     try:
         metadata, tensors = read_safetensors(path)
     except CheckpointError as error:
-        raise CheckpointError(f"{error}; {_ANEW}") from error
+        raise CheckpointError(f"{error}; {_AGAIN}") from error
     found = metadata.get("format"), metadata.get("version")
     if found != (FORMAT, str(VERSION)):
         raise CheckpointError(f"{path}: format and version are {found}, expected {(FORMAT, str(VERSION))}")
@@ -120,7 +120,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         differs = [k for k in expected if not isinstance(other, dict) or other.get(k) != expected[k]]
         raise CheckpointError(
             f"{path}: interrupted training differs in {', '.join(differs) or 'its configuration'}, expected the same"
-            f" configuration and data; {_ANEW}"
+            f" configuration and data; {_AGAIN}"
         )
     groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "best": {}, "optimizer": {}}
     for name, value in tensors.items():
@@ -187,8 +187,10 @@ def initial_model(config: TrainConfig) -> Checkpoint | None:
     shortcut = initial.network.shortcut or wanted.shortcut  # `take_weights` adds one that is missing
     found = replace(initial.network, shortcut=shortcut, **sizes)  # convolutions fit images of any size
     if other := [name for name, value in asdict(wanted).items() if getattr(found, name) != value]:
-        told = ", ".join(f"{name} {getattr(found, name)!r} (expected {getattr(wanted, name)!r})" for name in other)
-        raise TrainingError(f"{config.initial_model}: its network has {told} as configured")
+        differences = ", ".join(
+            f"{name} {getattr(found, name)!r} (expected {getattr(wanted, name)!r})" for name in other
+        )
+        raise TrainingError(f"{config.initial_model}: its network has {differences} as configured")
     return initial
 
 

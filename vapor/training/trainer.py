@@ -1,4 +1,4 @@
-"""Trainer: a training epoch by epoch, its evaluation on held-out images, and what it tells of its progress."""
+"""Trainer: a training epoch by epoch, with evaluation on held-out images and reports of progress."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a network can learn anything from images: enough of them, of a camera that moves and sees, near zero."""
+"""Checks of training images: enough of them, of a camera that moves and sees, near zero, in right colours."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def too_far(poses: Poses) -> list[str]:
         return []
     step_m = float(np.spacing(np.float32(furthest_m)))
     return [
-        f"positions up to {furthest_m:.3g} m from zero: the network tells them to {step_m:.2g} m only;"
+        f"positions up to {furthest_m:.3g} m from zero: the network resolves them to {step_m:.2g} m only;"
         " --ground-truth-origin takes a point near them off"
     ]
 
@@ -116,15 +116,15 @@ def said_of_colours(recordings: Mapping[str, Colours]) -> list[str]:
     if not found:
         return [
             f"{_listed(recordings)}: more blue than red in nearly all images, as few places have it: see whether these"
-            " are swapped (BGR that is said to be RGB)"
+            " are swapped (BGR that is labelled RGB)"
         ] * all(colours.are_bluish for colours in recordings.values())
     if 2 * len(found) >= len(shares):
         return [
-            f"{_listed(shares)} do not have the same colours: red and blue of some are swapped (BGR that is said to be"
+            f"{_listed(shares)} do not have the same colours: red and blue of some are swapped (BGR that is labelled"
             " RGB, or the reverse), or their white balance is another"
         ]
     return [
-        f"{name}: red and blue are swapped, beside the other recordings (BGR that is said to be RGB, or the reverse),"
+        f"{name}: red and blue are swapped, beside the other recordings (BGR that is labelled RGB, or the reverse),"
         " or its white balance is another"
         for name in found
     ]

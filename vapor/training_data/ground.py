@@ -1,4 +1,4 @@
-"""Ground that training images show: how near is near, which poses lie on it, and what to say of those that do not."""
+"""Ground that training images show: the distance that is near, poses beyond it, and passes of the camera."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ FARTHEST = 0.15
 """What counts as near, in typical sides of the scene, at most."""
 _CHORD = 2.0 * np.sin(DIRECTION_RAD / 2.0)
 _NEAREST = 1 / 3  # of that, at least
-_GIVEN = 2.0  # times as far counts as near where someone says that the data are of the place
+_GIVEN = 2.0  # times as far counts as near for data that are stated to be of the place
 _USUAL = 4.0  # times the distance to the nearest image of another pass, which a quarter of the images do not exceed
 _LOOKED_AT = 8  # of the nearest
 _NAMED_RUNS = 3
-_LEAST_UNSHOWN = 0.05  # fraction of a run's images that no training image shows, from which on it is said
+_LEAST_UNSHOWN = 0.05  # fraction of a run's images that no training image shows, from which on there is a notice
 RUN_IMAGES = 10
 _BREAK_S, _BREAK_STEPS = 1.0, 3.0
 
@@ -89,15 +89,15 @@ def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Ite
 
 def told_runs(found: Sequence[slice], first: int) -> str:
     """The first and last image of each run, counted from the first image of their recording."""
-    told = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_NAMED_RUNS]]
-    told += [f"{len(found) - _NAMED_RUNS} more"] if len(found) > _NAMED_RUNS else []
-    return " and ".join([*([", ".join(told[:-1])] if told[:-1] else []), told[-1]])
+    words = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_NAMED_RUNS]]
+    words += [f"{len(found) - _NAMED_RUNS} more"] if len(found) > _NAMED_RUNS else []
+    return " and ".join([*([", ".join(words[:-1])] if words[:-1] else []), words[-1]])
 
 
 def pass_numbers(images: TrainingSet) -> Int64[np.ndarray, " n"]:
     """The number of the pass that each image is from, increasing.
 
-    A new one begins with every sequence, and after a gap of more than a second and three times what is usual.
+    A new one begins with every sequence, and after a gap of more than a second and three times the usual one.
     """
     steps_s = np.diff(images.times_ns, prepend=images.times_ns[:1]) * 1e-9
     begins = np.diff(images.sequence, prepend=images.sequence[:1] - 1) != 0

@@ -161,7 +161,7 @@ def _of_cameras(as_taken: AsTakenBy, total: int) -> list[str]:
 
 
 def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> tuple[str, ...]:
-    """Names of sequences, each given by the number of its file or folder and its own, said where there are several."""
+    """Names of sequences, each given by the number of its file or folder and its own, where there are several."""
     several = {file for file, count in Counter(file for file, _ in begun).items() if count > 1}
     return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)
 

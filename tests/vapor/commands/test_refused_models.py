@@ -15,7 +15,7 @@ HEAD = "network.latent_mean.weight"
     [
         (
             lambda t, m: m.update(version="1"),
-            "format version is '1', expected '10'; train the model anew",
+            "format version is '1', expected '10'; train the model again",
         ),
         (lambda t, m: m.update(format="other"), "format is 'other'"),
         (lambda t, m: t.pop(HEAD), f"lacks tensor {HEAD} (1 such), expected exactly the"),

@@ -23,7 +23,8 @@ def test_one_of_several_walks_is_held_out_as_a_whole():
     np.testing.assert_array_equal(trained(split), ~held_out)
     (note,) = split.notes
     assert (
-        note == f"held out: walk{images.sequence[split.held_out_mask][0]} (400 images); other passes show what is there"
+        note
+        == f"held out: walk{images.sequence[split.held_out_mask][0]} (400 images); other passes show the same ground"
     )
 
 

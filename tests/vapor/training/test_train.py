@@ -13,6 +13,7 @@ from filtering.se3 import Poses
 from tests.helpers.full import full
 from tests.helpers.short_training import same_weights, train_on_most
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import validate
 from vapor.observation import VaporObservationModel
 from vapor.regressors.loss import LossConfig
@@ -60,7 +61,8 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
 
 def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_holds_both(tmp_path):
     first = tmp_path / "first.safetensors"
-    there = train_on({"a": make_frames(24)}, first, TINY).checkpoint
+    train_on({"a": make_frames(24)}, first, TINY)
+    there = load_checkpoint(first)
     larger = replace(TINY.network, image_width=40, shortest_edge=34)  # weights fit images of any size
     still = replace(TINY, initial_model=first, network=larger, learning_rate=1e-12, weight_decay=0.0, epochs=1)
     up = Poses(np.eye(3), np.array([0.0, 0.0, 9.0]))
@@ -80,7 +82,8 @@ def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_hold
 def test_a_model_without_a_shortcut_goes_on_with_one_and_one_with_it_does_not_go_on_without(head, tmp_path):
     first, last = tmp_path / "first.safetensors", tmp_path / "last.safetensors"
     plain = replace(TINY.network, head=head, shortcut=False)
-    there = train_on({"a": make_frames(24)}, first, replace(TINY, network=plain)).checkpoint
+    train_on({"a": make_frames(24)}, first, replace(TINY, network=plain))
+    there = load_checkpoint(first)
     direct = replace(TINY.network, head=head, shortcut=True)
     still = replace(TINY, initial_model=first, network=direct, learning_rate=1e-12, weight_decay=0.0, epochs=1)
     on = train_on({"a": make_frames(24)}, last, still).checkpoint

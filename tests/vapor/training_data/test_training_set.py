@@ -173,7 +173,7 @@ def test_few_images_are_learned_from_and_told(tmp_path):
     config = replace(TINY, epochs=1, calibrate=False)
     few, none = (
         "10 images to learn from: a place takes hundreds, along every path that will be walked",
-        "no landmarks: no two images show the same from two sides; places stay as coarse as the network says",
+        "no landmarks: no two images show the same from two sides; places stay as coarse as the network's",
     )
     assert train_on(_variety(10), tmp_path / "m.safetensors", config).notices == (few, none)
     assert train_on(_variety(100), tmp_path / "n.safetensors", config).notices == (none,)
