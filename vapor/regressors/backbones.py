@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 from math import ceil
 from pathlib import Path
 from pickle import UnpicklingError
@@ -53,24 +54,40 @@ class BasicBlock(nn.Module):
         return torch.relu_(y + (x if self.downsample is None else self.downsample(x)))
 
 
-class ResNet18(nn.Module):
-    """ResNet-18, whose stages have 1, 2, 4, 8 times `width` channels; `num_classes` None leaves the classifier out."""
+class _Backbone(nn.Module):
+    """A convolutional network without classifier."""
 
-    def __init__(self, width: int = 64, num_classes: int | None = None) -> None:
+    num_features: int
+
+    def _initialise(self) -> None:
+        for module in self.modules():
+            # Names and shapes only are on the meta device; to draw there loads torch's compiler, which takes seconds.
+            if isinstance(module, nn.Conv2d) and not module.weight.is_meta:
+                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+
+    def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
+        """Outputs of the third of `stages` and of the last layer for normalised images."""
+        raise NotImplementedError
+
+    def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
+        """Features of normalised images."""
+        return self.maps(x)[1].mean(dim=(2, 3))
+
+
+class ResNet18(_Backbone):
+    """ResNet-18, whose stages have 1, 2, 4, 8 times `width` channels."""
+
+    def __init__(self, width: int = 64) -> None:
         super().__init__()
         self.num_features = 8 * width
         self.conv1 = nn.Conv2d(3, width, 7, stride=2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(width)
         self.maxpool = nn.MaxPool2d(3, stride=2, padding=1)
-        self.layer1 = nn.Sequential(BasicBlock(width, width, 1), BasicBlock(width, width, 1))
-        self.layer2 = nn.Sequential(BasicBlock(width, 2 * width, 2), BasicBlock(2 * width, 2 * width, 1))
-        self.layer3 = nn.Sequential(BasicBlock(2 * width, 4 * width, 2), BasicBlock(4 * width, 4 * width, 1))
-        self.layer4 = nn.Sequential(BasicBlock(4 * width, 8 * width, 2), BasicBlock(8 * width, 8 * width, 1))
-        self.fc = nn.Linear(8 * width, num_classes) if num_classes is not None else None
-        for module in self.modules():
-            # Names and shapes only are on the meta device; to draw there loads torch's compiler, which takes seconds.
-            if isinstance(module, nn.Conv2d) and not module.weight.is_meta:
-                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+        self.layer1, self.layer2, self.layer3, self.layer4 = (
+            nn.Sequential(BasicBlock(before, after, 1 if before == after else 2), BasicBlock(after, after, 1))
+            for before, after in pairwise((width, width, 2 * width, 4 * width, 8 * width))
+        )
+        self._initialise()
 
     @property
     def stages(self) -> tuple[nn.Module, ...]:
@@ -78,15 +95,10 @@ class ResNet18(nn.Module):
         return self.layer1, self.layer2, self.layer3, self.layer4
 
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
-        """Outputs of the third and the last of `stages` for ImageNet-normalised images."""
+        """As of any backbone; the last layer is the fourth of `stages`."""
         x = self.maxpool(torch.relu_(self.bn1(self.conv1(x))))
         third = self.layer3(self.layer2(self.layer1(x)))
         return third, self.layer4(third)
-
-    def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
-        """Features (b, 8 width) of ImageNet-normalised images, or scores (b, num_classes)."""
-        x = self.maps(x)[1].mean(dim=(2, 3))
-        return x if self.fc is None else self.fc(x)
 
 
 class _SameConv2d(nn.Conv2d):
@@ -135,10 +147,10 @@ class _Block(nn.Module):
         return x + y if self._residual else y
 
 
-class EfficientNetLite0(nn.Module):
-    """EfficientNet-Lite0; `num_classes` None leaves the classifier `_fc` out."""
+class EfficientNetLite0(_Backbone):
+    """EfficientNet-Lite0."""
 
-    def __init__(self, num_classes: int | None = None) -> None:
+    def __init__(self) -> None:
         super().__init__()
         self.num_features = 1280
         self._conv_stem = _conv(3, 32, 3, stride=2)
@@ -152,11 +164,7 @@ class EfficientNetLite0(nn.Module):
         self._blocks = nn.Sequential(*blocks)
         self._conv_head = _conv(channels, self.num_features, 1)
         self._bn1 = _norm(self.num_features)
-        self._fc = nn.Linear(self.num_features, num_classes) if num_classes is not None else None
-        for module in self.modules():
-            # Names and shapes only are on the meta device; to draw there loads torch's compiler, which takes seconds.
-            if isinstance(module, nn.Conv2d) and not module.weight.is_meta:
-                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+        self._initialise()
 
     @property
     def stages(self) -> tuple[nn.Module, ...]:
@@ -164,18 +172,13 @@ class EfficientNetLite0(nn.Module):
         return tuple(self._blocks[number] for number in _STAGE_ENDS)
 
     def maps(self, x: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b c i j"], Float[Tensor, "b f k l"]]:
-        """Outputs of the third of `stages` and of the last layer for images scaled to (pixel − 127)/128."""
+        """As of any backbone."""
         x = functional.relu6(self._bn0(self._conv_stem(x)), inplace=True)
         third = x
         for number, block in enumerate(self._blocks):
             x = block(x)
             third = x if number == _STAGE_ENDS[2] else third
         return third, functional.relu6(self._bn1(self._conv_head(x)), inplace=True)
-
-    def forward(self, x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
-        """Features (b, 1280) of images scaled to (pixel − 127)/128, or scores (b, num_classes)."""
-        x = self.maps(x)[1].mean(dim=(2, 3))
-        return x if self._fc is None else self._fc(x)
 
 
 def pretrained_lite0_state() -> dict[str, Tensor]:

@@ -6,7 +6,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from types import TracebackType
+from typing import IO
 
 import numpy as np
 from jaxtyping import UInt8
@@ -65,7 +65,8 @@ def load_training_set(
     camera = camera or _commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
     as_taken: AsTakenBy | None = None
-    with tempfile.TemporaryFile() as file, GreyViews(view_camera or camera, wanted=views) as grey:
+    with tempfile.TemporaryFile() as file, tempfile.TemporaryFile() as grey_file:
+        grey = GreyViews(view_camera or camera, grey_file) if views else None
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
             num_before, agreeing = len(sources), Views()
@@ -93,7 +94,8 @@ def load_training_set(
                     raise TrainingError(f"{name}: true pose at {frame.time_ns} ns is not finite")
                 colours[name].take(frame.image)
                 file.write(np.ascontiguousarray(image).data)
-                grey.take(frame)
+                if grey is not None:
+                    grey.take(frame)
                 of_image = given.pop(frame.time_ns, None) if frame.camera is not None else None
                 points.append(of_image and replace(of_image, point=of_image.point + index * POINTS_OF_A_MODEL))
                 matrices.append(frame.world_from_camera.as_matrix())
@@ -112,7 +114,7 @@ def load_training_set(
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
-        kept, view_camera = grey.kept(), grey.camera if views else None
+        kept, view_camera = (grey.kept(), grey.camera) if grey else (np.zeros((0, 1, 1), np.uint8), None)
     poses = Poses.from_matrix(np.stack(matrices))
     notices += said_of_colours(colours)
     notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
@@ -169,27 +171,14 @@ def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> t
 class GreyViews:
     """Takes images one by one; `camera` is that of most of them, or a guess by the size of the first."""
 
-    def __init__(self, camera: Camera | None, *, wanted: bool) -> None:
-        """Set up for images of a camera, None where unknown; where they are not wanted, none is kept."""
-        self._wanted = wanted
+    def __init__(self, camera: Camera | None, file: IO[bytes]) -> None:
+        """Set up for images of a camera, None where unknown, which are kept in a file."""
         self.camera = None if camera is None else shrunk(camera)
         self._as_taken: AsTakenBy | None = None
-        self._file = tempfile.TemporaryFile() if wanted else None  # noqa: SIM115 - closed on leaving
-        self._count = 0
-
-    def __enter__(self) -> GreyViews:
-        """Itself."""
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """Close the file, whose content stays where it is mapped."""
-        if self._file is not None:
-            self._file.close()
+        self._file, self._count = file, 0
 
     def take(self, frame: Frame) -> None:
         """Keep an image."""
-        if self._file is None:
-            return
         if self.camera is None:
             self.camera = shrunk(usual_camera(frame.image.shape[1], frame.image.shape[0]))
         if self._as_taken is None:
@@ -199,8 +188,7 @@ class GreyViews:
 
     def kept(self) -> UInt8[np.ndarray, "m h w"]:
         """All of them, mapped into memory."""
-        if self._file is None or self.camera is None:
-            return np.zeros((0, 1, 1), np.uint8)
+        assert self.camera is not None  # known from the first image on
         self._file.flush()
         return np.memmap(self._file, np.uint8, mode="r", shape=(self._count, self.camera.height, self.camera.width))
 
