@@ -7,15 +7,19 @@ import pytest
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
+from tests.helpers.climbing_frames import frames_of
 from tests.helpers.data_sets import make_7scenes, make_colmap
 from tests.helpers.sequence_files import Walk, as_split_folder
 from tests.helpers.tiny_training import TINY, make_frames, pose
+from vapor.benchmark.regressors.scenes import identity
 from vapor.evaluation.validation import predict
 from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.track import main
 from vapor.training.train import train, train_on
-from vapor.training_data.entries import open_sequences, require_no_leakage
+from vapor.training_data.checks import Colours, said_of_colours
+from vapor.training_data.entries import name_entries, open_sequences, require_no_leakage
+from vapor.training_data.ground import odometry_segments, pass_numbers, some_runs
 from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingError
 
@@ -193,3 +197,85 @@ def test_points_of_two_reconstructions_are_not_taken_for_the_same(tmp_path) -> N
     assert not shown[0] & shown[1]
     assert len(loaded.seen_points) == len(loaded) == 6
     assert load_training_set(open_sequences(roots), (32, 24)).seen_points == ()  # they are for landmarks only
+
+
+@pytest.mark.parametrize("split", ["TrainSplit.txt", "transforms_train.json"])
+def test_lists_of_splits_are_named_with_their_folder_as_they_are_all_named_alike(split):
+    assert [*name_entries([f"a/{split}", f"b/{split}@3:5"])] == [f"a/{split}", f"b/{split}@3:5"]
+
+
+@pytest.mark.parametrize("split", ["TrainSplit.txt", "transforms_train.json"])
+def test_a_list_is_another_one_when_an_image_beside_it_changes(split, tmp_path):
+    (tmp_path / split).write_text("")
+    image = tmp_path / "image.png"
+    image.write_bytes(b"one")
+    before = identity(str(tmp_path / split))
+    assert identity(str(tmp_path / split)) == before
+    image.write_bytes(b"another")
+    assert identity(str(tmp_path / split)) != before
+
+
+def spans(numbers: np.ndarray) -> list[tuple[int, int]]:
+    begins = np.flatnonzero(np.diff(numbers, prepend=-1))
+    return list(zip(begins.tolist(), [*begins[1:].tolist(), len(numbers)], strict=True))
+
+
+def test_passes_break_where_sequences_and_time_do():
+    late = [replace(f, time_ns=f.time_ns + (2 * 10**9 if i >= 90 else 0)) for i, f in enumerate(frames_of(150))]
+    slow = frames_of(20, step_ns=2 * 10**9)  # one image in two seconds is usual there
+    images = load_training_set({"a": frames_of(60), "b": late, "slow": slow}, (36, 36))
+    assert spans(pass_numbers(images)) == [(0, 60), (60, 150), (150, 210), (210, 230)]
+
+
+def test_of_many_images_runs_of_ten_are_taken_all_over():
+    np.testing.assert_array_equal(some_runs(70, 70), np.arange(70))
+    chosen = some_runs(1000, 100)
+    assert len(chosen) == 100
+    assert (chosen[0], chosen[-1]) == (0, 999)
+    assert sorted(set(np.diff(chosen).tolist())) == [1, 101]
+    assert len(some_runs(60, 55)) <= 55
+    np.testing.assert_array_equal(some_runs(9, 4), [0, 1, 2, 3])
+
+
+def test_segments_of_odometry_have_one_true_pose_more_than_increments():
+    frames = frames_of(150)
+    frames[60] = replace(frames[60], odometry=None)
+    images = load_training_set({"a": frames, "b": frames_of(30, odometry=False), "c": frames_of(30)}, (36, 36))
+    segments = odometry_segments(images)
+    assert [(len(s.odometry), len(s.truth), s.recording) for s in segments] == [(59, 60, 0), (89, 90, 0), (29, 30, 2)]
+    np.testing.assert_array_equal(segments[1].truth[0].translation, frames[60].world_from_camera.translation)
+    assert images.select(np.arange(5, 9)).odometry == (None, *images.odometry[6:9])
+    assert odometry_segments(images.select(np.arange(0, 150, 2))) == []
+    assert odometry_segments(images.select(np.arange(0))) == []
+
+
+def colours(seed: int, *, warmth: int = 30, swapped: bool = False) -> Colours:
+    """Of images of warm or cold light, each recording a little different."""
+    rng, found = np.random.default_rng(seed), Colours()
+    for _ in range(20):
+        grey = rng.integers(60, 180, (12, 16, 1))
+        image = np.clip(grey + np.array([warmth, 0, -warmth]) + rng.integers(-20, 20, (12, 16, 3)), 0, 255)
+        found.take(np.ascontiguousarray((image[..., ::-1] if swapped else image).astype(np.uint8)))
+    return found
+
+
+def test_of_alike_recordings_nothing_is_said():
+    assert said_of_colours({name: colours(i) for i, name in enumerate("abc")}) == []
+    assert said_of_colours({"a": colours(0)}) == []
+    assert said_of_colours({"grey": colours(0, warmth=0), "warm": colours(1)}) == []
+
+
+def test_the_one_whose_colours_are_swapped_is_named():
+    (said,) = said_of_colours({name: colours(i, swapped=name == "b") for i, name in enumerate("abc")})
+    assert said.startswith("b: red and blue are swapped, beside the other recordings (BGR")
+
+
+def test_of_two_recordings_it_cannot_be_said_which():
+    (said,) = said_of_colours({"a": colours(0), "b": colours(1, swapped=True)})
+    assert said.startswith("a, b do not have the same colours: red and blue of some are swapped")
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_where_all_are_bluish_it_is_asked(count):
+    (said,) = said_of_colours({f"w{i}": colours(i, swapped=True) for i in range(count)})
+    assert "more blue than red in nearly all images" in said
