@@ -13,7 +13,7 @@ from tests.helpers.checks import no_checks
 from tests.helpers.full import full
 from tests.helpers.short_training import Interrupted
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
-from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel
 from vapor.regressors.network_config import NetworkConfig, make_regressor
@@ -239,7 +239,9 @@ def whole(tmp_path_factory):
     """A finished training, and its file."""
     output = tmp_path_factory.mktemp("retrieval") / "m.safetensors"
     with no_checks():
-        return trained(output), output
+        result = trained(output)
+    save_checkpoint(output, result.checkpoint)  # not rounded
+    return result, output
 
 
 def test_it_learns_where_a_view_is_from_walks_that_it_does_not_remember(whole):
