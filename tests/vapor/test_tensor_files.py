@@ -167,7 +167,7 @@ def words_in_history(tensors: dict, config: dict) -> None:
         (without_step, r"optimizer\.0 has .* expected the network's tensors"),
         (other_best, r"Missing key.* expected the network's tensors"),
         (imaginary, r"tensor network\..* is of torch\.complex64, expected real numbers"),
-        (words_in_history, r"history has 'x', expected a number"),
+        (words_in_history, r"history configuration has \w+ 'x', expected a "),
     ],
 )
 def test_a_state_that_no_training_wrote_is_refused_though_its_checksum_fits(change, said, tmp_path):

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from filtering.errors import quoted
-from vapor.checkpoints.calibration import parse_calibration
+from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription, network_sha256
 from vapor.checkpoints.scene_scale import MAX_PRIOR_POSES, spaced
-from vapor.checkpoints.stored_config import parse_box, parse_camera, parse_config, parse_metadata
+from vapor.checkpoints.stored_config import parse_camera, parse_config, parse_metadata
 from vapor.checkpoints.stored_tensors import (
     FAMILIARITY,
     HALVED_MEMORY,
@@ -98,7 +98,7 @@ def parse_stored_config(path: Path, metadata: Mapping[str, str]) -> StoredConfig
         raise CheckpointError(f"{path}: format version is {version!r}, expected '{VERSION}'; train the model again")
     config = parse_metadata(path, metadata.get("config"))
     network = parse_config(path, "network", NetworkConfig, config.get("network"))
-    box = parse_box(path, config.get("box"))
+    box = parse_config(path, "box", SceneBox, config.get("box"))
     training = config.get("training")
     if not isinstance(training, dict):
         raise CheckpointError(f"{path}: training is {type(training).__name__} in its configuration, expected an object")
@@ -117,7 +117,7 @@ def parse_description(
     return ModelDescription(
         config.network,
         config.box,
-        parse_calibration(path, config.rest.get("calibration")),
+        parse_config(path, "calibration", Calibration, config.rest.get("calibration")),
         read_poses(tensors, PRIOR_ROTATION, PRIOR_TRANSLATION),
         network_sha256,
         read_poses(tensors, MEMORY_ROTATION, MEMORY_TRANSLATION) if MEMORY_ROTATION in tensors else None,

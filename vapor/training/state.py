@@ -148,9 +148,6 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     history = config.get("history")
     if not isinstance(history, list):
         raise CheckpointError(f"{path}: history is {quoted(history)}, expected a list of the figures of epochs")
-    for value in (value for entry in history if isinstance(entry, dict) for value in entry.values()):
-        if type(value) not in (int, float):
-            raise CheckpointError(f"{path}: history has {quoted(value)}, expected a number")
     state.history = [parse_config(path, "history", Validation, entry) for entry in history]
 
 
