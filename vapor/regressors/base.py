@@ -64,11 +64,6 @@ class PoseRegressor(nn.Module, ABC):
         self.register_buffer("pixel_std", torch.tensor(std), persistent=False)
 
     @property
-    def density(self) -> DensityRegressor | None:
-        """This regressor where its posterior density can be evaluated, else None."""
-        return None
-
-    @property
     def recalling(self) -> RetrievalRegressor | None:
         """This regressor where it recalls training images, else None."""
         return None
@@ -121,11 +116,6 @@ class PoseRegressor(nn.Module, ABC):
 
 class DensityRegressor(PoseRegressor):
     """A regressor whose posterior is a density that can be evaluated: no kernels over its samples are needed."""
-
-    @property
-    def density(self) -> DensityRegressor:
-        """This regressor."""
-        return self
 
     @abstractmethod
     def log_density(
