@@ -48,7 +48,7 @@ from vapor.tensor_files import CheckpointError, StoredTensor, format_of, read_st
 FORMAT = "vapor-track model"
 VERSION = 10
 ONNX = ".onnx"
-"""How names of exported models end."""
+"""Suffix of exported models."""
 SHIPPED = Path(__file__).resolve().parents[1] / "models"
 """Folder of the models that ship."""
 
@@ -134,7 +134,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool =
 
     Args:
         path: A file name, usually *.safetensors.
-        checkpoint: What to write; more than 2000 prior poses are thinned evenly.
+        checkpoint: The model; more than 2000 prior poses are thinned evenly.
         store_float16: Store weight matrices as float16, for half the size; biases and BatchNorm stay float32.
     """
     import torch
@@ -168,9 +168,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     weights = regressor.state_dict()
     recalling = regressor.recalling
     expected = {NETWORK + name: (tuple(v.shape), str(v.dtype).removeprefix("torch.")) for name, v in weights.items()}
-    known = familiarity_shapes(tensors, description_size(config.network.backbone))
     remembered = {} if recalling is None else memory_shapes(tensors, recalling.memory_shapes())
-    check_tensors(path, tensors, {**expected, **known, **remembered, **landmark_shapes(tensors)})
+    rest = {name: value for name, value in tensors.items() if not name.startswith(MEMORY)}
+    check_tensors(path, tensors, {**expected, **remembered, **shapes_beside_weights(config, rest)})
     model = parse_description(path, config, tensors, "")
 
     def read(name: str) -> torch.Tensor:
@@ -182,7 +182,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
 
 def load_description(path: Path) -> ModelDescription:
-    """Read a model file without its weights, which only their digest is taken of; torch is not imported.
+    """Read a model file without its weights, of which only the digest is taken; torch is not imported.
 
     Raises:
         CheckpointError: as `load_checkpoint`, but for the weights.
@@ -193,7 +193,9 @@ def load_description(path: Path) -> ModelDescription:
     weights = {name: value for name, value in tensors.items() if name.startswith((NETWORK, MEMORY))}
     rest = {name: value for name, value in tensors.items() if name not in weights or name.removeprefix(MEMORY) in POSES}
     check_tensors(path, rest, shapes_beside_weights(config, rest))
-    return parse_description(path, config, rest, _digest(config, weights))
+    network = {name.removeprefix(NETWORK): float32(v) for name, v in weights.items() if name.startswith(NETWORK)}
+    memory = [float32(weights[MEMORY + name]) for name in MEMORY_FIELDS if MEMORY + name in weights]
+    return parse_description(path, config, rest, network_sha256(config.network, config.box, network, memory))
 
 
 def is_onnx(path: Path) -> bool:
@@ -218,14 +220,8 @@ def is_model(path: Path) -> bool:
     return format_of(path) == FORMAT
 
 
-def _digest(config: StoredConfig, weights: Mapping[str, StoredTensor]) -> str:
-    network = {name.removeprefix(NETWORK): float32(v) for name, v in weights.items() if name.startswith(NETWORK)}
-    memory = [float32(weights[MEMORY + name]) for name in MEMORY_FIELDS if MEMORY + name in weights]
-    return network_sha256(config.network, config.box, network, memory)
-
-
 def find_model(name_or_path: str) -> Path:
-    """The file of a model: a path, a URL, of which there is a copy here then, or the name of a model that ships.
+    """The file of a model: by a path, a URL, which is copied, or the name of a model that ships.
 
     Raises:
         CheckpointError: neither a file nor a shipped model; lists those that ship.
