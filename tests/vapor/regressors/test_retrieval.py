@@ -16,7 +16,7 @@ from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel
-from vapor.regressors.network_config import NetworkConfig, make_regressor
+from vapor.regressors.network_config import NetworkConfig
 from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
@@ -57,8 +57,7 @@ RETRIEVAL = replace(
 def made(count: int = 20) -> tuple[RetrievalRegressor, torch.Tensor, Poses]:
     """A network that remembers so many random features."""
     torch.manual_seed(1)
-    network = make_regressor(SMALL, BOX).eval()
-    assert isinstance(network, RetrievalRegressor)
+    network = RetrievalRegressor(SMALL, BOX).eval()
     features = torch.randn(count, len(network.centre))
     poses = Poses.exp(np.random.default_rng(0).uniform(-1, 1, (count, 6)))
     network.remember(features, torch.from_numpy(poses.translation).float(), torch.from_numpy(poses.rotation).float())
@@ -115,7 +114,7 @@ def test_all_images_are_looked_at_where_there_are_fewer_than_components():
 
 
 def test_without_a_memory_the_network_says_so():
-    network = make_regressor(SMALL, BOX)
+    network = RetrievalRegressor(SMALL, BOX)
     with pytest.raises(RuntimeError, match="nothing is remembered"):
         network(torch.zeros(1, 3, 32, 32), torch.zeros(1, 5, network.noise_dim))
 
@@ -123,8 +122,7 @@ def test_without_a_memory_the_network_says_so():
 @torch.no_grad()
 def test_in_another_unit_of_length_everything_is_as_many_times_as_large():
     network, features, poses = made()
-    large = make_regressor(SMALL, SceneBox((-60.0, -30.0, 0.0), (60.0, 90.0, 30.0)))
-    assert isinstance(large, RetrievalRegressor)
+    large = RetrievalRegressor(SMALL, SceneBox((-60.0, -30.0, 0.0), (60.0, 90.0, 30.0)))
     large.load_state_dict(network.state_dict())
     rotation = torch.from_numpy(poses.rotation).float()
     large.remember(features, torch.from_numpy(30.0 * poses.translation).float(), rotation)
@@ -165,8 +163,7 @@ def test_an_image_is_hidden_from_its_own_pass_and_shown_to_others():
     images = load_training_set(
         {"a": walk(100, begin=0, seed=1), "b": walk(100, begin=0, seed=2), "c": walk(30, begin=250, seed=3)}, (36, 36)
     )
-    network = make_regressor(SMALL, BOX)
-    assert isinstance(network, RetrievalRegressor)
+    network = RetrievalRegressor(SMALL, BOX)
     seen = extract_training_features(network, images)
     hidden = seen.hidden(np.arange(len(images))).numpy()
     sequence, way = images.sequence, seen.way.numpy()
@@ -182,8 +179,7 @@ def test_an_image_is_hidden_from_its_own_pass_and_shown_to_others():
 
 def test_numbers_are_standardised_once_and_images_that_were_seen_are_not_looked_at_again(monkeypatch):
     images = load_training_set({"a": walk(60, begin=0, seed=1)}, (36, 36))
-    network = make_regressor(SMALL, BOX)
-    assert isinstance(network, RetrievalRegressor)
+    network = RetrievalRegressor(SMALL, BOX)
     seen = extract_training_features(network, images.select(np.arange(40)))
     assert seen.features.float().mean(dim=0).abs().max() < 0.01
     assert network.standardised
@@ -198,8 +194,7 @@ def test_numbers_are_standardised_once_and_images_that_were_seen_are_not_looked_
 
 def test_images_are_varied_in_a_few_ways_each_found_once(monkeypatch):
     images = load_training_set({"a": walk(30, begin=0, seed=1)}, (36, 36))
-    network = make_regressor(SMALL, BOX)
-    assert isinstance(network, RetrievalRegressor)
+    network = RetrievalRegressor(SMALL, BOX)
     config = replace(RETRIEVAL, augment=AugmentConfig())
     seen = extract_training_features(network, images)
     assert seen.num_variants == VARIANTS
