@@ -70,12 +70,12 @@ class PoseRegressor(nn.Module, ABC):
 
     # --- from images to poses ----------------------------------------------------------------------
 
-    def normalise(self, images: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
-        """Pixels 0..255 to what the backbone expects; channels-last in memory."""
+    def normalise(self, images: UInt8[Tensor, "b h w 3"]) -> Images:
+        """Images of pixels 0..255, by the backbone's mean and standard deviation; channels-last in memory."""
         return ((images.float() - self.pixel_mean) / self.pixel_std).permute(0, 3, 1, 2)
 
-    def extract_features(self, images: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
-        """Features of normalised images, in the precision of the weights: eight bits are too few for what follows.
+    def extract_features(self, images: Images) -> Features:
+        """Features of normalised images, in the precision of the weights: eight bits are too few afterwards.
 
         A bfloat16 position has steps of 3 cm in 10 m.
         """
@@ -85,9 +85,7 @@ class PoseRegressor(nn.Module, ABC):
     def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """Posterior samples of images with these features, for given noise."""
 
-    def forward(
-        self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def forward(self, images: Images, noise: Noise) -> PoseSamples:
         """Posterior samples of normalised images for given noise."""
         return self.sample(self.extract_features(images), noise)
 
@@ -119,10 +117,7 @@ class DensityRegressor(PoseRegressor):
 
     @abstractmethod
     def log_density(
-        self,
-        feature: Float[Tensor, "b f"],
-        translation: Float[Tensor, "b n 3"],
-        rotation: Float[Tensor, "b n 3 3"],
+        self, feature: Features, translation: Float[Tensor, "b n 3"], rotation: Float[Tensor, "b n 3 3"]
     ) -> Float[Tensor, "b n"]:
         """Log density of the samples' distribution at n poses for each image, per m³ rad³; −∞ where it is 0.
 

@@ -80,10 +80,7 @@ class FlowRegressor(DensityRegressor):
             return self._pose(torch.stack(known, dim=-1))
 
     def log_density(
-        self,
-        feature: Float[Tensor, "b f"],
-        translation: Float[Tensor, "b n 3"],
-        rotation: Float[Tensor, "b n 3 3"],
+        self, feature: Features, translation: Float[Tensor, "b n 3"], rotation: Float[Tensor, "b n 3 3"]
     ) -> Float[Tensor, "b n"]:
         """Log density, per m³ rad³: the splines' slopes and the volumes of box and SO(3); −∞ outside the box."""
         with torch.autocast(feature.device.type, enabled=False):

@@ -65,10 +65,7 @@ class MixtureDensity(DensityRegressor):
         return position, rotation[row, which] @ rodrigues(axis, angle)
 
     def log_density(
-        self,
-        feature: Float[Tensor, "b f"],
-        translation: Float[Tensor, "b n 3"],
-        rotation: Float[Tensor, "b n 3 3"],
+        self, feature: Features, translation: Float[Tensor, "b n 3"], rotation: Float[Tensor, "b n 3 3"]
     ) -> Float[Tensor, "b n"]:
         """Log density of the mixture, per m³ rad³."""
         return self.components(feature).log_density(translation, rotation)

@@ -123,7 +123,7 @@ class RetrievalRegressor(MixtureDensity):
         self.centre.copy_(other.centre)
         self.spread.copy_(other.spread)
 
-    def extract_features(self, images: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
+    def extract_features(self, images: Images) -> Features:
         """The backbone's numbers of normalised images, each in units of its spread over the training images."""
         with torch.no_grad():
             third, last = self.backbone.maps(images)
