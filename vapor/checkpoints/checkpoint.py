@@ -1,4 +1,4 @@
-"""A trained model: network, weights, scene box, calibration, and where it came from."""
+"""A trained model: network, weights, scene box, calibration and provenance; and its description without weights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PoseMap: from vectors to camera poses, positions inside a box and rotations from six numbers."""
+"""Parts of networks: poses from vectors, rotations, and functions that can be traced."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mixture density over camera poses, all of whose components follow from the image's feature.
+"""Mixture densities over camera poses: Gaussians in position times isotropic matrix-Fisher distributions in rotation.
 
 Source: Deng et al., "Deep Bingham networks: dealing with uncertainty and ambiguity in pose estimation", IJCV 2022.
 """

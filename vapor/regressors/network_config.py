@@ -1,4 +1,8 @@
-"""NetworkConfig: shape of the network, and of the images that it sees."""
+"""NetworkConfig: shape of the network and of its images; backbones and regressors by name. No torch is needed.
+
+A new regressor is a class in this folder and a row of `REGRESSORS`; the help of `NetworkConfig.head` has half a
+sentence on each. Names of `--method` and `vapor-benchmark regressors` stand in `vapor.training.presets`.
+"""
 
 from __future__ import annotations
 

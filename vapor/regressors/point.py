@@ -1,6 +1,7 @@
-"""One pose an image, learned by position and rotation: PoseNet, and MapNet where pairs of images are compared.
+"""One pose an image: PoseNet, MapNet where pairs of images are compared, and Bayesian PoseNet with dropout.
 
-Sources: PoseNet, Kendall and Cipolla, "Geometric loss functions for camera pose regression with deep learning", CVPR
+Sources: Bayesian PoseNet, Kendall and Cipolla, "Modelling uncertainty in deep learning for camera relocalization", ICRA
+2016; PoseNet, Kendall and Cipolla, "Geometric loss functions for camera pose regression with deep learning", CVPR
 2017; MapNet, Brahmbhatt et al., "Geometry-aware learning of maps for camera localization", CVPR 2018.
 """
 

@@ -1,4 +1,4 @@
-"""Augmentation of training images: random crop, blur, brightness, contrast and colour."""
+"""Augmentation of training images, a batch ahead of its use: random crop, blur, brightness, contrast and colour."""
 
 from __future__ import annotations
 

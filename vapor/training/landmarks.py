@@ -1,4 +1,4 @@
-"""The landmarks of a new model: the camera that took its images, the map, and how poses err that it verifies."""
+"""The landmarks of a new model: camera, map, errors of verified poses, and verification of held-out images."""
 
 from __future__ import annotations
 

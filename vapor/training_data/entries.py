@@ -1,4 +1,4 @@
-"""Data as they are named on the command line, `PATH` or `PATH@START:STOP`, and their frames; a URL is a path, too."""
+"""Data as named on the command line, `PATH` or `PATH@START:STOP`: their frames, and images that two of them share."""
 
 from __future__ import annotations
 
