@@ -49,8 +49,8 @@ class Pairs(NamedTuple):
     log_density: Float64[np.ndarray, " p"]
 
 
-class Link(NamedTuple):
-    """How a source of places is linked to the belief.
+class Correlation(NamedTuple):
+    """With which earlier error the error of a source of places is correlated, and over which distance.
 
     Attributes:
         number: Of its correlated error in the state of a hypothesis.
@@ -75,17 +75,17 @@ class Evidence(NamedTuple):
     agreement: float
 
 
-def gate(belief: Hypotheses, posterior: PosePosterior, links: Sequence[Link]) -> list[Pairs]:
+def gate(belief: Hypotheses, posterior: PosePosterior, correlations: Sequence[Correlation]) -> list[Pairs]:
     """Pairs of hypotheses and places that are near each other, for each source of places.
 
     Args:
         belief: n hypotheses.
         posterior: Of the image.
-        links: Of the camera's network, and of its landmarks where there is a map.
+        correlations: Of the camera's network, and of its landmarks where there is a map.
     """
     return [
-        _near_pairs(belief, posterior, source, link)
-        for source, link in enumerate(links)
+        _near_pairs(belief, posterior, source, correlation)
+        for source, correlation in enumerate(correlations)
         if source == 0 or len(posterior.sources[source])
     ]
 
@@ -140,7 +140,7 @@ def pair(
     belief: Hypotheses,
     posterior: PosePosterior,
     source: int,
-    link: Link,
+    correlation: Correlation,
     hypothesis: Int64[np.ndarray, " p"],
     place: Int64[np.ndarray, " p"],
 ) -> Pairs:
@@ -152,10 +152,10 @@ def pair(
         belief: n hypotheses.
         posterior: Of the image.
         source: Of the places, see `PosePosterior.sources`.
-        link: Of the source.
+        correlation: Of the source.
         hypothesis, place: Indices, (p,).
     """
-    errors, own = posterior.errors_of(source), bias(link.number)
+    errors, own = posterior.errors_of(source), bias(correlation.number)
     difference = belief.poses[hypothesis].between(posterior.means[place]).log()
     lasting = belief.mean[:, slice(own.start - 6, own.stop - 6)][hypothesis]
     factor = np.sqrt(errors.lasting_fraction) * posterior.factors[place]
@@ -173,7 +173,7 @@ def pair(
     far = np.flatnonzero(larger > _UNUSUAL)
     if len(far):
         # Errors that are correlated over a distance of 2 are worth one image: those of an Ornstein-Uhlenbeck process.
-        lasts = max(1.0, 2.0 / max(link.normalized_distance, 1e-6))
+        lasts = max(1.0, 2.0 / max(correlation.normalized_distance, 1e-6))
         innovation[far], factor[far] = difference[far], 0.0
         noise[far] = larger[far, None, None] * lasts * posterior.covariances[place[far]]
         cross[far], information[far] = expect(belief.covariance, hypothesis[far], jacobian[:1], noise[far])
@@ -208,7 +208,7 @@ def corrected_poses(
     return start @ Poses.exp(np.where(from_place[:, None], left, change))
 
 
-def _near_pairs(belief: Hypotheses, posterior: PosePosterior, source: int, link: Link) -> Pairs:
+def _near_pairs(belief: Hypotheses, posterior: PosePosterior, source: int, correlation: Correlation) -> Pairs:
     places = posterior.sources[source]
     apart = belief.poses.squared_distances(posterior.means[places])
     variances = [each[places] for each in posterior.variances]
@@ -216,7 +216,7 @@ def _near_pairs(belief: Hypotheses, posterior: PosePosterior, source: int, link:
     hypothesis, k = np.nonzero(_within_gate(*metres) & _within_gate(*radians))
     place = places[k]
     parts = [
-        pair(belief, posterior, source, link, hypothesis[block], place[block])
+        pair(belief, posterior, source, correlation, hypothesis[block], place[block])
         for block in blocks(max(len(hypothesis), 1))
     ]
     return parts[0] if len(parts) == 1 else _concatenated(parts)

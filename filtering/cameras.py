@@ -156,7 +156,7 @@ class CameraMemory:
             has_places = len(posterior.sources[number]) > 0
             observes = has_places or number == 0
             place_tracker, new = source.place_tracker.observe() if observes else (source.place_tracker, 0.0)
-            source = source.observe(posterior.only(number)) if has_places else source
+            source = source.observe(posterior.of_source(number)) if has_places else source
             after.append(replace(source, place_tracker=place_tracker))
             novelty.append(new)
         return replace(self, sources=tuple(after)), novelty[0], novelty[1 if posterior.has_verified else 0]

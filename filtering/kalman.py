@@ -15,7 +15,7 @@ from filterpy.kalman import KalmanFilter
 from jaxtyping import Float64
 from scipy.special import fdtri
 
-from filtering.association import Link, corrected_poses, pair
+from filtering.association import Correlation, corrected_poses, pair
 from filtering.cameras import CameraMemory, Source
 from filtering.config import GapConfig, LocalizerConfig
 from filtering.error_model import ErrorModel
@@ -92,13 +92,15 @@ class KalmanLocalizer:
             self._predict(self._pose, odom, elapsed_s)
             if not posterior.says_nothing:
                 self._know(posterior.errors)
-                links = [Link(source.number, source.tracker.normalized_distance) for source in self._sources]
+                correlations = [
+                    Correlation(source.number, source.tracker.normalized_distance) for source in self._sources
+                ]
                 self._sources = tuple(
-                    source.observe(posterior.only(number)) if len(posterior.sources[number]) else source
+                    source.observe(posterior.of_source(number)) if len(posterior.sources[number]) else source
                     for number, source in enumerate(self._sources)
                 )
                 posterior = posterior.inflated(*(source.scale.factor for source in self._sources))
-                if not self._correct(posterior, links):
+                if not self._correct(posterior, correlations):
                     self._reject(posterior, elapsed_s if odom is None else odom.duration_s)
         pose, covariance = self._pose, self._filter.P[POSE, POSE]
         assert pose is not None
@@ -157,21 +159,21 @@ class KalmanLocalizer:
         settle(self._filter.P)
         self._fold((pose @ odom.previous_from_current).orthonormal())
 
-    def _correct(self, posterior: PosePosterior, links: Sequence[Link]) -> bool:
+    def _correct(self, posterior: PosePosterior, correlations: Sequence[Correlation]) -> bool:
         """Correct by the nearest place, if it is inside the gate; returns whether it is.
 
         Args:
             posterior: Of the image.
-            links: Of each source of places.
+            correlations: Of each source of places.
         """
         pose = self._pose
         assert pose is not None
         hypothesis, nearest = self._hypothesis(pose), None
-        for source, link in enumerate(links):
+        for source, correlation in enumerate(correlations):
             places = posterior.sources[source]
             if len(places) == 0:
                 continue
-            pairs = pair(hypothesis, posterior, source, link, np.zeros(len(places), np.int64), places)
+            pairs = pair(hypothesis, posterior, source, correlation, np.zeros(len(places), np.int64), places)
             k = int(np.argmin(pairs.squared))
             # A verified place inside its gate is preferred to one of the network.
             if pairs.squared[k] <= _gate(self.config.gate_probability, posterior.errors_of(source).tail):

@@ -19,7 +19,7 @@ from filtering.hypotheses import without_bias
 from filtering.motion import Odometry
 from filtering.posterior import ObservationModel, PosePosterior
 from filtering.se3 import Poses
-from filtering.step import describe, initialize, known, step
+from filtering.step import describe, hypotheses_of, initialize, step
 
 _ONLY = "camera"
 
@@ -153,7 +153,7 @@ class ParticleLocalizer:
         stated = PosePosterior(pose, np.asarray(covariance, np.float64)[None], np.ones(1), errors, pose)
         view = View(stated, Poses.identity(), _ONLY)
         begun = initialize(self.belief.forgotten(), [view], self.config)
-        hypotheses = known(begun)
+        hypotheses = hypotheses_of(begun)
         # The error of the stated pose is not correlated with those of the images.
         apart = replace(hypotheses, covariance=without_bias(hypotheses.covariance, 0))
         belief, estimate = describe(replace(begun, hypotheses=apart), [], 0.0, self.config)

@@ -204,7 +204,7 @@ class PosePosterior:
         """Noise of the places of a source, by its number in `sources`."""
         return self.errors if source == 0 else self.errors.finest
 
-    def only(self, source: int) -> PosePosterior:
+    def of_source(self, source: int) -> PosePosterior:
         """The places of one source, with their noise."""
         places = self.sources[source]
         if source == 0 and len(places) == len(self.weights):

@@ -147,9 +147,9 @@ def agreement(
         From 0 to 1, (n,); 0 where no image about a pose is informative.
     """
     n = len(trajectory)
-    fits, says = np.zeros(n), np.array([len(modes) > 0 for modes in image_modes], bool)
+    fits, informative = np.zeros(n), np.array([len(modes) > 0 for modes in image_modes], bool)
     in_map = _within_map(trajectory, [mode for modes in image_modes for mode in modes], errors)
-    for i in np.flatnonzero(says).tolist():
+    for i in np.flatnonzero(informative).tolist():
         modes = image_modes[i]
         residual = (Poses.stack([mode.world_from_camera for mode in modes]).inverse() @ trajectory[i]).log()
         information = np.linalg.inv(np.stack([mode.covariance for mode in modes]) + _REGULAR)
@@ -164,7 +164,7 @@ def agreement(
     last = np.maximum(
         np.searchsorted(times_ns, times_ns + _ABOUT_NS, side="right"), np.minimum(at + _ABOUT_IMAGES + 1, n)
     )
-    summed, count = (np.concatenate([[0.0], np.cumsum(values)]) for values in (fits, says))
+    summed, count = (np.concatenate([[0.0], np.cumsum(values)]) for values in (fits, informative))
     return (summed[last] - summed[first]) / np.maximum(count[last] - count[first], 1.0)
 
 

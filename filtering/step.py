@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filtering.association import Link, correct, evidence, gate
+from filtering.association import Correlation, correct, evidence, gate
 from filtering.belief import Belief
 from filtering.births import BIRTHS
 from filtering.cameras import CameraMemory, View
@@ -52,15 +52,15 @@ def step(
         belief = initialize(belief, views, config)
         informative, novelty = informative[1:], 1.0
     belief = with_cameras(belief, informative, config)
-    seen: list[Seen] = []
+    used: list[UsedView] = []
     for view in informative:
         belief, one = measure(belief, view)
-        seen.append(one)
-    novelty = max([novelty, *(one.novelty for one in seen)])
-    belief = add_births(belief, seen, novelty, config)
+        used.append(one)
+    novelty = max([novelty, *(one.novelty for one in used)])
+    belief = add_births(belief, used, novelty, config)
     if informative or novelty > 0.0:
         belief = reduce(belief, config)
-    belief = follow_agreement(belief, seen, views, config)
+    belief = follow_agreement(belief, used, views, config)
     belief, estimate = describe(belief, views, novelty, config)
     return unchecked_replace(belief, normalized_distance=0.0) if views else belief, estimate
 
@@ -100,7 +100,7 @@ def predict(belief: Belief, odometry: Odometry | None, elapsed_s: float, config:
 
 
 @dataclass(frozen=True)
-class Seen:
+class UsedView:
     """A view as it was used.
 
     Attributes:
@@ -116,41 +116,41 @@ class Seen:
     agreement: float
 
 
-def measure(belief: Belief, view: View) -> tuple[Belief, Seen]:
+def measure(belief: Belief, view: View) -> tuple[Belief, UsedView]:
     """Weight every hypothesis by an image, and correct it by each place that it may see."""
     before = belief.cameras[view.camera].seen_through(view.reference_from_camera)
     camera, novelty, power = before.observe(view.posterior)
     posterior = view.posterior.inflated(*(source.scale.factor for source in camera.sources))
     posterior = posterior.seen_from(view.reference_from_camera)
-    hypotheses = known(belief)
+    hypotheses = hypotheses_of(belief)
     pairs = gate(
-        hypotheses, posterior, [Link(each.number, each.tracker.normalized_distance) for each in before.sources]
+        hypotheses, posterior, [Correlation(each.number, each.tracker.normalized_distance) for each in before.sources]
     )
     found = evidence(hypotheses, posterior, pairs)
     hypotheses = hypotheses.reweighted(power * found.log_likelihood)
     hypotheses = correct(hypotheses, posterior, pairs, found.outlier).normalized()
     belief = unchecked_replace(belief.with_camera(view.camera, camera), hypotheses=hypotheses)
-    return belief, Seen(posterior, camera, novelty, found.agreement)
+    return belief, UsedView(posterior, camera, novelty, found.agreement)
 
 
-def add_births(belief: Belief, seen: Sequence[Seen], novelty: float, config: LocalizerConfig) -> Belief:
+def add_births(belief: Belief, used: Sequence[UsedView], novelty: float, config: LocalizerConfig) -> Belief:
     """Add hypotheses at the places of the images: the camera may have been carried off."""
-    if not seen:
+    if not used:
         return belief
-    agreement = float(np.mean([one.agreement for one in seen]))
+    agreement = float(np.mean([one.agreement for one in used]))
     probability = BIRTHS[config.births](belief, novelty, agreement, config)
     if probability == 0.0:
         return belief
-    hypotheses = known(belief)
-    births = [born_at(one.posterior, one.camera, belief, config) for one in seen]
-    weighed = [each.reweighted(np.full(len(each), _log(probability / len(seen)))) for each in births]
+    hypotheses = hypotheses_of(belief)
+    births = [born_at(one.posterior, one.camera, belief, config) for one in used]
+    weighed = [each.reweighted(np.full(len(each), _log(probability / len(used)))) for each in births]
     carried = hypotheses.reweighted(np.full(len(hypotheses), _log(1.0 - probability)))
     return unchecked_replace(belief, hypotheses=concatenate([carried, *weighed]))
 
 
 def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
     """Merge hypotheses that agree, prune light ones, and resample beyond `max_hypotheses`."""
-    hypotheses, random = known(belief), belief.random
+    hypotheses, random = hypotheses_of(belief), belief.random
     if len(hypotheses) > config.max_hypotheses:
         random = copy.deepcopy(random)
     reduced = reduce_mixture(
@@ -164,13 +164,15 @@ def reduce(belief: Belief, config: LocalizerConfig) -> Belief:
     return unchecked_replace(belief, hypotheses=reduced, random=random)
 
 
-def follow_agreement(belief: Belief, seen: Sequence[Seen], views: Sequence[View], config: LocalizerConfig) -> Belief:
+def follow_agreement(
+    belief: Belief, used: Sequence[UsedView], views: Sequence[View], config: LocalizerConfig
+) -> Belief:
     """Average the fraction of the belief that fits the latest images; nothing fits one out of distribution."""
     foreign = sum(view.posterior.is_foreign for view in views)
-    if not seen and not foreign:
+    if not used and not foreign:
         return belief
     follow = min(-np.expm1(-belief.unseen_s / config.agreement_s), 1.0 / config.agreement_images)
-    fits = sum(one.agreement for one in seen) / (len(seen) + foreign)
+    fits = sum(one.agreement for one in used) / (len(used) + foreign)
     agreement = belief.agreement + follow * (fits - belief.agreement)
     usual = belief.usual_agreement - np.expm1(-belief.unseen_s / _USUAL_S) * (agreement - belief.usual_agreement)
     return unchecked_replace(belief, agreement=agreement, usual_agreement=usual, unseen_s=0.0)
@@ -216,7 +218,7 @@ def with_cameras(belief: Belief, views: Sequence[View], config: LocalizerConfig)
             else known_camera.with_landmarks(view, number, unknown=1.0, adapts=adapts)
         )
         belief = belief.with_camera(view.camera, camera)
-    hypotheses = known(belief)
+    hypotheses = hypotheses_of(belief)
     for _ in range(before, belief.num_sources):
         hypotheses = with_source(hypotheses)
     return unchecked_replace(belief, hypotheses=hypotheses)
@@ -234,7 +236,7 @@ def born_at(posterior: PosePosterior, camera: CameraMemory, belief: Belief, conf
 
 def describe(belief: Belief, views: Sequence[View], novelty: float, config: LocalizerConfig) -> tuple[Belief, Estimate]:
     """The estimate of a belief, and the belief with its best mode kept."""
-    hypotheses, errors = known(belief), next(iter(belief.cameras.values())).errors
+    hypotheses, errors = hypotheses_of(belief), next(iter(belief.cameras.values())).errors
     modes = _ordered(describe_modes(hypotheses, errors, config.modes), belief.best, errors, config)
     estimate = Estimate(
         modes,
@@ -271,7 +273,7 @@ def _status(best: Mode, agreement: float, errors: ErrorModel, config: LocalizerC
     return "converged" if sure and agreement >= config.converged_agreement else "ambiguous"
 
 
-def known(belief: Belief) -> Hypotheses:
+def hypotheses_of(belief: Belief) -> Hypotheses:
     """The hypotheses of a belief that has begun."""
     assert belief.hypotheses is not None
     return belief.hypotheses
