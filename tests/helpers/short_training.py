@@ -3,12 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
 
-from filtering.se3 import Poses
 from sequences.frame import Frame
-from tests.helpers.tiny_training import make_frames, pose
+from tests.helpers.tiny_training import pose
 from vapor.training.config import TrainConfig
 from vapor.training.train import train_on
 
@@ -20,14 +18,6 @@ def train_on_most(frames: list[Frame], output: Path, config: TrainConfig, **more
         replace(late, world_from_camera=pose(early)) for late, early in zip(frames[count:], frames, strict=False)
     ]
     return train_on({"a": frames[:count]}, output, config, validation={"b": held_out}, **more)
-
-
-def walks() -> dict[str, list[Frame]]:
-    """Four walks of 24 images along the same line, of which one is held out."""
-    frames = make_frames(96)
-    poses = [Poses(np.eye(3), np.array([0.1 * i, 0.0, 0.0])) for i in range(24)]
-    moved = [replace(frame, world_from_camera=poses[i % 24]) for i, frame in enumerate(frames)]
-    return {name: moved[24 * i : 24 * (i + 1)] for i, name in enumerate("abcd")}
 
 
 class Interrupted(Exception):
