@@ -14,11 +14,9 @@ from filtering.posterior import PosePosterior
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.cameras import AsTakenBy
-from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.description import ModelDescription
-from vapor.checkpoints.shipped_models import find_model
-from vapor.engines.device import Device
-from vapor.engines.engine import Engine, EngineConfig, EngineName, Precision
+from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription
+from vapor.checkpoints.file_format import find_model
+from vapor.engines.engine import Device, Engine, EngineConfig, EngineName, Precision
 from vapor.engines.start import describe, start_engine
 from vapor.images import prepare, require_rgb
 from vapor.landmarks.verify import LandmarkVerifier

@@ -18,7 +18,7 @@ from tests.helpers.sequence_files import CAMERA, Walk
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.checkpoints.stored_landmarks import landmark_arrays, landmarks_config
+from vapor.checkpoints.stored_tensors import landmark_arrays, landmarks_config
 from vapor.engines.onnx_file import describe_onnx
 from vapor.evaluation.validation import Validation
 from vapor.landmarks.features import SIFT_SIZE, SIZE, Features, restored, stored
@@ -28,8 +28,7 @@ from vapor.landmarks.verify import Landmarks
 from vapor.landmarks.view_camera import ViewCamera
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity, description_size
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.processes import make_learner

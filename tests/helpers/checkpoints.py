@@ -22,4 +22,4 @@ def make_checkpoint(config: NetworkConfig = SMALL, num_poses: int = 30) -> Check
     poses = Poses.exp(np.random.default_rng(0).standard_normal((num_poses, 6)))
     state = VariationalPoseRegressor(config, BOX).state_dict()
     calibration = Calibration(0.2, 0.1, replace(ErrorModel(), tail=3.5, floor=(0.1, 0.2, 0.3, 0.01, 0.02, 0.03)))
-    return Checkpoint(config, BOX, calibration, poses, state, {"data": ["a.mcap"], "seed": 3})
+    return Checkpoint(config, BOX, calibration, poses, state, training={"data": ["a.mcap"], "seed": 3})

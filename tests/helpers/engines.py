@@ -11,9 +11,8 @@ from tests.helpers.checkpoints import BOX
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.regressors.familiarity import Familiarity, description_size
-from vapor.regressors.memory import Memory
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import NetworkConfig, make_regressor
+from vapor.regressors.retrieval import Memory
 
 CONFIG = NetworkConfig(
     backbone="resnet18-quarter", image_width=40, image_height=32, shortest_edge=32, feature_dim=16, latent_dim=4,
@@ -41,7 +40,7 @@ def any_checkpoint(head: str = "variational", *, familiar: bool = True) -> Check
         ]
         known = Familiarity(*parts, own_distance=1.0, threshold=2.0)
     return Checkpoint(
-        config, BOX, Calibration(), poses, network.state_dict(), {"seed": 3}, familiarity=known, memory=memory
+        config, BOX, Calibration(), poses, network.state_dict(), training={"seed": 3}, familiarity=known, memory=memory
     )
 
 

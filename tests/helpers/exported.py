@@ -9,7 +9,7 @@ from pathlib import Path
 
 from safetensors.numpy import load
 
-from vapor.checkpoints.description import ModelDescription
+from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.engines import onnx_file
 from vapor.engines.onnx_file import ARRAYS, CONFIG, GRAPH, add_description
 from vapor.tensor_files import arrays_as_bytes

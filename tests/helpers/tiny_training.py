@@ -31,7 +31,6 @@ TINY = TrainConfig(
     batch_size=8,
     validation_fraction=0.25,
     precision="float32",
-    store_float16=False,
     device="cpu",
 )
 

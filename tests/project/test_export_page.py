@@ -20,7 +20,7 @@ from vapor.cameras import AsTakenBy
 from vapor.engines.onnx_export import export_onnx
 from vapor.images import prepare
 from vapor.observation import VaporObservationModel
-from vapor.regressors.registry import REGRESSORS, make_regressor
+from vapor.regressors.network_config import REGRESSORS, make_regressor
 
 PAGE = (CHECKOUT / "docs" / "export.md").read_text(encoding="utf-8")
 LEARNED = Camera(160, 128, 120.0, 121.0, 79.0, 64.0)

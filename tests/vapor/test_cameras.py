@@ -18,8 +18,8 @@ from tests.helpers.tiny_training import TINY
 from vapor.cameras import AsTakenBy, fraction_seen, resampled
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.regressors.describer import Describer
 from vapor.regressors.familiarity import Familiarity
+from vapor.regressors.network_config import Describer
 from vapor.tensor_files import CheckpointError
 from vapor.training.train import train_on
 from vapor.training_data.load import load_training_set
@@ -148,7 +148,7 @@ def test_a_model_file_written_before_cameras_were_kept_has_none(tmp_path: Path) 
     ("change", "said"),
     [
         ({"fx": "long"}, "camera configuration has fx 'long', expected a number"),
-        ({"width": 160.5}, "camera configuration has width 160.5, expected a number"),
+        ({"width": 160.5}, "camera configuration has width 160.5, expected a whole number"),
         ({"fy": -1.0}, "camera with fy -1.0, expected between"),
         ({"k1": 0.1}, r"camera configuration lacks \[\] and has surplus \['k1'\]"),
     ],

@@ -16,8 +16,7 @@ from filtering.se3 import Poses
 from tests.helpers.checkpoints import BOX
 from tests.helpers.observing import CONFIG, IMAGE, MODEL, observe, uncalibrated
 from vapor.checkpoints.calibration import Calibration
-from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.file_format import find_model, load_checkpoint, save_checkpoint
 from vapor.images import prepare
 from vapor.observation import VaporObservationModel
 from vapor.tensor_files import CheckpointError

@@ -21,7 +21,6 @@ from vapor.benchmark.regressors.table import TableConfig, TableExperiment, parse
 from vapor.benchmark.trials import run as run_module
 from vapor.parallel.jobs import Workers
 from vapor.storage import StorageError, absent, fetched, listed, local_path, published, url_of, withdrawn
-from vapor.training import saving as saving_module
 from vapor.training import state as state_module
 from vapor.training.state import state_path
 
@@ -157,11 +156,11 @@ def test_a_training_that_was_killed_goes_on_on_another_machine_to_the_same_resul
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(saving_module, "save_state", killed)
+        patch.setattr(state_module, "save_state", killed)
         with pytest.raises(KeyboardInterrupt):
             results(local_path("memory://table"))
     machine("two")
-    monkeypatch.setattr(saving_module, "save_state", lambda *state: save(*state) or epochs.append(state[0]))
+    monkeypatch.setattr(state_module, "save_state", lambda *state: save(*state) or epochs.append(state[0]))
     trains = runs_module.train_on_images
 
     def resuming(images: object, names: object, model: Path, *rest: object) -> object:

@@ -8,14 +8,12 @@ import torch
 from safetensors.torch import save_file
 
 from tests.helpers.checkpoints import SMALL, make_checkpoint
-from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.checkpoints.shipped_models import SHIPPED
+from vapor.checkpoints.file_format import SHIPPED, load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import Validation
-from vapor.regressors.pretrained import load_pretrained
+from vapor.regressors.network_config import load_pretrained
 from vapor.tensor_files import CHECKSUM, CheckpointError, content_sha256, read_safetensors, write_safetensors
 from vapor.training.config import TrainConfig
-from vapor.training.start import start
-from vapor.training.state import load_state, save_state
+from vapor.training.state import load_state, save_state, start
 
 DAMAGED = r"m\.safetensors: (damaged: .* do not match its checksum, expected the file as it was|cannot be read .*exp)"
 
@@ -169,7 +167,7 @@ def words_in_history(tensors: dict, config: dict) -> None:
         (without_step, r"optimizer\.0 has .* expected the network's tensors"),
         (other_best, r"Missing key.* expected the network's tensors"),
         (imaginary, r"tensor network\..* is of torch\.complex64, expected real numbers"),
-        (words_in_history, r"history has 'x', expected a number"),
+        (words_in_history, r"history configuration has \w+ 'x', expected a "),
     ],
 )
 def test_a_state_that_no_training_wrote_is_refused_though_its_checksum_fits(change, said, tmp_path):

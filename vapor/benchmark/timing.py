@@ -23,8 +23,7 @@ from sequences.images.decoding import decode_image_bytes
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.observation import VaporObservationModel
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox
 
 _IMAGE_SHAPE = (240, 320, 3)
@@ -217,7 +216,7 @@ def untrained(config: NetworkConfig) -> Checkpoint:
         features = torch.randn(_REMEMBERED, len(recalling.centre))
         recalling.remember(features, torch.zeros(_REMEMBERED, 3), torch.eye(3).repeat(_REMEMBERED, 1, 1))
     weights = network.state_dict()
-    return Checkpoint(config, box, Calibration(), Poses.exp(np.zeros((1, 6))), weights, {}, memory=network.memory)
+    return Checkpoint(config, box, Calibration(), Poses.exp(np.zeros((1, 6))), weights, network.memory)
 
 
 def _time(part: str, call: Callable[[], object], repetitions: int) -> Timing:

@@ -17,12 +17,12 @@ from vapor.calibration.observations import Observations
 from vapor.calibration.odometry import fit_first_odometry
 from vapor.calibration.travel import Travel
 from vapor.checkpoints.calibration import Calibration
-from vapor.checkpoints.thinning import spaced
+from vapor.checkpoints.scene_scale import spaced
 from vapor.evaluation.validation import predict
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.threads import limited_threads
-from vapor.training_data.passes import pass_numbers, some_runs
+from vapor.training_data.ground import pass_numbers, some_runs
 from vapor.training_data.training_set import TrainingSet
 
 NUM_SAMPLES = 1000  # an image, as in use: fewer want wider kernels

@@ -17,16 +17,14 @@ from vapor.calibration.familiarity import EXEMPLARS, extract_features, learn_fam
 from vapor.calibration.image_errors import LEAST_IMAGES
 from vapor.calibration.unfamiliarity import ordinary_score
 from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.file_format import find_model, load_checkpoint, save_checkpoint
+from vapor.checkpoints.scene_scale import spaced
 from vapor.checkpoints.stored_tensors import NETWORK
-from vapor.checkpoints.thinning import spaced
-from vapor.engines.device import Device, resolve_device
+from vapor.engines.engine import Device, resolve_device
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.tensor_files import read_safetensors
-from vapor.training_data.entries import open_sequences
-from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.entries import open_sequences, require_no_leakage
 from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingSet
 

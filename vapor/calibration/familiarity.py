@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Float32, Int64
 
 from vapor.images import centre_crop
+from vapor.regressors.backbones import Describer
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.describer import Describer
 from vapor.regressors.familiarity import CHROMA, LEAST_IMAGES, QUANTILE, Familiarity, description_size
 from vapor.training_data.training_set import TrainingSet
 

@@ -8,7 +8,7 @@ from sequences.errors import SequenceError
 from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.pieces import LEAST_INCREMENTS
 from sequences.odometry_fit.result import OdometryFit
-from vapor.training_data.passes import odometry_segments
+from vapor.training_data.ground import odometry_segments
 from vapor.training_data.training_set import TrainingSet
 
 

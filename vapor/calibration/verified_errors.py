@@ -16,7 +16,7 @@ from vapor.calibration.lasting_errors import LastingErrors, effective_images
 from vapor.calibration.maximum_likelihood import most_likely_errors
 from vapor.calibration.places import Places
 from vapor.calibration.travel import LEAST_PAIRS, Travel, pairs_of_images
-from vapor.checkpoints.thinning import spaced
+from vapor.checkpoints.scene_scale import spaced
 from vapor.landmarks.build import BuiltMap
 from vapor.landmarks.features import Features
 from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose

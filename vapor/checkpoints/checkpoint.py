@@ -1,11 +1,11 @@
-"""A trained model: network, weights, scene box, calibration, and where it came from."""
+"""A trained model: network, weights, scene box, calibration and provenance; and its description without weights."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import KW_ONLY, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,50 +14,72 @@ import numpy as np
 from filtering.se3 import Poses
 from sequences.frame import Camera
 from vapor.checkpoints.calibration import Calibration
-from vapor.checkpoints.description import ModelDescription, poses_of
-from vapor.checkpoints.stored_landmarks import landmark_arrays, landmarks_config
+from vapor.checkpoints.stored_tensors import landmark_arrays, landmarks_config, poses_of
 from vapor.landmarks.verify import Landmarks
 from vapor.regressors.familiarity import Familiarity
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from vapor.regressors.base import PoseRegressor
-    from vapor.regressors.memory import Memory
+    from vapor.regressors.retrieval import Memory
 
 
 @dataclass(frozen=True)
-class Checkpoint:
+class _Model:
+    """Everything that a model consists of, but for the network's weights."""
+
+    network: NetworkConfig
+    """Shape of the network."""
+    box: SceneBox
+    """Box of predicted positions."""
+    calibration: Calibration
+    prior_poses: Poses
+    """A posterior sample of each of n ≤ 2000 training images, batch (n,): they outline the scene."""
+    _: KW_ONLY
+    training: Mapping[str, Any] = field(default_factory=dict)
+    """Provenance (data names, seed, images seen, validation figures); any JSON."""
+    familiarity: Familiarity | None = None
+    """Descriptions of training images; None where they were never learned."""
+    camera: Camera | None = None
+    """The camera of the training images, undistorted; None where unknown."""
+    file: Path | None = None
+    """The file that it was read from; None of a model in memory."""
+    landmarks: Landmarks | None = None
+    """Points of the place, by which poses are found to centimetres; None where there are none."""
+
+
+@dataclass(frozen=True)
+class ModelDescription(_Model):
+    """A model without its weights.
+
+    Attributes:
+        network_sha256: Digest of network, box, weights and memory, on which the posterior samples depend.
+        memory_poses: True poses of the training images that a retrieval regressor remembers; None with any other.
+    """
+
+    network_sha256: str
+    memory_poses: Poses | None = None
+
+
+@dataclass(frozen=True)
+class Checkpoint(_Model):
     """A trained model: everything that an observation model needs.
 
     Attributes:
-        network: Shape of the network.
-        box: Box of predicted positions.
-        calibration: How wrong its posteriors are.
-        prior_poses: A posterior sample of each of n ≤ 2000 training images, batch (n,): they outline the scene.
         state_dict: Parameters and BatchNorm statistics of the `PoseRegressor`, float32 on the CPU.
-        training: Where it came from (data names, seed, images seen, validation figures); any JSON.
-        familiarity: What training images look like to the network; None where that was never learned.
-        camera: The camera of the training images, undistorted; None where unknown.
-        memory: The training images as a retrieval regressor remembers them; None with any other.
-        file: The file that it was read from; None of a model in memory.
-        landmarks: Points of the place, by which poses are found to centimetres; None where there are none.
+        memory: The training images that a retrieval regressor remembers; None with any other.
     """
 
-    network: NetworkConfig
-    box: SceneBox
-    calibration: Calibration
-    prior_poses: Poses
     state_dict: Mapping[str, Tensor]
-    training: dict[str, Any] = field(default_factory=dict)
-    familiarity: Familiarity | None = None
-    camera: Camera | None = None
     memory: Memory | None = None
-    file: Path | None = None
-    landmarks: Landmarks | None = None
+
+    @staticmethod
+    def of(description: ModelDescription, state_dict: Mapping[str, Tensor], memory: Memory | None) -> Checkpoint:
+        """A model from its description."""
+        return Checkpoint(**_shared(description), state_dict=state_dict, memory=memory)
 
     def build_network(self) -> PoseRegressor:
         """The network with its weights, on the CPU, in evaluation mode."""
@@ -70,28 +92,17 @@ class Checkpoint:
     def description(self) -> ModelDescription:
         """The model without its weights."""
         memory = self.memory
-        return ModelDescription(
-            self.network,
-            self.box,
-            self.calibration,
-            self.prior_poses,
-            self.network_sha256(),
-            self.training,
-            self.familiarity,
-            self.camera,
-            None if memory is None else poses_of(memory.rotation.numpy(), memory.translation.numpy()),
-            self.file,
-            self.landmarks,
-        )
+        poses = None if memory is None else poses_of(memory.rotation.numpy(), memory.translation.numpy())
+        return ModelDescription(**_shared(self), network_sha256=self.network_sha256(), memory_poses=poses)
 
     def network_sha256(self) -> str:
-        """Digest of what the posterior samples depend on: network, box, weights and memory, but not the calibration."""
+        """Digest of network, box, weights and memory, on which the posterior samples depend."""
         weights = {name: value.numpy() for name, value in self.state_dict.items()}
         memory = self.memory.tensors().values() if self.memory else ()
         return network_sha256(self.network, self.box, weights, [value.numpy() for value in memory])
 
     def seen_sha256(self) -> str:
-        """Digest of all that what the network says of an image depends on: the same, what is familiar, the camera."""
+        """Digest of all that the network's result for an image depends on: weights, familiarity, camera, landmarks."""
         seen = hashlib.sha256(self.network_sha256().encode())
         for each in fields(self.familiarity) if self.familiarity else ():
             seen.update(each.name.encode() + np.asarray(getattr(self.familiarity, each.name)).tobytes())
@@ -102,6 +113,10 @@ class Checkpoint:
             for name, value in landmark_arrays(self.landmarks).items():
                 seen.update(name.encode() + np.ascontiguousarray(value).data)
         return seen.hexdigest()
+
+
+def _shared(model: _Model) -> dict[str, Any]:
+    return {each.name: getattr(model, each.name) for each in fields(_Model)}
 
 
 def network_sha256(

@@ -2,40 +2,131 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any, NamedTuple
 
-from vapor.checkpoints.checkpoint import Checkpoint, network_sha256
-from vapor.checkpoints.description import ModelDescription
-from vapor.checkpoints.stored_description import (
-    FORMAT,
-    StoredConfig,
-    description_arrays,
-    description_metadata,
-    parse_description,
-    parse_stored_config,
-)
-from vapor.checkpoints.stored_landmarks import landmark_shapes
+import numpy as np
+
+from filtering.errors import quoted
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription, network_sha256
+from vapor.checkpoints.scene_scale import MAX_PRIOR_POSES, spaced
+from vapor.checkpoints.stored_config import parse_camera, parse_config, parse_metadata
 from vapor.checkpoints.stored_tensors import (
+    FAMILIARITY,
     HALVED_MEMORY,
     MEMORY,
     MEMORY_FIELDS,
     MEMORY_ROTATION,
+    MEMORY_TRANSLATION,
     NETWORK,
     POSES,
+    PRIOR_ROTATION,
+    PRIOR_TRANSLATION,
     Shapes,
     check_tensors,
+    familiarity_arrays,
     familiarity_shapes,
     float32,
+    landmark_arrays,
+    landmark_shapes,
+    landmarks_config,
     memory_shapes,
+    read_familiarity,
+    read_landmarks,
+    read_poses,
 )
 from vapor.regressors.familiarity import description_size
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import NetworkConfig, make_regressor
+from vapor.regressors.scene_box import SceneBox
+from vapor.storage import fetched, is_url, local_path
 from vapor.tensor_files import CheckpointError, StoredTensor, format_of, read_stored, write_safetensors
 
+FORMAT = "vapor-track model"
+VERSION = 10
 ONNX = ".onnx"
-"""How names of exported models end."""
+"""Suffix of exported models."""
+SHIPPED = Path(__file__).resolve().parents[1] / "models"
+"""Folder of the models that ship."""
+
+
+class StoredConfig(NamedTuple):
+    """Metadata of a model file: the parsed shape of the network, and in `rest` all of the configuration, JSON."""
+
+    network: NetworkConfig
+    box: SceneBox
+    training: dict[str, Any]
+    rest: dict[str, Any]
+
+
+def description_metadata(model: ModelDescription | Checkpoint) -> dict[str, str]:
+    """The metadata of a model file."""
+    config = {
+        "network": asdict(model.network),
+        "box": asdict(model.box),
+        "calibration": asdict(model.calibration),
+        "training": dict(model.training),
+        "camera": None if model.camera is None else asdict(model.camera),
+        "landmarks": None if model.landmarks is None else landmarks_config(model.landmarks),
+    }
+    return {"format": FORMAT, "version": str(VERSION), "config": json.dumps(config, allow_nan=False)}
+
+
+def description_arrays(model: ModelDescription | Checkpoint) -> dict[str, np.ndarray]:
+    """Tensors of a model file beside weights and memory; more than 2000 prior poses are thinned evenly."""
+    poses = model.prior_poses
+    poses = poses[spaced(len(poses), MAX_PRIOR_POSES)]
+    arrays = {PRIOR_ROTATION: poses.rotation, PRIOR_TRANSLATION: poses.translation}
+    arrays |= {} if model.familiarity is None else familiarity_arrays(model.familiarity)
+    return arrays | ({} if model.landmarks is None else landmark_arrays(model.landmarks))
+
+
+def parse_stored_config(path: Path, metadata: Mapping[str, str]) -> StoredConfig:
+    """Metadata of a model file.
+
+    Raises:
+        CheckpointError: another format or version, or a configuration with missing, surplus or unusable values.
+    """
+    found = metadata.get("format")
+    if found != FORMAT:
+        raise CheckpointError(f"{path}: format is {quoted(found)} in its metadata, expected {FORMAT!r}")
+    version = metadata.get("version")
+    if version != str(VERSION):
+        raise CheckpointError(f"{path}: format version is {version!r}, expected '{VERSION}'; train the model again")
+    config = parse_metadata(path, metadata.get("config"))
+    network = parse_config(path, "network", NetworkConfig, config.get("network"))
+    box = parse_config(path, "box", SceneBox, config.get("box"))
+    training = config.get("training")
+    if not isinstance(training, dict):
+        raise CheckpointError(f"{path}: training is {type(training).__name__} in its configuration, expected an object")
+    return StoredConfig(network, box, training, config)
+
+
+def parse_description(
+    path: Path, config: StoredConfig, tensors: Mapping[str, StoredTensor], network_sha256: str
+) -> ModelDescription:
+    """The rest of a model file, once its tensors were checked.
+
+    Raises:
+        CheckpointError: unusable values.
+    """
+    known = any(name.startswith(FAMILIARITY) for name in tensors)
+    return ModelDescription(
+        config.network,
+        config.box,
+        parse_config(path, "calibration", Calibration, config.rest.get("calibration")),
+        read_poses(tensors, PRIOR_ROTATION, PRIOR_TRANSLATION),
+        network_sha256,
+        read_poses(tensors, MEMORY_ROTATION, MEMORY_TRANSLATION) if MEMORY_ROTATION in tensors else None,
+        training=config.training,
+        familiarity=read_familiarity(path, tensors) if known else None,
+        camera=parse_camera(path, config.rest.get("camera")),
+        file=path,
+        landmarks=read_landmarks(path, config.rest.get("landmarks"), tensors),
+    )
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool = False) -> None:
@@ -43,7 +134,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, store_float16: bool =
 
     Args:
         path: A file name, usually *.safetensors.
-        checkpoint: What to write; more than 2000 prior poses are thinned evenly.
+        checkpoint: The model; more than 2000 prior poses are thinned evenly.
         store_float16: Store weight matrices as float16, for half the size; biases and BatchNorm stay float32.
     """
     import torch
@@ -67,7 +158,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     """
     import torch
 
-    from vapor.regressors.memory import Memory
+    from vapor.regressors.retrieval import Memory
 
     _refuse_exported(path)
     metadata, tensors = read_stored(path)
@@ -77,9 +168,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     weights = regressor.state_dict()
     recalling = regressor.recalling
     expected = {NETWORK + name: (tuple(v.shape), str(v.dtype).removeprefix("torch.")) for name, v in weights.items()}
-    known = familiarity_shapes(tensors, description_size(config.network.backbone))
     remembered = {} if recalling is None else memory_shapes(tensors, recalling.memory_shapes())
-    check_tensors(path, tensors, {**expected, **known, **remembered, **landmark_shapes(tensors)})
+    rest = {name: value for name, value in tensors.items() if not name.startswith(MEMORY)}
+    check_tensors(path, tensors, {**expected, **remembered, **shapes_beside_weights(config, rest)})
     model = parse_description(path, config, tensors, "")
 
     def read(name: str) -> torch.Tensor:
@@ -87,23 +178,11 @@ def load_checkpoint(path: Path) -> Checkpoint:
         return tensor.float() if tensor.is_floating_point() else tensor
 
     memory = None if recalling is None else Memory(**{f.name: read(MEMORY + f.name) for f in fields(Memory)})
-    return Checkpoint(
-        config.network,
-        config.box,
-        model.calibration,
-        model.prior_poses,
-        {name: read(NETWORK + name) for name in weights},
-        config.training,
-        model.familiarity,
-        model.camera,
-        memory,
-        path,
-        model.landmarks,
-    )
+    return Checkpoint.of(model, {name: read(NETWORK + name) for name in weights}, memory)
 
 
 def load_description(path: Path) -> ModelDescription:
-    """Read what a model file says beside its weights, which are not looked at but for their digest; without torch.
+    """Read a model file without its weights, of which only the digest is taken; torch is not imported.
 
     Raises:
         CheckpointError: as `load_checkpoint`, but for the weights.
@@ -114,7 +193,9 @@ def load_description(path: Path) -> ModelDescription:
     weights = {name: value for name, value in tensors.items() if name.startswith((NETWORK, MEMORY))}
     rest = {name: value for name, value in tensors.items() if name not in weights or name.removeprefix(MEMORY) in POSES}
     check_tensors(path, rest, shapes_beside_weights(config, rest))
-    return parse_description(path, config, rest, _digest(config, weights))
+    network = {name.removeprefix(NETWORK): float32(v) for name, v in weights.items() if name.startswith(NETWORK)}
+    memory = [float32(weights[MEMORY + name]) for name in MEMORY_FIELDS if MEMORY + name in weights]
+    return parse_description(path, config, rest, network_sha256(config.network, config.box, network, memory))
 
 
 def is_onnx(path: Path) -> bool:
@@ -128,19 +209,28 @@ def _refuse_exported(path: Path) -> None:
 
 
 def shapes_beside_weights(config: StoredConfig, tensors: Mapping[str, StoredTensor]) -> Shapes:
-    """What of its description a file must have as tensors, beside the prior poses."""
+    """Shapes of the tensors that a file must have beside weights and prior poses."""
     known = familiarity_shapes(tensors, description_size(config.network.backbone))
     remembered = memory_shapes(tensors, POSES) if MEMORY_ROTATION in tensors else {}
     return {**known, **remembered, **landmark_shapes(tensors)}
 
 
 def is_model(path: Path) -> bool:
-    """Whether a file is a model of this package, by what it says of itself."""
+    """Whether the metadata of a file are those of a model of this package."""
     return format_of(path) == FORMAT
 
 
-def _digest(config: StoredConfig, weights: Mapping[str, StoredTensor]) -> str:
-    """As `Checkpoint.network_sha256`."""
-    network = {name.removeprefix(NETWORK): float32(v) for name, v in weights.items() if name.startswith(NETWORK)}
-    memory = [float32(weights[MEMORY + name]) for name in MEMORY_FIELDS if MEMORY + name in weights]
-    return network_sha256(config.network, config.box, network, memory)
+def find_model(name_or_path: str) -> Path:
+    """The file of a model: by a path, a URL, which is copied, or the name of a model that ships.
+
+    Raises:
+        CheckpointError: neither a file nor a shipped model; lists those that ship.
+    """
+    path = fetched(local_path(name_or_path)) if is_url(name_or_path) else Path(name_or_path)
+    if path.is_file():
+        return path
+    shipped = SHIPPED / f"{name_or_path}.safetensors"
+    if path.name == name_or_path and shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.safetensors"))) or "none"
+    raise CheckpointError(f"{name_or_path}: no such model file, expected one, or a model that ships: {names}")

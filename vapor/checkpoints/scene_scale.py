@@ -1,9 +1,9 @@
-"""How large a scene is, and what errors to expect in one of which nothing else is known."""
+"""The size of a scene, the errors to expect in it by default, and even thinning."""
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
@@ -14,6 +14,8 @@ _TURNED = 0.15  # fraction of all rotations that cameras have: they are mostly u
 _RADIUS, _FLOOR, _FLOOR_RAD, _LENGTH = 0.04, 0.02, 0.05, 0.05  # in extents, but for the angle
 _MISTAKEN = 4.0  # lengths
 RADIUS_RAD, LENGTH_RAD = 0.5, 0.4
+MAX_PRIOR_POSES = 2000
+"""Most prior poses that a model file holds."""
 
 
 def scene_extent(poses: Poses) -> float:
@@ -36,14 +38,10 @@ def flat_log_density(poses: Poses) -> float:
 
 
 def default_errors(poses: Poses) -> ErrorModel:
-    """Errors of a network that was not calibrated, lengths in proportion to the scene.
-
-    Args:
-        poses: That outline the scene, such as a model's prior poses, world_from_camera, (n,).
-    """
+    """Errors of a network that was not calibrated, in proportion to the scene that poses (n,) outline."""
     extent = scene_extent(poses)
     floor = _FLOOR * extent, _FLOOR * extent, _FLOOR * extent, _FLOOR_RAD, _FLOOR_RAD, _FLOOR_RAD
-    typical = 1.4 * np.array(floor)  # the samples' own spread is as large, say
+    typical = 1.4 * np.array(floor)  # as if the samples' own spread were as large
     a, b, c, d, e, f = (float(value) for value in typical)
     return ErrorModel(
         radius_m=_RADIUS * extent,
@@ -60,3 +58,8 @@ def default_errors(poses: Poses) -> ErrorModel:
 def _sides(poses: Poses) -> Float64[np.ndarray, "3"]:
     low, high = np.quantile(poses.translation, [_TAIL, 1.0 - _TAIL], axis=0)
     return high - low
+
+
+def spaced(count: int, limit: int) -> Int64[np.ndarray, " n"]:
+    """Indices of min(count, limit) of `count` things, evenly spaced in their order."""
+    return np.linspace(0, count - 1, min(count, limit)).round().astype(np.int64)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from filtering.errors import VaporTrackError, quoted
 from sequences.files.structured import parse_json
 from sequences.frame import Camera
-from vapor.regressors.scene_box import SceneBox
+from sequences.odometry_fit.result import OdometryFit
 from vapor.tensor_files import CheckpointError
 
 _KINDS = {bool: ("true or false", {bool}), int: ("a whole number", {int}), float: ("a number", {int, float})}
+
+_COUNTS = {3: "three", 6: "six"}
 
 Config = TypeVar("Config")
 
@@ -45,31 +47,12 @@ def parse_config(path: Path, name: str, kind: type[Config], values: Any) -> Conf
             f"{path}: {name} configuration lacks {quoted(sorted(expected - found))} and has surplus"
             f" {quoted(sorted(found - expected))}, expected {', '.join(sorted(expected))}"
         )
-    for f in fields(kind):  # pyright: ignore[reportArgumentType]
-        what, kinds = _KINDS.get(type(f.default), ("", None))
-        if kinds and type(values[f.name]) not in kinds:
-            raise CheckpointError(
-                f"{path}: {name} configuration has {f.name} {quoted(values[f.name])}, expected {what}"
-            )
+    hints = get_type_hints(kind)
+    parsed = {field: _parsed(path, name, field, hints[field], value) for field, value in values.items()}
     try:
-        return kind(**values)
+        return kind(**parsed)
     except (VaporTrackError, TypeError) as error:
         raise CheckpointError(f"{path}: {name} configuration: {error}") from error
-
-
-def parse_box(path: Path, box: Any) -> SceneBox:
-    """A scene box from JSON, whose lists become the tuples that it has.
-
-    Raises:
-        CheckpointError: missing, surplus or unusable values.
-    """
-    if not isinstance(box, dict):
-        return parse_config(path, "box", SceneBox, box)  # which says what is wrong
-    for name, values in box.items():
-        if not (isinstance(values, list) and len(values) == 3 and all(isinstance(v, int | float) for v in values)):
-            raise CheckpointError(f"{path}: box configuration has {name} {quoted(values)}, expected three numbers")
-    triples = {name: (float(x), float(y), float(z)) for name, (x, y, z) in box.items()}
-    return parse_config(path, "box", SceneBox, triples)
 
 
 def parse_camera(path: Path, values: Any) -> Camera | None:
@@ -78,9 +61,30 @@ def parse_camera(path: Path, values: Any) -> Camera | None:
     Raises:
         CheckpointError: missing, surplus or unusable values.
     """
-    if values is None:
-        return None
-    for name, value in values.items() if isinstance(values, dict) else ():
-        if type(value) not in ((int,) if name in ("width", "height") else (int, float)):
-            raise CheckpointError(f"{path}: camera configuration has {name} {quoted(value)}, expected a number")
-    return parse_config(path, "camera", Camera, values)
+    return None if values is None else parse_config(path, "camera", Camera, values)
+
+
+def _parsed(path: Path, name: str, field: str, hint: Any, value: Any) -> Any:
+    """A field's value from JSON by its type."""
+    if type(None) in get_args(hint):
+        if value is None:
+            return None
+        (hint,) = (each for each in get_args(hint) if each is not type(None))
+    if hint is OdometryFit:
+        if not isinstance(value, dict):
+            raise CheckpointError(f"{path}: {name}.{field} is {quoted(value)}, expected an object or null")
+        try:
+            return OdometryFit.from_dict(value)
+        except VaporTrackError as error:
+            raise CheckpointError(f"{path}: {name}.{field} configuration: {error}") from error
+    if is_dataclass(hint):
+        return parse_config(path, f"{name}.{field}", cast(type, hint), value)
+    if get_origin(hint) is tuple:
+        fits = isinstance(value, list) and len(value) == len(get_args(hint))
+        fits, wanted = fits and all(type(v) in (int, float) for v in value), f"{_COUNTS[len(get_args(hint))]} numbers"
+    else:
+        wanted, kinds = _KINDS.get(hint, ("", None))
+        fits = kinds is None or type(value) in kinds
+    if not fits:
+        raise CheckpointError(f"{path}: {name} configuration has {field} {quoted(value)}, expected {wanted}")
+    return tuple(map(float, value)) if get_origin(hint) is tuple else value

@@ -1,28 +1,33 @@
-"""Tensors in a model file: what they are called, which ones a model needs, and whether those found are usable."""
+"""Tensors in a model file: names, shapes, and checks of those found."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-from filtering.errors import VaporTrackError
+from filtering.errors import VaporTrackError, quoted
 from filtering.se3 import Poses
-from vapor.checkpoints.description import poses_of
+from vapor.checkpoints.stored_config import parse_camera, parse_config
+from vapor.landmarks.features import SIFT_SIZE, SIZE
+from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.verify import Landmarks, Verification
+from vapor.landmarks.view_camera import ViewCamera
 from vapor.regressors.familiarity import Familiarity
 from vapor.tensor_files import FLOATS, CheckpointError, StoredTensor
 
 NETWORK = "network."
 FAMILIARITY = "familiarity."
 MEMORY = "memory."
-"""What the names of tensors begin with in a file: weights of the network, what is familiar to it, what it remembers."""
+"""Prefixes of the names of tensors in a file: weights of the network, familiarity, memory."""
 PRIOR_ROTATION, PRIOR_TRANSLATION = "prior_poses.rotation", "prior_poses.translation"
 """Names of the tensors that hold the prior poses."""
 MEMORY_ROTATION, MEMORY_TRANSLATION = f"{MEMORY}rotation", f"{MEMORY}translation"
-"""Names of the tensors that hold the poses of what is remembered."""
+"""Names of the tensors that hold the poses in memory."""
 LANDMARKS = "landmarks."
 """What the names of the tensors of landmarks begin with in a file."""
 LANDMARKS_ROTATION = f"{LANDMARKS}rotation"
@@ -32,26 +37,26 @@ MEMORY_FIELDS = "keys", "views", "translation", "rotation"
 HALVED_MEMORY = "keys", "views"
 """What of a memory is stored as float16 where that is asked for: poses are exact."""
 POSES: Mapping[str, tuple[int, ...]] = MappingProxyType({"rotation": (3, 3), "translation": (3,)})
-"""Shapes of what is remembered of an image by every regressor that remembers."""
+"""Shapes of the poses in memory of one image."""
 _ORTHONORMAL_WITHIN = 1e-3
 
 Shapes = Mapping[str, tuple[tuple[int, ...], str]]
 """Of each expected tensor: shape and type; any floating one will do for float32."""
+_ARRAYS = (
+    "points", "descriptors", "rotation", "translation", "begins", "shown", "mean", "axes", "words", "summary_axes",
+    "summaries",
+)  # fmt: skip
+_HALVED = "summary_axes", "summaries"  # stored as float16
+_NUMBERS = "depth_m", "k1", "k2"
 
 
 def check_tensors(path: Path, tensors: Mapping[str, StoredTensor], beside_poses: Shapes) -> None:
-    """Check that exactly the expected tensors and the prior poses are there: shapes, types, finite, rotations.
-
-    Args:
-        path: The file, for messages.
-        tensors: What was found.
-        beside_poses: Weights of the network, what is familiar to it and its memory.
-    """
+    """Check that exactly the prior poses and the other expected tensors are there: shapes, types, finite, rotations."""
     expected = beside_poses.keys() | {PRIOR_ROTATION, PRIOR_TRANSLATION}
-    for what, names in (("lacks", expected - tensors.keys()), ("has surplus", tensors.keys() - expected)):
+    for fault, names in (("lacks", expected - tensors.keys()), ("has surplus", tensors.keys() - expected)):
         if names:
             raise CheckpointError(
-                f"{path}: {what} tensor {min(names)} ({len(names)} such), expected exactly the {len(expected)} tensors"
+                f"{path}: {fault} tensor {min(names)} ({len(names)} such), expected exactly the {len(expected)} tensors"
                 " of its configuration"
             )
     shape = tensors[PRIOR_TRANSLATION].shape
@@ -90,13 +95,18 @@ def float32(tensor: StoredTensor) -> np.ndarray:
     return tensor.array().astype(np.float32) if tensor.dtype in FLOATS else tensor.array()
 
 
+def poses_of(rotation: np.ndarray, translation: np.ndarray) -> Poses:
+    """Poses (n,) of matrices (n, 3, 3) and positions (n, 3) of any precision."""
+    return Poses(rotation.astype(np.float64), translation.astype(np.float64))
+
+
 def read_poses(tensors: Mapping[str, StoredTensor], rotation: str, translation: str) -> Poses:
     """Poses (n,) from tensors that were checked, by their names."""
     return poses_of(tensors[rotation].array(), tensors[translation].array())
 
 
 def familiarity_arrays(familiarity: Familiarity) -> dict[str, np.ndarray]:
-    """What is familiar to a network, as it is stored: matrices as float16, the rest as float32."""
+    """Familiarity as tensors of a model file: matrices as float16, the rest as float32."""
     found = {each.name: np.asarray(getattr(familiarity, each.name)) for each in fields(Familiarity)}
     return {
         FAMILIARITY + name: value.astype(np.float16 if value.ndim == 2 else np.float32) for name, value in found.items()
@@ -104,11 +114,9 @@ def familiarity_arrays(familiarity: Familiarity) -> dict[str, np.ndarray]:
 
 
 def familiarity_shapes(tensors: Mapping[str, StoredTensor], size: int) -> Shapes:
-    """What of `familiarity_arrays` a file must have; none if it has none of it.
+    """Shapes of `familiarity_arrays` in a file whose network gives so many features; empty if it has none of them.
 
-    Args:
-        tensors: Of the file; its exemplars say how many exemplars and axes there should be.
-        size: How many features of an image the network has.
+    The tensor of exemplars determines how many exemplars and axes there should be.
     """
     if not any(name.startswith(FAMILIARITY) for name in tensors):
         return {}
@@ -123,7 +131,7 @@ def familiarity_shapes(tensors: Mapping[str, StoredTensor], size: int) -> Shapes
 
 
 def read_familiarity(path: Path, tensors: Mapping[str, StoredTensor]) -> Familiarity:
-    """What is familiar to a network, from tensors that were checked.
+    """Familiarity from tensors that were checked.
 
     Raises:
         CheckpointError: values that cannot be used.
@@ -137,12 +145,90 @@ def read_familiarity(path: Path, tensors: Mapping[str, StoredTensor]) -> Familia
 
 
 def memory_shapes(tensors: Mapping[str, StoredTensor], of_one_image: Mapping[str, tuple[int, ...]]) -> Shapes:
-    """What a file must have of what a retrieval regressor remembers.
+    """Shapes of the memory of a retrieval regressor in a file, given those of one image by name.
 
-    Args:
-        tensors: Of the file; the first of those expected says how many images there should be.
-        of_one_image: Shapes of what is remembered of one image, by name.
+    The first tensor that is there determines how many images there should be.
     """
     first = [tensors[MEMORY + name].shape for name in of_one_image if MEMORY + name in tensors][:1]
     count = max(1, first[0][0]) if first and first[0] else 1
     return {MEMORY + name: ((count, *shape), "float32") for name, shape in of_one_image.items()}
+
+
+def landmark_arrays(landmarks: Landmarks) -> dict[str, np.ndarray]:
+    """Landmarks as tensors of a model file."""
+    found = {name: np.asarray(getattr(landmarks.map, name)) for name in _ARRAYS}
+    return {LANDMARKS + name: v.astype(np.float16) if name in _HALVED else v for name, v in found.items()}
+
+
+def landmarks_config(landmarks: Landmarks) -> dict[str, Any]:
+    """The rest, as JSON."""
+    m = landmarks.map
+    return {
+        "stated": None if m.stated is None else asdict(m.stated),
+        "camera": asdict(m.camera.camera),
+        "k1": m.camera.k1,
+        "k2": m.camera.k2,
+        "depth_m": m.depth_m,
+        "verification": asdict(landmarks.verification),
+    }
+
+
+def landmark_shapes(tensors: Mapping[str, StoredTensor]) -> Shapes:
+    """Shapes of `landmark_arrays` in a file; empty if it has none of them."""
+    if not any(name.startswith(LANDMARKS) for name in tensors):
+        return {}
+
+    def size(name: str, axis: int) -> int:
+        found = tensors.get(LANDMARKS + name)
+        return max(1, found.shape[axis]) if found is not None and len(found.shape) > axis else 1
+
+    points, images, words = size("points", 0), size("rotation", 0), size("words", 0)
+    numbers, summary = min(size("axes", 1), SIZE), size("summaries", 1)
+    shapes = {
+        "points": ((points, 3), "float32"), "descriptors": ((points, numbers), "int8"),
+        "rotation": ((images, 3, 3), "float32"), "translation": ((images, 3), "float32"),
+        "begins": ((images + 1,), "int32"), "shown": ((size("shown", 0),), "int32"),
+        "mean": ((SIFT_SIZE,), "float32"), "axes": ((SIFT_SIZE, numbers), "float32"),
+        "words": ((words, numbers), "float32"), "summary_axes": ((words * numbers, summary), "float32"),
+        "summaries": ((images, summary), "float32"),
+    }  # fmt: skip
+    return {LANDMARKS + name: shape for name, shape in shapes.items()}
+
+
+def read_landmarks(path: Path, values: Any, tensors: Mapping[str, StoredTensor]) -> Landmarks | None:
+    """Landmarks from settings and tensors that were checked; None where a file has none.
+
+    Raises:
+        CheckpointError: one without the other, missing, surplus or unusable values, or points that are not there.
+    """
+    stored = any(name.startswith(LANDMARKS) for name in tensors)
+    if values is None and not stored:
+        return None
+    expected = {"stated", "camera", "verification", *_NUMBERS}
+    if not stored or not isinstance(values, dict) or values.keys() != expected:
+        raise CheckpointError(
+            f"{path}: landmarks configuration is {quoted(values)} with {'' if stored else 'no '}tensors of landmarks,"
+            f" expected both, and {', '.join(sorted(expected))}"
+        )
+    for name in _NUMBERS:
+        if type(values[name]) not in (int, float) or not np.isfinite(values[name]):
+            raise CheckpointError(
+                f"{path}: landmarks configuration has {name} {quoted(values[name])}, expected a number"
+            )
+    stated, camera = (parse_camera(path, values[name]) for name in ("stated", "camera"))
+    if camera is None or not values["depth_m"] > 0.0:
+        raise CheckpointError(
+            f"{path}: landmarks have no camera, or lie {quoted(values['depth_m'])} m away, expected a positive number"
+        )
+    arrays = {name: tensors[LANDMARKS + name].array() for name in _ARRAYS}
+    arrays |= {name: arrays[name].astype(np.float32) for name in _HALVED}
+    begins, shown = arrays["begins"].astype(np.int64), arrays["shown"]
+    if begins[0] != 0 or begins[-1] != len(shown) or (np.diff(begins) < 0).any():
+        raise CheckpointError(f"{path}: landmarks.begins does not split the {len(shown)} of landmarks.shown by images")
+    if len(shown) and not (shown.min() >= 0 and shown.max() < len(arrays["points"])):
+        raise CheckpointError(
+            f"{path}: landmarks.shown has {shown.min()} to {shown.max()}, expected 0 to {len(arrays['points']) - 1}"
+        )
+    view = ViewCamera(camera, float(values["k1"]), float(values["k2"]))
+    verification = parse_config(path, "landmarks.verification", Verification, values["verification"])
+    return Landmarks(LandmarkMap(stated, view, float(values["depth_m"]), **arrays), verification)

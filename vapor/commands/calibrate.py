@@ -16,11 +16,10 @@ from sequences.outputs.claims import refuse_other
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.calibration.calibrate_model import calibrate_model
 from vapor.calibration.places import REGIONS
-from vapor.checkpoints.file_format import is_model
-from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.file_format import find_model, is_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import progress
-from vapor.engines.device import Device
+from vapor.engines.engine import Device
 from vapor.training_data.entries import files_read
 
 

@@ -14,7 +14,7 @@ from sequences.errors import SequenceError
 from sequences.outputs.results import results_folder
 from sequences.scenes import SCENES
 from sequences.synthesize import synthesize, write_synthetic
-from vapor.checkpoints.shipped_models import SHIPPED
+from vapor.checkpoints.file_format import SHIPPED
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, show_files, usage_error
 from vapor.commands.progress import progress
 from vapor.commands.terminal import results_are_complete

@@ -17,13 +17,12 @@ from sequences.datasets.scene_points import scene_points
 from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from sequences.outputs.results import results_folder
-from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.file_format import find_model
 from vapor.commands.console import OutputPath, Overwrite, command_line, parse, show, usage_error
 from vapor.commands.inspect_tables import parts, show_inspection
 from vapor.commands.progress import progress
 from vapor.commands.terminal import write
-from vapor.engines.device import Device
-from vapor.engines.engine import EngineConfig
+from vapor.engines.engine import Device, EngineConfig
 from vapor.inspection.inspect import Inspection, inspect
 from vapor.inspection.picture import draw_map
 from vapor.inspection.recording import record_coverage

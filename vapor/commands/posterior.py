@@ -15,10 +15,9 @@ from filtering.se3 import Poses
 from sequences.datasets.frames import posed_frames
 from sequences.datasets.listing import files_read
 from sequences.outputs.claims import refuse_other
-from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.file_format import find_model
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices
-from vapor.engines.device import Device
-from vapor.engines.engine import EngineConfig
+from vapor.engines.engine import Device, EngineConfig
 from vapor.engines.start import describe
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.trajectory import THRESHOLDS

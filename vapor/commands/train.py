@@ -20,12 +20,11 @@ from vapor.commands.calibrate import show_calibration
 from vapor.commands.console import OutputPath, Overwrite, parse, show, show_notices, show_skipped, usage_error
 from vapor.commands.progress import Progress, progress
 from vapor.evaluation.validation import Validation
-from vapor.training.check_result import TrainingCheck
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS, PRESETS
 from vapor.training.processes import is_first, joined_processes
 from vapor.training.progress import Progress as Where
-from vapor.training.progress import TrainResult
+from vapor.training.progress import TrainingCheck, TrainResult
 from vapor.training.state import is_training_state, state_path
 from vapor.training.train import train
 from vapor.training_data.entries import files_read

@@ -1,15 +1,21 @@
-"""Engine: what runs a network on one image; and the settings by which one is chosen."""
+"""Engine: runs a network on one image; and the settings and device by which one is chosen."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from filtering.errors import VaporTrackError
+
+if TYPE_CHECKING:
+    import torch
+
 EngineName = Literal["auto", "torch", "openvino"]
 Precision = Literal["float32", "bfloat16"]
+Device = Literal["auto", "cpu", "cuda"]
 
 
 @dataclass(frozen=True)
@@ -25,18 +31,18 @@ class EngineConfig:
 
     @property
     def network(self) -> EngineConfig:
-        """These settings alone, of settings that hold others as well."""
+        """These two settings alone, without those of a subclass."""
         return EngineConfig(self.engine, self.precision)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What a network makes of one image.
+    """Result of a network for one image.
 
     Attributes:
         translation: Positions of its posterior samples, metres, world_from_camera.
         rotation: Their rotation matrices.
-        description: What `Familiarity` compares; empty where the model does not say what is familiar.
+        description: Input of `Familiarity`; empty where the model has none.
     """
 
     translation: Float32[np.ndarray, "m 3"]
@@ -64,10 +70,18 @@ class Engine(Protocol):
         ...
 
     def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:
-        """What the network makes of an image.
-
-        Args:
-            image: RGB, of the size that the network sees (`vapor.images.prepare`).
-            noise: Standard normal, d numbers for each of m posterior samples.
-        """
+        """Run on an RGB image of the network's size (`vapor.images.prepare`), with standard normal noise."""
         ...
+
+
+def resolve_device(device: Device) -> torch.device:
+    """The torch device of an option; "auto" is CUDA where there is one.
+
+    Raises:
+        VaporTrackError: CUDA asked for and absent.
+    """
+    import torch
+
+    if device == "cuda" and not torch.cuda.is_available():
+        raise VaporTrackError("device cuda: this torch finds no CUDA device, expected --device cpu or auto")
+    return torch.device("cuda" if device != "cpu" and torch.cuda.is_available() else "cpu")

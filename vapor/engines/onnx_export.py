@@ -18,11 +18,11 @@ from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.engines.onnx_file import add_description
 
 if TYPE_CHECKING:
-    from vapor.engines.whole_network import WholeNetwork
+    from vapor.engines.torch_engine import WholeNetwork
 
 INPUTS = "image", "noise"
 OUTPUTS = "translation", "rotation", "description"
-"""Names of what goes in and comes out; the last one is there where the model says what is familiar."""
+"""Names of inputs and outputs; the last one is there for a model with familiarity."""
 WITHIN_M, WITHIN_RAD = 1e-4, 1e-4
 """How far poses of an exported network may be from torch's."""
 _OPSET = 17
@@ -32,18 +32,14 @@ _CHECKED = 200  # posterior samples, other than the network was traced with
 def export_onnx(checkpoint: Checkpoint, output: Path) -> tuple[str, float, float]:
     """Write a model as an ONNX file, complete or not at all, once it gave the poses that torch gives.
 
-    Args:
-        checkpoint: A trained model.
-        output: File to write.
-
     Returns:
-        What ran it for that, and the largest differences of positions in metres and of rotations in radians.
+        The runtime that checked it, and the largest differences of positions in metres and of rotations in radians.
 
     Raises:
-        VaporTrackError: what is needed is not installed, the network cannot be exported, its poses differ by more than
-            `WITHIN_M` or `WITHIN_RAD`, or the file cannot be written.
+        VaporTrackError: a package is missing, the network cannot be exported, its poses differ by more than `WITHIN_M`
+            or `WITHIN_RAD`, or the file cannot be written.
     """
-    from vapor.engines.whole_network import WholeNetwork
+    from vapor.engines.torch_engine import WholeNetwork
 
     if find_spec("onnx") is None:
         raise VaporTrackError("export: onnx is not installed, expected it: pip install 'vapor-track[export]'")
@@ -68,7 +64,7 @@ def export_onnx(checkpoint: Checkpoint, output: Path) -> tuple[str, float, float
 def _write(whole: WholeNetwork, path: Path) -> None:
     import torch
 
-    from vapor.engines.whole_network import traced_inputs
+    from vapor.engines.torch_engine import traced_inputs
 
     inputs, graph = traced_inputs(whole), io.BytesIO()
     outputs = OUTPUTS if whole.described else OUTPUTS[:2]
@@ -93,10 +89,10 @@ def _write(whole: WholeNetwork, path: Path) -> None:
 
 
 def _difference(whole: WholeNetwork, path: Path, runtime: str) -> tuple[float, float]:
-    """Largest differences between what a runtime and torch make of one image and noise: metres and radians."""
+    """Largest differences between the poses of a runtime and of torch for one image and noise: metres and radians."""
     import torch
 
-    from vapor.engines.whole_network import traced_inputs
+    from vapor.engines.torch_engine import traced_inputs
 
     image, noise = traced_inputs(whole, samples=_CHECKED)
     with torch.inference_mode():

@@ -1,7 +1,7 @@
 """Models as ONNX files: the network as a graph, all else as metadata; read without the package onnx, and without torch.
 
-An ONNX file is a protocol buffer of numbered fields (github.com/onnx/onnx, onnx/onnx.proto). Those that tell of the
-model are few and come apart from the graph, which is skipped.
+An ONNX file is a protocol buffer of numbered fields (github.com/onnx/onnx, onnx/onnx.proto). The fields that
+describe the model are few and come apart from the graph, which is skipped.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from vapor.checkpoints.description import ModelDescription
-from vapor.checkpoints.file_format import shapes_beside_weights
-from vapor.checkpoints.stored_description import (
+from vapor.checkpoints.checkpoint import ModelDescription
+from vapor.checkpoints.file_format import (
     description_arrays,
     description_metadata,
     parse_description,
     parse_stored_config,
+    shapes_beside_weights,
 )
 from vapor.checkpoints.stored_tensors import MEMORY_ROTATION, MEMORY_TRANSLATION, check_tensors
 from vapor.tensor_files import CheckpointError, arrays_as_bytes, parse_stored
@@ -33,34 +33,34 @@ _MOST_BYTES_OF_VARINT = 10
 
 
 def add_description(path: Path, model: ModelDescription) -> None:
-    """Append to an ONNX file what a model says of itself beside its graph, and the graph's digest."""
+    """Append the description of a model to an ONNX file, and the graph's digest."""
     metadata, arrays = description_metadata(model), description_arrays(model)
     if (poses := model.memory_poses) is not None:
         arrays |= {MEMORY_ROTATION: poses.rotation, MEMORY_TRANSLATION: poses.translation}
     content = path.read_bytes()
-    said = base64.b64encode(arrays_as_bytes(arrays, metadata)).decode()
-    told = {CONFIG: metadata["config"], ARRAYS: said, GRAPH: hashlib.sha256(content).hexdigest()}
-    path.write_bytes(content + b"".join(_entry(name, text) for name, text in told.items()))
+    encoded = base64.b64encode(arrays_as_bytes(arrays, metadata)).decode()
+    entries = {CONFIG: metadata["config"], ARRAYS: encoded, GRAPH: hashlib.sha256(content).hexdigest()}
+    path.write_bytes(content + b"".join(_entry(name, text) for name, text in entries.items()))
 
 
 def describe_onnx(path: Path) -> ModelDescription:
-    """What an exported model says of itself.
+    """The description in an exported model.
 
     Raises:
         CheckpointError: no such file, no ONNX file, one that `vapor-track export` did not write, or a damaged one.
     """
     content = _read(path)
     try:
-        graph, told = _parts(content)
-        said = base64.b64decode(told[ARRAYS], validate=True)
+        graph, entries = _parts(content)
+        decoded = base64.b64decode(entries[ARRAYS], validate=True)
     except (ValueError, KeyError) as error:
         raise CheckpointError(f"{path}: no ONNX file of `vapor-track export`, or cut off, expected one") from error
-    if told.get(GRAPH) != hashlib.sha256(graph).hexdigest():
+    if entries.get(GRAPH) != hashlib.sha256(graph).hexdigest():
         raise CheckpointError(f"{path}: damaged: its graph does not match its digest, expected the file as written")
-    stored, tensors = parse_stored(path, said)
-    if told.get(CONFIG) != stored.get("config"):
+    stored, tensors = parse_stored(path, decoded)
+    if entries.get(CONFIG) != stored.get("config"):
         raise CheckpointError(
-            f"{path}: damaged: {CONFIG!r} in its metadata is not what {ARRAYS!r} has, expected the file as written"
+            f"{path}: damaged: {CONFIG!r} in its metadata differs from {ARRAYS!r}, expected the file as written"
         )
     config = parse_stored_config(path, stored)
     check_tensors(path, tensors, shapes_beside_weights(config, tensors))
@@ -144,12 +144,10 @@ def _varint(content: memoryview, position: int) -> tuple[int, int]:
 
 
 def _entry(name: str, text: str) -> bytes:
-    """An entry of an ONNX file's metadata."""
     return _field(_METADATA_PROPS, _field(_KEY, name.encode()) + _field(_VALUE, text.encode()))
 
 
 def _field(number: int, content: bytes) -> bytes:
-    """A message's field of bytes."""
     return _as_varint(number << 3 | 2) + _as_varint(len(content)) + content
 
 

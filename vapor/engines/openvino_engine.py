@@ -1,12 +1,18 @@
-"""The network run by OpenVINO, on processors: what it is converted from, compiled to, and asked for."""
+"""Networks run by OpenVINO, on processors: converted, compiled, and kept beside the model or in the user's cache."""
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import importlib.metadata
 import io
+import json
+import os
 import re
 import sys
 import warnings
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -16,10 +22,10 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from filtering.errors import VaporTrackError
-from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.description import ModelDescription
+from sequences.atomic import CACHE
+from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription
 from vapor.engines.engine import EngineName, Precision, Seen
-from vapor.tensor_files import CheckpointError
+from vapor.tensor_files import CheckpointError, read_stored, write_arrays
 
 if TYPE_CHECKING:
     import openvino
@@ -32,14 +38,13 @@ _BFLOAT16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}  # of Intel and AMD, Intel
 
 _NOISE = re.compile(r"noise f32 \[\?,[1-9]\d{0,4}]")  # columns: no regressor takes more, which would fill the memory
 _POSES = "translation f32 [?,3], rotation f32 [?,3,3]"
+_FORMAT = "vapor-track compiled network"
+_VERSION = "1"
+_BLOB = "blob"
 
 
 class OpenVINOEngine:
-    """A network that OpenVINO runs, in a thread of its own that sleeps between images.
-
-    Args:
-        compiled: From `compiled_network`.
-    """
+    """A network that OpenVINO runs, in a thread of its own that sleeps between images."""
 
     name: EngineName = "openvino"
     device = "cpu"
@@ -62,10 +67,10 @@ def is_installed() -> bool:
 
 
 def imported() -> ModuleType:
-    """OpenVINO without its telemetry, which nobody here was asked about.
+    """OpenVINO without its telemetry, to which no user of this package agreed.
 
-    It tells the Internet of every import and conversion, from forks of this process, and a fork of a process with
-    threads can hang. Where the telemetry cannot be imported OpenVINO does without, for good.
+    It reports every import and conversion to the Internet, from forks of this process, and a fork of a process with
+    threads can hang. Where the telemetry cannot be imported OpenVINO does without, permanently.
     """
     hidden = sys.modules.keys().isdisjoint({"openvino", _TELEMETRY})
     if hidden:
@@ -78,20 +83,20 @@ def imported() -> ModuleType:
 
 
 def version() -> str:
-    """Which OpenVINO it is."""
+    """Version of OpenVINO."""
     return imported().__version__
 
 
-def require_installed(what: str) -> None:
-    """Raise a VaporTrackError where OpenVINO is not installed; `what` asks for it."""
+def require_installed(feature: str) -> None:
+    """Raise a VaporTrackError that names the feature where OpenVINO is not installed."""
     if not is_installed():
-        raise VaporTrackError(f"{what}: OpenVINO is not installed, expected it: pip install 'vapor-track[openvino]'")
+        raise VaporTrackError(f"{feature}: OpenVINO is not installed, expected it: pip install 'vapor-track[openvino]'")
 
 
 def require_bfloat16() -> None:
     """Raise a VaporTrackError where the processor has no bfloat16: OpenVINO would do without, and round all the same.
 
-    OpenVINO itself is asked only where the system does not list what the processor has.
+    OpenVINO itself is asked only where the system does not list the processor's instructions.
     """
     if _CPU_FLAGS.is_file():
         lines = (line.partition(":") for line in _CPU_FLAGS.read_text(encoding="utf-8").splitlines())
@@ -106,7 +111,7 @@ def converted_network(checkpoint: Checkpoint) -> openvino.Model:
     """A model's network as OpenVINO has it before it is compiled; BatchNorm becomes part of the convolutions then."""
     import torch
 
-    from vapor.engines.whole_network import WholeNetwork, traced_inputs
+    from vapor.engines.torch_engine import WholeNetwork, traced_inputs
 
     openvino = imported()
     whole = WholeNetwork(checkpoint).eval()
@@ -144,7 +149,7 @@ def compile_exported(model: ModelDescription, precision: Precision, threads: int
 
 
 def last_line(error: RuntimeError) -> str:
-    """Of the many lines of an error of OpenVINO the one that says most."""
+    """The last of the many lines of an error of OpenVINO, its most informative one."""
     return (str(error).strip().splitlines() or [type(error).__name__])[-1]
 
 
@@ -152,13 +157,13 @@ def compile_network(model: openvino.Model | Path, precision: Precision, threads:
     """A network compiled for this processor, from OpenVINO's own form or from an ONNX file.
 
     Raises:
-        RuntimeError: the file cannot be used, or the processor has not what the precision needs.
+        RuntimeError: the file cannot be used, or the processor lacks the precision's arithmetic.
     """
     return imported().Core().compile_model(model, "CPU", _settings(precision, threads))
 
 
 def compiled_network(blob: bytes, precision: Precision, threads: int) -> openvino.CompiledModel:
-    """A network that was compiled before, from what `CompiledModel.export_model` gave.
+    """A network that was compiled before, from the result of `CompiledModel.export_model`.
 
     Raises:
         RuntimeError: it cannot be used here.
@@ -176,5 +181,104 @@ def _settings(precision: Precision, threads: int) -> dict[str, object]:
 
 
 def processor() -> str:
-    """What compiled networks depend on beside OpenVINO's version."""
+    """Name of the processor that compiled networks depend on."""
     return imported().Core().get_property("CPU", "FULL_DEVICE_NAME")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Everything that a compiled network depends on: `network` is a digest, `described` whether it describes images."""
+
+    network: str
+    described: bool
+    precision: str
+    processor: str
+    openvino: str
+    package: str = importlib.metadata.version("vapor-track")
+
+    @property
+    def name(self) -> str:
+        """Suffix of its file after the model's name: first a part that all valid variants of a model share."""
+        return f"{_digest(self.network, self.openvino, self.package)}-{_digest(*map(str, asdict(self).values()))}"
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """A compiled network.
+
+    Attributes:
+        blob: OpenVINO's form of it.
+        faster: Whether it was faster than torch when it was compiled; None where torch was not timed.
+    """
+
+    blob: bytes
+    faster: bool | None
+
+
+def read_compiled(model: Path, variant: Variant) -> Compiled | None:
+    """The compiled network of a model file; None where there is none that can be used."""
+    for folder in _folders(model):
+        file = folder / f"{model.name}-{variant.name}"
+        with suppress(CheckpointError, ValueError, KeyError, TypeError):
+            metadata, tensors = read_stored(file)
+            config = json.loads(metadata["config"])
+            if (metadata["format"], metadata["version"], config["variant"]) == (_FORMAT, _VERSION, asdict(variant)):
+                return Compiled(bytes(tensors[_BLOB].data), config["faster"])
+    return None
+
+
+def write_compiled(model: Path, variant: Variant, compiled: Compiled) -> bool:
+    """Keep a compiled network in place of invalid ones of the same model; returns whether that was possible.
+
+    The file appears when it is complete; of two processes the last one's stays.
+    """
+    config = {"variant": asdict(variant), "faster": compiled.faster}
+    metadata = {"format": _FORMAT, "version": _VERSION, "config": json.dumps(config)}
+    for folder in _folders(model):
+        try:
+            folder.mkdir(parents=folder != _beside(model), exist_ok=True)
+            ignore = folder / ".gitignore"
+            if not ignore.exists():
+                ignore.write_text("*\n", encoding="utf-8")
+            file = folder / f"{model.name}-{variant.name}"
+            write_arrays(file, {_BLOB: np.frombuffer(compiled.blob, np.uint8)}, metadata)
+        except (OSError, VaporTrackError):
+            continue
+        _remove_invalid(file)
+        return True
+    return False
+
+
+def can_be_kept(model: Path) -> bool:
+    """Whether compiled networks of a model file can be kept anywhere, as far as that is known in advance."""
+    return any(os.access(_nearest(folder), os.W_OK) for folder in _folders(model))
+
+
+def _folders(model: Path) -> tuple[Path, Path]:
+    """Where compiled networks of a model may be: beside it, and in the user's cache by where the model is."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return _beside(model), cache / "vapor-track" / _digest(str(model.parent.resolve()))
+
+
+def _beside(model: Path) -> Path:
+    return model.parent / CACHE
+
+
+def _nearest(folder: Path) -> Path:
+    """The folder, or the first of those above it that exists."""
+    return folder if folder.exists() else _nearest(folder.parent)
+
+
+def _remove_invalid(file: Path) -> None:
+    """Remove compiled networks of the same model file that are of another network or version."""
+    valid, _, _ = file.name.rpartition("-")
+    model, _, _ = valid.rpartition("-")
+    for other in file.parent.glob("*"):
+        named, _, _ = other.name.rpartition("-")
+        if named != valid and named.rpartition("-")[0] == model:
+            with suppress(OSError):
+                other.unlink()
+
+
+def _digest(*texts: str) -> str:
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:12]

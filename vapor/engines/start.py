@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from filtering.errors import VaporTrackError
-from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.description import ModelDescription
+from vapor.checkpoints.checkpoint import Checkpoint, ModelDescription
 from vapor.checkpoints.file_format import is_onnx, load_checkpoint, load_description
 from vapor.engines import openvino_engine
-from vapor.engines.compiled_cache import Compiled, Variant, can_be_kept, read_compiled, write_compiled
-from vapor.engines.device import Device
-from vapor.engines.engine import Engine, EngineConfig, Precision
+from vapor.engines.engine import Device, Engine, EngineConfig, Precision
 from vapor.engines.onnx_file import describe_onnx
+from vapor.engines.openvino_engine import Compiled, Variant, can_be_kept, read_compiled, write_compiled
 from vapor.threads import limited_threads
 
 _SAMPLES = 1000  # with which engines are timed
@@ -23,7 +21,7 @@ _TIMED = 5  # times, after one that is not counted; the least counts: the machin
 
 
 def describe(file: Path) -> ModelDescription:
-    """What a model says of itself, from its file or from an exported one; no weights are looked at, no torch is loaded.
+    """A model without its weights, from a model file or an exported one; torch is not imported.
 
     Raises:
         CheckpointError: no such file, or one that cannot be used.
@@ -38,15 +36,11 @@ def start_engine(
     device: Device = "auto",
     threads: int = 1,
 ) -> Engine:
-    """The engine of a model.
+    """The engine of a model, whose weights are read only where the engine has not kept the compiled network.
 
-    Args:
-        model: The model; its weights are read from its file only where the engine does not have the network compiled.
-        config: Which engine, and how precise. "auto" takes OpenVINO on a processor where it is installed and was
-            faster than torch when the network was compiled. That finding is kept with the compiled network, so that
-            the same model runs the same way every time; where nothing can be kept, torch is taken.
-        device: Where the network runs; "auto" is CUDA where there is one.
-        threads: Processor threads of OpenVINO's network; torch's are set by `limited_threads`.
+    "auto" takes OpenVINO on a processor where it is installed and was faster than torch when the network was compiled.
+    That finding is kept with the compiled network, so that a model runs the same way every time; where nothing can be
+    kept, torch is taken. `threads` are those of OpenVINO; torch's are set by `limited_threads`.
 
     Raises:
         VaporTrackError: an engine that is not installed, or does not go with the device, the precision or the model.
@@ -63,7 +57,7 @@ def start_engine(
 
 
 def _what(config: EngineConfig, exported: Path | None) -> str:
-    """What asks for OpenVINO, in words."""
+    """The setting that requires OpenVINO, in words."""
     if exported is not None:
         return str(exported)
     return "engine openvino" if config.engine == "openvino" else f"precision {config.precision} on a processor"
@@ -111,7 +105,7 @@ def _with_weights(model: Checkpoint | ModelDescription) -> Checkpoint:
 def _openvino(
     model: Checkpoint | ModelDescription, config: EngineConfig, *, exported: bool, threads: int, must: bool
 ) -> Engine:
-    """OpenVINO's engine from what is kept, or compiled and kept; torch's where that was faster and will do."""
+    """OpenVINO's engine as kept, or compiled and kept; torch's where that was faster and is allowed."""
     described = model if isinstance(model, ModelDescription) else model.description
     variant = Variant(
         described.network_sha256,
@@ -127,7 +121,7 @@ def _openvino(
     if kept is not None:
         try:
             return openvino_engine.OpenVINOEngine(openvino_engine.compiled_network(kept.blob, precision, threads))
-        except RuntimeError:  # OpenVINO's way to say that the network is of another build: it is compiled anew
+        except RuntimeError:  # OpenVINO's way to say that the network is of another build: it is compiled again
             pass
     if exported:
         compiled, torch = openvino_engine.compile_exported(described, precision, threads), None
@@ -137,7 +131,7 @@ def _openvino(
         torch = _torch(checkpoint, "float32", "cpu")
         try:
             compiled = openvino_engine.compile_network(network, precision, threads)
-        except RuntimeError as error:  # as on a processor without what the precision needs
+        except RuntimeError as error:  # as on a processor without arithmetic of the precision
             if not must:
                 return torch
             reason = openvino_engine.last_line(error)

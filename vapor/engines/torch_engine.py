@@ -8,13 +8,12 @@ from contextlib import AbstractContextManager, nullcontext
 import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
-from torch import Tensor
+from torch import Tensor, nn
 
 from filtering.errors import VaporTrackError
 from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.engines.device import Device, resolve_device
-from vapor.engines.engine import EngineName, Precision, Seen
-from vapor.engines.whole_network import WholeNetwork
+from vapor.engines.engine import Device, EngineName, Precision, Seen, resolve_device
+from vapor.regressors.backbones import Describer
 from vapor.threads import limit_torch
 
 _Autocast = Callable[[], AbstractContextManager[object]]
@@ -22,12 +21,7 @@ _WARM_UP = 3  # runs before a graph is recorded, in which libraries choose their
 
 
 class TorchEngine:
-    """A network that torch runs.
-
-    Args:
-        checkpoint: A trained model.
-        device: Where it runs; "auto" is CUDA where there is one.
-        precision: bfloat16 is for GPUs: the backbone's arithmetic, poses are made in float32.
+    """A network that torch runs, eagerly on processors; bfloat16 is for the backbone, on GPUs only.
 
     Raises:
         VaporTrackError: a device or a precision that is not there.
@@ -51,12 +45,12 @@ class TorchEngine:
 
     @property
     def device(self) -> str:
-        """Where it runs: cpu or cuda."""
+        """cpu or cuda."""
         return str(self._device)
 
     @torch.inference_mode()
     def run(self, image: UInt8[np.ndarray, "h w 3"], noise: Float32[np.ndarray, "m d"]) -> Seen:
-        """What the network makes of an image."""
+        """Run on an image, as `Engine.run`."""
         inputs = torch.from_numpy(np.ascontiguousarray(image)), torch.from_numpy(noise)
         outputs = self._on_gpu(*inputs) if self._device.type == "cuda" else self._network(*inputs)
         translation, rotation, *description = (output.float().cpu().numpy() for output in outputs)
@@ -94,3 +88,34 @@ class _Recorded:
             own.copy_(given)
         self._graph.replay()
         return self._outputs
+
+
+class WholeNetwork(nn.Module):
+    """One image and noise in; positions, rotations and, for a model with familiarity, a description out."""
+
+    def __init__(self, checkpoint: Checkpoint) -> None:
+        super().__init__()
+        self.network = checkpoint.build_network()
+        self.described = checkpoint.familiarity is not None
+        self._describer = Describer(self.network) if self.described else None
+
+    def forward(
+        self, image: UInt8[Tensor, "h w 3"], noise: Float32[Tensor, "m d"]
+    ) -> tuple[Float32[Tensor, "m 3"], Float32[Tensor, "m 3 3"]] | tuple[Tensor, Tensor, Float32[Tensor, " n"]]:
+        """Posterior samples for given noise; networks that draw nothing take as many as there are rows of it."""
+        images = image[None]
+        translation, rotation = self.network(self.network.normalise(images), noise[None])
+        if self._describer is None:
+            return translation[0], rotation[0]
+        return translation[0], rotation[0], self._describer.last(images)[0]
+
+
+def traced_inputs(whole: WholeNetwork, *, samples: int = 20) -> tuple[UInt8[Tensor, "h w 3"], Float32[Tensor, "m d"]]:
+    """An image and noise by which a network is traced; then it takes any number of rows of noise.
+
+    The noise has one column at least, as formats of networks have no empty inputs.
+    """
+    config, generator = whole.network.config, torch.Generator().manual_seed(0)
+    shape = (config.image_height, config.image_width, 3)
+    image = torch.randint(0, 256, shape, dtype=torch.uint8, generator=generator)
+    return image, torch.randn(samples, max(1, whole.network.noise_dim), generator=generator)

@@ -13,7 +13,7 @@ from torch import Tensor
 from filtering.se3 import Poses
 from vapor.checkpoints.calibration import Calibration
 from vapor.images import centre_crop
-from vapor.regressors.base import PoseRegressor
+from vapor.regressors.base import DensityRegressor, PoseRegressor
 from vapor.training_data.training_set import TrainingSet
 
 RECALL_TRANSLATION_M, RECALL_ROTATION_RAD = 0.3, float(np.deg2rad(20.0))
@@ -93,15 +93,14 @@ def predict(
 
 def exact_log_density(network: PoseRegressor, images: TrainingSet) -> Float64[np.ndarray, " n"] | None:
     """Log density per m³ rad³ of each image's posterior at its true pose, (n,); None without a closed form."""
-    density = network.density
-    if density is None:
+    if not isinstance(network, DensityRegressor):
         return None
     found = np.empty(len(images))
     for rows, crops in batches(network, images):
         truth = (getattr(images.poses[rows], part) for part in ("translation", "rotation"))
         with torch.inference_mode():
             poses = (torch.from_numpy(part)[:, None].to(crops) for part in truth)
-            found[rows] = density.log_density(network.extract_features(crops), *poses)[:, 0].cpu().double().numpy()
+            found[rows] = network.log_density(network.extract_features(crops), *poses)[:, 0].cpu().double().numpy()
     return found
 
 

@@ -18,8 +18,8 @@ from vapor.landmarks.build import gather
 from vapor.landmarks.localize import query_features
 from vapor.landmarks.verify import grey_view
 from vapor.landmarks.view_camera import ViewCamera
-from vapor.training_data.grey_views import shrunk, usual_camera
 from vapor.training_data.ground import near_scale_m
+from vapor.training_data.load import shrunk, usual_camera
 
 _RUN, _MOST_IMAGES = 30, 300  # images in a row, and in all
 _SAME_PX = 1.0  # median distance, at the size at which features are found: nearer is as stated

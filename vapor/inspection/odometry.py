@@ -18,7 +18,7 @@ from sequences.odometry_fit.fit import fit_odometry
 from sequences.odometry_fit.pieces import OdometrySegment
 from sequences.odometry_fit.result import OdometryFit
 from sequences.trajectories.time_offset import find_time_offset
-from vapor.training_data.passes import odometry_segments
+from vapor.training_data.ground import odometry_segments
 from vapor.training_data.training_set import TrainingSet
 
 _WINDOW_S = 1.0  # over which motions are compared: noise of single images counts little

@@ -19,7 +19,7 @@ from sequences.options import OdometryUse, SequenceOptions, TruePoseUse
 from sequences.reader import SequenceReader
 from sequences.reading.counts import ImageCounts
 from vapor.inspection.walk import Look, Looks, Walk, look_at
-from vapor.training_data.colours import Colours
+from vapor.training_data.checks import Colours
 from vapor.training_data.entries import name_entries
 from vapor.training_data.training_set import TrainingError, TrainingSet
 from vapor.training_data.views import Views

@@ -13,7 +13,7 @@ from vapor.inspection.coverage import Coverage, height
 from vapor.inspection.odometry import OdometryCheck
 from vapor.inspection.predictions import Predictions
 from vapor.inspection.walk import Walk
-from vapor.training_data.colours import said_of_colours
+from vapor.training_data.checks import said_of_colours
 from vapor.training_data.views import said_of_views
 
 GOOD_ENOUGH = "good enough: nothing found that another recording would mend"

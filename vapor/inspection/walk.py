@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 from filtering.motion import Odometry
 from filtering.se3 import Poses
 from sequences.reading.counts import ImageCounts
-from vapor.training_data.colours import Colours
+from vapor.training_data.checks import Colours
 from vapor.training_data.views import Pair, ViewCheck
 
 _SIDE_PX = 240  # shorter side at which images are measured

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 from filtering.config import LocalizerConfig
 from filtering.errors import VaporTrackError
-from vapor.engines.device import Device
-from vapor.engines.engine import EngineConfig
+from vapor.engines.engine import Device, EngineConfig
 
 
 @dataclass(frozen=True)

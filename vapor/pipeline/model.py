@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.file_format import find_model
 from vapor.observation import VaporObservationModel
 from vapor.pipeline.config import ModelConfig
 

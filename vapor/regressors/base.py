@@ -1,6 +1,6 @@
 """What every pose regressor has: an image in, samples of the posterior over camera poses out; and how it is trained.
 
-A new regressor is a file with a subclass of `PoseRegressor`, and its row in `vapor.regressors.registry`.
+A new regressor is a file with a subclass of `PoseRegressor`, and its row in `vapor.regressors.network_config`.
 """
 
 from __future__ import annotations
@@ -14,30 +14,37 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from filtering.se3 import Poses
-from vapor.regressors.backbones import make_backbone, pixel_statistics
 from vapor.regressors.loss import Loss, LossConfig
-from vapor.regressors.network_config import NetworkConfig
+from vapor.regressors.network_config import NetworkConfig, make_backbone, pixel_statistics
 from vapor.regressors.scene_box import SceneBox
 
 if TYPE_CHECKING:
-    from vapor.regressors.memory import Memory, RecallingRegressor
+    from vapor.regressors.retrieval import Memory, RetrievalRegressor
+
+Images = Float[Tensor, "b 3 h w"]
+"""Images as `PoseRegressor.normalise` gives them."""
+Features = Float[Tensor, "b f"]
+"""Features of images, as `PoseRegressor.extract_features` gives them."""
+Noise = Float[Tensor, "b m d"]
+"""Standard normal numbers, d for each of m posterior samples of an image."""
+Positions = Float[Tensor, "b 3"]
+"""True positions, metres, world_from_camera."""
+Rotations = Float[Tensor, "b 3 3"]
+"""True rotation matrices, world_from_camera."""
+PoseSamples = tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]
+"""Positions in metres and rotation matrices of m posterior samples of each image, world_from_camera."""
 
 
 class PoseRegressor(nn.Module, ABC):
-    """Image -> samples of the posterior over camera poses.
+    """Image -> samples of the posterior over camera poses, inside a box; or a mixture whose means lie in it.
 
-    Subclasses say how samples are drawn (`sample`) and what is minimised (`loss`); the other methods are theirs to
-    replace.
-
-    Args:
-        config: Shape of the network.
-        box: Box that predicted positions lie in; of a mixture, the means of its components.
+    Subclasses define how samples are drawn (`sample`) and the loss; the other methods may be replaced.
 
     Attributes:
         noise_dim: Standard normal numbers that one sample is made from, beside the image.
         memory: The training images that it recalls; None before there are any, and of a regressor that recalls none.
         learns_relative_poses: Whether its loss compares pairs of images where `LossConfig.relative` asks for it.
-        frozen_backbone: Whether the backbone is taken as it is and never learns.
+        frozen_backbone: Whether the backbone never learns.
     """
 
     noise_dim: int
@@ -57,80 +64,48 @@ class PoseRegressor(nn.Module, ABC):
         self.register_buffer("pixel_std", torch.tensor(std), persistent=False)
 
     @property
-    def encoder(self) -> tuple[nn.Module, ...]:
-        """What learns from images; the rest makes poses of its features."""
-        return self.backbone, self.feature
-
-    @property
-    def density(self) -> DensityRegressor | None:
-        """This regressor where its posterior is a density that can be evaluated; None where there are only samples."""
-        return None
-
-    @property
-    def recalling(self) -> RecallingRegressor | None:
-        """This regressor where it recalls training images; None where it has learned all that it knows of them."""
+    def recalling(self) -> RetrievalRegressor | None:
+        """This regressor where it recalls training images, else None."""
         return None
 
     # --- from images to poses ----------------------------------------------------------------------
 
-    def normalise(self, images: UInt8[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
-        """Pixels 0..255 to what the backbone expects; channels-last in memory."""
+    def normalise(self, images: UInt8[Tensor, "b h w 3"]) -> Images:
+        """Images of pixels 0..255, by the backbone's mean and standard deviation; channels-last in memory."""
         return ((images.float() - self.pixel_mean) / self.pixel_std).permute(0, 3, 1, 2)
 
-    def extract_features(self, images: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
-        """Features of normalised images, in the precision of the weights: eight bits are too few for what follows.
+    def extract_features(self, images: Images) -> Features:
+        """Features of normalised images, in the precision of the weights: eight bits are too few afterwards.
 
         A bfloat16 position has steps of 3 cm in 10 m.
         """
         return torch.relu(self.feature(self.backbone(images))).to(self.feature.weight.dtype)
 
     @abstractmethod
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
-        """Posterior samples of images with these features (`extract_features`), for given noise, d = `noise_dim`.
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
+        """Posterior samples of images with these features, for given noise."""
 
-        Translations in metres and rotation matrices, world_from_camera, m of each image.
-        """
-
-    def forward(
-        self, images: Float[Tensor, "b 3 h w"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
-        """Posterior samples of normalised images for given noise, d = `noise_dim`: metres and rotation matrices."""
+    def forward(self, images: Images, noise: Noise) -> PoseSamples:
+        """Posterior samples of normalised images for given noise."""
         return self.sample(self.extract_features(images), noise)
 
     # --- training ----------------------------------------------------------------------------------
 
     @abstractmethod
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b m d"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
-        """The loss of one batch, in training mode.
+        """The loss of one batch, in training mode, with noise of `samples_in_training` samples of each image.
 
-        Args:
-            images: Normalised images; with `relative`, the two halves of the batch are pairs.
-            true_translation: Metres, of world_from_camera.
-            true_rotation: Rotation matrices of world_from_camera.
-            noise: Standard normal, d = `noise_dim`, m = `samples_in_training`.
-            config: Weights of the loss.
+        With `relative`, the two halves of the batch are pairs.
         """
 
     def samples_in_training(self, scheduled: int) -> int:
-        """How many posterior samples of an image its loss takes, where the schedule is at so many."""
+        """Posterior samples of an image that its loss takes, where the schedule is at so many."""
         return 1
 
     def initialise(self, training_poses: Poses, *, log_variance: float) -> None:
-        """Change the first weights before training, where they depend on more than the seed.
-
-        Args:
-            training_poses: world_from_camera of the training images, (n,).
-            log_variance: Configured log σ² of a latent, about.
-        """
+        """Change the first weights before training by training poses (n,) and the configured log σ² of a latent."""
 
     def take_weights(self, state: Mapping[str, Tensor]) -> None:
         """Start from all weights of a trained model of the same shape."""
@@ -140,17 +115,9 @@ class PoseRegressor(nn.Module, ABC):
 class DensityRegressor(PoseRegressor):
     """A regressor whose posterior is a density that can be evaluated: no kernels over its samples are needed."""
 
-    @property
-    def density(self) -> DensityRegressor:
-        """This regressor."""
-        return self
-
     @abstractmethod
     def log_density(
-        self,
-        feature: Float[Tensor, "b f"],
-        translation: Float[Tensor, "b n 3"],
-        rotation: Float[Tensor, "b n 3 3"],
+        self, feature: Features, translation: Float[Tensor, "b n 3"], rotation: Float[Tensor, "b n 3 3"]
     ) -> Float[Tensor, "b n"]:
         """Log density of the samples' distribution at n poses for each image, per m³ rad³; −∞ where it is 0.
 

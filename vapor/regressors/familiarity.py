@@ -1,4 +1,4 @@
-"""How unlike the images that a network was trained on an image is: distance to the nearest of some of them."""
+"""Unlikeness of an image to the training images of a network: the distance to the nearest of some of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from filtering.errors import VaporTrackError
-from vapor.regressors.backbones import Backbone, stage_channels
+from vapor.regressors.network_config import Backbone, stage_channels
 
 LEAST_IMAGES = 50
 QUANTILE = 0.995
@@ -17,26 +17,25 @@ QUANTILE = 0.995
 CHROMA_EDGES = (-0.1, -0.05, -0.03, -0.015, 0.0, 0.015, 0.03, 0.05, 0.1)
 """Bounds between kinds of colours."""
 CHROMA = 2 * (len(CHROMA_EDGES) + 1)
-"""How many of the numbers in a description of an image tell of its colours; they come last."""
+"""Number of colour features in a description of an image; they come last."""
 
 
 @dataclass(frozen=True)
 class Familiarity:
-    """What the training images of a network look like to it.
+    """Descriptions of the training images of a network, and the distance from which on an image is foreign.
 
-    An image is described by d numbers (`vapor.regressors.describer`). Less the mean and in units of `scale`, they are
-    projected on p principal axes, and stretched. The distance of two images is Euclidean there; what the axes leave
-    over of an image is one coordinate more, in which training images are at 0.
+    An image is described by d numbers (`Describer`). Less the mean and in units of `scale`, they are projected on p
+    principal axes, and stretched. The distance of two images is Euclidean there; the residual of an image beside the
+    axes is one coordinate more, in which training images are at 0.
 
     Attributes:
         centre: Mean description of training images.
-        scale: What counts as 1 in each number.
+        scale: Unit of each number.
         axes: Orthonormal columns.
-        stretch: Factor of each axis; the last one is also that of what is left over.
+        stretch: Factor of each axis; the last one is also that of the residual.
         exemplars: n training images on the stretched axes.
-        own_distance: Only one training image in 200 is further from all those of other segments of the training data.
-        threshold: Distance from which on an image counts as foreign: the former, or the same of held-out images if that
-            is more.
+        own_distance: One training image in 200 is further from all those of other segments of the training data.
+        threshold: Distance from which on an image is foreign: the former, or the same of held-out images if larger.
     """
 
     centre: Float32[np.ndarray, " d"]

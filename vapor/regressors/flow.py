@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,16 +17,17 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from filtering.se3 import Poses
-from vapor.regressors.base import DensityRegressor
+from vapor.regressors.base import DensityRegressor, Features, Images, Noise, PoseSamples, Positions, Rotations
+from vapor.regressors.layers import count_below, normal_cdf, rodrigues
 from vapor.regressors.loss import Loss, LossConfig, pose_distance
 from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.rotations import rodrigues
 from vapor.regressors.scene_box import SceneBox
-from vapor.regressors.splines import Spline
-from vapor.regressors.traceable import normal_cdf
 
 _CIRCULAR = False, False, False, True, False, True  # x, y, z, a, c, g
-_OCTAVES = 4  # of sines and cosines in which a coordinate tells the later ones where it is
+_TARGET_NOISE_M, _TARGET_NOISE_RAD = 0.05, 0.05  # six of the former are the least margin of a scene box
+_OCTAVES = 4  # of sines and cosines of a coordinate, on which the later ones depend
+_LEAST_WIDTH, _LEAST_HEIGHT = 1e-3, 1e-5  # of a bin: sharpest density, and resolution of float32
+_STEEPEST = 3.0  # log ratio of the slope at a knot and that of the bins beside it, at most
 
 
 class FlowRegressor(DensityRegressor):
@@ -66,9 +68,7 @@ class FlowRegressor(DensityRegressor):
         self.world_axes.copy_(eye.roll(int(world) + 1, 0))  # its last column is the axis of the world
         self.camera_axes.copy_(eye.roll(int(camera) + 1, 1))  # its last row is the axis of the camera
 
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m 6"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """Draws, coordinate after coordinate through the inverse splines."""
         with torch.autocast(feature.device.type, enabled=False):
             condition = self.condition(feature)[:, None]
@@ -80,10 +80,7 @@ class FlowRegressor(DensityRegressor):
             return self._pose(torch.stack(known, dim=-1))
 
     def log_density(
-        self,
-        feature: Float[Tensor, "b f"],
-        translation: Float[Tensor, "b n 3"],
-        rotation: Float[Tensor, "b n 3 3"],
+        self, feature: Features, translation: Float[Tensor, "b n 3"], rotation: Float[Tensor, "b n 3 3"]
     ) -> Float[Tensor, "b n"]:
         """Log density, per m³ rad³: the splines' slopes and the volumes of box and SO(3); −∞ outside the box."""
         with torch.autocast(feature.device.type, enabled=False):
@@ -99,25 +96,21 @@ class FlowRegressor(DensityRegressor):
             return torch.where(inside, torch.stack(slopes).sum(dim=0) - log_volume, -torch.inf)
 
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b 1 6"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
-        """Negative log density of the true poses, nats, after noise of the configured size.
+        """Negative log density of the true poses, nats, after a little noise.
 
-        The same noise moves the true poses and gives one sample of each image, of which the distance is.
+        Without noise the density of mere points would grow without bounds, and nothing beside them would be learned.
+        The same noise draws one sample of each image, whose distance from the true pose is reported.
         """
         feature = self.extract_features(images)
         truth = true_translation[:, None], true_rotation[:, None]
         with torch.no_grad():
             distance = pose_distance(*self.sample(feature, noise), *truth, config, self.box).mean()
         with torch.autocast(images.device.type, enabled=False):
-            turn = config.target_noise_rad * noise[..., 3:]
+            turn = _TARGET_NOISE_RAD * noise[..., 3:]
             angle = torch.linalg.vector_norm(turn, dim=-1).clamp_min(1e-9)
-            translation = truth[0] + config.target_noise_m * noise[..., :3]
+            translation = truth[0] + _TARGET_NOISE_M * noise[..., :3]
             rotation = truth[1] @ rodrigues(turn / angle[..., None], angle)
         total = -self.log_density(feature, translation, rotation).mean()
         return Loss(total, torch.zeros_like(distance), distance)
@@ -163,7 +156,7 @@ class _Conditional(nn.Module):
         self, condition: Float[Tensor, "b 1 w"], before: Float[Tensor, "b n e"], like: Float[Tensor, "b n f"]
     ) -> Spline:
         hidden = self.first(condition)
-        # While a network is traced, only arithmetic keeps n open: what is empty, or zeros, would have a constant shape.
+        # While a network is traced, only arithmetic keeps n open: an empty tensor would have a constant shape.
         hidden = hidden + (0.0 * like[..., :1] if self.before is None else self.before(before))
         hidden = functional.relu(hidden)
         for layer in self.hidden:
@@ -184,3 +177,64 @@ def _waves(known: Sequence[Tensor], like: Float[Tensor, "b n 6"]) -> Float[Tenso
 def _about_z(angle: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 3 3"]:
     cos, sin, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
     return torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], dim=-1).unflatten(-1, (3, 3))
+
+
+@dataclass(frozen=True)
+class Spline:
+    """Monotone maps of [0, 1] onto itself: rational quadratics between knots x with images y."""
+
+    x: Float[Tensor, "b n k"]
+    y: Float[Tensor, "b n k"]
+    slope: Float[Tensor, "b n k"]
+
+    @staticmethod
+    def of(raw: Float[Tensor, "b n r"], *, circular: bool) -> Spline:
+        """From any numbers, three for each bin; on a circle both ends have one slope, as they are one point."""
+        widths, heights, steepness = raw.unflatten(-1, (3, -1)).unbind(dim=-2)
+        widths, heights = _fractions(widths, _LEAST_WIDTH), _fractions(heights, _LEAST_HEIGHT)
+        log_slope = (heights / widths).log()
+        before = log_slope.roll(1, dims=-1) if circular else torch.cat([log_slope[..., :1], log_slope[..., :-1]], -1)
+        at_knots = 0.5 * (before + log_slope) + _STEEPEST * torch.tanh(steepness / _STEEPEST)
+        last = at_knots[..., :1] if circular else log_slope[..., -1:]
+        return Spline(_knots(widths), _knots(heights), torch.cat([at_knots, last], dim=-1).exp())
+
+    def log_slope(self, x: Float[Tensor, "b n"]) -> Float[Tensor, "b n"]:
+        """Log dy/dx: the log density of x where y is uniform."""
+        x0, _, width, height, first, second = self._bin(self.x, x)
+        mean = height / width
+        inside = ((x - x0) / width).clamp(0.0, 1.0)
+        both = inside * (1.0 - inside)
+        above = second * inside.square() + 2 * mean * both + first * (1.0 - inside).square()
+        return 2 * mean.log() + above.log() - 2 * (mean + (first + second - 2 * mean) * both).log()
+
+    def inverse(self, y: Float[Tensor, "b n"]) -> Float[Tensor, "b n"]:
+        """The x of each y."""
+        x0, y0, width, height, first, second = self._bin(self.y, y)
+        mean, rise = height / width, (y - y0).clamp_min(0.0)
+        bend = rise * (first + second - 2 * mean)
+        a, b, c = height * (mean - first) + bend, height * first - bend, -mean * rise
+        inside = 2 * c / (-b - (b.square() - 4 * a * c).clamp_min(0.0).sqrt())
+        return (x0 + width * inside.clamp(0.0, 1.0)).clamp(0.0, 1.0)
+
+    def _bin(self, knots: Tensor, at: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """x, y, width, height, and the slopes at both ends of the bin in which `at` lies among the knots."""
+        left = count_below(knots[..., 1:-1].detach(), at[..., None], or_equal=True)
+        (x0, x1), (y0, y1), (first, second) = (
+            (values.gather(-1, left)[..., 0], values.gather(-1, left + 1)[..., 0])
+            for values in (self.x, self.y, self.slope)
+        )
+        return x0, y0, x1 - x0, y1 - y0, first, second
+
+
+def _fractions(raw: Float[Tensor, "*batch k"], least: float) -> Float[Tensor, "*batch k"]:
+    """Positive numbers of sum 1, none below `least` (or half of an equal fraction, where that is less)."""
+    bins = raw.shape[-1]
+    least = min(least, 0.5 / bins)
+    return least + (1.0 - bins * least) * torch.softmax(raw, dim=-1)
+
+
+def _knots(fractions: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch l"]:
+    """From 0 to 1, l = k + 1."""
+    sums = fractions[..., :-1].cumsum(dim=-1)
+    zero = 0.0 * sums[..., :1]  # by arithmetic, which keeps sizes open while a network is traced
+    return torch.cat([zero, sums, zero + 1.0], dim=-1)

@@ -1,4 +1,4 @@
-"""What the losses of all regressors have in common: their weights, and the distance between two poses."""
+"""The weights of the losses of all regressors, and the distance between two poses."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class LossConfig:
     """λ_t, per metre; with `position_unit` box per metre along the longest edge."""
     position_unit: PositionUnit = "box"
     """Unit of errors of position: the metre, as in the paper; or box, which multiplies the error along each axis by the
-    longest edge of the scene's box over its own edge, up to ten, so that what varies little, such as a height, is not
-    drowned by what varies much. Of a mixture it says which component is best, of a flow nothing."""
+    longest edge of the scene's box over its own edge, up to ten, so that a height, which varies little,
+    counts, too. In a mixture it decides which component is best, in a flow nothing."""
     lambda_rotation: float = 2.0
     """λ_r, per unit of ‖R̂ − R‖_F."""
     alpha: float = 0.2
@@ -40,13 +40,6 @@ class LossConfig:
     """Weight of relative poses between pairs of images beside that of poses, for point regressors: MapNet."""
     pair_gap: int = 10
     """relative: images from one of a pair to the other, at most."""
-    relaxation: float = 0.05
-    """mixture: fraction of the loss that goes to the components other than the best one."""
-    target_noise_m: float = 0.05
-    """flow: standard deviation of noise on true positions along each axis, metres: the density of
-    mere points grows without bounds, and what lies beside the points is never learned."""
-    target_noise_rad: float = 0.05
-    """flow: standard deviation of noise on true rotations about each axis, radians."""
 
     def __post_init__(self) -> None:
         if self.position_unit not in get_args(PositionUnit):
@@ -61,9 +54,6 @@ class LossConfig:
             num_samples=(1, 10**6),
             relative=(0.0, 1e9),
             pair_gap=(1, 10**6),
-            relaxation=(0.0, 1.0),
-            target_noise_m=(0.0, 0.05),  # six of them are the least margin of a scene box
-            target_noise_rad=(0.0, 1.0),
         )
 
     @property
@@ -77,10 +67,9 @@ class Loss:
     """The loss of one batch and its parts, scalars.
 
     Attributes:
-        total: What is minimised; carries the gradient.
+        total: Minimised; carries the gradient.
         kl: Mean KL divergence over the batch, nats; 0 where there is no latent Gaussian.
-        distance: Mean d_pose of those that learn: the winners, the one pose, or the best component; of a flow, of a
-            sample.
+        distance: Mean d_pose of the winners, the one pose, the best component, or of a flow's sample.
     """
 
     total: Tensor
@@ -96,10 +85,7 @@ def pose_distance(
     config: LossConfig,
     box: SceneBox,
 ) -> Float[Tensor, "*batch"]:
-    """d_pose = λ_t ‖t̂ − t‖₂ + λ_r ‖R̂ − R‖_F; true poses broadcast.
-
-    The box, that of the scene, gives the unit of positions where it is not metres.
-    """
+    """d_pose = λ_t ‖t̂ − t‖₂ + λ_r ‖R̂ − R‖_F; true poses broadcast, the box gives the unit of positions."""
     position, chord = pose_errors((translation, rotation), (true_translation, true_rotation), config, box)
     return config.lambda_translation * position + config.lambda_rotation * chord
 

@@ -1,22 +1,111 @@
-"""A mixture density over camera poses, all of whose components follow from the image's feature.
+"""Mixture densities over camera poses: Gaussians in position times isotropic matrix-Fisher distributions in rotation.
 
 Source: Deng et al., "Deep Bingham networks: dealing with uncertainty and ambiguity in pose estimation", IJCV 2022.
 """
 
 from __future__ import annotations
 
+import math
+from abc import abstractmethod
+from typing import NamedTuple
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from vapor.regressors.base import DensityRegressor, Features, Images, Noise, PoseSamples, Positions, Rotations
+from vapor.regressors.layers import count_below, normal_cdf, rodrigues, rotation_from_6d
 from vapor.regressors.loss import Loss, LossConfig, pose_distance
-from vapor.regressors.mixture_density import Components, MixtureDensity, component_log_density
 from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.rotations import rotation_from_6d
 from vapor.regressors.scene_box import SceneBox
 
+_ANGLES = 257  # points at which the distribution of a rotation's angle is tabulated
 _STD_M = 0.02, 3.0  # narrowest and widest component of a mixture
 _WIDTH_RAD = 0.02, 2.0
+_RELAXATION = 0.05  # fraction of the loss that goes to the components other than the best one
+
+
+class Components(NamedTuple):
+    """k components for each of b images, whose weights add up to 1; widths are metres along each axis and radians."""
+
+    log_weights: Float[Tensor, "b k"]
+    translation: Float[Tensor, "b k 3"]
+    rotation: Float[Tensor, "b k 3 3"]
+    widths: Float[Tensor, "b k 2"]
+
+    def log_density(
+        self, translation: Float[Tensor, "b n 3"], rotation: Float[Tensor, "b n 3 3"]
+    ) -> Float[Tensor, "b n"]:
+        """Log density at n poses for each image, per m³ rad³."""
+        with torch.autocast(translation.device.type, enabled=False):
+            kernels = component_log_density(self.translation, self.rotation, self.widths, translation, rotation)
+            return torch.logsumexp(self.log_weights[:, None] + kernels, dim=-1)
+
+
+class MixtureDensity(DensityRegressor):
+    """A regressor whose posterior is such a mixture; subclasses give its components."""
+
+    noise_dim = 8  # one for the component, three for the position, three for the axis and one for the angle
+
+    @abstractmethod
+    def components(self, feature: Float[Tensor, "b f"]) -> Components:
+        """The mixtures of images with these features."""
+
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
+        """Draws from the mixture."""
+        log_weights, translation, rotation, widths = self.components(feature)
+        which = count_below(log_weights.exp().cumsum(dim=-1), normal_cdf(noise[..., 0]))
+        which = which.clamp_max(log_weights.shape[-1] - 1)
+        row = torch.arange(len(which), device=which.device)[:, None]
+        chosen = widths[row, which]
+        position = translation[row, which] + chosen[..., :1] * noise[..., 1:4]
+        quantile = normal_cdf(noise[..., 7])
+        angle = _angle(widths[..., 1], which, quantile)
+        axis = torch.nn.functional.normalize(noise[..., 4:7], dim=-1)
+        return position, rotation[row, which] @ rodrigues(axis, angle)
+
+    def log_density(
+        self, feature: Features, translation: Float[Tensor, "b n 3"], rotation: Float[Tensor, "b n 3 3"]
+    ) -> Float[Tensor, "b n"]:
+        """Log density of the mixture, per m³ rad³."""
+        return self.components(feature).log_density(translation, rotation)
+
+
+def component_log_density(
+    mean: Float[Tensor, "b k 3"],
+    mean_rotation: Float[Tensor, "b k 3 3"],
+    widths: Float[Tensor, "b k 2"],
+    translation: Float[Tensor, "b n 3"],
+    rotation: Float[Tensor, "b n 3 3"],
+) -> Float[Tensor, "b n k"]:
+    """Log density of each component of a mixture at each pose, per m³ rad³; widths in metres and radians."""
+    metres = torch.linalg.vector_norm(mean[:, None] - translation[:, :, None], dim=-1)
+    apart = mean_rotation[:, None] - rotation[:, :, None]
+    versine = 0.25 * torch.linalg.vector_norm(apart, dim=(-2, -1)).square()  # 1 − cos θ
+    std_m, width_rad = widths[:, None].unbind(-1)
+    log_position = -0.5 * (metres / std_m).square() - 3.0 * std_m.log() - 1.5 * math.log(2 * math.pi)
+    return log_position - versine / width_rad.square() - log_rotation_normaliser(width_rad)
+
+
+def log_rotation_normaliser(width_rad: Tensor) -> Tensor:
+    """Log ∫ exp((cos θ − 1)/h²) over SO(3), whose volume is 8π²; double precision, as two Bessel functions cancel."""
+    k = 1.0 / width_rad.double().square()
+    return torch.log(8 * torch.pi**2 * (torch.special.i0e(k) - torch.special.i1e(k))).to(width_rad.dtype)
+
+
+def _angle(width_rad: Float[Tensor, "b k"], which: Tensor, quantile: Float[Tensor, "b m"]) -> Float[Tensor, "b m"]:
+    """Angles of rotations from the identity, p(θ) ∝ exp((cos θ − 1)/h²)(1 − cos θ), from a table of its integral."""
+    grid = torch.linspace(0.0, 1.0, _ANGLES, device=width_rad.device) * (9.0 * width_rad).clamp_max(torch.pi)[..., None]
+    versine = 1.0 - torch.cos(grid)
+    density = torch.exp(-versine / width_rad[..., None].square()) * versine
+    sums = torch.cumsum(density[..., 1:] + density[..., :-1], dim=-1)
+    sums = torch.cat([torch.zeros_like(sums[..., :1]), sums], dim=-1) / sums[..., -1:]
+    row = torch.arange(len(which), device=which.device)[:, None]
+    table, angles = sums[row, which], grid[row, which]
+    above = count_below(table, quantile[..., None]).clamp(1, _ANGLES - 1)
+    low, high = table.gather(-1, above - 1), table.gather(-1, above)
+    between = (quantile[..., None] - low) / (high - low).clamp_min(1e-12)
+    return torch.lerp(angles.gather(-1, above - 1), angles.gather(-1, above), between.clamp(0.0, 1.0))[..., 0]
 
 
 class MixtureRegressor(MixtureDensity):
@@ -41,7 +130,7 @@ class MixtureRegressor(MixtureDensity):
         self.register_buffer("most", most, persistent=False)
 
     def components(self, feature: Float[Tensor, "b f"]) -> Components:
-        """The components of images with these features."""
+        """The mixtures of images with these features."""
         with torch.autocast(feature.device.type, enabled=False):
             log_weights = torch.log_softmax(self.logits(feature), dim=-1)
             in_box = torch.sigmoid(self.translation(feature).unflatten(-1, (-1, 3)))
@@ -51,12 +140,7 @@ class MixtureRegressor(MixtureDensity):
             return Components(log_weights, torch.lerp(self.lower, self.upper, in_box), rotation, widths)
 
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b m d"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
         """Negative log likelihood of the component that fits best, a little of the others', and which one it is.
 
@@ -69,8 +153,8 @@ class MixtureRegressor(MixtureDensity):
         distance = pose_distance(translation, rotation, *truth, config, self.box)
         best = distance.argmin(dim=1, keepdim=True)
         winner = torch.zeros_like(log_weights).scatter_(1, best, 1.0)
-        others = config.relaxation / log_weights.shape[1]
-        learning = (1.0 - config.relaxation) * winner + others
+        others = _RELAXATION / log_weights.shape[1]
+        learning = (1.0 - _RELAXATION) * winner + others
         total = -(learning * log_likelihood).sum(dim=1).mean() - log_weights.gather(1, best).mean()
         nearest = distance.gather(1, best).mean()
         return Loss(total, torch.zeros_like(nearest), nearest.detach())

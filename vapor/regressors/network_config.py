@@ -1,20 +1,84 @@
-"""NetworkConfig: shape of the network, and of the images that it sees."""
+"""NetworkConfig: shape of the network and of its images; backbones and regressors by name. No torch is needed.
+
+A new regressor is a class in this folder and a row of `REGRESSORS`; the help of `NetworkConfig.head` has half a
+sentence on each. Names of `--method` and `vapor-benchmark regressors` stand in `vapor.training.presets`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, get_args
 
 from filtering.errors import VaporTrackError, require_within
-from vapor.regressors.backbones import Backbone
-from vapor.regressors.registry import REGRESSORS
+
+if TYPE_CHECKING:
+    from vapor.regressors.backbones import EfficientNetLite0, ResNet18
+    from vapor.regressors.base import PoseRegressor
+    from vapor.regressors.scene_box import SceneBox
+
+Backbone = Literal["resnet18", "resnet18-half", "resnet18-quarter", "efficientnet-lite0"]
+
+# Mean and standard deviation of RGB pixels in 0..255 that the published weights expect.
+_IMAGENET = ((123.675, 116.28, 103.53), (58.395, 57.12, 57.375))
+_LITE0 = ((127.0, 127.0, 127.0), (128.0, 128.0, 128.0))
+_WIDTHS = {"resnet18": 64, "resnet18-half": 32, "resnet18-quarter": 16}
+REGRESSORS: Mapping[str, str] = MappingProxyType(
+    {
+        "variational": "variational.VariationalPoseRegressor",
+        "deterministic": "variational.DeterministicPoseRegressor",
+        "point": "point.PointRegressor",
+        "dropout": "point.DropoutRegressor",
+        "mixture": "mixture.MixtureRegressor",
+        "flow": "flow.FlowRegressor",
+        "retrieval": "retrieval.RetrievalRegressor",
+    }
+)
+"""Name -> module of `vapor.regressors` and class, imported when it is asked for."""
+_MOST_ASPECT = 4.0
+
+
+def make_backbone(name: Backbone) -> ResNet18 | EfficientNetLite0:
+    """The convolutional network of that name, with random weights and without classifier."""
+    if name == "efficientnet-lite0":
+        from vapor.regressors.backbones import EfficientNetLite0
+
+        return EfficientNetLite0()
+    from vapor.regressors.backbones import ResNet18
+
+    return ResNet18(width=_WIDTHS[name])
+
+
+def stage_channels(name: Backbone) -> tuple[int, int, int, int]:
+    """Channels of the image at the four depths that are the backbone's `stages`."""
+    if name == "efficientnet-lite0":
+        return 24, 40, 112, 320
+    width = _WIDTHS[name]
+    return width, 2 * width, 4 * width, 8 * width
+
+
+def pixel_statistics(name: Backbone) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Mean and standard deviation of RGB pixels in 0..255 by which the backbone's images are normalised."""
+    return _LITE0 if name == "efficientnet-lite0" else _IMAGENET
+
+
+def regressor_class(head: str) -> type[PoseRegressor]:
+    """The class of a name in `REGRESSORS`."""
+    module, name = REGRESSORS[head].split(".")
+    return getattr(import_module(f"vapor.regressors.{module}"), name)
+
+
+def make_regressor(config: NetworkConfig, box: SceneBox) -> PoseRegressor:
+    """The configured regressor, with random weights."""
+    return regressor_class(config.head)(config, box)
+
 
 if TYPE_CHECKING:
     Head = str
 else:
     Head = Literal[tuple(REGRESSORS)]  # the choices of the option; a type checker wants them written out
-
-_MOST_ASPECT = 4.0
 
 
 @dataclass(frozen=True)
@@ -25,7 +89,7 @@ class NetworkConfig:
     """Convolutional network; resnet18-half has half of its channels, for demos, resnet18-quarter a quarter."""
     head: Head = "variational"
     """From feature to poses: "variational" through a random latent vector; "deterministic" through its mean; "point"
-    straight to one pose; "dropout" the same with random units of the feature left out, in use as well; "mixture" to
+    straight to one pose; "dropout" the same with random units of the feature left out, also in use; "mixture" to
     a density of Gaussians in position and isotropic matrix-Fisher distributions in rotation; "flow" to a density made
     of splines; "retrieval" to a mixture around training images that look alike."""
     image_width: int = 160
@@ -34,7 +98,7 @@ class NetworkConfig:
     image_height: int = 120
     """Its height, pixels."""
     shortest_edge: int = 126
-    """Shorter side of what crops are taken from, pixels: the image's middle, of the network's aspect."""
+    """Shorter side of the frames that crops are taken from, pixels: the image's middle, of the network's aspect."""
     feature_dim: int = 2048
     """Size of the image feature that the head takes."""
     latent_dim: int = 16
@@ -75,7 +139,7 @@ class NetworkConfig:
 
     @property
     def frame_size(self) -> tuple[int, int]:
-        """Width and height of what crops are taken from, pixels: shortest edge and aspect as configured."""
+        """Width and height of the frames that crops are taken from, pixels."""
         scale = self.shortest_edge / min(self.image_width, self.image_height)
         return round(self.image_width * scale), round(self.image_height * scale)
 
@@ -85,12 +149,7 @@ class NetworkConfig:
         return replace(self, **edges)
 
     def for_camera(self, width: int, height: int) -> NetworkConfig:
-        """The same for images of another aspect: about as many pixels, but no more than the camera has.
-
-        Args:
-            width: Of the camera's images, pixels.
-            height: Likewise.
-        """
+        """The same for images of a camera's aspect: about as many pixels, but no more than the camera has."""
         aspect = min(max(width / height, 1 / _MOST_ASPECT), _MOST_ASPECT)
         pixels = min(self.image_width * self.image_height, width * height)
         scale = self.shortest_edge / min(self.image_width, self.image_height)

@@ -1,19 +1,20 @@
-"""One pose an image, learned by position and rotation: PoseNet, and MapNet where pairs of images are compared.
+"""One pose an image: PoseNet, MapNet where pairs of images are compared, and Bayesian PoseNet with dropout.
 
-Sources: PoseNet, Kendall and Cipolla, "Geometric loss functions for camera pose regression with deep learning", CVPR
+Sources: Bayesian PoseNet, Kendall and Cipolla, "Modelling uncertainty in deep learning for camera relocalization", ICRA
+2016; PoseNet, Kendall and Cipolla, "Geometric loss functions for camera pose regression with deep learning", CVPR
 2017; MapNet, Brahmbhatt et al., "Geometry-aware learning of maps for camera localization", CVPR 2018.
 """
 
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from scipy.special import ndtri
 from torch import Tensor, nn
 
-from vapor.regressors.base import PoseRegressor
+from vapor.regressors.base import Features, Images, Noise, PoseRegressor, PoseSamples, Positions, Rotations
+from vapor.regressors.layers import PoseMap, repeated
 from vapor.regressors.loss import Loss, LossConfig, pose_distance, pose_errors
 from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.pose_map import PoseMap, repeated
 from vapor.regressors.scene_box import SceneBox
 
 
@@ -29,20 +30,13 @@ class PointRegressor(PoseRegressor):
         self.log_scale = nn.Parameter(torch.tensor([0.0, -3.0]))
         self.noise_dim = 0
 
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """The pose, m times."""
         with torch.autocast(feature.device.type, enabled=False):
             return repeated(self.pose_map(feature), noise.shape[1])
 
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b 1 d"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
         """Errors of position and rotation, weighted by scales that are learned: |e| exp(−s) + s (Kendall and Cipolla).
 
@@ -73,3 +67,18 @@ def _relative(translation: Tensor, rotation: Tensor, half: int, axes: Tensor) ->
     back = rotation[:half].mT
     shift = (axes @ back @ (translation[half : 2 * half] - translation[:half])[..., None])[..., 0]
     return shift, back @ rotation[half : 2 * half]
+
+
+class DropoutRegressor(PointRegressor):
+    """A pose for every draw of the units of the feature that are left out; trained as a point regressor is."""
+
+    def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
+        super().__init__(config, box)
+        self.noise_dim = config.feature_dim
+
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
+        """Poses without the units whose noise is among the least."""
+        with torch.autocast(feature.device.type, enabled=False):
+            dropped = self.config.dropout
+            kept = noise > float(ndtri(dropped))
+            return self.pose_map((feature / (1.0 - dropped))[:, None] * kept)

@@ -1,10 +1,10 @@
-"""A regressor that remembers: which training images a view is like, and how the camera stood against each.
+"""A regressor with a memory: the training images that an image is like, and the camera's motion from each.
 
-The posterior is a mixture with one component for each of the training images that look most alike: its weight says how
-alike, its mean is that image's pose moved by what the two images tell of the motion between them. So it has as many
-places as look like the image, and what is learned is about pairs of images, of which there are many more than images.
+The posterior is a mixture with one component for each of the training images that look most alike: its weight is the
+likeness, its mean is that image's pose moved by the estimated motion between the two. So it has as many places as look
+like the image, and learning is about pairs of images, of which there are many more than images.
 
-Sources: Arandjelović et al., "NetVLAD", CVPR 2016 (places by what they look like); Wu et al., "Improving generalization
+Sources: Arandjelović et al., "NetVLAD", CVPR 2016 (places by appearance); Wu et al., "Improving generalization
 via scalable neighborhood component analysis", ECCV 2018 (learned against a memory of all images); Balntas et al.,
 "RelocNet", ECCV 2018, and Laskar et al., "Camera relocalization by computing pairwise relative poses", ICCVW 2017 (the
 pose of the image found, moved by a learned relative pose).
@@ -13,6 +13,8 @@ pose of the image found, moved by a learned relative pose).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -20,38 +22,59 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vapor.regressors.backbones import stage_channels
+from vapor.regressors.base import Features, Images, Noise, Positions, Rotations
+from vapor.regressors.layers import mean_of_cells, rodrigues
 from vapor.regressors.loss import Loss, LossConfig, pose_distance
-from vapor.regressors.memory import Memory, RecallingRegressor
-from vapor.regressors.mixture_density import Components, MixtureDensity
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.rotations import rodrigues
+from vapor.regressors.mixture import Components, MixtureDensity
+from vapor.regressors.network_config import NetworkConfig, stage_channels
 from vapor.regressors.scene_box import SceneBox
-from vapor.regressors.traceable import mean_of_cells
 
 _GRID = 3, 4  # rows and columns in which the third stage is kept: where in the image things are
 _KEY_DIM = 128
 _SCALE = 15.0  # of the cosine between two keys, at first
-_UNIT = 0.02  # of the geometric mean of the scene box's edges: what counts as a small distance
+_UNIT = 0.02  # of the geometric mean of the scene box's edges: a small distance
 _TURN_RAD = 0.1  # a small turn
 _REACH = 2.0, 3.0  # offsets of one unit of the network's output, in small distances and turns
 _NARROWEST, _WIDEST = 0.05, 20.0  # component, in small distances and turns
 _WIDEST_RAD = 1.0
 _EVEN = 0.05  # fraction of the density that the loss spreads over the scene
-_HIDDEN = -1e4  # in place of the likeness of what must not be recalled
+_HIDDEN = -1e4  # in place of the likeness of images that must not be recalled
 
 
-class RetrievalRegressor(MixtureDensity, RecallingRegressor):
+@dataclass(frozen=True)
+class Memory:
+    """Training images in memory: unit vectors `keys` for likeness, `views` for relative poses, and true poses."""
+
+    keys: Float[Tensor, "n k"]
+    views: Float[Tensor, "n v"]
+    translation: Float[Tensor, "n 3"]
+    rotation: Float[Tensor, "n 3 3"]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All of it, by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def cpu(self) -> Memory:
+        """The same on the CPU."""
+        return Memory(**{name: value.cpu() for name, value in self.tensors().items()})
+
+
+class RetrievalRegressor(MixtureDensity):
     """A mixture whose components are training images that look alike, moved by learned relative poses.
 
-    The backbone is taken as it is, ImageNet's mostly, and never changes: an image is the means of its last layer, and
-    those of the third stage in twelve cells. All that is learned are maps of these numbers.
+    The backbone, mostly ImageNet's, never changes: an image is the means of its last layer, and those of the third
+    stage in twelve cells. Only maps of these numbers are learned. Of the configuration, `components` are the training
+    images looked at, `hidden_width` is the size of the map from pairs of images to relative poses, `feature_dim` that
+    of the map to keys. The size of the box is the unit of lengths.
 
-    Args:
-        config: Shape; `components` is how many training images are looked at, `hidden_width` the size of the map from
-            pairs of images to relative poses, `feature_dim` that of the map to keys.
-        box: Of the training positions; its size is the unit of lengths.
+    Attributes:
+        centre: Mean of the backbone's numbers over training images.
+        spread: Their standard deviation; ones before there are any.
     """
+
+    frozen_backbone = True
+    centre: Tensor
+    spread: Tensor
 
     def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
         super().__init__(config, box)
@@ -72,11 +95,35 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
         self.unit_m = _UNIT * float(box.extent.prod()) ** (1 / 3)
 
     @property
-    def encoder(self) -> tuple[nn.Module, ...]:
-        """What learns from images."""
-        return self.feature, self.key, self.own_view, self.view
+    def recalling(self) -> RetrievalRegressor:
+        """This regressor."""
+        return self
 
-    def extract_features(self, images: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b f"]:
+    def train(self, mode: bool = True) -> RetrievalRegressor:
+        """Training mode of all but the backbone, whose statistics stay as they are."""
+        super().train(mode)
+        self.backbone.eval()
+        return self
+
+    @property
+    def standardised(self) -> bool:
+        """Whether `standardise` was called."""
+        return bool((self.spread != 1.0).any())
+
+    @torch.no_grad()
+    def standardise(self, features: Float[Tensor, "n f"]) -> None:
+        """Let `extract_features` give 0 for the mean of these features, in units of their standard deviation."""
+        spread, centre = torch.std_mean(features, dim=0)
+        self.centre.copy_(centre)
+        self.spread.copy_(spread.clamp_min(1e-3))
+
+    @torch.no_grad()
+    def standardise_like(self, other: RetrievalRegressor) -> None:
+        """Take mean and standard deviation from another regressor of the same shape."""
+        self.centre.copy_(other.centre)
+        self.spread.copy_(other.spread)
+
+    def extract_features(self, images: Images) -> Features:
         """The backbone's numbers of normalised images, each in units of its spread over the training images."""
         with torch.no_grad():
             third, last = self.backbone.maps(images)
@@ -88,26 +135,21 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
     def remember(
         self, features: Float[Tensor, "n f"], translation: Float[Tensor, "n 3"], rotation: Float[Tensor, "n 3 3"]
     ) -> None:
-        """Replace the memory by n images, as the weights see them now."""
+        """Replace the memory by n images with these features, of any precision, and true poses, world_from_camera."""
         parts = [(self._keys(part), self.view(part)) for part in map(Tensor.float, features.split(4096))]
         keys, views = (torch.cat(list(each)) for each in zip(*parts, strict=True))
         self.memory = Memory(keys, views, translation, rotation)
 
     def components(self, feature: Float[Tensor, "b f"], hidden: Bool[Tensor, "b n"] | None = None) -> Components:
-        """The mixtures of images with these features.
-
-        Args:
-            feature: From `extract_features`.
-            hidden: Remembered images that must not be recalled for each of them; None for none.
-        """
+        """The mixtures of images with these features, without the remembered images that are `hidden` from each."""
         memory = self._remembered()
         with torch.autocast(feature.device.type, enabled=False):
             likeness = self.log_scale.exp() * self._keys(feature) @ memory.keys.T
             if hidden is not None:
                 likeness = likeness.masked_fill(hidden, _HIDDEN)
             likeness, which = likeness.topk(min(self.config.components, likeness.shape[1]), dim=1)
-            said = self.relative(self.own_view(feature)[:, None] + memory.views[which])
-            move, turn, widths, more = said.split((3, 3, 2, 1), dim=-1)
+            output = self.relative(self.own_view(feature)[:, None] + memory.views[which])
+            move, turn, widths, more = output.split((3, 3, 2, 1), dim=-1)
             rotation = memory.rotation[which]
             move = _REACH[0] * self.unit_m * move
             translation = memory.translation[which] + (rotation @ move[..., None])[..., 0]
@@ -121,16 +163,16 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
 
     def loss_of_features(
         self,
-        feature: Float[Tensor, "b f"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
+        feature: Features,
+        true_translation: Positions,
+        true_rotation: Rotations,
         hidden: Bool[Tensor, "b n"] | None,
         config: LossConfig,
     ) -> Loss:
         """Negative log density of the true poses, nats; a twentieth of the density counts as even over the scene's box.
 
-        So an image that nothing else shows, of which there is nothing to learn, cannot outweigh the rest. The distance
-        is that of the heaviest component.
+        So an image that nothing else shows, of which there is nothing to learn, cannot outweigh the rest. The images
+        in memory that are `hidden` are not recalled. The distance is that of the heaviest component.
         """
         mixture = self.components(feature, hidden)
         truth = true_translation[:, None], true_rotation[:, None]
@@ -143,8 +185,21 @@ class RetrievalRegressor(MixtureDensity, RecallingRegressor):
         return Loss(total, torch.zeros_like(distance), distance)
 
     def memory_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Of one image, the shapes of what is remembered of it, by name."""
+        """Shapes of the memory of one image, by name."""
         return {"keys": (_KEY_DIM,), "views": (self.config.hidden_width,), "translation": (3,), "rotation": (3, 3)}
+
+    def loss(
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
+    ) -> Loss:
+        """The loss of images of which none is in memory."""
+        return self.loss_of_features(self.extract_features(images), true_translation, true_rotation, None, config)
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> RetrievalRegressor:
+        """Take the memory along to another device."""
+        super()._apply(fn, recurse)
+        if self.memory is not None:
+            self.memory = Memory(**{name: fn(value) for name, value in self.memory.tensors().items()})
+        return self
 
     def _keys(self, feature: Float[Tensor, "b f"]) -> Float[Tensor, "b k"]:
         return functional.normalize(self.key(torch.relu(self.feature(feature))), dim=-1)

@@ -10,17 +10,13 @@ from jaxtyping import Float64
 from filtering.errors import VaporTrackError
 from filtering.se3 import Poses
 
+_MARGIN, _MARGIN_M = 0.1, 0.3
 _MAX_POSITION_M = 1e8  # further than anything on Earth
 
 
 @dataclass(frozen=True)
 class SceneBox:
-    """Axis-aligned box that predicted camera positions lie in, metres, from training poses only.
-
-    Attributes:
-        lower: Smallest x, y, z.
-        upper: Largest x, y, z.
-    """
+    """Axis-aligned box that predicted camera positions lie in, metres, from training poses only."""
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
@@ -35,14 +31,14 @@ class SceneBox:
 
     @property
     def extent(self) -> Float64[np.ndarray, "3"]:
-        """Its edges, metres."""
+        """Edges, metres."""
         return np.array(self.upper) - self.lower
 
     @staticmethod
-    def around(training_poses: Poses, margin: float = 0.1, margin_m: float = 0.3) -> SceneBox:
-        """The box around training poses (n,), wider on each side by a part of its extent, at least `margin_m`."""
+    def around(training_poses: Poses) -> SceneBox:
+        """The box around training poses (n,), wider on each side by a tenth of its extent, at least 0.3 m."""
         lower, upper = training_poses.translation.min(axis=0), training_poses.translation.max(axis=0)
-        wider = np.maximum(margin * (upper - lower), margin_m)
+        wider = np.maximum(_MARGIN * (upper - lower), _MARGIN_M)
         return SceneBox(_triple(lower - wider), _triple(upper + wider))
 
     def union(self, other: SceneBox) -> SceneBox:

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from filtering.se3 import Poses
-from vapor.regressors.base import PoseRegressor
+from vapor.regressors.base import Features, Images, Noise, PoseRegressor, PoseSamples, Positions, Rotations
+from vapor.regressors.layers import PoseMap, repeated
 from vapor.regressors.loss import Loss, LossConfig, pose_distance
 from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.pose_map import PoseMap
 from vapor.regressors.scene_box import SceneBox
 
 LatentSamples = Float[Tensor, "*batch d"]
@@ -33,11 +33,6 @@ class VariationalPoseRegressor(PoseRegressor):
         self.pose_map = PoseMap(nn.Sequential(*layers), config.hidden_width, box, shortcut_dim)
         self.noise_dim = config.latent_dim
 
-    @property
-    def encoder(self) -> tuple[nn.Module, ...]:
-        """From the image to μ and log σ²."""
-        return *super().encoder, self.latent_mean, self.latent_log_variance
-
     def encode(self, images: Float[Tensor, "b 3 h w"]) -> tuple[Float[Tensor, "b d"], Float[Tensor, "b d"]]:
         """Mean μ and log variance log σ² of the latent Gaussian of normalised images."""
         return self.latent(self.extract_features(images))
@@ -52,19 +47,12 @@ class VariationalPoseRegressor(PoseRegressor):
         with torch.autocast(latent.device.type, enabled=False):
             return self.pose_map(latent)
 
-    def sample(
-        self, feature: Float[Tensor, "b f"], noise: Float[Tensor, "b m d"]
-    ) -> tuple[Float[Tensor, "b m 3"], Float[Tensor, "b m 3 3"]]:
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
         """The pose map of z = μ + σ ⊙ ε, for given ε."""
         return self.decode(sample_latent(*self.latent(feature), noise))
 
     def loss(
-        self,
-        images: Float[Tensor, "b 3 h w"],
-        true_translation: Float[Tensor, "b 3"],
-        true_rotation: Float[Tensor, "b 3 3"],
-        noise: Float[Tensor, "b m d"],
-        config: LossConfig,
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
     ) -> Loss:
         """β KL + mean d_pose over the batch and, of each image, the ⌊αM⌋ samples nearest to its true pose.
 
@@ -84,7 +72,7 @@ class VariationalPoseRegressor(PoseRegressor):
         return Loss(config.beta * kl + nearest, kl.detach(), nearest.detach())
 
     def samples_in_training(self, scheduled: int) -> int:
-        """As many as the schedule says: the winners are found among them."""
+        """As many as scheduled: the winners are found among them."""
         return scheduled
 
     @torch.no_grad()
@@ -110,3 +98,28 @@ def sample_latent(
 def kl_divergence(mean: Float[Tensor, "b d"], log_variance: Float[Tensor, "b d"]) -> Float[Tensor, " b"]:
     """KL(N(μ, diag σ²) ‖ N(0, I)) in nats: ½ Σ (μ² + σ² − 1 − log σ²)."""
     return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).sum(dim=-1)
+
+
+class DeterministicPoseRegressor(VariationalPoseRegressor):
+    """The same layers, of which the latent variance is used for nothing; all samples of an image are one pose."""
+
+    def __init__(self, config: NetworkConfig, box: SceneBox) -> None:
+        super().__init__(config, box)
+        self.noise_dim = 0
+
+    def sample(self, feature: Features, noise: Noise) -> PoseSamples:
+        """The pose map of z = μ, m times."""
+        mean, _ = self.latent(feature)
+        return repeated(self.decode(mean), noise.shape[1])
+
+    def loss(
+        self, images: Images, true_translation: Positions, true_rotation: Rotations, noise: Noise, config: LossConfig
+    ) -> Loss:
+        """Mean d_pose over the batch."""
+        mean, _ = self.encode(images)
+        distance = pose_distance(*self.decode(mean), true_translation, true_rotation, config, self.box).mean()
+        return Loss(distance, torch.zeros_like(distance), distance.detach())
+
+    def samples_in_training(self, scheduled: int) -> int:
+        """One, as there are no others."""
+        return 1

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from filtering.floors import up_axis
 from filtering.se3 import Poses
-from vapor.checkpoints.description import ModelDescription
+from vapor.checkpoints.checkpoint import ModelDescription
 from vapor.reporting.rerun_shapes import frusta, thinned
 
 if TYPE_CHECKING:

@@ -1,1 +1,1 @@
-"""A network from recordings: what is held out, epoch after epoch, calibrated and checked at its end."""
+"""Training of a network on recordings, some of which are held out; its calibration and check."""

@@ -1,9 +1,11 @@
-"""What training images go through: random crop, blur, brightness, contrast and colour."""
+"""Augmentation of training images, a batch ahead of its use: random crop, blur, brightness, contrast and colour."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -15,6 +17,8 @@ from torch.nn import functional
 from filtering.errors import require_within
 
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)  # Rec. 601 luma
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -22,8 +26,8 @@ class AugmentConfig:
     """How much training images vary; an amount a means a factor drawn from [1 − a, 1 + a]."""
 
     crop: Literal["central", "anywhere"] = "central"
-    """Crops from the middle, of the network's aspect, or from the whole image: a crop far off centre shows what a
-    turned camera would see."""
+    """Crops from the middle, of the network's aspect, or from the whole image: a crop far off centre shows the
+    view of a turned camera."""
     brightness: float = 0.3
     """Amount of brightness."""
     contrast: float = 0.3
@@ -54,12 +58,12 @@ class AugmentConfig:
 
 @dataclass(frozen=True)
 class Variation:
-    """What was drawn for each image of a batch.
+    """Random variation of each image of a batch.
 
     Attributes:
         top: First row of its crop.
         left: First column of its crop.
-        sigma_px: Of its blur; 0 for none.
+        sigma_px: Standard deviation of its blur; 0 for none.
         contrast: Factor of contrast.
         saturation: Factor of saturation.
         gain: Factor of each channel.
@@ -75,20 +79,13 @@ class Variation:
     light: Float[np.ndarray, "b 1 3 3"] | None
 
     def __getitem__(self, part: Int64[np.ndarray, " k"]) -> Variation:
-        """The same for some of the images."""
+        """The variation of some of the images."""
         found = {name: value[part] for name, value in vars(self).items() if value is not None}
         return replace(self, **found)
 
 
 def draw_variation(config: AugmentConfig, count: int, spare: tuple[int, int], *, rng: np.random.Generator) -> Variation:
-    """Draw how each of so many images varies.
-
-    Args:
-        config: Amounts.
-        count: Of the images.
-        spare: Rows and columns by which they are larger than crops of them.
-        rng: Source of all that is drawn.
-    """
+    """Draw the variation of `count` images, which have `spare` rows and columns more than crops of them."""
 
     def factor(amount: float, *shape: int) -> np.ndarray:
         return rng.uniform(1 - amount, 1 + amount, (count, *shape)).astype(np.float32)
@@ -109,14 +106,9 @@ def random_crops(
     size: tuple[int, int],
     shrunk: tuple[int, int] | None = None,
 ) -> UInt8[np.ndarray, "b h2 w2 3"]:
-    """The drawn part of each chosen image, some of them blurred; only what is cropped is read.
+    """The drawn part of each chosen image, some of them blurred; nothing else of the images is read.
 
-    Args:
-        images: All there are.
-        indices: Of those chosen.
-        variation: Of each of these.
-        size: Width and height of the parts, pixels.
-        shrunk: Width and height to which the parts are then shrunk, by areas; None for as they are.
+    Parts are `size` pixels wide and high, and then shrunk to `shrunk`, by areas, where that is given.
     """
     (width, height), shrunk = size, shrunk or size
     crops = np.empty((len(indices), shrunk[1], shrunk[0], 3), np.uint8)
@@ -158,3 +150,19 @@ def jitter_and_normalise(
     pixels = pixels.flatten(1, 2)
     mapped = torch.baddbmm(offset[:, None], pixels, matrix.transpose(1, 2))
     return mapped.unflatten(1, crops.shape[1:3]).permute(0, 3, 1, 2)
+
+
+def one_ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """`function(item)` of every item, in order, each made by a thread while the one before is in use.
+
+    One thread makes all of them in order, so random numbers that `function` draws do not depend on timing. An error is
+    raised in place of its result.
+    """
+    with ThreadPoolExecutor(1, thread_name_prefix="ahead") as thread:
+        coming: Future[Result] | None = None
+        for item in items:
+            ready, coming = coming, thread.submit(function, item)
+            if ready is not None:
+                yield ready.result()
+        if coming is not None:
+            yield coming.result()

@@ -27,8 +27,8 @@ from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.tracking.follow import Followed, follow
 from vapor.tracking.passage import Passage, posterior_of
-from vapor.training.check_result import Figures, TrainingCheck, verdict
-from vapor.training.held_out_landmarks import HeldOutLandmarks
+from vapor.training.landmarks import HeldOutLandmarks
+from vapor.training.progress import Figures, TrainingCheck, verdict
 from vapor.training_data.training_set import TrainingSet
 
 METHODS = ("single_image", "kalman", "filter", "smoothed")
@@ -56,10 +56,10 @@ def check(
         network: With its final weights.
         images: Recordings, n images, of which some are held out.
         held_out: Those, (n,).
-        result: What was calibrated.
-        familiarity: What is familiar to the network.
-        scene: Poses that outline it.
-        landmarks: Of what is not held out; None where there are none.
+        result: Calibration of the network.
+        familiarity: Of the network.
+        scene: Poses that outline the scene.
+        landmarks: Of the images that are not held out; None where there are none.
         seed: Of latent noise and the filter's draws.
         advance: Called with the number of images done and of all.
 
@@ -128,7 +128,7 @@ def check(
 
 
 def _inflated(errors: ErrorModel, factor: float) -> ErrorModel:
-    """Errors of all places, verified ones too, whose variances are larger by a factor."""
+    """Errors of all places, verified ones too, with larger variances."""
     verified_errors = None if errors.verified is None else errors.verified.inflated(factor)
     return replace(errors.inflated(factor), verified=verified_errors)
 
@@ -165,24 +165,24 @@ def _summed(followed: Sequence[Followed]) -> TrainingCheck:
     """Figures of all methods but the smoothed trajectory, which decides nothing."""
     methods = {name: _figures(followed, [each.poses[name] for each in followed]) for name in METHODS[:-1]}
     passages = [each.passage for each in followed]
-    said = [
+    called = [
         evaluate_belief(each.beliefs["filter"], of.times_ns, of.truth, converged_at_s=None, kidnap_index=None)[
             "said_converged"
         ]
         for each, of in zip(followed, passages, strict=True)
     ]
-    said = [each for each in said if each["images"]]
-    images, converged = sum(len(each.times_ns) for each in passages), sum(each["images"] for each in said)
+    called = [each for each in called if each["images"]]
+    images, converged = sum(len(each.times_ns) for each in passages), sum(each["images"] for each in called)
 
     def fraction(of: Callable[[Mapping[str, Any]], float]) -> float:
-        return sum(each["images"] * of(each) for each in said) / converged
+        return sum(each["images"] * of(each) for each in called) / converged
 
     return TrainingCheck(
         images,
         len(passages),
         methods,
         converged / images,
-        fraction(lambda each: each["wrong"]) if said else None,
+        fraction(lambda each: each["wrong"]) if called else None,
         {name: fraction(lambda each, name=name: each["coverage"][name]) for name in REGIONS}
         if converged >= _LEAST_EVALUATED
         else None,
@@ -190,7 +190,6 @@ def _summed(followed: Sequence[Followed]) -> TrainingCheck:
 
 
 def _figures(followed: Sequence[Followed], poses: Sequence[Poses]) -> Figures:
-    """Of the poses that a method found for each passage, (n,)."""
     passages = [(found, each.passage.truth) for found, each in zip(poses, followed, strict=True)]
     apart = [found.distance(truth) for found, truth in passages]
     moved_m, turned = (np.concatenate(part) for part in zip(*apart, strict=True))

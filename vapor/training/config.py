@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from vapor.checkpoints.calibration import Calibration
-from vapor.engines.device import Device
+from vapor.engines.engine import Device
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import REGRESSORS, regressor_class
+from vapor.regressors.network_config import REGRESSORS, NetworkConfig, regressor_class
 from vapor.training.augment import AugmentConfig
 from vapor.training_data.training_set import TrainingError
 
@@ -28,8 +26,8 @@ class TrainConfig:
     """Shape of the network, and of its images."""
     aspect: Literal["camera", "network"] = "camera"
     """Aspect of the network's images: that of the camera of most images (of the first image, where none is known),
-    with as many pixels as `network` says but no more than the camera has; or the network's own, so that what sticks out
-    is cut off."""
+    with as many pixels as `network` has but no more than the camera has; or the network's own, to which images are
+    cropped."""
     loss: LossConfig = field(default_factory=LossConfig)
     """Weights of the loss."""
     augment: AugmentConfig = field(default_factory=AugmentConfig)
@@ -40,12 +38,12 @@ class TrainConfig:
     """Likewise about each axis, radians."""
     calibrate: bool = True
     """At the end find on the held-out images how wrong posteriors are (and odometry, where it was recorded), and learn
-    what the place looks like."""
+    the appearance of the place."""
     landmarks: bool = True
     """Keep a map of points that the images show, by which a pose is found to centimetres."""
     camera: CameraChoice = "auto"
     """The camera by which landmarks are found: the stated one, the one that fits images and poses, or the latter where
-    it fits clearly better; where none is stated, what fits."""
+    it fits clearly better; where none is stated, the one that fits."""
     pretrained_weights: Path | None = None
     """Weights of the backbone to start from: ImageNet's, as safetensors or a torch state dict with torchvision's names,
     or those of a model trained here. Without it a ResNet starts from random weights."""
@@ -56,8 +54,8 @@ class TrainConfig:
     with another loss. Its scene box is widened where the new data need it, and a missing shortcut is added."""
     initial_log_variance: float = -4.0
     """variational: log σ² of the latent before training, about; `initial_model` brings its own. With a low one the pose
-    map can use early what the encoder learns, which noise would hide; 0, as in the paper, is what images that tell
-    nothing of the place end at."""
+    map can use early what the encoder learns, which noise would hide; 0, as in the paper, is where images without
+    information on the place end."""
     epochs: int | None = None
     """Times every training image is seen; None for as many as `hours` allow, from 4 to `most_epochs`."""
     most_epochs: int = 200
@@ -66,35 +64,26 @@ class TrainConfig:
     """Hours that training takes where `epochs` are not given; the time of a step is measured first."""
     larger_from_hours: float | None = None
     """aspect camera: given so many hours, and where `epochs` follow from them, images are 1.75 times as large along
-    each edge as `network` says; None for never."""
+    each edge as in `network`; None for never."""
     finish: float = 0.2
-    """After its evaluation the model goes on learning from everything, what was held out of the data as well, for this
-    fraction of the epochs; 0 for none: then it never learns from what was held out."""
+    """After its evaluation the model goes on learning from everything, held-out images too, for this fraction of the
+    epochs; 0 for none: then it never learns from held-out images."""
     batch_size: int = 32
     """Images per step, at least 2; all of them where there are fewer."""
     learning_rate: float = 3e-3
     """Largest learning rate of AdamW."""
     weight_decay: float = 1e-2
     """Decoupled weight decay of matrices; with 0, AdamW is Adam."""
-    encoder_weight_decay: float | None = None
-    """The same of the encoder, all from the image to μ and log σ² (with other heads, to the feature); None for as much
-    as the rest. With enough of it no image is learned by heart, and posteriors stay broad."""
-    schedule: Literal["one-cycle", "steps"] = "one-cycle"
-    """One cosine up and down, or a decay by a factor every so many epochs, as in the paper."""
     warmup: float = 0.1
-    """one-cycle: fraction of the training in which the rate rises."""
-    decay_factor: float = 0.8
-    """steps: the factor."""
-    decay_epochs: int = 50
-    """steps: epochs between two decays, n in the paper."""
-    decay_times: int = 10
-    """steps: how often, at most."""
+    """Fraction of the training in which the learning rate rises by a cosine, before it falls by another."""
+    decay_epochs: int | None = None
+    """Instead, the learning rate decays by 0.8 every so many epochs, ten times at most: n in the paper."""
     ewta_fraction: float = 0.0
     """Fraction of the training in which the samples per image grow from the number of winners, who then all learn, to
-    M (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, what the image does tell is
+    M (evolving winners take all, Makansi et al., CVPR 2019): where many places look alike, unambiguous information is
     learned first. 0 draws all M from the start, as the paper does."""
     small_images_first: float = 0.0
-    """Fraction of the epochs in which images are shrunk, to 0.4 of their edges and later to 0.6: what looks alike is
+    """Fraction of the epochs in which images are shrunk, to 0.4 of their edges and later to 0.6: features of places are
     learned from them in a third to half of the time. These epochs are not evaluated. retrieval: without effect."""
     ema_decay: float = 0.998
     """Decay per step of the exponential moving average of weights, which becomes the model; with 0 it is the last
@@ -111,8 +100,6 @@ class TrainConfig:
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Arithmetic of the encoder in training; auto takes bfloat16 where the hardware has it, but for efficientnet-lite0
     on a CPU, which gains nothing by it."""
-    store_float16: bool = True
-    """Store weight matrices as float16."""
     seed: int = 0
     """Of initial weights, order, augmentation and latent noise."""
     device: Device = "auto"
@@ -121,41 +108,32 @@ class TrainConfig:
     """Go on with an interrupted training of the same output, configuration and data."""
 
     def __post_init__(self) -> None:
-        for name in (
-            "epochs",
-            "most_epochs",
-            "hours",
-            "larger_from_hours",
-            "batch_size",
-            "learning_rate",
-            "decay_epochs",
-            "validation_images",
-        ):
+        for name in ("epochs", "most_epochs", "hours", "larger_from_hours", "learning_rate", "decay_epochs"):
             if (value := getattr(self, name)) is not None and not value > 0:
-                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a positive number")
-        if self.batch_size < 2:
-            raise TrainingError(f"training: batch_size is {self.batch_size}, expected at least 2 for batch statistics")
+                raise TrainingError(f"training: {name} is {value}, expected a positive number")
+        for name, low, high in (
+            ("batch_size", 2, 10**9),  # batch statistics take two
+            ("validation_images", 1, 10**9),
+            ("initial_log_variance", -10, 5),
+            ("weight_decay", 0.0, 1e9),
+            ("seed", 0, 2**63),
+        ):
+            if not low <= (value := getattr(self, name)) <= high:
+                raise TrainingError(f"training: {name} is {value}, expected {low} to {high}")
+        for name in ("ewta_fraction", "small_images_first", "ema_decay", "validation_fraction", "warmup"):
+            if not 0 <= getattr(self, name) < 1:
+                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
+        Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # refuses widths out of range
         if self.initial_model is not None and self.pretrained_weights is not None:
             raise TrainingError(
                 f"training: initial_model {self.initial_model} and pretrained_weights {self.pretrained_weights} are"
-                " both given, expected one of them: a model brings its backbone along"
+                " both given, expected one of them: a model has its own backbone"
             )
         if self.loss.relative > 0.0 and not regressor_class(self.network.head).learns_relative_poses:
             able = " or ".join(head for head in REGRESSORS if regressor_class(head).learns_relative_poses)
             raise TrainingError(
                 f"training: loss.relative is {self.loss.relative} with head {self.network.head}, expected head {able}"
             )
-        if not -10.0 <= self.initial_log_variance <= 5.0:
-            raise TrainingError(f"training: initial_log_variance is {self.initial_log_variance}, expected -10 to 5")
-        for name in ("weight_decay", "encoder_weight_decay"):
-            if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
-                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected a number of at least 0")
-        Calibration(self.bandwidth_translation_m, self.bandwidth_rotation_rad)  # which refuses what is no width
-        if self.seed < 0:
-            raise TrainingError(f"training: seed is {self.seed}, expected at least 0")
-        for name in ("ewta_fraction", "small_images_first", "ema_decay", "validation_fraction", "warmup"):
-            if not 0 <= getattr(self, name) < 1:
-                raise TrainingError(f"training: {name} is {getattr(self, name)}, expected it in [0, 1)")
 
     def network_for(self, width: int, height: int) -> NetworkConfig:
         """The network's shape for a camera's images of a size, pixels: with `aspect` network as it is."""
@@ -166,7 +144,7 @@ class TrainConfig:
 
     @property
     def known_epochs(self) -> int:
-        """Times every training image is seen, once that is known."""
+        """Number of epochs, once that is known."""
         if self.epochs is None:
             raise TrainingError(
                 "training: epochs is None, expected a number by the time that a schedule follows from it"
@@ -179,5 +157,5 @@ class TrainConfig:
         return tuple(file for file in (self.initial_model, self.pretrained_weights) if file is not None)
 
     def settings(self) -> dict[str, Any]:
-        """What makes a training this one: all but where it runs."""
+        """Settings that identify a training: all but where it runs."""
         return {name: value for name, value in asdict(self).items() if name not in ("device", "resume")}

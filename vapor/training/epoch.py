@@ -1,24 +1,31 @@
-"""One pass over the training images: what every training consists of."""
+"""One pass over the training images: batches, their losses, and the steps that follow from them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import torch
+from jaxtyping import Int64, UInt8
+from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from vapor.training.batches import Batches, FeatureBatches, ImageBatches
+from vapor.regressors.network_config import regressor_class
+from vapor.regressors.retrieval import RetrievalRegressor
+from vapor.training.augment import Variation, draw_variation, jitter_and_normalise, one_ahead, random_crops
 from vapor.training.config import TrainConfig
-from vapor.training.ema import update_average
-from vapor.training.memory import TrainingFeatures, extract_training_features
-from vapor.training.processes import mean_of_all
+from vapor.training.memory import TrainingFeatures, extract_training_features, remember
+from vapor.training.processes import mean_of_all, own_part
 from vapor.training.schedule import first_epoch_of_size, image_size, learning_rate, samples_per_image, steps_in_epoch
 from vapor.training.state import TrainingState
 from vapor.training_data.training_set import TrainingError, TrainingSet
 
+_REMEMBERED = 32  # steps between two updates of the memory of all images, at least
+
 StepCallback = Callable[[int, float, float], None]
-"""Told after every step how many of this epoch are done, the mean loss so far and the learning rate."""
+"""Called after every step with the steps of this epoch that are done, the mean loss so far and the learning rate."""
+_Order = Int64[np.ndarray, "steps b"]
 
 
 def train_epoch(
@@ -43,15 +50,19 @@ def train_epoch(
     steps = steps_in_epoch(training, config)
     order = rng.permutation(len(training))[: steps * batch].reshape(steps, batch)
     network.train()
-    batches = _batches(state, training, config, image_size(config, state.epoch - since), rng, generator)
-    resized = first_epoch_of_size(config, state.epoch - since) * steps  # an average over two sizes suits neither
+    epoch = state.epoch - since
+    recalling, features = network.recalling, features_for(state, training)
+    if recalling is not None and features is not None:
+        losses = _losses_of_features(state, recalling, features, config, order, generator)
+    else:
+        losses = _losses_of_images(state, training, config, order, epoch * steps, rng, generator)
+    resized = first_epoch_of_size(config, epoch) * steps  # an average over two sizes suits neither
     total = 0.0
-    for number, prepared in enumerate(batches.prepared(order)):
-        step = (state.epoch - since) * steps + number
+    for number, loss in enumerate(losses):
+        step = epoch * steps + number
         rate = learning_rate(config, step, steps)
         for group in state.optimizer.param_groups:
             group["lr"] = rate
-        loss = batches.loss(prepared, number, samples_per_image(config, step, steps))
         state.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         state.optimizer.step()
@@ -66,20 +77,6 @@ def train_epoch(
     return total / steps
 
 
-def _batches(
-    state: TrainingState,
-    training: TrainingSet,
-    config: TrainConfig,
-    size: tuple[int, int],
-    rng: np.random.Generator,
-    generator: torch.Generator,
-) -> Batches:
-    recalling, features = state.network.recalling, features_for(state, training)
-    if recalling is not None and features is not None:
-        return FeatureBatches(state, recalling, features, config, generator=generator)
-    return ImageBatches(state, training, config, rng=rng, generator=generator, size=size)
-
-
 def features_for(state: TrainingState, images: TrainingSet) -> TrainingFeatures | None:
     """Features of images, extracted once, for a regressor that recalls images; None for any other."""
     network, average = state.network.recalling, state.average.recalling
@@ -89,3 +86,120 @@ def features_for(state: TrainingState, images: TrainingSet) -> TrainingFeatures 
         state.features = extract_training_features(network, images, state.features)
         average.standardise_like(network)
     return state.features
+
+
+def _losses_of_images(
+    state: TrainingState,
+    training: TrainingSet,
+    config: TrainConfig,
+    order: _Order,
+    first_step: int,
+    rng: np.random.Generator,
+    generator: torch.Generator,
+) -> Iterator[Tensor]:
+    """The loss of this process' part of every batch, of random crops in random colours and light.
+
+    Each batch is cropped while the network learns from the one before.
+    """
+    network, images, pairs = state.network, training.images, config.loss.relative > 0.0
+    device = network.pixel_mean.device
+    translation = torch.from_numpy(training.poses.translation).float().to(device)
+    rotation = torch.from_numpy(training.poses.rotation).float().to(device)
+    bfloat16 = uses_bfloat16(config, device)
+    size = config.network.image_width, config.network.image_height
+    spare = images.shape[1] - size[1], images.shape[2] - size[0]
+    shrunk = image_size(config, first_step // len(order))
+
+    def prepare(
+        indices: Int64[np.ndarray, " b"],
+    ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"], UInt8[np.ndarray, "k h w 3"], Variation]:
+        if pairs:
+            indices = paired(indices, training.sequence, config.loss.pair_gap, rng=rng)
+        variation = draw_variation(config.augment, len(indices), spare, rng=rng)
+        own = own_part(len(indices), pairs=pairs)
+        indices, variation = indices[own], variation[own]
+        return own, indices, random_crops(images, training.rows[indices], variation, size, shrunk), variation
+
+    for number, (own, indices, crops, variation) in enumerate(one_ahead(prepare, order)):
+        pixels = torch.from_numpy(crops).to(device)
+        normalised = jitter_and_normalise(pixels, network.pixel_mean, network.pixel_std, variation)
+        samples = network.samples_in_training(samples_per_image(config, first_step + number, len(order)))
+        count = order.shape[1] // 2 * 2 if pairs else order.shape[1]
+        noise = torch.randn((count, samples, network.noise_dim), generator=generator, device=device)[own]
+        with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
+            yield state.learner("loss", normalised, translation[indices], rotation[indices], noise, config.loss)
+
+
+def _losses_of_features(
+    state: TrainingState,
+    network: RetrievalRegressor,
+    features: TrainingFeatures,
+    config: TrainConfig,
+    order: _Order,
+    generator: torch.Generator,
+) -> Iterator[Tensor]:
+    """The loss of this process' part of every batch, of features some of whose numbers are left out.
+
+    The memory follows the weights in intervals.
+    """
+    device, dropout = network.pixel_mean.device, config.network.dropout
+    varied = features.varied(network, state.epoch, config, bfloat16=uses_bfloat16(config, device))
+    count = len(features.images)
+    interval = max(_REMEMBERED, count // min(config.batch_size, count) // _REMEMBERED)
+    for number, batch in enumerate(order):
+        if number % interval == 0:
+            remember(network, features)
+        own = own_part(len(batch))
+        feature = varied[batch].float()
+        kept = torch.rand(feature.shape, generator=generator, device=device) >= dropout
+        feature, indices = (feature * kept / (1.0 - dropout))[own], batch[own]
+        truth = features.translation[indices], features.rotation[indices]
+        yield state.learner("loss_of_features", feature, *truth, features.hidden(indices), config.loss)
+
+
+def paired(
+    indices: Int64[np.ndarray, " b"], sequence: Int64[np.ndarray, " n"], gap: int, *, rng: np.random.Generator
+) -> Int64[np.ndarray, " b"]:
+    """The first half of a batch, then for each of it another image of its sequence, at most `gap` images away."""
+    first = indices[: len(indices) // 2]
+
+    def missing(there: Int64[np.ndarray, " h"]) -> np.ndarray:
+        outside = (there < 0) | (there >= len(sequence))
+        return outside | (sequence[np.clip(there, 0, len(sequence) - 1)] != sequence[first])
+
+    there = first + rng.choice([-1, 1], len(first)) * rng.integers(1, gap, len(first), endpoint=True)
+    there = np.where(missing(there), 2 * first - there, there)  # on the other side, where there is none on this
+    return np.concatenate([first, np.where(missing(there), first, there)])
+
+
+def uses_bfloat16(config: TrainConfig, device: torch.device) -> bool:
+    """Whether the encoder is trained in bfloat16.
+
+    With "auto" where that is faster than float32: without instructions for it, it is many times slower, and on a CPU
+    separable convolutions do not gain by it where they learn.
+    """
+    if config.precision != "auto":
+        return config.precision == "bfloat16"
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    if config.network.backbone == "efficientnet-lite0" and not regressor_class(config.network.head).frozen_backbone:
+        return False
+    capabilities = torch.cpu.get_capabilities()
+    return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
+
+
+@torch.no_grad()
+def update_average(average: nn.Module, network: nn.Module, decay: float, step: int) -> None:
+    """Move the average towards the weights and BatchNorm statistics; faster in the first steps of a training.
+
+    `decay` of the average is left after a step; 0 leaves the average as it is.
+    """
+    if not decay:
+        return
+    pairs = list(zip(average.state_dict().values(), network.state_dict().values(), strict=True))
+    numbers = [pair for pair in pairs if pair[0].is_floating_point()]
+    move = get_ema_multi_avg_fn(min(decay, (1 + step) / (10 + step)))
+    move([mine for mine, _ in numbers], [its for _, its in numbers], 0)
+    for mine, its in pairs:
+        if not mine.is_floating_point():
+            mine.copy_(its)

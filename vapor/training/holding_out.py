@@ -1,4 +1,4 @@
-"""What to hold out of training: passes over ground that others cover, apart from all that is trained on."""
+"""Choice of held-out images: passes over ground that others cover, apart from all images that are trained on."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from vapor.calibration.image_errors import LEAST_IMAGES
-from vapor.checkpoints.scene_scale import typical_side_m
-from vapor.checkpoints.thinning import spaced
+from vapor.checkpoints.scene_scale import spaced, typical_side_m
 from vapor.training_data.ground import (
     DIRECTION_RAD,
     FARTHEST,
@@ -29,22 +28,22 @@ WHOLE_OF = 4  # recordings from which on one is held out as a whole
 _LEAST_SHOWN = 0.25  # of a pass that is held out
 AWAY = 1.5  # times what counts as near: elsewhere
 _COMPARED = 4000  # images by which passes are compared
-_TOLD_NAMES = 5
+_NAMED = 5
 _STRETCH, _IN_STRETCH = 0.7, 4  # of a way and images at least, which are held out or left out at a time
 
 
 @dataclass(frozen=True)
 class Split:
-    """What is trained on and what is held out; some images may be neither.
+    """Images to train on and images that are held out; some images may be neither.
 
     Attributes:
         training: Images to train on.
-        source: Recordings of which images are held out, n images: those between them tell how the camera moved.
-        held_out_mask: Which are held out, (n,): trained images show what is around each, and none of them is next to
-            it in time.
-        notes: What was done, in sentences.
+        source: Recordings of which images are held out, n images: those between them carry the camera's motion.
+        held_out_mask: The images held out, (n,): trained images show the surroundings of each, and none of them is next
+            to it in time.
+        notes: The reasons of the choice, in sentences.
         everything: Images to learn from once the model was evaluated.
-        near_m: How far away a place counts as shown, metres.
+        near_m: Distance within which a place counts as shown, metres.
     """
 
     training: TrainingSet
@@ -61,15 +60,11 @@ class Split:
 
 
 def hold_out(images: TrainingSet, fraction: float) -> Split:
-    """Hold out about a fraction of the images.
+    """Hold out about a fraction of the images, in [0, 1).
 
     Of four recordings and more whole ones, those that the others cover best; of fewer the segments that are covered
-    best by the rest. What no other pass shows is trained on, and images next to it are left out. Where nothing is
-    covered, the middles of short stretches are held out.
-
-    Args:
-        images: All that there are, n of them.
-        fraction: Of them, in [0, 1); 0 for none.
+    best by the rest. Ground that no other pass shows is trained on, and images next to it are left out. Where nothing
+    is covered, the middles of short stretches are held out.
     """
     nothing = np.zeros(len(images), bool)
     side = typical_side_m(images.poses)
@@ -89,10 +84,10 @@ def hold_out(images: TrainingSet, fraction: float) -> Split:
     held_out = shown & ~_touching(way, images.sequence, training)
     if held_out.sum() < LEAST_IMAGES:
         return _within_one_pass(images, way, fraction, near_m)
-    notes = [f"held out: {_told(images, held_out)}; other passes show what is there"]
+    notes = [f"held out: {_in_words(images, held_out)}; other passes show the same ground"]
     if alone.any():
         notes.append(
-            f"trained on, as no other recording shows it within {near_m:.2g} m and 45°: {_told(images, alone)}"
+            f"trained on, as no other recording shows it within {near_m:.2g} m and 45°: {_in_words(images, alone)}"
         )
     left = int((~training & ~held_out).sum())
     if left:
@@ -115,7 +110,7 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
     for share in (fraction, min(2.0 * fraction, 0.25)):  # the more, the fewer images there are
         period = stretch / (2.0 * share)
         away = np.abs(since % period - 0.5 * period)  # from the middle of a stretch
-        whole = (since - since % period + 0.5 * (period + stretch)) < until  # its other end is trained on as well
+        whole = (since - since % period + 0.5 * (period + stretch)) < until  # its other end is trained on, too
         left_out, held_out = (whole & (away < part * stretch) for part in (0.5, 0.25))
         held_out[1:] &= left_out[:-1]
         held_out[:-1] &= left_out[1:]
@@ -139,18 +134,15 @@ def _within_one_pass(images: TrainingSet, way: Float64[np.ndarray, " n"], fracti
 def within_map(training: TrainingSet, held_out: TrainingSet) -> Split:
     """Evaluate on those held-out images whose surroundings training images show."""
     shown, near_m = shown_around(held_out.poses, training.poses)
-    outside = f"not evaluated on, as no training image is within {near_m:.2g} m and 45°: {_told(held_out, ~shown)}"
+    outside = f"not evaluated on, as no training image is within {near_m:.2g} m and 45°: {_in_words(held_out, ~shown)}"
     return Split(training, held_out, shown, () if shown.all() else (outside,), training, near_m)
 
 
 def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
     """Whether each of n images is shown by each of r recordings: by another pass of it where the image is its own.
 
-    Another pass is one before which the camera was elsewhere, or looked away by more than 90°.
-
-    Args:
-        images: Of r recordings.
-        near_m: How far away a place counts as shown, metres, as `hold_out` found it.
+    Another pass is one before which the camera was elsewhere, or looked away by more than 90°. A place within `near_m`
+    counts as shown, as `hold_out` found it.
     """
     scale_m = FARTHEST * typical_side_m(images.poses)
     way = way_of(images)
@@ -176,7 +168,7 @@ def shown_by(images: TrainingSet, near_m: float) -> Bool[np.ndarray, "n r"]:
 
 
 def way_of(images: TrainingSet) -> Float64[np.ndarray, " n"]:
-    """How far the camera has come, (n,): 1 where it is elsewhere, and for each 45° turned."""
+    """Distance that the camera has covered, (n,): 1 where it is elsewhere, and for each 45° turned."""
     steps = np.zeros(len(images))
     if len(images) > 1:
         moved_m, turned = images.poses[:-1].distance(images.poses[1:])
@@ -243,8 +235,8 @@ def long_runs(
     return kept
 
 
-def _told(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
-    """Which images of which recordings these are."""
+def _in_words(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
+    """The images of a mask by recording, in words."""
     parts = []
     for number in np.unique(images.sequence[mask]):
         own = np.flatnonzero(images.sequence == number)
@@ -254,6 +246,4 @@ def _told(images: TrainingSet, mask: Bool[np.ndarray, " n"]) -> str:
             continue
         own_runs = [run for run in runs(mask, images.sequence) if images.sequence[run.start] == number]
         parts.append(f"{name}, images {told_runs(own_runs, int(own[0]))}")
-    return "; ".join(parts[:_TOLD_NAMES]) + (
-        f"; and {len(parts) - _TOLD_NAMES} more" if len(parts) > _TOLD_NAMES else ""
-    )
+    return "; ".join(parts[:_NAMED]) + (f"; and {len(parts) - _NAMED} more" if len(parts) > _NAMED else "")

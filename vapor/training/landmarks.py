@@ -1,40 +1,59 @@
-"""The landmarks of a new model: the camera that took its images, the map, and how poses err that it verifies."""
+"""The landmarks of a new model: camera, map, errors of verified poses, and verification of held-out images."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 import numpy as np
+from jaxtyping import Bool
 
+from filtering.mapped_views import MappedViews
 from filtering.se3 import Poses
+from vapor.calibration.calibrate import NUM_SAMPLES
 from vapor.calibration.camera_fit import fit_camera, typical_error_m
+from vapor.calibration.familiarity import extract_features
 from vapor.calibration.image_errors import LEAST_IMAGES
-from vapor.calibration.verification import fit_reach
+from vapor.calibration.lasting_errors import LastingErrors, effective_images
+from vapor.calibration.lasting_mistakes import mistaken_lengths
+from vapor.calibration.travel import Travel
+from vapor.calibration.verification import SeenPlaces, evidence, fit_reach, fit_verification, none_right
 from vapor.calibration.verified_errors import QueryFeatures, VerifiedErrors, fit_verified_errors, leave_out
-from vapor.checkpoints.scene_scale import flat_log_density
+from vapor.checkpoints.calibration import Calibration
+from vapor.checkpoints.scene_scale import flat_log_density, spaced
+from vapor.evaluation.validation import predict
 from vapor.landmarks.build import BuiltMap, Material, build, gather
-from vapor.landmarks.localize import LandmarkLocalizer, query_features
+from vapor.landmarks.localize import LandmarkLocalizer, VerifiedPose, query_features
 from vapor.landmarks.verify import Verification
 from vapor.landmarks.view_camera import ViewCamera
-from vapor.training.config import CameraChoice
-from vapor.training_data.ground import near_scale_m
+from vapor.regressors.base import PoseRegressor
+from vapor.regressors.familiarity import Familiarity
+from vapor.tracking.passage import posterior_of
+from vapor.training.config import CameraChoice, TrainConfig
+from vapor.training.holding_out import Split
+from vapor.training_data.ground import near_scale_m, pass_numbers
 from vapor.training_data.training_set import TrainingSet
 
 Advance = Callable[[int, int], None]
+_NONE = "no landmarks: {}; places stay as coarse as the network's"
+_IMAGES = 200
+_NEAR = 0.25, 0.2  # depths and radians: a verified pose so near to the true one is of the right place
+_NONE_RIGHT = 0.05  # where nothing was held out
+_NEW_VIEW = 0.5  # depths: a view that differs by less shows the same landmarks
+_AROUND = 1.5  # depths or radians: key images further away are ignored
 
 
 @dataclass(frozen=True)
 class FoundLandmarks:
-    """A map of landmarks, and what is known of it.
+    """A map of landmarks of the images that are learned from.
 
     Attributes:
-        built: The map of all images that are learned from.
-        verified: How poses err that it verifies.
-        verification: What is known so far of what it says of a place: where it can verify any.
+        built: The map.
+        verified: Errors of the poses that it verifies.
+        verification: Where it can verify poses, as far as that is known yet.
         images: The images that it is of.
-        notes: What was found, in sentences.
+        notes: Findings, in sentences.
     """
 
     built: BuiltMap
@@ -44,7 +63,7 @@ class FoundLandmarks:
     notes: tuple[str, ...]
 
     def without(self, trained: TrainingSet) -> tuple[LandmarkLocalizer, Poses]:
-        """What localizes by the images that a network was trained on, and the poses of the key images it lacks."""
+        """A localizer by the images that a network was trained on, and the poses of the key images it lacks."""
         material = self.built.material
         hidden = np.zeros(len(material.key), bool)
         if self.images.images is trained.images:
@@ -56,12 +75,9 @@ class FoundLandmarks:
 def find_landmarks(
     images: TrainingSet, choice: CameraChoice, advance: Advance = lambda done, total: None
 ) -> tuple[FoundLandmarks | None, tuple[str, ...]]:
-    """Landmarks of training images, None where these do not show any; and what to say of that.
+    """Landmarks of training images with views, and findings in sentences; None where images do not show any.
 
-    Args:
-        images: All images to learn from, with views.
-        choice: Whether the camera is the stated one, the one that fits the images, or which fits clearly better.
-        advance: Called with the number of images done and of all, stage by stage.
+    `advance` is called with the number of images done and of all, stage by stage.
     """
     if images.view_camera is None or not len(images.views):
         return None, ()
@@ -84,10 +100,10 @@ def find_landmarks(
     left_out = leave_out(built, features, images.poses, images.sequence, advance=advance)
     verified = fit_verified_errors(left_out, poses, images.sequence, flat_log_density(poses))
     if verified is None:
-        few = f"without what was taken near them in time they verify the poses of {len(left_out.right)} images only"
+        few = f"without the images taken near them in time they verify the poses of {len(left_out.right)} images only"
         return None, (*notes, _NONE.format(f"{few}, and how poses err is found on {LEAST_IMAGES} or more"))
     found = (
-        f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without what was taken near them"
+        f"landmarks: {len(built.points)} points, seen in {len(material.key)} images; without the images taken near them"
         f" in time they verify the poses of {left_out.verified:.0%} of {len(left_out.image)} images, which then err by"
         f" {100 * verified.median_m:.1f} cm and {np.degrees(verified.median_rad):.1f}° (median)"
     )
@@ -103,9 +119,6 @@ def find_landmarks(
     return FoundLandmarks(built, verified, verification, images, (*notes, found)), (*notes, found)
 
 
-_NONE = "no landmarks: {}; places stay as coarse as the network says"
-
-
 def _best_map(
     images: TrainingSet,
     features: QueryFeatures,
@@ -115,7 +128,7 @@ def _best_map(
     *,
     known: bool,
 ) -> tuple[BuiltMap | None, tuple[str, ...]]:
-    """The map by the camera that fits, and what was found of it."""
+    """The map by the camera that fits, with a notice."""
     if choice == "stated":
         return build(material, stated), ()
     fit = fit_camera(
@@ -130,5 +143,98 @@ def _best_map(
     if fit.by_found is None or (choice == "auto" and not fit.is_better):
         return fit.by_stated, ()
     taken = "" if choice == "estimated" or not known else "; so it is taken (--camera stated: the stated one)"
-    said = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)
-    return fit.by_found, (f"camera: {said}{taken}",)
+    found = fit.said(images.camera_size[0] if images.camera_size else stated.camera.width)
+    return fit.by_found, (f"camera: {found}{taken}",)
+
+
+@dataclass(frozen=True)
+class HeldOutLandmarks:
+    """Verification of held-out images by the landmarks that trained images show.
+
+    Attributes:
+        localizer: By the trained images.
+        hidden: Poses of the key images that it lacks, (h,).
+        verification: Meaning of a verified place.
+        none_right: Probability that none of the verified places of an image is the right one.
+        mistaken_lengths: Lengths of their errors over which verified places are mistaken for others.
+    """
+
+    localizer: LandmarkLocalizer
+    hidden: Poses
+    verification: Verification
+    none_right: float = _NONE_RIGHT
+    mistaken_lengths: float = 4.0
+
+    @cached_property
+    def mapped(self) -> MappedViews:
+        """Region in which it can verify places."""
+        return self.localizer.mapped(self.verification.reach, self.verification.elsewhere)
+
+    @staticmethod
+    def of(
+        landmarks: FoundLandmarks,
+        network: PoseRegressor,
+        split: Split,
+        calibration: Calibration,
+        familiarity: Familiarity | None,
+        config: TrainConfig,
+    ) -> HeldOutLandmarks:
+        """Find on the held-out images how reliable a verified place is."""
+        localizer, hidden = landmarks.without(split.training)
+        held = HeldOutLandmarks(localizer, hidden, landmarks.verification)
+        rows = np.flatnonzero(split.held_out_mask)
+        rows = rows[spaced(len(rows), _IMAGES)]
+        if not len(rows):
+            return held
+        some = split.source.select(rows)
+        scores = familiarity.unfamiliarity(extract_features(network, some)) if familiarity else np.zeros(len(rows))
+        seen, which, depth_m = [], [], landmarks.built.material.depth_m
+        for row, samples, score in zip(rows, predict(network, some, NUM_SAMPLES, config.seed), scores, strict=True):
+            posterior = posterior_of(samples, calibration.errors, float(score))
+            found = held.found(split.source, int(row), posterior.means[np.argsort(-posterior.weights, kind="stable")])
+            if found:
+                which.append(int(row))
+                truth = split.source.poses[int(row)]
+                seen.append(SeenPlaces.of(posterior, found, truth, near_m=_NEAR[0] * depth_m, near_rad=_NEAR[1]))
+        if not seen:
+            return held
+        errors, own = calibration.errors, landmarks.verified.errors
+        longer = max(errors.mistaken_lengths, 1.0)
+        lasting = LastingErrors(1.0, longer * errors.length_m, longer * errors.length_rad)
+        travel = Travel.along(split.source.poses, pass_numbers(split.source))[np.array(which)]
+        effective = effective_images(travel, lasting)
+        verification, wrong = fit_verification(seen, effective, landmarks.verification), none_right(seen, effective)
+        weights = evidence(seen, verification, wrong, errors.possible_fraction)
+        lengths = LastingErrors(1.0, own.length_m, own.length_rad)
+        mistaken = max(mistaken_lengths(weights, travel, lengths), _NEW_VIEW * depth_m / own.length_m)
+        return replace(held, verification=verification, none_right=wrong, mistaken_lengths=mistaken)
+
+    def found(self, images: TrainingSet, row: int, proposed: Poses | None = None) -> list[VerifiedPose]:
+        """The poses that landmarks verify of an image, which is as new to the map wherever it looks alike.
+
+        Key images are hidden around the true pose. So that places which look alike have no advantage, the like are
+        ignored there: in use, an image is new everywhere.
+        """
+        if not len(images.views):
+            return []
+        localizer, truth = self.localizer, images.poses[row]
+        features = localizer.features(images.views[images.rows[row]])
+        found = localizer.localize(features, proposed)
+        ignored = np.zeros(len(localizer.landmarks.poses), bool)
+        for each in found:
+            ignored |= self._counterparts(each.world_from_camera, truth)
+        return localizer.ignoring(ignored).localize(features, proposed) if ignored.any() else found
+
+    def _counterparts(self, found: Poses, truth: Poses) -> Bool[np.ndarray, " n"]:
+        """Key images around a pose that correspond to hidden ones around the true pose; none if that is near."""
+        localizer, depth_m = self.localizer, self.localizer.landmarks.depth_m
+        ignored = np.zeros(len(localizer.landmarks.poses), bool)
+        metres, radians = map(float, found.distance(truth))
+        if not len(self.hidden) or (metres < _NEAR[0] * depth_m and radians < _NEAR[1]):
+            return ignored
+        around = np.flatnonzero(localizer.view_distances(found) < _AROUND)
+        moved = (truth @ found.inverse()) @ localizer.landmarks.poses[around]
+        views = (MappedViews(others, depth_m, 1.0, 0.0) for others in (self.hidden, localizer.landmarks.poses))
+        apart = [each.distances(moved) for each in views]
+        ignored[around] = apart[0] < apart[1]
+        return ignored

@@ -1,4 +1,4 @@
-"""What a regressor that recalls images learns from: features extracted once, and which images it must not recall."""
+"""Training data of a regressor that recalls images: features extracted once, and the images it must not recall."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from torch import Tensor
 
 from vapor.evaluation.validation import batches
 from vapor.regressors.base import PoseRegressor
-from vapor.regressors.memory import RecallingRegressor
-from vapor.training.ahead import one_ahead
-from vapor.training.augment import Variation, draw_variation, jitter_and_normalise, random_crops
+from vapor.regressors.retrieval import RetrievalRegressor
+from vapor.training.augment import Variation, draw_variation, jitter_and_normalise, one_ahead, random_crops
 from vapor.training.config import TrainConfig
 from vapor.training.holding_out import way_of
 from vapor.training.processes import own_part, sum_of_all
@@ -30,17 +29,17 @@ _BATCH = 64
 
 @dataclass(frozen=True)
 class TrainingFeatures:
-    """Features of training images by a backbone that does not learn.
+    """Features of n training images by a backbone that does not learn, half precision, on the network's device.
 
     Attributes:
-        images: The images, n of them.
-        features: Of each, from `extract_features`, half precision.
-        translation: True positions, metres, on the network's device.
+        images: The images.
+        features: Of each, from `extract_features`.
+        translation: True positions, metres.
         rotation: True rotations, world_from_camera.
-        sequence: Which recording each is of.
-        way: How far the camera has come, in units of what counts as elsewhere.
-        reach: So much further on the way, and back, images of the same recording are hidden from each.
-        variants: Features of the images varied by augmentation, in one way and another, as far as asked for.
+        sequence: Recording of each.
+        way: Distance that the camera has covered, in units of `way_of`.
+        reach: Images of the same recording within this distance are hidden from each.
+        variants: Features of the images varied by augmentation, by number.
     """
 
     images: TrainingSet
@@ -54,19 +53,15 @@ class TrainingFeatures:
 
     @property
     def num_variants(self) -> int:
-        """In so many ways the images are varied."""
+        """Number of ways in which the images are varied."""
         return int(np.clip(_VARIANTS_BYTES // (self.features.nbytes + 1), 1, VARIANTS))
 
     def varied(
-        self, network: RecallingRegressor, number: int, config: TrainConfig, *, bfloat16: bool
+        self, network: RetrievalRegressor, number: int, config: TrainConfig, *, bfloat16: bool
     ) -> Float[Tensor, "n f"]:
         """Features of the images when they are varied, half precision; the same for the same number.
 
-        Args:
-            network: The one that the features are of.
-            number: Of the epoch; beyond `num_variants` they come again.
-            config: How they are varied.
-            bfloat16: Whether the backbone may be of that precision.
+        Epochs beyond `num_variants` repeat them.
         """
         variant = number % self.num_variants
         if variant not in self.variants:
@@ -92,21 +87,19 @@ class TrainingFeatures:
         return self.variants[variant]
 
     def hidden(self, indices: Int64[np.ndarray, " b"]) -> Bool[Tensor, "b n"]:
-        """Of the images, those that each of some must not recall: its own pass, to which no image to come belongs."""
+        """The images that each of some must not recall: its own pass, to which no future image belongs."""
         rows = torch.from_numpy(indices).to(self.way.device)
         near = (self.way[rows][:, None] - self.way).abs() < self.reach[rows][:, None]
         return near & (self.sequence[rows][:, None] == self.sequence)
 
 
 def extract_training_features(
-    network: RecallingRegressor, images: TrainingSet, known: TrainingFeatures | None = None
+    network: RetrievalRegressor, images: TrainingSet, known: TrainingFeatures | None = None
 ) -> TrainingFeatures:
-    """Features of training images, once for all of a training.
+    """Features of training images, in order of time, once for all of a training.
 
-    Args:
-        network: Whose numbers are standardised by these images where that was not done yet.
-        images: In order of time.
-        known: Features of some of them, or of others, that were extracted before.
+    A network whose numbers are not standardised yet is standardised by these images. `known` features are not extracted
+    again.
     """
     device = network.pixel_mean.device
     features = torch.empty(len(images), len(network.centre), dtype=torch.float16, device=device)
@@ -136,20 +129,20 @@ def extract_training_features(
 
 
 @torch.no_grad()
-def features_of(network: RecallingRegressor, images: TrainingSet) -> Float[Tensor, "n f"]:
+def features_of(network: RetrievalRegressor, images: TrainingSet) -> Float[Tensor, "n f"]:
     """Features of the centre crops of images."""
     none = torch.empty(0, len(network.centre), device=network.pixel_mean.device)
     return torch.cat([none, *(network.extract_features(crops) for _, crops in batches(network, images))])
 
 
 def remember(network: PoseRegressor, features: TrainingFeatures | None) -> None:
-    """Let a network remember images as its weights see them now; nothing where it is none that recalls any."""
+    """Let a network that recalls images remember these with its present weights; does nothing with any other."""
     if network.recalling is not None and features is not None:
         network.recalling.remember(features.features, features.translation, features.rotation)
 
 
 def _shown_again(images: TrainingSet, way: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Whether another pass, or another recording, shows what each image shows."""
+    """Whether another pass, or another recording, shows the ground of each image."""
     at = (images.poses.translation / near_scale_m(images.poses)).astype(np.float32)
     ahead = images.poses.rotation[:, :, 2].astype(np.float32)
     square, shown = (at**2).sum(axis=1), np.zeros(len(images), bool)

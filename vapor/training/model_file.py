@@ -1,4 +1,4 @@
-"""What goes into the model file at the end of a training: calibration and check on held-out images, and provenance."""
+"""The model file at the end of a training: calibration and check on held-out images, and provenance."""
 
 from __future__ import annotations
 
@@ -13,31 +13,25 @@ from vapor.calibration.calibrate import CalibrationResult, calibrate
 from vapor.calibration.familiarity import EXEMPLARS, learn_familiarity
 from vapor.checkpoints.calibration import Calibration
 from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.scene_scale import default_errors
-from vapor.checkpoints.thinning import MAX_PRIOR_POSES, spaced
+from vapor.checkpoints.scene_scale import MAX_PRIOR_POSES, default_errors, spaced
 from vapor.evaluation.validation import predict
 from vapor.landmarks.verify import Landmarks
 from vapor.regressors.base import PoseRegressor
 from vapor.regressors.familiarity import Familiarity
 from vapor.training.check import check
-from vapor.training.check_result import TrainingCheck
 from vapor.training.config import TrainConfig
-from vapor.training.held_out_landmarks import HeldOutLandmarks
 from vapor.training.holding_out import Split
-from vapor.training.landmarks import FoundLandmarks
+from vapor.training.landmarks import FoundLandmarks, HeldOutLandmarks
+from vapor.training.progress import TrainingCheck
 from vapor.training.trainer import weights_of
 from vapor.training_data.training_set import TrainingSet
 
 
 @dataclass(frozen=True)
 class HeldOutFindings:
-    """What held-out images say of a model.
+    """Results on held-out images; `landmarks` are of all images, None where these show none.
 
-    Attributes:
-        calibration: How wrong its posteriors are.
-        calibrated: How that was found; None where it was not asked for.
-        check: The filter on the held-out passes; None without any, or without odometry through them.
-        landmarks: The map of everything, and what it is worth; None where the images show no landmarks.
+    `calibrated` is None where it was not configured, `check` without held-out passes or odometry through them.
     """
 
     calibration: Calibration
@@ -65,10 +59,10 @@ def calibrate_and_check(
 
     Args:
         model: With its final weights.
-        split: What is held out.
+        split: The held-out images.
         evaluated: Held-out images that epochs were evaluated on.
         config: Of the training.
-        landmarks: Of everything that is learned from; None where there are none.
+        landmarks: Of all images; None where there are none.
         advance: Called with the stage, the number of images done and of all.
     """
     prior_poses = _prior_poses(model, split.training, config.seed)
@@ -126,17 +120,7 @@ def model_checkpoint(
     config: TrainConfig,
     provenance: Mapping[str, Any],
 ) -> Checkpoint:
-    """A finished model, ready to be written.
-
-    Args:
-        model: With its final weights.
-        learned: All images that it learned from.
-        split: What was held out.
-        evaluated: Held-out images that epochs were evaluated on.
-        found: From `calibrate_and_check`.
-        config: Of the training.
-        provenance: Where the model came from, as JSON.
-    """
+    """A finished model that learned from some images, ready to be written, with its provenance as JSON."""
     familiarity = _familiarity(model, split.training, evaluated) if config.calibrate else None
     return Checkpoint(
         config.network,
@@ -144,10 +128,10 @@ def model_checkpoint(
         found.calibration,
         _prior_poses(model, learned, config.seed),
         weights_of(model),
-        json.loads(json.dumps({**provenance, **found.provenance})),
-        familiarity,
-        split.training.camera,
         model.memory.cpu() if model.memory else None,
+        training=json.loads(json.dumps({**provenance, **found.provenance})),
+        familiarity=familiarity,
+        camera=split.training.camera,
         landmarks=found.landmarks,
     )
 
@@ -157,5 +141,5 @@ def _familiarity(model: PoseRegressor, training: TrainingSet, evaluated: Trainin
 
 
 def _prior_poses(model: PoseRegressor, images: TrainingSet, seed: int) -> Poses:
-    """world_from_camera, (n,): a posterior sample of each of n evenly spaced images."""
+    """A posterior sample of each of n evenly spaced images, world_from_camera, (n,)."""
     return Poses.concatenate(list(predict(model, images.select(spaced(len(images), MAX_PRIOR_POSES)), 1, seed)))

@@ -7,14 +7,19 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.network_config import Head, NetworkConfig
-from vapor.regressors.registry import regressor_class
+from vapor.regressors.network_config import Head, NetworkConfig, regressor_class
 from vapor.training.augment import AugmentConfig
 from vapor.training.config import TrainConfig
 
 _RESNET18 = NetworkConfig("resnet18", image_width=224, image_height=224, shortest_edge=256)
 _FAST = NetworkConfig("efficientnet-lite0", image_width=128, image_height=96, shortest_edge=101)
 _LITE0 = replace(_RESNET18, backbone="efficientnet-lite0")
+_TABLES = TrainConfig(
+    network=NetworkConfig("resnet18-quarter", image_width=64, image_height=48, shortest_edge=52),
+    loss=LossConfig(num_samples=100),
+    epochs=8,
+    finish=0.0,
+)
 
 
 def _paper(
@@ -37,26 +42,15 @@ def _paper(
         batch_size=batch_size,
         learning_rate=1e-4,
         weight_decay=0.0,
-        schedule="steps",
-        decay_factor=0.8,
         decay_epochs=decay_epochs,
-        decay_times=10,
         ema_decay=0.0,
         validation_fraction=0.0,
         precision="float32",
     )
 
 
-_TABLES = TrainConfig(
-    network=NetworkConfig("resnet18-quarter", image_width=64, image_height=48, shortest_edge=52),
-    loss=LossConfig(num_samples=100),
-    epochs=8,
-    finish=0.0,
-)
-
-
 def _learning(c: TrainConfig) -> TrainConfig:
-    """Of a preset for a regressor with a frozen backbone, what suits one all of which learns."""
+    """Settings for a regressor all of which learns, of a preset for one with a frozen backbone."""
     if not regressor_class(c.network.head).frozen_backbone:
         return c
     names = "weight_decay", "ema_decay", "finish", "most_epochs", "select_by"
@@ -64,26 +58,20 @@ def _learning(c: TrainConfig) -> TrainConfig:
     return replace(c, network=_FAST, loss=replace(c.loss, alpha=0.1), **usual)
 
 
-def _head(head: Head, *, relative: float = 0.0, **loss: float) -> Callable[[TrainConfig], TrainConfig]:
+def _head(
+    head: Head, *, components: int | None = None, relative: float = 0.0, **loss: float
+) -> Callable[[TrainConfig], TrainConfig]:
     def configured(c: TrainConfig) -> TrainConfig:
         c = _learning(c)
-        return replace(c, network=replace(c.network, head=head), loss=replace(c.loss, relative=relative, **loss))
-
-    return configured
-
-
-def _density(head: Head, components: int) -> Callable[[TrainConfig], TrainConfig]:
-    def configured(c: TrainConfig) -> TrainConfig:
-        c = _learning(c)
-        network = replace(c.network, head=head, components=components)
-        return replace(c, network=network, loss=replace(c.loss, relative=0.0))
+        network = replace(c.network, head=head, components=components or c.network.components)
+        return replace(c, network=network, loss=replace(c.loss, relative=relative, **loss))
 
     return configured
 
 
 def _flow(c: TrainConfig) -> TrainConfig:
     """Higher rates than 0.001 make it vague."""
-    return replace(_density("flow", 32)(c), learning_rate=min(c.learning_rate, 1e-3))
+    return replace(_head("flow", components=32)(c), learning_rate=min(c.learning_rate, 1e-3))
 
 
 def _retrieval(c: TrainConfig) -> TrainConfig:
@@ -128,12 +116,12 @@ METHODS: Mapping[str, Callable[[TrainConfig], TrainConfig]] = MappingProxyType(
         "posenet": _head("point"),
         "bayesian-posenet": _head("dropout"),
         "mapnet": _head("point", relative=1.0),
-        "mixture-10": _density("mixture", 10),
-        "mixture-50": _density("mixture", 50),
+        "mixture-10": _head("mixture", components=10),
+        "mixture-50": _head("mixture", components=50),
         "flow": _flow,
         "retrieval": _retrieval,
     }
 )
-"""What `--method` offers, by the names of the literature: what each makes of a configuration. They are the paper's
-regressor, the same without its parts, those it is compared with, one that is a density, and one that recalls training
-images. Every head of `vapor.regressors.registry` can be trained without a row here."""
+"""Choices of `--method` by the names of the literature: the paper's regressor, the same without its parts, those it is
+compared with, one that is a density, and one that recalls training images. Each changes a configuration. Every head of
+`REGRESSORS` can be trained without a row here."""

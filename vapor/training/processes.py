@@ -1,7 +1,7 @@
 """One training by several processes (torchrun): each learns from its part of every batch, and gradients are averaged.
 
 All of them read the data, draw the same random numbers for whole batches, and hold the same weights after every step:
-a batch gives the loss that it gives one process, up to rounding. The first one evaluates, writes and tells.
+a batch gives the loss that it gives one process, up to rounding. The first one evaluates, writes and reports.
 """
 
 from __future__ import annotations
@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import torch
 import torch.distributed as dist
-from jaxtyping import Int64
+from jaxtyping import Float, Int64
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from vapor.engines.device import Device, resolve_device
+from vapor.engines.engine import Device, resolve_device
 from vapor.regressors.base import PoseRegressor
-from vapor.training.batch_statistics import share_batch_statistics
 from vapor.training_data.training_set import TrainingError
 
 if TYPE_CHECKING:
@@ -40,20 +39,17 @@ def num_processes() -> int:
 
 
 def is_first() -> bool:
-    """Whether this is the process that evaluates, writes and tells."""
+    """Whether this is the process that evaluates, writes and reports."""
     return num_processes() == 1 or dist.get_rank() == 0
 
 
 @contextmanager
 def joined_processes(device: Device) -> Iterator[None]:
-    """Join the processes that torchrun started, if it did, inside a `with` block.
-
-    Args:
-        device: Where to train: on GPUs each process of a machine takes its own.
+    """Join the processes that torchrun started, if it did, inside a `with` block; each takes a GPU of its own.
 
     Raises:
         TrainingError: they cannot be joined, or another process ended.
-        SystemExit: an error that another process has told already.
+        SystemExit: another process has reported its error already.
     """
     if _whole("WORLD_SIZE", 1) == 1 or not all(name in os.environ for name in _LAUNCHED):
         yield
@@ -81,12 +77,7 @@ def joined_processes(device: Device) -> Iterator[None]:
 
 
 def own_part(count: int, *, pairs: bool = False) -> Int64[np.ndarray, " k"]:
-    """Which of the images of a batch this process learns from.
-
-    Args:
-        count: Of the images of the whole batch.
-        pairs: Whether the two halves of the batch are pairs, which stay together.
-    """
+    """Images of a batch that this process learns from; `pairs` keeps the two halves of the batch together."""
     rows = np.arange(count)
     shared = rows.reshape(2, -1) if pairs else rows[None]
     rank = 0 if is_first() else dist.get_rank()
@@ -94,10 +85,10 @@ def own_part(count: int, *, pairs: bool = False) -> Int64[np.ndarray, " k"]:
 
 
 def require_shares(batch: int, *, pairs: bool) -> None:
-    """Refuse a batch that cannot be divided among the processes: their means would not be that of the batch.
+    """Refuse a batch that cannot be divided evenly among the processes.
 
     Raises:
-        TrainingError: how many images it has, and how many processes there are.
+        TrainingError: with the sizes of both.
     """
     count, units = num_processes(), batch // 2 if pairs else batch
     if units % count:
@@ -109,7 +100,7 @@ def require_shares(batch: int, *, pairs: bool) -> None:
 
 
 class Learner(nn.Module):
-    """A network whose `forward` is its loss, as DistributedDataParallel wants it."""
+    """A network whose `forward` is its loss, as DistributedDataParallel requires."""
 
     def __init__(self, network: PoseRegressor) -> None:
         super().__init__()
@@ -121,7 +112,7 @@ class Learner(nn.Module):
 
 
 def make_learner(network: PoseRegressor) -> nn.Module:
-    """What gives the loss of a batch, or of this process' part of it; its gradients are then averages of all parts.
+    """A module that gives the loss of this process' part of a batch; its gradients are averages of all parts.
 
     With several processes BatchNorm takes the statistics of whole batches from now on.
     """
@@ -143,14 +134,14 @@ def mean_of_all(value: Tensor) -> Tensor:
 
 
 def sum_of_all(value: Tensor) -> Tensor:
-    """The sum of a tensor over all processes, in place: of what each has found for its part, with zeros elsewhere."""
+    """The sum of a tensor over all processes, in place; each has its part, with zeros elsewhere."""
     if num_processes() > 1:
         dist.all_reduce(value)
     return value
 
 
 def from_first(value: Value) -> Value:
-    """What the first process has, in all of them."""
+    """The value of the first process, in all of them."""
     if num_processes() == 1:
         return value
     values = [value]
@@ -178,7 +169,7 @@ def _backend(device: Device) -> str:
 
 
 def _first_to_fail(store: Store) -> bool:
-    """Whether no other process has failed before: what ended that one ends all, and is told once."""
+    """Whether no other process has failed before, so that one error is reported once."""
     with suppress(RuntimeError):  # the store went with the process that kept it
         return store.add("failed", 1) == 1
     return False
@@ -193,3 +184,63 @@ def _whole(name: str, default: int) -> int:
 
 def _line(error: BaseException) -> str:
     return (str(error).strip() or type(error).__name__).splitlines()[0]
+
+
+class SharedBatchNorm(nn.BatchNorm2d):
+    """BatchNorm2d that takes mean and variance over the images of all processes, of which each has equally many.
+
+    torch's SyncBatchNorm does the same on GPUs only.
+    """
+
+    def forward(self, input: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
+        """The normalised input, in its precision."""
+        if not self.training:
+            return super().forward(input)
+        variance, mean = torch.var_mean(input.float(), dim=(0, 2, 3), unbiased=False)
+        # float64, as the variance of means would otherwise be a difference of large numbers.
+        parts = torch.stack([mean, variance, mean.double().square()]).double()
+        mean, variance, square = _Sum.apply(parts).div(dist.get_world_size()).unbind()
+        variance = variance + square - mean.square()
+        self._remember(mean.detach(), variance.detach(), input.numel() // input.shape[1] * dist.get_world_size())
+        scale = self.weight * torch.rsqrt(variance + self.eps).float()
+        shift = self.bias - mean.float() * scale
+        return torch.addcmul(shift[:, None, None], input.float(), scale[:, None, None]).to(input.dtype)
+
+    @torch.no_grad()
+    def _remember(self, mean: Tensor, variance: Tensor, count: int) -> None:
+        """Move the running statistics as torch does: the variance without bias."""
+        if self.running_mean is None or self.running_var is None or self.num_batches_tracked is None:
+            return
+        self.num_batches_tracked += 1
+        momentum = self.momentum if self.momentum is not None else 1.0 / float(self.num_batches_tracked)
+        self.running_mean.lerp_(mean.float(), momentum)
+        self.running_var.lerp_((variance * count / (count - 1)).float(), momentum)
+
+
+def share_batch_statistics(network: nn.Module) -> None:
+    """Let every BatchNorm2d of a network take the statistics of all processes, in place; names and weights stay."""
+    for name, child in network.named_children():
+        if type(child) is nn.BatchNorm2d:
+            shared = SharedBatchNorm(child.num_features, child.eps, child.momentum)
+            shared.weight, shared.bias = child.weight, child.bias
+            shared._buffers.update(child._buffers)
+            shared.train(child.training)
+            setattr(network, name, shared)
+        else:
+            share_batch_statistics(child)
+
+
+class _Sum(torch.autograd.Function):
+    """The sum over all processes; every one's loss depends on it, so its gradient is the sum of theirs."""
+
+    @staticmethod
+    def forward(ctx: Any, value: Tensor) -> Tensor:
+        value = value.clone()
+        dist.all_reduce(value)
+        return value
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        gradient = gradients[0].clone()
+        dist.all_reduce(gradient)
+        return gradient

@@ -1,36 +1,38 @@
-"""What a training tells on its way, and its result."""
+"""Progress of a training, its result, and the check of the new model."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
 
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.evaluation.validation import Validation
-from vapor.training.check_result import TrainingCheck
+
+_WORSE_RIGHT, _WORSE_MEDIAN = 0.02, 1.1  # than the single image: fraction of the images, and times the median error
+_LEAST_COVERAGE = 0.8  # of the 95 % region
+_HARDLY, _FEW, _SCALE = 0.2, 10.0, 0.1
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training stands.
+    """Progress of a training.
 
     Attributes:
-        stage: "reading" of images, "holding out" of some, "training", "landmarks", "calibrating", "checking" or
-            "training on everything".
+        stage: Present stage.
         done: Images read or held out, steps done since the training's start, interrupted or not, or held-out images
             seen.
         total: Steps or images in all; None while reading.
         epoch: The current epoch, from 1.
-        epochs: Of so many.
+        epochs: Epochs in all.
         loss: Mean training loss of this epoch so far.
         learning_rate: Of the last step.
         seconds: Of training since its start, interrupted or not, reading and evaluation left out.
-        left_s: Of training still to come, about.
+        left_s: Estimated seconds of training left.
         validation: Figures of the last epoch that was evaluated.
         best: Figures of the best epoch.
-        notes: What was held out and why, told once before the first step.
+        notes: Held-out images and the reasons, once before the first step.
     """
 
     stage: Literal[
@@ -59,10 +61,10 @@ class TrainResult:
         best: Figures of the epoch that was kept; None without held-out images.
         seconds: Of training since its start, interrupted or not, reading and evaluation left out.
         images_seen: Likewise.
-        calibration: What was calibrated at the end, and what that gained; None where it was not asked for.
+        calibration: Calibration at the end; None where it was not configured.
         check: The filter on the held-out passes; None without any, or without odometry through them.
         skipped: Images and poses of all data that were left out in reading, by reason.
-        notices: What a person should know of the data.
+        notices: Facts about the data for the user.
     """
 
     checkpoint: Checkpoint
@@ -77,3 +79,99 @@ class TrainResult:
 
 
 ProgressCallback = Callable[[Progress], None]
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Median errors of a method, and the fraction of images that it has within 0.3 m and 20°."""
+
+    median_m: float
+    median_deg: float
+    right: float
+
+
+@dataclass(frozen=True)
+class TrainingCheck:
+    """Filter and single image over the held-out passes that errors were fitted on.
+
+    Attributes:
+        images: Images evaluated.
+        passes: Passes, in each of which the filter starts with an empty belief.
+        methods: Figures by the names of `METHODS`.
+        converged: Fraction of the images called converged.
+        wrong: Fraction of these beyond 0.3 m or 20°; None where none is.
+        coverage: Fraction of these in the filter's 50, 90 and 95 % regions, by name; None where they are fewer than 50.
+        inflation: Factor of the variances of images, as the fitted ones were not good enough.
+        assumed: Whether errors in proportion to the scene replace the fitted ones, for the same reason.
+        verdict: A sentence that compares the filter with the single image, with the likely cause where it is worse.
+    """
+
+    images: int
+    passes: int
+    methods: Mapping[str, Figures]
+    converged: float
+    wrong: float | None
+    coverage: Mapping[str, float] | None
+    inflation: float = 1.0
+    assumed: bool = False
+    verdict: str = ""
+
+    @property
+    def worse(self) -> bool:
+        """Whether the filter is worse than the single image."""
+        single, ours = self.methods["single_image"], self.methods["filter"]
+        return ours.right < single.right - _WORSE_RIGHT or ours.median_m > _WORSE_MEDIAN * single.median_m
+
+    @property
+    def overconfident(self) -> bool:
+        """Whether its regions hold too few true poses."""
+        return self.coverage is not None and self.coverage["95%"] < _LEAST_COVERAGE
+
+    @property
+    def rank(self) -> tuple[bool, float, bool]:
+        """The check with the greatest rank is kept, of equal ones the first.
+
+        Overconfidence counts most. Which of two filters is worse by less is luck: it depends on the wrong place they
+        stay at.
+        """
+        held = 1.0
+        if self.overconfident and self.coverage is not None:
+            held = self.coverage["95%"]
+        return not self.overconfident, held, not self.worse
+
+    @property
+    def as_json(self) -> dict[str, Any]:
+        """For the model file."""
+        return asdict(self)
+
+
+def verdict(found: TrainingCheck, result: CalibrationResult) -> str:
+    """A sentence on a check, given the calibration before it."""
+    single, ours = found.methods["single_image"], found.methods["filter"]
+    text = f"right in {100 * ours.right:.0f} % of {found.images} held-out images, the single image in"
+    text = f"the filter is {text} {100 * single.right:.0f} %"
+    if found.inflation > 1.0:
+        text += f"; variances of images are taken {found.inflation:.0f} times as large as they were found"
+    if found.assumed:
+        text += "; errors of images are assumed, as those found did worse"
+    if not (found.worse or found.overconfident):
+        return text
+    fault = "it is worse than the single image" if found.worse else "it is overconfident"
+    return f"{text}. Beware: {fault}; likely {_cause(found, result)}"
+
+
+def _cause(found: TrainingCheck, result: CalibrationResult) -> str:
+    odometry = result.calibration.odometry
+    if found.methods["single_image"].right < _HARDLY:
+        return "because the network hardly knows the place: record more of it, or train for longer"
+    if odometry is not None and abs(odometry.scale) > _SCALE:
+        return (
+            f"because odometry and true poses disagree ({100 * odometry.scale:+.0f} % in distance): check extrinsics"
+            " and stamps"
+        )
+    if 0.0 < result.effective_images < _FEW:
+        return (
+            f"because the held-out images are worth only {result.effective_images:.0f} independent ones: record another"
+            " pass"
+        )
+    return "because errors last longer than any held-out pass shows: record passes on another day or in other light"

@@ -1,4 +1,4 @@
-"""What changes over a training: learning rate and number of samples, and how often the network is evaluated."""
+"""Schedules of a training: learning rate, number of samples, image size and evaluation."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from vapor.training_data.training_set import TrainingSet
 
 _SMALL = (0.4, 0.6)  # of the images' edges, one after the other
 _SMALLEST = 32  # pixels of the shorter edge: the backbones have a stride of 32
+_DECAY, _MOST_DECAYS = 0.8, 10  # of the rate, where it decays in steps as in the paper
 _FINISHING_RATE = 0.3  # of the largest learning rate, when a trained model goes on with more data
 
 
 def learning_rate(config: TrainConfig, step: int, steps_per_epoch: int) -> float:
     """The learning rate of one step, counted from 0 over the whole training."""
-    if config.schedule == "steps":
-        decays = min(step // steps_per_epoch // config.decay_epochs, config.decay_times)
-        return config.learning_rate * config.decay_factor**decays
+    if config.decay_epochs is not None:
+        decays = min(step // steps_per_epoch // config.decay_epochs, _MOST_DECAYS)
+        return config.learning_rate * _DECAY**decays
     done = (step + 0.5) / (steps_per_epoch * config.known_epochs)
     if done < config.warmup:
         return config.learning_rate * (1 - math.cos(math.pi * done / config.warmup)) / 2
@@ -68,7 +69,7 @@ def evaluation_interval(training: int, evaluated: int) -> int:
 
 
 def finishing(config: TrainConfig) -> TrainConfig:
-    """How a model that was evaluated goes on with everything: fewer epochs, lower rates."""
+    """Configuration of the training on everything after the evaluation: fewer epochs, lower rates."""
     epochs = max(1, round(config.finish * config.known_epochs))
     rate = _FINISHING_RATE * config.learning_rate
     return replace(config, epochs=epochs, learning_rate=rate, ewta_fraction=0.0, small_images_first=0.0)

@@ -1,31 +1,43 @@
-"""What an interrupted training needs to go on as if nothing had happened: one safetensors file beside the output."""
+"""State of a training: its start, and one safetensors file beside the output from which it resumes exactly."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from filtering.errors import quoted
+from filtering.se3 import Poses
 from sequences.errors import SequenceError
 from sequences.values import parse_number
+from vapor.checkpoints.checkpoint import Checkpoint
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.checkpoints.stored_config import parse_config, parse_metadata
+from vapor.engines.engine import resolve_device
 from vapor.evaluation.validation import Validation
+from vapor.regressors.backbones import load_pretrained
 from vapor.regressors.base import PoseRegressor
+from vapor.regressors.network_config import make_regressor
+from vapor.regressors.scene_box import SceneBox
 from vapor.storage import published
 from vapor.tensor_files import CheckpointError, format_of, read_safetensors, write_safetensors
+from vapor.training.config import TrainConfig
 from vapor.training.memory import TrainingFeatures
+from vapor.training.processes import from_first, make_learner, num_processes
+from vapor.training_data.training_set import TrainingError
 
 FORMAT = "vapor-track training state"
 VERSION = 2
 _MOMENTS = {"step", "exp_avg", "exp_avg_sq"}  # AdamW's, of a parameter
-_ANEW = "remove the file, or train with --no-resume, to start anew"
+_AGAIN = "remove the file, or train with --no-resume, to start again"
+_SELDOM = 50.0  # times as long as the last one took, at least, from one saving to the next
 
 
 @dataclass
@@ -35,15 +47,14 @@ class TrainingState:
     Attributes:
         network: The network being trained.
         average: Its exponential moving average, which is evaluated and becomes the model.
-        learner: What gives the network's loss, from `make_learner`.
+        learner: Gives the network's loss, from `make_learner`.
         optimizer: AdamW, with its moments.
-        epochs: How many there will be before the finished model is evaluated.
+        epochs: Epochs before the finished model is evaluated.
         epoch: Epochs done; more than that while it goes on with everything.
-        seconds: They took so many, evaluation left out.
+        seconds: Their duration, evaluation left out.
         history: Figures of the epochs done, where there are held-out images.
         best: Weights of the best epoch so far, on the CPU.
-        features: Of the images of the epoch, for a regressor that recalls images; extracted again after an
-            interruption.
+        features: Of the images of the epoch, for a regressor that recalls images; not stored.
     """
 
     network: PoseRegressor
@@ -59,7 +70,7 @@ class TrainingState:
 
 
 def state_path(output: Path) -> Path:
-    """Where the state of a training lies whose model will be `output`."""
+    """Path of the state of a training whose model will be `output`."""
     return output.with_suffix(".training.safetensors")
 
 
@@ -69,13 +80,7 @@ def is_training_state(path: Path) -> bool:
 
 
 def save_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) -> None:
-    """Write the state, complete or not at all.
-
-    Args:
-        path: From `state_path`.
-        state: The training.
-        identity: JSON that must be equal for a training to be the same (configuration, data).
-    """
+    """Write the state, complete or not at all, with the JSON (configuration, data) that identifies the training."""
     tensors = {f"network.{k}": v for k, v in state.network.state_dict().items()}
     tensors |= {f"average.{k}": v for k, v in state.average.state_dict().items()}
     tensors |= {f"best.{k}": v for k, v in state.best.items()}
@@ -104,7 +109,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     try:
         metadata, tensors = read_safetensors(path)
     except CheckpointError as error:
-        raise CheckpointError(f"{error}; {_ANEW}") from error
+        raise CheckpointError(f"{error}; {_AGAIN}") from error
     found = metadata.get("format"), metadata.get("version")
     if found != (FORMAT, str(VERSION)):
         raise CheckpointError(f"{path}: format and version are {found}, expected {(FORMAT, str(VERSION))}")
@@ -115,7 +120,7 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
         differs = [k for k in expected if not isinstance(other, dict) or other.get(k) != expected[k]]
         raise CheckpointError(
             f"{path}: interrupted training differs in {', '.join(differs) or 'its configuration'}, expected the same"
-            f" configuration and data; {_ANEW}"
+            f" configuration and data; {_AGAIN}"
         )
     groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "best": {}, "optimizer": {}}
     for name, value in tensors.items():
@@ -143,9 +148,6 @@ def load_state(path: Path, state: TrainingState, identity: Mapping[str, Any]) ->
     history = config.get("history")
     if not isinstance(history, list):
         raise CheckpointError(f"{path}: history is {quoted(history)}, expected a list of the figures of epochs")
-    for value in (value for entry in history if isinstance(entry, dict) for value in entry.values()):
-        if type(value) not in (int, float):
-            raise CheckpointError(f"{path}: history has {quoted(value)}, expected a number")
     state.history = [parse_config(path, "history", Validation, entry) for entry in history]
 
 
@@ -165,3 +167,111 @@ def _moments(tensors: Mapping[str, Tensor], optimizer: torch.optim.Optimizer) ->
         if each.keys() != _MOMENTS:
             raise ValueError(f"optimizer.{index} has {quoted(sorted(each))} instead of {quoted(sorted(_MOMENTS))}")
     return moments
+
+
+def initial_model(config: TrainConfig) -> Checkpoint | None:
+    """The model all of whose weights are the start, if one is configured.
+
+    Raises:
+        TrainingError: its network has another shape.
+        CheckpointError: it cannot be read.
+    """
+    if config.initial_model is None:
+        return None
+    initial = load_checkpoint(config.initial_model)
+    wanted = config.network
+    sizes = {name: getattr(wanted, name) for name in ("image_width", "image_height", "shortest_edge")}
+    shortcut = initial.network.shortcut or wanted.shortcut  # `take_weights` adds one that is missing
+    found = replace(initial.network, shortcut=shortcut, **sizes)  # convolutions fit images of any size
+    if other := [name for name, value in asdict(wanted).items() if getattr(found, name) != value]:
+        differences = ", ".join(
+            f"{name} {getattr(found, name)!r} (expected {getattr(wanted, name)!r})" for name in other
+        )
+        raise TrainingError(f"{config.initial_model}: its network has {differences} as configured")
+    return initial
+
+
+def start(config: TrainConfig, box: SceneBox, poses: Poses, initial: Checkpoint | None) -> TrainingState:
+    """A network before its first step, its average, which is a copy, and its optimizer, on the configured device.
+
+    Args:
+        config: Configuration of the training.
+        box: Box that cameras can be in.
+        poses: world_from_camera of the training images, (n,), by which some regressors are initialised.
+        initial: From `initial_model`.
+
+    Raises:
+        VaporTrackError: weights of the backbone or the device are not there.
+    """
+    device = resolve_device(config.device)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        network = make_regressor(config.network, box)
+        average = make_regressor(config.network, box)
+    packaged = config.pretrained and config.network.backbone == "efficientnet-lite0"
+    if config.pretrained_weights is not None or packaged:
+        load_pretrained(network, config.pretrained_weights)
+    network.initialise(poses, log_variance=config.initial_log_variance)
+    if initial is not None:
+        network.take_weights(initial.state_dict)
+    average.load_state_dict(network.state_dict())
+    network, average = (
+        n.to(device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        for n in (network, average)
+    )
+    learner = make_learner(network)
+    optimizer = torch.optim.AdamW(parameter_groups(network, config), lr=config.learning_rate, fused=True)
+    return TrainingState(network, average, learner, optimizer)
+
+
+def parameter_groups(network: PoseRegressor, config: TrainConfig) -> list[dict[str, Any]]:
+    """Matrices, which decay, and biases and BatchNorm, which do not."""
+    return [
+        {"params": [p for p in network.parameters() if p.ndim > 1], "weight_decay": config.weight_decay},
+        {"params": [p for p in network.parameters() if p.ndim <= 1], "weight_decay": 0.0},
+    ]
+
+
+class Saving:
+    """Saves a training's state after its epochs, of short ones not after each, which would slow the training down."""
+
+    def __init__(self, path: Path, identity: Mapping[str, Any]) -> None:
+        self._path, self._identity = path, identity
+        self._next_s = 0.0
+
+    def resume(self, state: TrainingState) -> None:
+        """Fill a fresh state from the file, if there is one."""
+        if self._path.exists():
+            load_state(self._path, state, self._identity)
+
+    def save(self, state: TrainingState, *, last: bool = False) -> None:
+        """Write the state between two epochs; always the first one, and the last before a long stage."""
+        begin_s = perf_counter()
+        if last or begin_s >= self._next_s:
+            save_state(self._path, state, self._identity)
+            end_s = perf_counter()
+            self._next_s = end_s + _SELDOM * (end_s - begin_s)
+
+    def remove(self) -> None:
+        """Remove the file of a training that is finished."""
+        self._path.unlink(missing_ok=True)
+
+
+def share_state(state: TrainingState) -> None:
+    """Give the first process' weights, moments and epochs to all others, in place."""
+    if num_processes() == 1:
+        return
+    parts = state.network, state.average, state.optimizer
+    values = from_first([_on_cpu(part.state_dict()) for part in parts])
+    for part, value in zip(parts, values, strict=True):
+        part.load_state_dict(value)
+    state.epochs, state.epoch, state.seconds = from_first((state.epochs, state.epoch, state.seconds))
+
+
+def _on_cpu(values: Any) -> Any:
+    """A state's tensors on the CPU, in their memory layout: another process has another GPU."""
+    if isinstance(values, torch.Tensor):
+        return values.detach().cpu()
+    if isinstance(values, dict):
+        return {name: _on_cpu(value) for name, value in values.items()}
+    return [_on_cpu(value) for value in values] if isinstance(values, list) else values

@@ -15,24 +15,20 @@ from sequences.frame import Frame
 from sequences.options import SequenceOptions
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import save_checkpoint
-from vapor.checkpoints.thinning import spaced
+from vapor.checkpoints.scene_scale import spaced
 from vapor.regressors.scene_box import SceneBox
 from vapor.training.config import TrainConfig
-from vapor.training.duration import fitting_epochs
 from vapor.training.epoch import features_for
-from vapor.training.holding_out import Split, hold_out, within_map
+from vapor.training.holding_out import hold_out, within_map
 from vapor.training.landmarks import find_landmarks
 from vapor.training.memory import remember
 from vapor.training.model_file import calibrate_and_check, model_checkpoint
 from vapor.training.processes import from_first, is_first, require_shares
 from vapor.training.progress import Progress, ProgressCallback, TrainResult
-from vapor.training.saving import Saving, share_state
-from vapor.training.start import initial_model, start
-from vapor.training.state import TrainingState, state_path
-from vapor.training.trainer import Trainer, weights_of
+from vapor.training.state import Saving, initial_model, share_state, start, state_path
+from vapor.training.trainer import Trainer, fitting_epochs, weights_of
 from vapor.training_data.checks import require_variety, too_few
-from vapor.training_data.entries import open_sequences
-from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.entries import open_sequences, require_no_leakage
 from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingError, TrainingSet
 
@@ -49,13 +45,13 @@ def train(
     """Train on files and folders, and write the model.
 
     Args:
-        data: Whatever `posed_frames` reads; `PATH@START:STOP` takes those frames of it only.
+        data: Anything that `posed_frames` reads; `PATH@START:STOP` takes those frames of it only.
         output: The model file.
-        config: How.
+        config: Configuration.
         validation: Held-out data, likewise, with no image of the former, of which those images count whose surroundings
             training images show; without it passes over ground that others cover are held out, and no two of the data
             may share images.
-        reading: What to read of MCAP sequences, of both; None for all of it, as found.
+        reading: Options of reading MCAP sequences, of both; None for all of them, as found.
         progress: Called after every image read and every step.
 
     Raises:
@@ -110,13 +106,9 @@ def train_on(
 
 
 def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, config: TrainConfig) -> TrainResult:
-    """Train on images that were read before, as many training runs on the same do; some are held out as configured.
+    """Train on images that were read before, for the configured frame size and crop; some are held out as configured.
 
-    Args:
-        images: From `load_training_set`, for the configured frame size and crop.
-        names: Of their sequences, for the model file.
-        output: The model file.
-        config: How.
+    `names` are those of the sequences, for the model file.
 
     Raises:
         TrainingError: unusable images or configuration, or a loss that is not finite.
@@ -135,7 +127,7 @@ def train_on_images(images: TrainingSet, names: Sequence[str], output: Path, con
 
 
 def _checked_start(output: Path, config: TrainConfig) -> Checkpoint | None:
-    """The model to start from, if any; raises what would otherwise be raised after reading or hours of training."""
+    """The model to start from, if any; raises errors that would otherwise come after hours of training."""
     if not output.parent.is_dir():
         raise TrainingError(f"{output}: cannot be written, expected the folder {output.parent} to exist")
     if output.is_dir():
@@ -162,17 +154,6 @@ def _train(
     training = split.training
     box = SceneBox.around(split.everything.poses)
     state = start(config, box.union(initial.box) if initial else box, training.poses, initial)
-    return _fit(state, split, names, output, config, report)
-
-
-def _fit(
-    state: TrainingState,
-    split: Split,
-    names: dict[str, Any],
-    output: Path,
-    config: TrainConfig,
-    report: ProgressCallback,
-) -> TrainResult:
     require_shares(min(config.batch_size, len(split.training)), pairs=config.loss.relative > 0.0)
     evaluated = split.held_out.select(spaced(len(split.held_out), config.validation_images))
     poses = zlib.crc32(split.training.poses.as_matrix().tobytes())
@@ -235,7 +216,7 @@ def _fit(
         "landmarks": list(of_landmarks),
     }
     checkpoint = model_checkpoint(model, learned, split, evaluated, found, config, provenance)
-    save_checkpoint(output, checkpoint, store_float16=config.store_float16)
+    save_checkpoint(output, checkpoint, store_float16=True)
     saving.remove()
     apart = split.held_out.images is not split.training.images
     skipped, notices = split.training.skipped, split.training.notices
@@ -255,5 +236,5 @@ def _fit(
 
 
 def _settings(config: TrainConfig) -> dict[str, Any]:
-    """What makes a training this one, as JSON; file names without folders."""
+    """Settings that identify a training, as JSON; file names without folders."""
     return {key: value.name if isinstance(value, Path) else value for key, value in config.settings().items()}

@@ -1,10 +1,13 @@
-"""Trainer: a training epoch by epoch, its evaluation on held-out images, and what it tells of its progress."""
+"""Trainer: a training epoch by epoch, with evaluation on held-out images and reports of progress."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import replace
 from time import perf_counter
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,12 +23,16 @@ from vapor.training.schedule import evaluation_interval, finishing, step_cost, s
 from vapor.training.state import TrainingState
 from vapor.training_data.training_set import TrainingSet
 
+_FEWEST = 4  # epochs
+_WARM_UP, _TIMED = 3, 8  # steps
+_EVALUATION = 0.5  # of the time of a step an image: to evaluate it
+
 
 class Trainer:
-    """A training under way: first on what is not held out, then, once the model was evaluated, on everything.
+    """A training under way: on the images that are not held out and, once the model was evaluated, on everything.
 
     Attributes:
-        state: Where it stands.
+        state: Its state.
         config: With its number of epochs.
         goes_on: Whether there is more to learn from once the model was evaluated.
         epochs: In all.
@@ -48,7 +55,7 @@ class Trainer:
         return self.state.average if self.config.ema_decay else self.state.network
 
     def images_seen(self, epochs: int) -> int:
-        """How many images were seen when so many epochs were done."""
+        """Number of images seen when so many epochs were done."""
         return sum(len(self._images(epoch)) for epoch in range(epochs))
 
     def epoch(self) -> float:
@@ -134,3 +141,32 @@ def best_epoch(history: Sequence[Validation], config: TrainConfig) -> Validation
 def weights_of(network: PoseRegressor) -> dict[str, torch.Tensor]:
     """Copies of its parameters and statistics on the CPU, by name."""
     return {name: value.detach().cpu().clone() for name, value in network.state_dict().items()}
+
+
+def fitting_epochs(state: TrainingState, split: Split, evaluated: int, config: TrainConfig) -> int:
+    """Number of epochs that fit into the configured hours, evaluation and finishing included.
+
+    The state before the first step is left as it is. Epochs are evaluated on so many held-out images.
+    """
+    trial, training, most = deepcopy(state), split.training, config.most_epochs
+    batch = min(config.batch_size, len(training))
+    rows = np.resize(np.arange(len(training)), (_WARM_UP + _TIMED) * batch)
+    stamps = [perf_counter()]
+    once = replace(config, epochs=1, small_images_first=0.0)
+    train_epoch(trial, training.select(rows), once, lambda step, loss, rate: stamps.append(perf_counter()))
+    per_image = float(np.median(np.diff(stamps[_WARM_UP:]))) / batch
+    more = config.finish * len(split.everything) if len(split.everything) > len(training) else 0.0
+    evaluation = _EVALUATION * evaluated / evaluation_interval(len(training), evaluated)
+    extraction, epochs = np.zeros(most), np.arange(1, most + 1)
+    if trial.features is not None:  # twice of all images, once more for each way in which they are varied
+        per_pass = (stamps[1] - stamps[0]) / (2 * len(rows))
+        varied = np.minimum(epochs, VARIANTS)
+        extraction, evaluation = per_pass * len(split.everything) * (2 + varied), 0.0  # which is quick then
+    spared = np.array([_spared(replace(config, epochs=n)) for n in range(1, most + 1)]) * len(training)
+    seconds = extraction + per_image * (epochs * (len(training) + more + evaluation) - spared)
+    return max(min(_FEWEST, most), int((seconds <= 3600.0 * config.hours).sum()))
+
+
+def _spared(config: TrainConfig) -> float:
+    """Epochs that a training is shorter by because its first images are small."""
+    return sum(1.0 - step_cost(config, epoch) for epoch in range(config.known_epochs))

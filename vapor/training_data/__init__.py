@@ -1,1 +1,1 @@
-"""Images with true poses that networks learn from and are evaluated on: read, scaled, and what they cover."""
+"""Images with true poses that networks learn from and are evaluated on: read, scaled, and checked."""

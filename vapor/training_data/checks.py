@@ -1,9 +1,12 @@
-"""Whether a network can learn anything from images: enough of them, of a camera that moves and sees, near zero."""
+"""Checks of training images: enough of them, of a camera that moves and sees, near zero, in right colours."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import cv2
 import numpy as np
+from jaxtyping import Float64, UInt8
 
 from filtering.se3 import Poses
 from vapor.training_data.training_set import TrainingError, TrainingSet
@@ -13,13 +16,16 @@ _COARSEST_M = 0.1  # that such a step may have
 _STILL_M, _STILL_RAD = 0.005, float(np.deg2rad(0.5))  # of a camera that stands, at most
 _COMPARED, _COARSE = 50, (8, 6)  # images, and the size at which they are compared, pixels
 _FEW = 100  # images
+_SIDE_PX, _BINS, _RANGE = 32, 24, 0.4  # of an image; and of each of two differences of colours, over the brightness
+_ALIKE, _LESS, _APART = 0.5, 0.6, 0.04  # squared Hellinger distances: at most; swapped, of that before; between both
+_BLUISH, _MOST = -0.03, 0.8  # red less blue, over the brightness; and of the images of a recording
 
 
 def require_variety(images: TrainingSet) -> None:
     """Refuse images from which nothing can be learned: of a camera that stands, or sees nothing, or is out of range.
 
     Raises:
-        TrainingError: what all of them have in common.
+        TrainingError: with the property that all of them share.
     """
     poses, few = images.poses, np.linspace(0, len(images) - 1, min(len(images), _COMPARED)).astype(int)
     moved_m, turned = poses.distance(poses[[0]])
@@ -48,19 +54,87 @@ def require_variety(images: TrainingSet) -> None:
 
 
 def too_few(images: TrainingSet) -> list[str]:
-    """What to say of so few images that hardly any place can be learned from them; nothing where there are enough."""
+    """A notice on too few images to learn a place from; nothing where there are enough."""
     if len(images) >= _FEW:
         return []
     return [f"{len(images)} images to learn from: a place takes hundreds, along every path that will be walked"]
 
 
 def too_far(poses: Poses) -> list[str]:
-    """What to say of positions so far from zero that float32 rounds them noticeably; nothing where there are none."""
+    """A notice on positions so far from zero that float32 rounds them noticeably; nothing where there are none."""
     furthest_m = float(np.abs(poses.translation).max())
     if furthest_m < _FAR_M:
         return []
     step_m = float(np.spacing(np.float32(furthest_m)))
     return [
-        f"positions up to {furthest_m:.3g} m from zero: the network tells them to {step_m:.2g} m only;"
+        f"positions up to {furthest_m:.3g} m from zero: the network resolves them to {step_m:.2g} m only;"
         " --ground-truth-origin takes a point near them off"
     ]
+
+
+class Colours:
+    """Which colours a recording has."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros((_BINS, _BINS))
+        self._bluish = self._images = 0
+
+    def take(self, image: UInt8[np.ndarray, "h w 3"]) -> None:
+        """The next RGB image."""
+        small = np.asarray(cv2.resize(image, (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_AREA), np.float64)
+        red, green, blue = small.reshape(-1, 3).T
+        total = red + green + blue + 1.0
+        differences = np.clip(np.stack([red - green, blue - green]) / total, -0.999 * _RANGE, 0.999 * _RANGE)
+        at = ((differences + _RANGE) * (_BINS / (2 * _RANGE))).astype(int)
+        np.add.at(self._counts, (at[0], at[1]), 1.0)
+        self._images += 1
+        self._bluish += float((red - blue).mean()) < _BLUISH * float(total.mean()) / 3
+
+    @property
+    def share(self) -> Float64[np.ndarray, "bins bins"]:
+        """Of each colour; red and blue are swapped in its transpose."""
+        return self._counts / max(self._counts.sum(), 1.0)
+
+    @property
+    def are_bluish(self) -> bool:
+        """Whether nearly all images have more blue than red, as lamps, wood and skin make them seldom."""
+        return self._bluish > _MOST * self._images
+
+
+def said_of_colours(recordings: Mapping[str, Colours]) -> list[str]:
+    """Notices on recordings that have red and blue swapped, or seem to; nothing where none has.
+
+    Of several, one whose colours are the others' only when swapped; all of them where they are bluish.
+    """
+    shares = {name: colours.share for name, colours in recordings.items()}
+    found = []
+    for name, share in shares.items():
+        usual = np.mean([other for each, other in shares.items() if each != name] or [share], axis=0)
+        now, swapped = _apart(share, usual), _apart(share.T, usual)
+        if swapped < _LESS * now and now - swapped > _APART and swapped < _ALIKE:
+            found.append(name)
+    if not found:
+        return [
+            f"{_listed(recordings)}: more blue than red in nearly all images, as few places have it: see whether these"
+            " are swapped (BGR that is labelled RGB)"
+        ] * all(colours.are_bluish for colours in recordings.values())
+    if 2 * len(found) >= len(shares):
+        return [
+            f"{_listed(shares)} do not have the same colours: red and blue of some are swapped (BGR that is labelled"
+            " RGB, or the reverse), or their white balance is another"
+        ]
+    return [
+        f"{name}: red and blue are swapped, beside the other recordings (BGR that is labelled RGB, or the reverse),"
+        " or its white balance is another"
+        for name in found
+    ]
+
+
+def _apart(a: np.ndarray, b: np.ndarray) -> float:
+    """Squared Hellinger distance, 0 where alike and 1 where nothing is shared."""
+    return 1.0 - float(np.sum(np.sqrt(a * b)))
+
+
+def _listed(names: Mapping[str, object]) -> str:
+    first = list(names)[:3]
+    return f"{', '.join(first)}{', ...' if len(names) > len(first) else ''}"

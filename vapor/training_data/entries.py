@@ -1,15 +1,21 @@
-"""Data as they are named on the command line, `PATH` or `PATH@START:STOP`, and their frames; a URL is a path, too."""
+"""Data as named on the command line, `PATH` or `PATH@START:STOP`: their frames, and images that two of them share."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from itertools import combinations, product
+from math import inf
 from pathlib import Path
 
 from sequences.datasets import listing
 from sequences.datasets.frames import posed_frames
+from sequences.datasets.layout_helpers.packed import ImageFile
+from sequences.datasets.listing import is_recording, list_images
 from sequences.frame import Frame
 from sequences.options import OdometryUse, SequenceOptions
+from sequences.recordings.bag import bag_files
 from vapor.storage import fetched, is_url, local_path
 from vapor.training_data.training_set import TrainingError
 
@@ -17,15 +23,10 @@ from vapor.training_data.training_set import TrainingError
 def open_sequences(
     data: Sequence[Path | str], reading: SequenceOptions | None = None, odometry: OdometryUse = "optional"
 ) -> dict[str, Iterable[Frame]]:
-    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
-
-    Args:
-        data: The entries.
-        reading: What to read of those that are MCAP sequences; None for all of it, as found.
-        odometry: Whether their odometry is read.
+    """Frames of each `PATH` or `PATH@START:STOP`, by a name without its folder, with or without their odometry.
 
     Raises:
-        TrainingError: what follows the @ is not a range.
+        TrainingError: the text after the @ is not a range.
     """
     return {
         name: posed_frames(path, frames=frames, options=reading, odometry=odometry)
@@ -37,7 +38,7 @@ def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
     """Path and frames of each `PATH` or `PATH@START:STOP`, by a name without its folder.
 
     Raises:
-        TrainingError: what follows the @ is not a range.
+        TrainingError: the text after the @ is not a range.
     """
     named: dict[str, tuple[Path, slice]] = {}
     for number, entry in enumerate(data):
@@ -49,10 +50,10 @@ def name_entries(data: Sequence[Path | str]) -> dict[str, tuple[Path, slice]]:
 
 
 def parse_entry(entry: Path | str) -> tuple[Path, slice]:
-    """Path and frames of `PATH` or `PATH@START:STOP`; of a URL the path of its copy, which is made.
+    """Path and frames of `PATH` or `PATH@START:STOP`; a URL is copied, and the path is that of its copy.
 
     Raises:
-        TrainingError: what follows the @ is not a range.
+        TrainingError: the text after the @ is not a range.
     """
     match = re.fullmatch(r"(?P<path>.+)@(?P<start>\d*):(?P<stop>\d*)", str(entry))
     if is_url(text := match["path"] if match else str(entry)):
@@ -68,8 +69,44 @@ def files_read(data: Sequence[Path | str], reading: SequenceOptions | None = Non
     """Files and folders that `PATH`s and `PATH@START:STOP`s are read from; an output must be none of these.
 
     Raises:
-        TrainingError: what follows an @ is not a range.
+        TrainingError: the text after an @ is not a range.
     """
     for entry in data:
         yield from listing.files_read(parse_entry(entry)[0])
     yield from () if reading is None else reading.files_read
+
+
+def require_no_leakage(data: Sequence[Path | str], held_out: Sequence[Path | str] | None = None) -> None:
+    """Refuse held-out images that are trained on: the same files, or the same frames of one recording.
+
+    Without `held_out`, parts of `data` are held out, and no two of these may share images.
+
+    Raises:
+        TrainingError: two share images, or the text after an @ is not a range.
+        SequenceError: unreadable data.
+    """
+    source, files = cache(_source), cache(_files)
+    for entry, other in combinations(data, 2) if held_out is None else product(data, held_out):
+        (path, frames), (its_path, its_frames) = source(entry), source(other)
+        if path == its_path:
+            stop = min(inf if part.stop is None else part.stop for part in (frames, its_frames))
+            shared = max(frames.start or 0, its_frames.start or 0) < stop
+        else:
+            shared = not files(entry).isdisjoint(files(other))
+        if shared:
+            raise TrainingError(
+                f"{other}: shares images with {entry}, which is trained on; expected none of them to be held out"
+            )
+
+
+def _source(entry: Path | str) -> tuple[Path, slice]:
+    """Where `PATH` or `PATH@START:STOP` lies once links are followed, and which frames of it."""
+    path, frames = parse_entry(entry)
+    return path.resolve(), frames
+
+
+def _files(entry: Path | str) -> set[ImageFile]:
+    """Image files of `PATH` or `PATH@START:STOP`; of a recording all files that it is made of, for any frames."""
+    path, frames = parse_entry(entry)
+    files = bag_files(path) if is_recording(path) else list_images(path)[frames].files
+    return {file.resolve() for file in files}

@@ -1,4 +1,4 @@
-"""Ground that training images show: how near is near, which poses lie on it, and what to say of those that do not."""
+"""Ground that training images show: the distance that is near, poses beyond it, and passes of the camera."""
 
 from __future__ import annotations
 
@@ -9,25 +9,29 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import KDTree
 
 from filtering.se3 import Poses
+from sequences.odometry_fit.pieces import OdometrySegment
 from vapor.checkpoints.scene_scale import typical_side_m
+from vapor.training_data.training_set import TrainingSet
 
 DIRECTION_RAD = float(np.deg2rad(45.0))
 FARTHEST = 0.15
 """What counts as near, in typical sides of the scene, at most."""
 _CHORD = 2.0 * np.sin(DIRECTION_RAD / 2.0)
 _NEAREST = 1 / 3  # of that, at least
-_GIVEN = 2.0  # times as far counts as near where someone says that the data are of the place
+_GIVEN = 2.0  # times as far counts as near for data that are stated to be of the place
 _USUAL = 4.0  # times the distance to the nearest image of another pass, which a quarter of the images do not exceed
 _LOOKED_AT = 8  # of the nearest
 _NAMED_RUNS = 3
-_LEAST_UNSHOWN = 0.05  # fraction of a run's images that no training image shows, from which on it is said
+_LEAST_UNSHOWN = 0.05  # fraction of a run's images that no training image shows, from which on there is a notice
+RUN_IMAGES = 10
+_BREAK_S, _BREAK_STEPS = 1.0, 3.0
 
 
 def told_unshown(poses: Poses, training: Poses) -> str | None:
-    """What to say of a run over ground that training images do not show; None where they show all of it.
+    """A notice on a run over ground that training images do not show; None where they show it.
 
     Args:
-        poses: Where the images of the run were taken, as found, (n,).
+        poses: Of the images of the run, as found, (n,).
         training: Of the training images, (m,).
     """
     shown, near_m = shown_around(poses, training)
@@ -41,12 +45,7 @@ def told_unshown(poses: Poses, training: Poses) -> str | None:
 
 
 def shown_around(poses: Poses, training: Poses) -> tuple[Bool[np.ndarray, " n"], float]:
-    """Whether training images show the surroundings of poses, and how far away counts as near, metres.
-
-    Args:
-        poses: Of images that are said to be of the place, (n,).
-        training: Of the training images, (m,).
-    """
+    """Whether training images (m,) show the surroundings of poses (n,), and the distance, metres, that is near."""
     farthest_m = _GIVEN * FARTHEST * typical_side_m(training)
     distances_m = nearest_m(poses, training, farthest_m)
     near_m = near_m_of(distances_m, farthest_m)
@@ -54,24 +53,21 @@ def shown_around(poses: Poses, training: Poses) -> tuple[Bool[np.ndarray, " n"],
 
 
 def near_scale_m(poses: Poses) -> float:
-    """How far away counts as near at least, metres, of the scene that poses (n,) outline."""
+    """Least distance that counts as near, metres, in the scene that poses (n,) outline."""
     return _NEAREST * FARTHEST * typical_side_m(poses)
 
 
 def near_m_of(distances_m: Float64[np.ndarray, " n"], farthest_m: float) -> float:
-    """How far away counts as near, by how far the nearest images of other passes are; no further than given."""
+    """Distance that counts as near, by the distances of the nearest images of other passes; `farthest_m` at most."""
     found = distances_m[distances_m <= farthest_m]
     usual = float(np.quantile(found, 0.25)) if len(found) else np.inf
     return float(np.clip(_USUAL * usual, _NEAREST * farthest_m, farthest_m))
 
 
 def nearest_m(poses: Poses, others: Poses, scale_m: float) -> Float64[np.ndarray, " n"]:
-    """How far the nearest of the others (m,) that looks the same way as each pose (n,) is; infinite without any.
+    """Distance, metres, of the nearest of the others (m,) that looks the same way as each pose (n,); or infinity.
 
-    Args:
-        poses: Of cameras.
-        others: Likewise.
-        scale_m: So far away is as different as 45°.
+    A distance of `scale_m` is as different as 45°.
     """
     if not len(poses) or not len(others):
         return np.full(len(poses), np.inf)
@@ -93,6 +89,44 @@ def runs(mask: Bool[np.ndarray, " n"], sequence: Int64[np.ndarray, " n"]) -> Ite
 
 def told_runs(found: Sequence[slice], first: int) -> str:
     """The first and last image of each run, counted from the first image of their recording."""
-    told = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_NAMED_RUNS]]
-    told += [f"{len(found) - _NAMED_RUNS} more"] if len(found) > _NAMED_RUNS else []
-    return " and ".join([*([", ".join(told[:-1])] if told[:-1] else []), told[-1]])
+    words = [f"{run.start - first} to {run.stop - 1 - first}" for run in found[:_NAMED_RUNS]]
+    words += [f"{len(found) - _NAMED_RUNS} more"] if len(found) > _NAMED_RUNS else []
+    return " and ".join([*([", ".join(words[:-1])] if words[:-1] else []), words[-1]])
+
+
+def pass_numbers(images: TrainingSet) -> Int64[np.ndarray, " n"]:
+    """The number of the pass that each image is from, increasing.
+
+    A new one begins with every sequence, and after a gap of more than a second and three times the usual one.
+    """
+    steps_s = np.diff(images.times_ns, prepend=images.times_ns[:1]) * 1e-9
+    begins = np.diff(images.sequence, prepend=images.sequence[:1] - 1) != 0
+    for number in np.unique(images.sequence):
+        own = (images.sequence == number) & ~begins
+        usual = float(np.median(steps_s[own])) if own.any() else 0.0
+        begins |= own & ((steps_s > max(_BREAK_S, _BREAK_STEPS * usual)) | (steps_s < 0.0))
+    return np.cumsum(begins) - 1
+
+
+def some_runs(count: int, limit: int) -> Int64[np.ndarray, " k"]:
+    """Indices of at most `limit` of `count` images, in runs of ten evenly spaced ones.
+
+    Consecutive images show how long errors last, and images from all over the scene how large they are.
+    """
+    if count <= limit:
+        return np.arange(count)
+    runs = max(1, limit // RUN_IMAGES)
+    starts = np.linspace(0, count - min(RUN_IMAGES, limit), runs).round().astype(np.int64)
+    return np.unique(starts[:, None] + np.arange(min(RUN_IMAGES, limit)))
+
+
+def odometry_segments(images: TrainingSet) -> list[OdometrySegment]:
+    """Consecutive images with odometry from each to the next, and their true poses."""
+    segments: list[OdometrySegment] = []
+    begins = [i for i, step in enumerate(images.odometry) if step is None]
+    for begin, end in zip(begins, [*begins[1:], len(images)][: len(begins)], strict=True):
+        steps = [step for step in images.odometry[begin + 1 : end] if step is not None]
+        if steps:
+            truth = images.poses[np.arange(begin, end)]
+            segments.append(OdometrySegment(steps, truth, int(images.sequence[begin])))
+    return segments

@@ -6,8 +6,10 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import IO
 
 import numpy as np
+from jaxtyping import UInt8
 
 from filtering.motion import Odometry
 from filtering.se3 import Poses
@@ -16,13 +18,14 @@ from sequences.datasets.seen_points import POINTS_OF_A_MODEL, SeenPoints
 from sequences.frame import Camera, Frame
 from vapor.cameras import AsTakenBy, described
 from vapor.images import centre_crop, scale_to_cover
-from vapor.training_data.checks import too_far
-from vapor.training_data.colours import Colours, said_of_colours
-from vapor.training_data.grey_views import GreyViews
+from vapor.landmarks.build import VIEW_PX
+from vapor.landmarks.verify import grey_view
+from vapor.training_data.checks import Colours, said_of_colours, too_far
 from vapor.training_data.training_set import TrainingError, TrainingSet
 from vapor.training_data.views import Views, said_of_views
 
 _MOST_CAMERAS = 3  # that are named
+_USUAL_FOCAL = 0.8  # of the longer edge, where no focal length is stated: about 64° wide
 
 
 def load_training_set(
@@ -42,7 +45,7 @@ def load_training_set(
         frame_size: Width and height of that frame, pixels, or a function of the camera's width and height.
         central: Keep the part of the middle that fills the frame, so that images may differ in size; else keep the
             whole image, and all must have the aspect ratio of the first.
-        camera: The camera whose images they are resampled to where intrinsics are known; None for that of most images.
+        camera: The camera that images with known intrinsics are resampled to; None for that of most images.
         views: Keep them grey and larger, too, for landmarks.
         view_camera: The camera of these; None for that of most images.
         progress: Called with the number of images read so far.
@@ -62,7 +65,8 @@ def load_training_set(
     camera = camera or _commonest_camera(sequences)
     camera_size = (camera.width, camera.height) if camera else None
     as_taken: AsTakenBy | None = None
-    with tempfile.TemporaryFile() as file, GreyViews(view_camera or camera, wanted=views) as grey:
+    with tempfile.TemporaryFile() as file, tempfile.TemporaryFile() as grey_file:
+        grey = GreyViews(view_camera or camera, grey_file) if views else None
         for index, (name, frames) in enumerate(sequences.items()):
             follows = False
             num_before, agreeing = len(sources), Views()
@@ -90,7 +94,8 @@ def load_training_set(
                     raise TrainingError(f"{name}: true pose at {frame.time_ns} ns is not finite")
                 colours[name].take(frame.image)
                 file.write(np.ascontiguousarray(image).data)
-                grey.take(frame)
+                if grey is not None:
+                    grey.take(frame)
                 of_image = given.pop(frame.time_ns, None) if frame.camera is not None else None
                 points.append(of_image and replace(of_image, point=of_image.point + index * POINTS_OF_A_MODEL))
                 matrices.append(frame.world_from_camera.as_matrix())
@@ -109,7 +114,7 @@ def load_training_set(
             raise TrainingError("no training data, expected at least one sequence")
         file.flush()
         images = np.memmap(file, np.uint8, mode="r", shape=(len(sources), *shape))
-        kept, view_camera = grey.kept(), grey.camera if views else None
+        kept, view_camera = (grey.kept(), grey.camera) if grey else (np.zeros((0, 1, 1), np.uint8), None)
     poses = Poses.from_matrix(np.stack(matrices))
     notices += said_of_colours(colours)
     notices += [*_of_cameras(as_taken, len(sources)), *too_far(poses)]
@@ -144,7 +149,7 @@ def _commonest_camera(sequences: Mapping[str, Iterable[Frame]]) -> Camera | None
 
 
 def _of_cameras(as_taken: AsTakenBy, total: int) -> list[str]:
-    """What to say where not all images are of one camera."""
+    """A notice where not all images are of one camera."""
     if as_taken.camera is None or not as_taken.cameras:
         return as_taken.notices
     others = [f"{count} of {described(camera)}" for camera, count in as_taken.cameras.most_common(_MOST_CAMERAS)]
@@ -158,6 +163,43 @@ def _of_cameras(as_taken: AsTakenBy, total: int) -> list[str]:
 
 
 def _sequence_names(names: Sequence[str], begun: Sequence[tuple[int, int]]) -> tuple[str, ...]:
-    """Names of sequences, each given by the number of its file or folder and its own, said where there are several."""
+    """Names of sequences, each given by the number of its file or folder and its own, where there are several."""
     several = {file for file, count in Counter(file for file, _ in begun).items() if count > 1}
     return tuple(f"{names[file]}, sequence {number + 1}" if file in several else names[file] for file, number in begun)
+
+
+class GreyViews:
+    """Takes images one by one; `camera` is that of most of them, or a guess by the size of the first."""
+
+    def __init__(self, camera: Camera | None, file: IO[bytes]) -> None:
+        """Set up for images of a camera, None where unknown, which are kept in a file."""
+        self.camera = None if camera is None else shrunk(camera)
+        self._as_taken: AsTakenBy | None = None
+        self._file, self._count = file, 0
+
+    def take(self, frame: Frame) -> None:
+        """Keep an image."""
+        if self.camera is None:
+            self.camera = shrunk(usual_camera(frame.image.shape[1], frame.image.shape[0]))
+        if self._as_taken is None:
+            self._as_taken = AsTakenBy(self.camera, (self.camera.width, self.camera.height))
+        self._file.write(grey_view(self._as_taken(frame.image, frame.camera), self.camera).data)
+        self._count += 1
+
+    def kept(self) -> UInt8[np.ndarray, "m h w"]:
+        """All of them, mapped into memory."""
+        assert self.camera is not None  # known from the first image on
+        self._file.flush()
+        return np.memmap(self._file, np.uint8, mode="r", shape=(self._count, self.camera.height, self.camera.width))
+
+
+def usual_camera(width: int, height: int) -> Camera:
+    """A guess at the camera of images of so many pixels, of which nothing is stated."""
+    focal = _USUAL_FOCAL * max(width, height)
+    return Camera(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
+
+
+def shrunk(camera: Camera) -> Camera:
+    """The camera at the size at which landmarks are found."""
+    scale = min(1.0, VIEW_PX / max(camera.width, camera.height))
+    return camera.scaled(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))

@@ -25,17 +25,16 @@ class TrainingSet:
     """Scaled images with their poses.
 
     Attributes:
-        images: RGB of one size, scaled: all that were read, of which these may be only some; memory-mapped, so that the
-            system decides what stays in memory.
-        rows: Which of `images` each of these is, (n,).
+        images: RGB of one size, scaled: all that were read, of which these may be only some; memory-mapped.
+        rows: Index in `images` of each of these, (n,).
         poses: world_from_camera, batch (n,).
-        sequence: Index of the sequence each image is from; images of one sequence lie together, in its order.
-        names: Of the file or folder that each sequence is from, by that index.
+        sequence: Index of the sequence of each image; images of one sequence lie together, in its order.
+        names: File or folder of each sequence, by that index.
         camera_size: Width and height of the camera's images, pixels: of the first image where no camera is known.
         times_ns: Stamps of the images, integer nanoseconds, (n,).
         odometry: Motion since the image before, n of them; None where that image is not here, or none was recorded.
         skipped: Images and poses of the data that were left out in reading, by reason.
-        notices: What a person should know of the data.
+        notices: Facts about the data for the user.
         camera: The camera that took the images, or to which they were resampled; None where unknown.
         views: The same images grey and larger, in which landmarks are found, memory-mapped; none if not asked for.
         view_camera: Their camera as stated; where none is, with a guessed focal length.
@@ -61,7 +60,7 @@ class TrainingSet:
         return len(self.sequence)
 
     def unload(self) -> None:
-        """Free the memory that images read from disk take; they are read again when they are used."""
+        """Free the memory of images read from disk; they are read again when they are used."""
         for mapped in (self.images, self.views):
             if isinstance(mapped.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
                 mapped.base.madvise(mmap.MADV_DONTNEED)

@@ -1,4 +1,4 @@
-"""Whether what images show moves as poses say: upright, not mirrored, and through a lens of that focal length."""
+"""Comparison of the motion in images with that of poses: orientation, mirroring and focal length."""
 
 from __future__ import annotations
 
@@ -47,19 +47,19 @@ ORIENTATIONS: Final[Mapping[str, Float64[np.ndarray, "3 3"]]] = {
     **{name: np.block([[np.array(turn, float), np.zeros((2, 1))], [0.0, 0.0, 1.0]]) for name, turn in _IMAGES.items()},
     **_POSES,
 }
-"""What may be wrong, and what carries directions that an image shows to the axes whose motion the poses tell."""
+"""Possible faults, and the matrix that carries directions in an image to the axes of the poses."""
 
 
 @dataclass(frozen=True)
 class ViewCheck:
-    """How what images show compares with how poses say that the camera moved.
+    """Comparison of the motion that images show with the motion of poses.
 
     Attributes:
-        by: Whose poses.
-        pairs: How many pairs of images were compared.
-        residual: Median distance of what is seen from where it should be, in focal lengths.
-        orientations: Keys of `ORIENTATIONS` with which the images fit the poses about equally well, the best first: one
-            of them is how it is. None where images and poses do not agree whichever way they are turned.
+        by: Source of the poses.
+        pairs: Pairs of images compared.
+        residual: Median distance of image points from their expected places, in focal lengths.
+        orientations: Keys of `ORIENTATIONS` with which the images fit the poses about equally well, the best first.
+            None where images and poses do not agree whichever way they are turned.
         residual_turned: With the best of all orientations.
         focal: The focal length over the stated one, where that is clearly another; None where it is not, or none is
             stated.
@@ -74,16 +74,12 @@ class ViewCheck:
 
     @property
     def is_right(self) -> bool:
-        """Whether images are as the poses say."""
+        """Whether images agree with the poses as stated."""
         return AS_STATED in self.orientations
 
 
 class Views:
-    """Features that pairs of images of one recording share, as its frames come.
-
-    Attributes:
-        pairs: Those kept, spread over the recording.
-    """
+    """Features that pairs of images of one recording share, as its frames come; `pairs` are spread over it."""
 
     def __init__(self) -> None:
         self.pairs: list[Pair] = []
@@ -97,7 +93,7 @@ class Views:
         first, step = self._first, frame.odometry
         if first is not None and frame.sequence != self._sequence:
             first, step, self._earliest_s = None, None, -np.inf
-        if step is None:  # what is before and what is after are not connected by odometry
+        if step is None:  # odometry does not connect this frame with the one before
             self._by_odometry, first = Poses.identity(), None if first is None else first._replace(odometry=None)
         else:
             self._by_odometry = self._by_odometry @ step.previous_from_current
@@ -117,7 +113,7 @@ class Views:
             self._add(self._pair(first, view, motions), view.time_ns * 1e-9)
 
     def checks(self) -> list[ViewCheck]:
-        """By true poses and by odometry, where there are enough pairs of images to say."""
+        """By true poses and by odometry, where there are enough pairs of images."""
         found = []
         by: By
         for by in ("true poses", "odometry"):
@@ -203,13 +199,13 @@ class _View(NamedTuple):
 
 @dataclass(frozen=True)
 class Pair:
-    """What two images share.
+    """Matches of two images.
 
     Attributes:
         times_ns: Stamps of both.
-        first: Directions of it in the first image, in focal lengths from the middle, (m, 2).
-        second: The same in the second image.
-        motions: second_from_first by each who says.
+        first: Directions in the first image, in focal lengths from the middle, (m, 2).
+        second: The same points in the second image.
+        motions: second_from_first by source.
         known_focal: Whether the focal length is known.
     """
 
@@ -221,7 +217,7 @@ class Pair:
 
 
 class Residuals:
-    """How far what pairs of images share is from where it should be, for all pairs at once."""
+    """Distances of the points that pairs of images share from their expected places, for all pairs at once."""
 
     def __init__(self, pairs: Sequence[Pair]) -> None:
         """Take up to 100 directions of each of p pairs."""
@@ -234,11 +230,11 @@ class Residuals:
     def of(
         self, motions: Poses, turn: Float64[np.ndarray, "3 3"] | None = None, focal: float = 1.0
     ) -> Float64[np.ndarray, " p"]:
-        """Median distance of what each second image shows from where it should be, however far away it is.
+        """Median distance of the points in each second image from their expected places, at any depth.
 
         Args:
             motions: second_from_first, (p,).
-            turn: Carries directions that an image shows to the axes of these; None for none.
+            turn: Carries directions in an image to the axes of these; None for none.
             focal: The focal length over that by which directions were found.
         """
         turn = np.eye(3) if turn is None else turn
@@ -246,7 +242,7 @@ class Residuals:
         rotations = turn.T @ motions.rotation @ turn
         rays = np.concatenate([first, np.ones((*first.shape[:2], 1))], axis=2) @ np.swapaxes(rotations, 1, 2)
         lengths = np.linalg.norm(motions.translation, axis=1)
-        nearest = max(min(_NEAREST_M, float(np.quantile(lengths, 0.9))), 1e-9)  # of a small scene what moves say
+        nearest = max(min(_NEAREST_M, float(np.quantile(lengths, 0.9))), 1e-9)  # less in a small scene
         moved = motions.translation @ turn / nearest
         far, near = _projected(rays), _projected(rays + moved[:, None])
         along = near - far
@@ -287,43 +283,38 @@ def _check(by: By, pairs: Sequence[Pair]) -> ViewCheck:
 
 
 def said_of_views(name: str, checks: Sequence[ViewCheck]) -> list[str]:
-    """What a person should know of a recording's images and poses; nothing where they agree.
-
-    Args:
-        name: Of the recording.
-        checks: Of `Views.checks`.
-    """
+    """Notices on a recording whose images and poses do not agree; nothing where they do."""
     right = [check for check in checks if check.is_right]
     turned = [check for check in checks if check.orientations and not check.is_right]
     apart = [check for check in checks if not check.orientations]
-    said = []
+    notices = []
     if turned:
-        said.append(f"{name}: {_what_is_turned(turned, right)}")
+        notices.append(f"{name}: {_what_is_turned(turned, right)}")
     if apart:
         others = f", while {right[0].by} and images agree" if right else ""
-        said.append(
-            f"{name}: images do not move as {_by(apart)} say{'' if _plural(apart) else 's'}, whichever way they are"
+        notices.append(
+            f"{name}: images do not move like {_by(apart)}, whichever way they are"
             f" turned ({np.degrees(apart[0].residual_turned):.1f}° off){others}: are these of one recording, by one"
             " clock, and of this camera?"
         )
     focals = {check.by: check.focal for check in checks if check.orientations}
     focal = focals.get("true poses", focals.get("odometry"))
     if focal is not None:
-        other = " or odometry tells turns too large or too small" if "true poses" not in focals else ""
-        said.append(
-            f"{name}: the intrinsics are wrong{other}: what images show moves as through a focal length {focal:.2f}"
+        other = " or odometry has turns too large or too small" if "true poses" not in focals else ""
+        notices.append(
+            f"{name}: the intrinsics are wrong{other}: the images move as through a focal length {focal:.2f}"
             " times the stated one: check camera_info or intrinsics.json, and whether images were scaled or cropped"
         )
     elif (scale := focals.get("odometry")) is not None:
-        said.append(
-            f"{name}: odometry tells turns {'too large' if scale < 1 else 'too small'}: what images show fits true"
+        notices.append(
+            f"{name}: odometry has turns {'too large' if scale < 1 else 'too small'}: the images fit true"
             f" poses, and with odometry only a focal length {scale:.2f} times the stated one"
         )
-    return said
+    return notices
 
 
 def _what_is_turned(turned: Sequence[ViewCheck], right: Sequence[ViewCheck]) -> str:
-    """How images or poses are turned, by whom, and what to correct."""
+    """The orientation of images or poses, its source, and the setting to correct."""
     worst = turned[0]
     shared = [o for o in worst.orientations if all(o in check.orientations for check in turned)]
     poses = "the true poses" if worst.by == "true poses" else "the poses of odometry"
@@ -345,10 +336,6 @@ def _what_is_turned(turned: Sequence[ViewCheck], right: Sequence[ViewCheck]) -> 
 
 def _by(checks: Sequence[ViewCheck]) -> str:
     return " and ".join(check.by for check in checks)
-
-
-def _plural(checks: Sequence[ViewCheck]) -> bool:
-    return len(checks) > 1 or checks[0].by == "true poses"
 
 
 def _focal(residuals: Sequence[np.ndarray]) -> float | None:

@@ -176,7 +176,7 @@ def test_a_training_says_where_positions_are_too_far_for_the_network(tmp_path: P
     path = record(tmp_path / "a.mcap", images(), mounted(), tf("utm", "base_link", stamps(), lambda t: far @ body(t)))
     loaded = load_training_set(open_sequences([path]), (32, 24))
     (notice,) = [each for each in loaded.notices if each.startswith("positions")]
-    assert "positions up to 5.4e+06 m from zero: the network tells them to 0.5 m only; --ground-truth-origin" in notice
+    assert "positions up to 5.4e+06 m from zero: the network resolves them to 0.5 m only;" in notice
     reading = SequenceOptions(ground_truth_origin=(4.5e5, 5.4e6, 0.0))
     near = load_training_set(open_sequences([path], reading), (32, 24))
     assert not any(each.startswith("positions") for each in near.notices)

@@ -233,7 +233,7 @@ def test_another_way_to_test_needs_no_other_training(tmp_path, monkeypatch):
 
 
 def test_a_training_that_fails_is_told_and_the_others_go_on(tmp_path):
-    broken = replace(TINY_TRAIN, learning_rate=1e30, epochs=3, schedule="steps")
+    broken = replace(TINY_TRAIN, learning_rate=1e30, epochs=3, decay_epochs=50)
     config = replace(TINY_TABLE, methods=("posenet",), localize=False, train=broken)
     experiment = TableExperiment([parse_scene("round-table")], tmp_path, config)
     list(experiment.render())

@@ -5,14 +5,17 @@ import numpy as np
 import pytest
 import torch
 
+from filtering.error_model import ErrorModel
 from filtering.se3 import Poses
+from sequences.frame import Camera
 from sequences.odometry_fit.result import OdometryFit
 from tests.helpers.checkpoints import SMALL, make_checkpoint
-from vapor.checkpoints import shipped_models
-from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.checkpoints.scene_scale import default_errors
-from vapor.checkpoints.shipped_models import find_model
-from vapor.checkpoints.thinning import thin_poses
+from vapor.checkpoints import file_format
+from vapor.checkpoints.file_format import find_model, load_checkpoint, load_description, save_checkpoint
+from vapor.checkpoints.scene_scale import default_errors, spaced
+from vapor.landmarks.landmark_map import LandmarkMap
+from vapor.landmarks.verify import Landmarks, Verification
+from vapor.landmarks.view_camera import ViewCamera
 from vapor.regressors.network_config import NetworkConfig
 from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 
@@ -53,10 +56,9 @@ def test_a_half_precision_demo_model_fits_in_eight_megabytes_and_predicts_the_sa
     assert (before[1] - after[1]).abs().max() < 5e-3
 
 
-def test_thinned_poses_are_evenly_spaced_and_keep_both_ends():
-    poses = Poses(np.broadcast_to(np.eye(3), (101, 3, 3)).copy(), np.arange(303.0).reshape(101, 3))
-    np.testing.assert_array_equal(thin_poses(poses, 11).translation[:, 0], np.arange(0, 303, 30))
-    assert thin_poses(poses, 101) is poses
+def test_thinned_indices_are_evenly_spaced_and_keep_both_ends():
+    np.testing.assert_array_equal(spaced(101, 11), np.arange(0, 101, 10))
+    np.testing.assert_array_equal(spaced(101, 101), np.arange(101))
 
 
 def test_an_error_while_saving_leaves_the_old_model_and_no_other_file(tmp_path):
@@ -84,33 +86,39 @@ def _edit_errors(metadata, change):
     return _edit_config(metadata, lambda config: change(config["calibration"]["errors"]))
 
 
+def _set(part, **values):
+    return lambda t, m: (t, _edit_config(m, lambda c: c[part].update(values)))
+
+
+def _lacking(part, name):
+    return lambda t, m: (t, _edit_config(m, lambda c: c[part].pop(name)))
+
+
+def _with(name, value):
+    return lambda t, m: ({**t, name: value(t.get(name))}, m)
+
+
 HEAD = "network.latent_mean.weight"
 MALFORMED = {
     "no metadata": (lambda t, m: (t, {}), "format is None"),
     "another format": (lambda t, m: (t, {**m, "format": "other"}), "format is 'other'"),
-    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '10'; train the model anew"),
+    "another version": (lambda t, m: (t, {**m, "version": "1"}), "version is '1', expected '10'; train the model a"),
     "no configuration": (lambda t, m: (t, _without(m, "config")), "expected a JSON object"),
     "configuration that is no JSON": (lambda t, m: (t, {**m, "config": "{"}), "expected JSON"),
     "missing tensor": (lambda t, m: (_without(t, HEAD), m), f"lacks tensor {HEAD}"),
-    "surplus tensor": (lambda t, m: ({**t, "network.extra": torch.zeros(1)}, m), "surplus tensor network.extra"),
-    "wrong shape": (lambda t, m: ({**t, HEAD: torch.zeros(4, 15)}, m), r"shape \(4, 15\), expected \(4, 16\)"),
-    "tensor with NaN": (lambda t, m: ({**t, HEAD: torch.full((4, 16), torch.nan)}, m), f"{HEAD} has values that are"),
-    "no training poses": (
-        lambda t, m: ({**t, "prior_poses.translation": torch.zeros(0, 3)}, m), "at least one training pose"
-    ),
-    "fewer rotations": (
-        lambda t, m: ({**t, "prior_poses.rotation": torch.zeros(29, 3, 3)}, m), r"expected \(30, 3, 3\)"
-    ),
-    "missing setting": (lambda t, m: (t, _edit_config(m, lambda c: c["network"].pop("latent_dim"))), "latent_dim"),
-    "surplus setting": (lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(x=1))), r"surplus \['x'\]"),
+    "surplus tensor": (_with("network.extra", lambda t: torch.zeros(1)), "surplus tensor network.extra"),
+    "wrong shape": (_with(HEAD, lambda t: torch.zeros(4, 15)), r"shape \(4, 15\), expected \(4, 16\)"),
+    "tensor with NaN": (_with(HEAD, lambda t: torch.full((4, 16), torch.nan)), f"{HEAD} has values that are"),
+    "no training poses": (_with("prior_poses.translation", lambda t: torch.zeros(0, 3)), "at least one training pose"),
+    "fewer rotations": (_with("prior_poses.rotation", lambda t: torch.zeros(29, 3, 3)), r"expected \(30, 3, 3\)"),
+    "missing setting": (_lacking("network", "latent_dim"), "latent_dim"),
+    "surplus setting": (_set("calibration", x=1), r"surplus \['x'\]"),
     "setting that is no number": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(bandwidth_rotation_rad="much"))),
+        _set("calibration", bandwidth_rotation_rad="much"),
         "bandwidth_rotation_rad 'much', expected a number",
     ),
-    "missing errors": (lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].pop("errors"))), r"lacks \['errors"),
-    "errors that are none": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(errors=[1.0]))), "calibration.errors config"
-    ),
+    "missing errors": (_lacking("calibration", "errors"), r"lacks \['errors"),
+    "errors that are none": (_set("calibration", errors=[1.0]), "calibration.errors config"),
     "missing part of errors": (lambda t, m: (t, _edit_errors(m, lambda e: e.pop("tail"))), r"lacks \['tail'\]"),
     "surplus part of errors": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(a=1))), r"surplus \['a'\]"),
     "tail that is no number": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(tail="6"))), "tail '6', expect"),
@@ -118,49 +126,28 @@ MALFORMED = {
     "floor of five": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=[0.1] * 5))), "expected six num"),
     "floor of words": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=["a"] * 6))), "expected six numbers"),
     "floor of zeros": (lambda t, m: (t, _edit_errors(m, lambda e: e.update(floor=[0.0] * 6))), "six positive numbers"),
-    "no word of odometry": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].pop("odometry"))), r"lacks \['odometry'\]"
-    ),
-    "odometry that is none": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(odometry=3))), "calibration.odometry is 3"
-    ),
+    "no word of odometry": (_lacking("calibration", "odometry"), r"lacks \['odometry'\]"),
+    "odometry that is none": (_set("calibration", odometry=3), "calibration.odometry is 3"),
     "part of a fit of odometry": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(odometry={"scale": 0.1}))),
+        _set("calibration", odometry={"scale": 0.1}),
         "calibration.odometry configuration: fit of odometry with",
     ),
-    "unknown backbone": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(backbone="vgg"))), "network configuration"
-    ),
-    "number that must be whole": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(latent_dim=4.5))), "latent_dim 4.5, expected a w"
-    ),
-    "switch that is none": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(shortcut=1))), "shortcut 1, expected true or"
-    ),
-    "absurd size": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["network"].update(hidden_width=10**12))), "hidden_width is 10000"
-    ),
-    "bandwidth of zero": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["calibration"].update(bandwidth_rotation_rad=0.0))),
-        "bandwidth_rotation_rad is 0.0",
-    ),
-    "box turned inside out": (
-        lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(lower=[2, 0, 2]))), "box from"
-    ),
-    "endless box": (lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(upper=[1, 10, 1e400]))), "box from"),
+    "unknown backbone": (_set("network", backbone="vgg"), "network configuration"),
+    "number that must be whole": (_set("network", latent_dim=4.5), "latent_dim 4.5, expected a w"),
+    "switch that is none": (_set("network", shortcut=1), "shortcut 1, expected true or"),
+    "absurd size": (_set("network", hidden_width=10**12), "hidden_width is 10000"),
+    "bandwidth of zero": (_set("calibration", bandwidth_rotation_rad=0.0), "bandwidth_rotation_rad is 0.0"),
+    "box turned inside out": (_set("box", lower=[2, 0, 2]), "box from"),
+    "endless box": (_set("box", upper=[1, 10, 1e400]), "box from"),
     "whole numbers for weights": (
-        lambda t, m: ({**t, HEAD: torch.zeros(4, 16, dtype=torch.int64)}, m), f"{HEAD} is of torch.int64"
+        _with(HEAD, lambda t: torch.zeros(4, 16, dtype=torch.int64)), f"{HEAD} is of torch.int64"
     ),
     "training poses with NaN": (
-        lambda t, m: ({**t, "prior_poses.translation": torch.full((30, 3), torch.nan)}, m), "not finite"
+        _with("prior_poses.translation", lambda t: torch.full((30, 3), torch.nan)), "not finite"
     ),
-    "training poses that mirror": (
-        lambda t, m: ({**t, "prior_poses.rotation": -t["prior_poses.rotation"]}, m), "30 matrices that are not rot"
-    ),
-    "training poses that scale": (
-        lambda t, m: ({**t, "prior_poses.rotation": 1.01 * t["prior_poses.rotation"]}, m), "not rotations, the f"
-    ),
-    "flat box": (lambda t, m: (t, _edit_config(m, lambda c: c["box"].update(lower=[0, 1]))), "three numbers"),
+    "training poses that mirror": (_with("prior_poses.rotation", lambda t: -t), "30 matrices that are not rot"),
+    "training poses that scale": (_with("prior_poses.rotation", lambda t: 1.01 * t), "not rotations, the f"),
+    "flat box": (_set("box", lower=[0, 1]), "three numbers"),
 }  # fmt: skip
 
 
@@ -201,18 +188,6 @@ def test_a_network_without_a_shortcut_is_another_one():
     assert without.network_sha256() != replace(without, network=SMALL).network_sha256()
 
 
-def test_a_network_with_a_shortcut_is_the_same_after_saving(tmp_path):
-    path = tmp_path / "m.safetensors"
-    saved = make_checkpoint(replace(SMALL, shortcut=True))
-    assert saved.state_dict["pose_map.shortcut.weight"].shape == (9, SMALL.latent_dim)
-    save_checkpoint(path, saved)
-    images, noise = torch.randn(2, 3, 32, 32), torch.randn(2, 10, 4)
-    with torch.inference_mode():
-        before, after = saved.build_network()(images, noise), load_checkpoint(path).build_network()(images, noise)
-    assert torch.equal(before[0], after[0])
-    assert torch.equal(before[1], after[1])
-
-
 @pytest.mark.parametrize("damage", ["absent", "empty", "text", "truncated", "folder"])
 def test_what_is_no_safetensors_file_is_refused(tmp_path, damage):
     path = tmp_path / "m.safetensors"
@@ -227,10 +202,100 @@ def test_what_is_no_safetensors_file_is_refused(tmp_path, damage):
 
 
 def test_models_are_found_by_path_or_by_the_name_they_ship_under(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped_models, "SHIPPED", tmp_path)
+    monkeypatch.setattr(file_format, "SHIPPED", tmp_path)
     for name in ("staircase", "ceiling"):
         (tmp_path / f"{name}.safetensors").write_bytes(b"")
     assert find_model("staircase") == tmp_path / "staircase.safetensors"
     assert find_model(str(tmp_path / "ceiling.safetensors")) == tmp_path / "ceiling.safetensors"
     with pytest.raises(CheckpointError, match=r"atrium: no such model file.*ceiling, staircase"):
         find_model("atrium")
+
+
+def made_up():
+    rng = np.random.default_rng(0)
+    camera = Camera(320, 240, 260.0, 260.0, 159.5, 119.5)
+    floats = {
+        name: rng.standard_normal(shape).astype(np.float16).astype(np.float32)
+        for name, shape in (
+            ("points", (30, 3)), ("translation", (4, 3)), ("mean", 128), ("axes", (128, 64)), ("words", (2, 64)),
+            ("summary_axes", (128, 3)), ("summaries", (4, 3)),
+        )
+    }  # fmt: skip
+    return Landmarks(
+        LandmarkMap(
+            camera,
+            ViewCamera(replace(camera, fx=250.0), 0.1, -0.2),
+            2.5,
+            descriptors=rng.integers(-127, 128, (30, 64)).astype(np.int8),
+            rotation=np.tile(np.eye(3, dtype=np.float32), (4, 1, 1)),
+            begins=np.array([0, 5, 5, 12, 20], np.int32),
+            shown=rng.integers(0, 30, 20).astype(np.int32),
+            **floats,
+        ),
+        Verification(gain=30.0, nothing=0.2),
+    )
+
+
+def saved(path):
+    checkpoint = make_checkpoint()
+    errors = replace(checkpoint.calibration.errors, verified=ErrorModel(tail=4.0))
+    calibration = replace(checkpoint.calibration, errors=errors)
+    checkpoint = replace(checkpoint, calibration=calibration, landmarks=made_up())
+    save_checkpoint(path, checkpoint)
+    return checkpoint
+
+
+def test_landmarks_come_back_as_they_were(tmp_path):
+    path = tmp_path / "m.safetensors"
+    before = saved(path)
+    for after in (load_checkpoint(path), load_description(path)):
+        assert after.calibration == before.calibration
+        assert after.landmarks.verification == before.landmarks.verification
+        for name, value in vars(before.landmarks.map).items():
+            found = getattr(after.landmarks.map, name)
+            if isinstance(value, np.ndarray):
+                np.testing.assert_array_equal(found, value)
+                assert found.dtype == value.dtype
+            else:
+                assert found == value
+    without = replace(before, landmarks=None)
+    assert without.network_sha256() == before.network_sha256()
+    assert without.seen_sha256() != before.seen_sha256()
+    save_checkpoint(path, without)
+    assert load_checkpoint(path).landmarks is None
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (_with("landmarks.shown", lambda t: t + 25), "landmarks.shown has .* expected 0 to 29"),
+        (_with("landmarks.begins", lambda t: t.flip(0)), "landmarks.begins does not split"),
+        (_with("landmarks.points", lambda t: t * float("nan")), "landmarks.points has values that are not finite"),
+        (_with("landmarks.rotation", lambda t: 2.0 * t), "landmarks.rotation has 4 matrices that are not rotations"),
+        (_with("landmarks.descriptors", lambda t: t[:, :10].contiguous()), "landmarks.descriptors has shape"),
+        (
+            _with("landmarks.descriptors", lambda t: t.float()),
+            "landmarks.descriptors is of torch.float32, expected torch.int8",
+        ),
+        (lambda t, m: (_without(t, "landmarks.words"), m), "lacks tensor landmarks.words"),
+        (
+            lambda t, m: (t, _edit_config(m, lambda c: c.pop("landmarks"))),
+            "landmarks configuration is None with tensors",
+        ),
+        (_set("landmarks", depth_m=-1.0), "lie -1.0 m away"),
+        (_set("landmarks", k1="x"), "landmarks configuration has k1 'x'"),
+        (lambda t, m: (t, _edit_config(m, lambda c: c["landmarks"]["verification"].update(gain=0.0))), "gain is 0.0"),
+        (
+            lambda t, m: (t, _edit_config(m, lambda c: c["calibration"]["errors"]["verified"].update(tail=0.1))),
+            "errors.verified .*tail is 0.1",
+        ),
+    ],
+)
+def test_damaged_landmarks_are_refused(tmp_path, damage, said):
+    path, bad = tmp_path / "m.safetensors", tmp_path / "bad.safetensors"
+    saved(path)
+    metadata, tensors = read_safetensors(path)
+    tensors, metadata = damage(tensors, metadata)
+    write_safetensors(bad, tensors, _without(metadata, "content_sha256"))
+    with pytest.raises(CheckpointError, match=said):
+        load_checkpoint(bad)

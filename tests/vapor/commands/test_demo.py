@@ -7,7 +7,7 @@ import pytest
 
 from tests.helpers.command_line import refuse
 from tests.helpers.full import some
-from vapor.checkpoints import shipped_models
+from vapor.checkpoints import file_format
 from vapor.track import main
 
 
@@ -19,8 +19,8 @@ def test_a_demo_into_a_file_is_refused(tmp_path, capsys):
 @pytest.mark.usefixtures("rough_light")
 @pytest.mark.parametrize("scene", some(1, ["staircase", "ceiling"]))
 def test_the_demo_runs_with_the_model_that_ships(scene, tmp_path, monkeypatch, capsys):
-    assert (shipped_models.SHIPPED / f"{scene}.safetensors").is_file(), f"no model ships for {scene}"
-    assert (shipped_models.SHIPPED / f"{scene}.safetensors").stat().st_size <= 8_000_000
+    assert (file_format.SHIPPED / f"{scene}.safetensors").is_file(), f"no model ships for {scene}"
+    assert (file_format.SHIPPED / f"{scene}.safetensors").stat().st_size <= 8_000_000
     monkeypatch.chdir(tmp_path)
     assert main(["demo", scene, "--frames", "6"]) == 0
     out, err = capsys.readouterr()

@@ -4,12 +4,12 @@ import pytest
 
 from tests.helpers.command_line import contents, refuse, refuse_run, words_of_run
 from tests.helpers.tiny_model import altered
-from vapor.checkpoints import shipped_models
+from vapor.checkpoints import file_format
 
 
 def test_a_model_of_another_version_is_refused(walk_of_25, tiny_model, earlier, capsys):
     model = altered(tiny_model, earlier.parent / "other.safetensors", lambda t, m: m.update(version="1"))
-    refuse_run(walk_of_25, model, earlier, capsys, model, "format version is '1', expected '10'; train the model anew")
+    refuse_run(walk_of_25, model, earlier, capsys, model, "format version is '1', expected '10'; train the model again")
 
 
 @pytest.mark.parametrize("content", [b"", b"no model", b"\x80\x04pickled" * 100])
@@ -24,7 +24,7 @@ def test_an_unknown_model_is_refused_with_a_list_of_those_that_ship(walk_of_25, 
     shipped.mkdir()
     for name in ("staircase", "ceiling"):
         (shipped / f"{name}.safetensors").write_bytes(b"")
-    monkeypatch.setattr(shipped_models, "SHIPPED", shipped)
+    monkeypatch.setattr(file_format, "SHIPPED", shipped)
     refuse(words_of_run(walk_of_25, "atrium", tmp_path / "out"), capsys, "atrium: no such model", "ceiling, staircase")
     assert not (tmp_path / "out").exists()
 

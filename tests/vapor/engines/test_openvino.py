@@ -18,9 +18,9 @@ from tests.helpers.engines import an_image, any_checkpoint, noise
 from tests.helpers.full import full
 from tests.helpers.tiny_model import SMALL
 from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
-from vapor.engines import compiled_cache, openvino_engine, start
-from vapor.engines.compiled_cache import Variant, read_compiled, write_compiled
+from vapor.engines import openvino_engine, start
 from vapor.engines.engine import Engine, EngineConfig
+from vapor.engines.openvino_engine import Variant, read_compiled, write_compiled
 from vapor.engines.start import describe, start_engine
 from vapor.engines.torch_engine import TorchEngine
 
@@ -43,7 +43,7 @@ def kept(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("compiled once more")
 
-    monkeypatch.setattr(start, "can_be_kept", compiled_cache.can_be_kept)
+    monkeypatch.setattr(start, "can_be_kept", openvino_engine.can_be_kept)
     monkeypatch.setattr(openvino_engine, "compile_network", refuse)
 
 

@@ -5,8 +5,8 @@ import torch
 from torch.overrides import TorchFunctionMode
 
 from tests.helpers.engines import an_image, any_checkpoint, noise
-from vapor.engines.whole_network import WholeNetwork
-from vapor.regressors.registry import REGRESSORS
+from vapor.engines.torch_engine import WholeNetwork
+from vapor.regressors.network_config import REGRESSORS
 
 _COPIES = torch.tensor, torch.as_tensor, torch.from_numpy, torch.Tensor.new_tensor, torch.Tensor.to, torch.Tensor.item
 

@@ -210,7 +210,7 @@ def test_images_whose_view_does_not_shift_as_the_camera_turns_tell_no_clock(tmp_
     found = inspect([clocked(tmp_path / "w.mcap", image=lambda _: scenery(0), images=0.5)])
     assert [clock.late_ms for clock in found.clocks] == [None]
     assert not any("against" in sentence for sentence in found.verdict)
-    assert found.verdict[1].startswith("w.mcap: images do not move as true poses and odometry say, ")
+    assert found.verdict[1].startswith("w.mcap: images do not move like true poses and odometry, ")
 
 
 @pytest.mark.usefixtures("unchecked", "no_odometry_fit")

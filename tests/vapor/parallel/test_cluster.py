@@ -13,7 +13,7 @@ import pytest
 from distributed import LocalCluster
 
 from tests.helpers import cluster_jobs as jobs
-from vapor.checkpoints.shipped_models import SHIPPED
+from vapor.checkpoints.file_format import SHIPPED
 from vapor.commands.workers import hush_dask, workers_for
 from vapor.parallel import cluster as cluster_module
 from vapor.parallel.cluster import About, ClusterError, connected, packed

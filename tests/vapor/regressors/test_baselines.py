@@ -5,21 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy.stats import ks_2samp
 
 from filtering.density import KernelDensity
 from filtering.errors import VaporTrackError
-from filtering.se3 import Poses, rotation_from_rotvec
+from filtering.se3 import Poses
 from tests.helpers.full import some
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
 from vapor.checkpoints.file_format import load_checkpoint
 from vapor.observation import VaporObservationModel
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.mixture_density import log_rotation_normaliser
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.mixture import log_rotation_normaliser
+from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox
-from vapor.training.pairs import paired
+from vapor.training.epoch import paired
 from vapor.training.presets import METHODS
 from vapor.training.train import train_on
 
@@ -49,20 +47,15 @@ def truth_of(count: int):
 
 
 @pytest.mark.parametrize("head", HEADS)
-def test_every_head_gives_rigid_poses_the_same_for_the_same_noise(head):
+def test_every_head_gives_rigid_poses_that_follow_from_the_noise(head):
     network = network_with(head)
-    translation, rotation = draw(network, 7)
-    assert translation.shape == (3, 7, 3)
-    assert rotation.shape == (3, 7, 3, 3)
-    torch.testing.assert_close(rotation @ rotation.mT, torch.eye(3).expand(3, 7, 3, 3), atol=1e-5, rtol=0)
-    again = draw(network, 7)
+    translation, rotation = draw(network, 50)
+    assert translation.shape == (3, 50, 3)
+    assert rotation.shape == (3, 50, 3, 3)
+    torch.testing.assert_close(rotation @ rotation.mT, torch.eye(3).expand(3, 50, 3, 3), atol=1e-5, rtol=0)
+    again = draw(network, 50)
     assert torch.equal(translation, again[0])
     assert (translation[0] - translation[1]).abs().max() > 1e-4  # the image matters
-
-
-@pytest.mark.parametrize("head", HEADS)
-def test_only_heads_with_noise_spread(head):
-    translation, _ = draw(network_with(head), 50)
     spread = translation.std(dim=1).max()
     assert spread > 1e-3 if head in ("variational", "dropout", "mixture", "flow") else spread < 1e-6
 
@@ -77,46 +70,6 @@ def test_dropout_leaves_out_its_share_of_the_units():
     share = ((alive > 0) | (feature[:, None] == 0)).float().mean() - (feature == 0).float().mean()
     assert share / (feature > 0).float().mean() == pytest.approx(0.1, abs=0.01)
     torch.testing.assert_close(alive.mean(dim=1).mean(), feature.mean(), rtol=0.1, atol=0)  # and the mean stays
-
-
-def drawn_from(density: KernelDensity, count: int, *, rng: np.random.Generator) -> Poses:
-    """Poses drawn from a kernel density, their angles by quantiles of p(θ) ∝ exp((cos θ − 1)/h²)(1 − cos θ)."""
-    kernels = rng.choice(len(density.centres), size=count, p=np.exp(density.log_weights))
-    axis = rng.standard_normal((count, 3))
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    angle, grid = np.empty(count), np.linspace(0.0, np.pi, 20001)
-    for k, width in enumerate(density.bandwidth_rotation_rad):
-        own = kernels == k
-        cumulative = np.cumsum(np.exp((np.cos(grid) - 1) / width**2) * (1 - np.cos(grid)))
-        angle[own] = np.interp(rng.random(own.sum()), cumulative / cumulative[-1], grid)
-    shift = density.bandwidth_translation_m[kernels, None] * rng.standard_normal((count, 3))
-    centres = density.centres[kernels]
-    return Poses(centres.rotation @ rotation_from_rotvec(angle[:, None] * axis), centres.translation + shift)
-
-
-def test_draws_of_a_mixture_follow_its_weights_and_kernels():
-    network = network_with("mixture", components=3)
-    with torch.no_grad():
-        for name, bias in (("logits", [2.0, 1.0, 0.0]), ("log_widths", [-1.0, -1.0, 0.0, 0.5, -2.0, 2.0])):
-            layer = getattr(network, name)
-            layer.weight.zero_()
-            layer.bias.copy_(torch.tensor(bias))
-        network.translation.weight.zero_()
-        network.translation.bias.copy_(torch.tensor([-9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0]))
-        feature = network.extract_features(IMAGES)
-        log_weights, _, _, widths = (part[0].double().numpy() for part in network.components(feature))
-    assert widths[0, 0] < widths[1, 0] < 0.3
-    translation, rotation = (part[0].double().numpy() for part in draw(network, 40_000))
-    with torch.no_grad():
-        centres = Poses(*(part[0].double().numpy() for part in network.components(feature)[2:0:-1]))
-    log_weights -= np.logaddexp.reduce(log_weights)  # float32 leaves a rest
-    density = KernelDensity(centres, widths[:, 0], widths[:, 1], log_weights)
-    ours = drawn_from(density, 40_000, rng=np.random.default_rng(0))
-    # The same density, drawn by another route: the log density of its draws has the same distribution.
-    drawn, expected = (density.log_density(p) for p in (Poses(rotation, translation), ours))
-    assert ks_2samp(drawn, expected).statistic < 0.015  # 1.36 √(2/40000) would be passed by one test in twenty
-    near = [centres[[k]].distance(Poses(rotation, translation))[0] < 4 * widths[k, 0] for k in range(2)]
-    np.testing.assert_allclose([n.mean() for n in near], np.exp(log_weights[:2]), atol=0.02)
 
 
 @pytest.mark.parametrize("width", [0.02, 0.3, 1.5])
@@ -145,15 +98,17 @@ def test_the_likelihood_of_a_single_component_is_its_kernel_density():
     assert float(loss.total.detach()) == pytest.approx(-np.mean(for_each), rel=1e-3)
 
 
-def test_only_the_best_component_learns_but_for_the_relaxation():
+def test_only_the_best_component_learns_but_for_the_relaxation(monkeypatch):
+    monkeypatch.setattr("vapor.regressors.mixture._RELAXATION", 0.0)
     network = network_with("mixture")
     truth = truth_of(3)
-    best = network.loss(IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig(relaxation=0.0))
+    best = network.loss(IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig())
     best.total.backward()
     moved = (network.translation.weight.grad.unflatten(0, (5, 3)).abs().amax(dim=(1, 2)) > 0).sum()
     assert 1 <= moved <= 3  # of five components, at most one an image
     network.zero_grad()
-    network.loss(IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig(relaxation=0.2)).total.backward()
+    monkeypatch.setattr("vapor.regressors.mixture._RELAXATION", 0.2)
+    network.loss(IMAGES, *truth, torch.zeros(3, 1, 8), LossConfig()).total.backward()
     assert (network.translation.weight.grad.unflatten(0, (5, 3)).abs().amax(dim=(1, 2)) > 0).all()
 
 
@@ -240,12 +195,6 @@ LEARNED = (
     ("mixture-10", 3, 12, 12, 80, 2e-3),  # which image it is makes little of a density's loss, and is learned last
     ("flow", 3, 12, 12, 80, 2e-3),
 )
-OTHER_NUMBERS = ("no-kl", "posenet", "mixture-50")  # are these with other numbers
-ELSEWHERE = ("retrieval",)  # test_retrieval
-
-
-def test_no_method_is_forgotten_here():
-    assert {*METHODS} == {method for method, *_ in LEARNED} | {*OTHER_NUMBERS, *ELSEWHERE}
 
 
 @pytest.mark.usefixtures("unchecked")

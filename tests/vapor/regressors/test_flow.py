@@ -7,7 +7,6 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from filtering.errors import VaporTrackError
 from filtering.localizer import ParticleLocalizer
 from filtering.motion import Odometry
 from filtering.se3 import Poses
@@ -20,12 +19,10 @@ from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import LOG_FLOOR, exact_log_density
 from vapor.observation import VaporObservationModel
 from vapor.regressors.base import DensityRegressor
-from vapor.regressors.flow import FlowRegressor
+from vapor.regressors.flow import FlowRegressor, Spline
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import NetworkConfig, make_regressor
 from vapor.regressors.scene_box import SceneBox
-from vapor.regressors.splines import Spline
 from vapor.training.presets import METHODS
 from vapor.training.train import train_on
 from vapor.training_data.load import load_training_set
@@ -156,9 +153,7 @@ def test_the_most_noise_on_targets_leaves_a_camera_in_its_box():
     noise = torch.randn(200, 1, 6, generator=torch.Generator().manual_seed(0)).clamp(-5.9, 5.9)
     noise[0, 0, :3] = 5.9
     images = torch.zeros(200, 3, 32, 32)
-    assert torch.isfinite(network.loss(images, *truth, noise, LossConfig(target_noise_m=0.05)).total)
-    with pytest.raises(VaporTrackError, match="target_noise_m"):
-        LossConfig(target_noise_m=0.06)
+    assert torch.isfinite(network.loss(images, *truth, noise, LossConfig()).total)
 
 
 def test_the_density_is_nothing_outside_the_box():
@@ -197,7 +192,7 @@ def test_a_posterior_of_two_places_is_learned_with_both_and_as_sharp_as_it_is():
         torch.from_numpy(places.translation).float().repeat(32, 1),
         torch.from_numpy(places.rotation).float().repeat(32, 1, 1),
     )
-    config = LossConfig(target_noise_m=0.05, target_noise_rad=0.05)
+    config = LossConfig()
     optimizer = torch.optim.Adam(network.parameters(), lr=5e-3)
     generator = torch.Generator().manual_seed(0)
     losses = []

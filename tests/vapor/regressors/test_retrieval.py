@@ -11,23 +11,23 @@ from filtering.se3 import Poses
 from sequences.frame import Frame
 from tests.helpers.checks import no_checks
 from tests.helpers.full import full
+from tests.helpers.short_training import Interrupted
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
-from vapor.checkpoints.file_format import load_checkpoint
+from vapor.checkpoints.file_format import load_checkpoint, save_checkpoint
 from vapor.evaluation.validation import predict
 from vapor.observation import VaporObservationModel
 from vapor.regressors.network_config import NetworkConfig
-from vapor.regressors.registry import make_regressor
 from vapor.regressors.retrieval import RetrievalRegressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import CheckpointError, read_safetensors, write_safetensors
 from vapor.training import memory as training_memory
 from vapor.training.augment import AugmentConfig
-from vapor.training.duration import fitting_epochs
 from vapor.training.holding_out import hold_out
 from vapor.training.memory import VARIANTS, extract_training_features, features_of
 from vapor.training.presets import METHODS, PRESETS
-from vapor.training.start import start
+from vapor.training.state import start
 from vapor.training.train import train_on
+from vapor.training.trainer import fitting_epochs
 from vapor.training_data.load import load_training_set
 
 BOX = SceneBox((-2.0, -1.0, 0.0), (2.0, 3.0, 1.0))
@@ -57,8 +57,7 @@ RETRIEVAL = replace(
 def made(count: int = 20) -> tuple[RetrievalRegressor, torch.Tensor, Poses]:
     """A network that remembers so many random features."""
     torch.manual_seed(1)
-    network = make_regressor(SMALL, BOX).eval()
-    assert isinstance(network, RetrievalRegressor)
+    network = RetrievalRegressor(SMALL, BOX).eval()
     features = torch.randn(count, len(network.centre))
     poses = Poses.exp(np.random.default_rng(0).uniform(-1, 1, (count, 6)))
     network.remember(features, torch.from_numpy(poses.translation).float(), torch.from_numpy(poses.rotation).float())
@@ -115,7 +114,7 @@ def test_all_images_are_looked_at_where_there_are_fewer_than_components():
 
 
 def test_without_a_memory_the_network_says_so():
-    network = make_regressor(SMALL, BOX)
+    network = RetrievalRegressor(SMALL, BOX)
     with pytest.raises(RuntimeError, match="nothing is remembered"):
         network(torch.zeros(1, 3, 32, 32), torch.zeros(1, 5, network.noise_dim))
 
@@ -123,8 +122,7 @@ def test_without_a_memory_the_network_says_so():
 @torch.no_grad()
 def test_in_another_unit_of_length_everything_is_as_many_times_as_large():
     network, features, poses = made()
-    large = make_regressor(SMALL, SceneBox((-60.0, -30.0, 0.0), (60.0, 90.0, 30.0)))
-    assert isinstance(large, RetrievalRegressor)
+    large = RetrievalRegressor(SMALL, SceneBox((-60.0, -30.0, 0.0), (60.0, 90.0, 30.0)))
     large.load_state_dict(network.state_dict())
     rotation = torch.from_numpy(poses.rotation).float()
     large.remember(features, torch.from_numpy(30.0 * poses.translation).float(), rotation)
@@ -149,6 +147,15 @@ def test_the_backbone_never_changes():
     assert all(torch.equal(before[name], value) for name, value in network.backbone.state_dict().items())
 
 
+def test_features_far_beyond_those_of_the_training_give_gradients_that_are_numbers():
+    network, features, poses = made()
+    truth = torch.from_numpy(poses.translation[:4]).float(), torch.from_numpy(poses.rotation[:4]).float()
+    network.loss_of_features(1e4 * features[:4], *truth, None, RETRIEVAL.loss).total.backward()
+    gradients = [weight.grad for weight in network.parameters() if weight.grad is not None]
+    assert gradients
+    assert all(bool(torch.isfinite(gradient).all()) for gradient in gradients)
+
+
 # --- what must not be recalled while it learns -----------------------------------------------------
 
 
@@ -156,8 +163,7 @@ def test_an_image_is_hidden_from_its_own_pass_and_shown_to_others():
     images = load_training_set(
         {"a": walk(100, begin=0, seed=1), "b": walk(100, begin=0, seed=2), "c": walk(30, begin=250, seed=3)}, (36, 36)
     )
-    network = make_regressor(SMALL, BOX)
-    assert isinstance(network, RetrievalRegressor)
+    network = RetrievalRegressor(SMALL, BOX)
     seen = extract_training_features(network, images)
     hidden = seen.hidden(np.arange(len(images))).numpy()
     sequence, way = images.sequence, seen.way.numpy()
@@ -173,8 +179,7 @@ def test_an_image_is_hidden_from_its_own_pass_and_shown_to_others():
 
 def test_numbers_are_standardised_once_and_images_that_were_seen_are_not_looked_at_again(monkeypatch):
     images = load_training_set({"a": walk(60, begin=0, seed=1)}, (36, 36))
-    network = make_regressor(SMALL, BOX)
-    assert isinstance(network, RetrievalRegressor)
+    network = RetrievalRegressor(SMALL, BOX)
     seen = extract_training_features(network, images.select(np.arange(40)))
     assert seen.features.float().mean(dim=0).abs().max() < 0.01
     assert network.standardised
@@ -189,8 +194,7 @@ def test_numbers_are_standardised_once_and_images_that_were_seen_are_not_looked_
 
 def test_images_are_varied_in_a_few_ways_each_found_once(monkeypatch):
     images = load_training_set({"a": walk(30, begin=0, seed=1)}, (36, 36))
-    network = make_regressor(SMALL, BOX)
-    assert isinstance(network, RetrievalRegressor)
+    network = RetrievalRegressor(SMALL, BOX)
     config = replace(RETRIEVAL, augment=AugmentConfig())
     seen = extract_training_features(network, images)
     assert seen.num_variants == VARIANTS
@@ -230,7 +234,9 @@ def whole(tmp_path_factory):
     """A finished training, and its file."""
     output = tmp_path_factory.mktemp("retrieval") / "m.safetensors"
     with no_checks():
-        return trained(output), output
+        result = trained(output)
+    save_checkpoint(output, result.checkpoint)  # not rounded
+    return result, output
 
 
 def test_it_learns_where_a_view_is_from_walks_that_it_does_not_remember(whole):
@@ -265,29 +271,20 @@ def test_epochs_are_as_many_as_fit_but_no_more_than_help(hours, epochs):
     assert state.features is None
 
 
-class _Interrupted(Exception):
-    pass
-
-
-def _interrupt_in(stage: str):
-    steps = 0
-
-    def progress(p):
-        nonlocal steps
-        steps += p.stage == stage
-        if steps == 35:  # in the middle of an epoch
-            raise _Interrupted
-
-    return progress
-
-
 @full
 @pytest.mark.usefixtures("unchecked")
 def test_a_training_that_is_interrupted_twice_ends_with_the_same_weights_and_memory(whole, tmp_path):
     output = tmp_path / "m.safetensors"
     for stage in ("training", "training on everything"):
-        with pytest.raises(_Interrupted):
-            trained(output, progress=_interrupt_in(stage))
+        steps = []
+
+        def progress(p, stage=stage, steps=steps):
+            steps.append(p.stage == stage)
+            if sum(steps) == 35:  # in the middle of an epoch
+                raise Interrupted
+
+        with pytest.raises(Interrupted):
+            trained(output, progress=progress)
     resumed, uninterrupted = trained(output).checkpoint, whole[0].checkpoint
     assert all(torch.equal(resumed.state_dict[name], value) for name, value in uninterrupted.state_dict.items())
     assert resumed.memory is not None

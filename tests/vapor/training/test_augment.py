@@ -1,4 +1,5 @@
 import itertools
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 import torch
 
 from tests.helpers.tiny_training import STILL
-from vapor.training.augment import draw_variation, jitter_and_normalise, random_crops
+from vapor.training.augment import draw_variation, jitter_and_normalise, one_ahead, random_crops
 
 
 def _cropped(images, indices, width, height, config, shrunk=None):
@@ -100,3 +101,28 @@ def test_brightness_scales_contrast_turns_about_the_mean_and_saturation_keeps_gr
     saturated = _jittered(images, replace(STILL, saturation=0.5))
     torch.testing.assert_close((saturated * luma).sum(1), (x * luma).sum(1), atol=1e-3, rtol=0)
     assert (saturated - x).abs().max() > 5.0
+
+
+def test_results_come_in_order_and_one_is_made_while_the_one_before_is_used():
+    begun, items = [], iter(range(5))
+    second = threading.Event()
+
+    def double(item):
+        begun.append(item)
+        if item == 1:
+            second.set()
+        return 2 * item
+
+    results = one_ahead(double, items)
+    assert next(results) == 0
+    assert second.wait(5.0)  # nobody asked for it yet
+    assert 2 not in begun
+    assert next(items) == 2  # no more than that was looked at
+    assert list(results) == [2, 6, 8]
+
+
+def test_an_error_is_raised_where_its_result_would_have_come():
+    results = one_ahead(lambda item: 1 / item, [2, 1, 0, 4])
+    assert [next(results), next(results)] == [0.5, 1.0]
+    with pytest.raises(ZeroDivisionError):
+        next(results)

@@ -75,7 +75,7 @@ def test_interrupted_before_and_after_it_was_judged_a_training_ends_with_the_sam
 @pytest.mark.usefixtures("unchecked")
 def test_epochs_that_are_not_given_fit_into_the_hours(tmp_path, monkeypatch):
     now = iter(np.arange(0.0, 1e6, 0.1))  # as if every step took so long, and nothing else any time
-    monkeypatch.setattr("vapor.training.duration.perf_counter", lambda: float(next(now)))
+    monkeypatch.setattr("vapor.training.trainer.perf_counter", lambda: float(next(now)))
     config = replace(EVERYTHING, epochs=None, hours=8.0 / 3600)
     found = train_on(walks(), tmp_path / "m.safetensors", config)
     seconds = 0.1 / 8 * found.images_seen

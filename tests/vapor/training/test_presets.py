@@ -7,13 +7,16 @@ import pytest
 import torch
 
 from filtering.errors import VaporTrackError
+from tests.helpers.short_training import train_on_most
+from tests.helpers.tiny_training import TINY, make_frames
 from vapor.checkpoints.calibration import Calibration
 from vapor.regressors.loss import LossConfig
+from vapor.training import epoch as batches
 from vapor.training.augment import AugmentConfig
 from vapor.training.config import TrainConfig
-from vapor.training.precision import uses_bfloat16
+from vapor.training.epoch import uses_bfloat16
 from vapor.training.presets import PRESETS
-from vapor.training.schedule import learning_rate, samples_per_image
+from vapor.training.schedule import first_epoch_of_size, image_size, learning_rate, samples_per_image, step_cost
 
 
 def test_the_papers_rate_decays_by_a_factor_every_n_epochs_ten_times():
@@ -59,29 +62,6 @@ def test_arithmetic_is_chosen_by_hardware_and_network_unless_it_is_told(monkeypa
 
 
 @pytest.mark.parametrize(
-    ("name", "lambda_r", "batch", "epochs", "n", "alpha", "layers"),
-    [
-        ("paper-7scenes", 10, 64, 100, 10, 0.2, 3),
-        ("paper-cambridge", 100, 64, 500, 50, 0.2, 3),
-        ("paper-ambiguous", 2, 4, 500, 50, 0.2, 3),
-        ("paper-ceiling", 2, 4, 2000, 50, 0.05, 9),
-        ("paper-synthetic", 2, 4, 500, 50, 0.2, 3),
-    ],
-)
-def test_paper_presets_have_the_papers_numbers(name, lambda_r, batch, epochs, n, alpha, layers):
-    c = PRESETS[name]
-    assert (c.loss.lambda_translation, c.loss.lambda_rotation, c.loss.alpha) == (5, lambda_r, alpha)
-    assert (c.loss.beta, c.loss.num_samples, c.batch_size, c.epochs) == (0.01, 1000, batch, epochs)
-    assert (c.schedule, c.learning_rate, c.decay_factor, c.decay_epochs, c.decay_times) == ("steps", 1e-4, 0.8, n, 10)
-    assert (c.network.backbone, c.network.latent_dim, c.network.hidden_layers) == ("resnet18", 16, layers)
-    assert (c.network.feature_dim, c.network.hidden_width) == (2048, 128)
-    assert (c.network.image_width, c.network.image_height, c.network.frame_size) == (224, 224, (256, 256))
-    assert c.augment.crop == "anywhere"
-    assert (c.weight_decay, c.ema_decay, c.precision) == (0.0, 0.0, "float32")
-    assert (c.network.shortcut, c.loss.position_unit, c.initial_log_variance) == (False, "metre", 0.0)
-
-
-@pytest.mark.parametrize(
     ("kind", "change"),
     [
         (LossConfig, {"alpha": 0.0}),
@@ -97,3 +77,36 @@ def test_settings_out_of_range_are_refused(kind, change):
     ((name, value),) = change.items()
     with pytest.raises(VaporTrackError, match=rf"^{name} is {value}, expected between "):
         kind(**change)
+
+
+GROWING = replace(PRESETS["demo"], epochs=10, small_images_first=0.8)
+
+
+def test_images_grow_in_two_steps_to_those_of_the_network():
+    sizes = [image_size(GROWING, epoch) for epoch in range(10)]
+    assert sizes == [(64, 48)] * 4 + [(96, 72)] * 4 + [(160, 120)] * 2
+    assert [first_epoch_of_size(GROWING, epoch) for epoch in range(10)] == [0] * 4 + [4] * 4 + [8] * 2
+    assert {image_size(replace(GROWING, small_images_first=0.0), epoch) for epoch in range(10)} == {(160, 120)}
+    assert [step_cost(GROWING, epoch) for epoch in (0, 4, 8)] == pytest.approx([0.328, 0.488, 1.0])
+
+
+def test_no_image_is_smaller_than_a_network_can_see():
+    small = replace(GROWING, network=replace(GROWING.network, image_width=60, image_height=40, shortest_edge=42))
+    assert image_size(small, 0) == (48, 32)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_only_the_last_epochs_see_whole_images_and_are_evaluated(tmp_path, monkeypatch):
+    seen = []
+
+    def look(crops, *rest, original=batches.jitter_and_normalise):
+        seen.append(tuple(crops.shape[1:3]))
+        return original(crops, *rest)
+
+    monkeypatch.setattr(batches, "jitter_and_normalise", look)
+    network = replace(TINY.network, image_width=64, image_height=48, shortest_edge=48)
+    config = replace(TINY, network=network, small_images_first=0.5, calibrate=False)
+    result = train_on_most(make_frames(24), tmp_path / "m.safetensors", config)
+    assert seen == [(32, 43)] * 4 + [(48, 64)] * 4  # two steps an epoch; two fifths would be less than 32
+    assert [figures.epoch for figures in result.history] == [3, 4]
+    assert result.best is not None

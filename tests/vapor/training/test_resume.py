@@ -9,7 +9,7 @@ from filtering.se3 import Poses
 from tests.helpers.short_training import Interrupted, interrupt_at, same_weights, train_on_most
 from tests.helpers.tiny_training import TINY, make_frames, pose
 from vapor.tensor_files import CheckpointError
-from vapor.training import saving
+from vapor.training import state as saving
 from vapor.training.state import state_path
 from vapor.training.train import train_on
 

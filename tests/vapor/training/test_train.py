@@ -13,13 +13,15 @@ from filtering.se3 import Poses
 from tests.helpers.full import full
 from tests.helpers.short_training import same_weights, train_on_most
 from tests.helpers.tiny_training import STILL, TINY, make_frames, pose
+from vapor.checkpoints.file_format import load_checkpoint
 from vapor.evaluation.validation import validate
 from vapor.observation import VaporObservationModel
 from vapor.regressors.loss import LossConfig
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.tensor_files import CheckpointError
-from vapor.training.ema import update_average
+from vapor.training.epoch import update_average
+from vapor.training.state import parameter_groups
 from vapor.training.train import train_on, train_on_images
 from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingError
@@ -60,7 +62,8 @@ def test_an_image_of_two_places_gives_a_posterior_with_both(tmp_path):
 
 def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_holds_both(tmp_path):
     first = tmp_path / "first.safetensors"
-    there = train_on({"a": make_frames(24)}, first, TINY).checkpoint
+    train_on({"a": make_frames(24)}, first, TINY)
+    there = load_checkpoint(first)
     larger = replace(TINY.network, image_width=40, shortest_edge=34)  # weights fit images of any size
     still = replace(TINY, initial_model=first, network=larger, learning_rate=1e-12, weight_decay=0.0, epochs=1)
     up = Poses(np.eye(3), np.array([0.0, 0.0, 9.0]))
@@ -80,7 +83,8 @@ def test_a_training_goes_on_from_all_weights_of_another_model_in_a_box_that_hold
 def test_a_model_without_a_shortcut_goes_on_with_one_and_one_with_it_does_not_go_on_without(head, tmp_path):
     first, last = tmp_path / "first.safetensors", tmp_path / "last.safetensors"
     plain = replace(TINY.network, head=head, shortcut=False)
-    there = train_on({"a": make_frames(24)}, first, replace(TINY, network=plain)).checkpoint
+    train_on({"a": make_frames(24)}, first, replace(TINY, network=plain))
+    there = load_checkpoint(first)
     direct = replace(TINY.network, head=head, shortcut=True)
     still = replace(TINY, initial_model=first, network=direct, learning_rate=1e-12, weight_decay=0.0, epochs=1)
     on = train_on({"a": make_frames(24)}, last, still).checkpoint
@@ -183,3 +187,29 @@ def test_efficientnet_starts_from_random_weights_where_asked(tmp_path, monkeypat
         train_on_most(make_frames(24), tmp_path / "m.safetensors", lite0)
     result = train_on_most(make_frames(24), tmp_path / "m.safetensors", replace(lite0, pretrained=False))
     assert len(result.history) == 1
+
+
+def test_a_larger_decay_shrinks_the_weights(tmp_path):
+    still = replace(TINY, ema_decay=0.0, resume=False, learning_rate=1e-3, validation_fraction=0.0, calibrate=False)
+    norms = []
+    for decay in (0.0, 300.0):
+        config = replace(still, weight_decay=decay)
+        trained = train_on({"a": make_frames(24)}, tmp_path / f"{decay}.safetensors", config).checkpoint
+        norms.append(sum(float(v.square().sum()) for v in trained.state_dict.values() if v.ndim > 1))
+    assert norms[1] < 0.5 * norms[0]
+
+
+@pytest.mark.parametrize("head", ["variational", "point", "mixture"])
+def test_every_matrix_decays_and_nothing_else_does(head):
+    config = replace(TINY, network=replace(TINY.network, head=head), weight_decay=0.1)
+    network = make_regressor(config.network, SceneBox((0.0,) * 3, (1.0,) * 3))
+    decays = {id(p): g["weight_decay"] for g in parameter_groups(network, config) for p in g["params"]}
+    for name, parameter in network.named_parameters():
+        assert decays.pop(id(parameter)) == (0.1 if parameter.ndim > 1 else 0.0), name
+    assert not decays
+
+
+@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
+def test_a_weight_decay_out_of_range_is_refused(value):
+    with pytest.raises(TrainingError, match=r"training: weight_decay is .*, expected 0.0 to"):
+        replace(TINY, weight_decay=value)

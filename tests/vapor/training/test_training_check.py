@@ -12,7 +12,7 @@ from tests.helpers.full import full, some
 from vapor.calibration.calibrate import CalibrationResult
 from vapor.checkpoints.calibration import Calibration
 from vapor.training import check as training_check
-from vapor.training import check_result
+from vapor.training import progress as check_result
 from vapor.training.check import check
 from vapor.training_data.load import load_training_set
 
@@ -76,7 +76,7 @@ def test_errors_found_too_small_are_taken_larger_and_that_is_said(times, share, 
     assert found.inflation > 1.0 or found.assumed
     assert kept.errors.typical_std[0] > small.typical_std[0]
     assert not found.overconfident
-    assert "as large as they were found" in found.verdict or "is assumed" in found.verdict
+    assert "as large as they were found" in found.verdict or "are assumed" in found.verdict
 
 
 @full

@@ -7,17 +7,19 @@ import pytest
 
 from filtering.se3 import Poses
 from sequences.frame import Frame
+from tests.helpers.climbing_frames import frames_of
 from tests.helpers.data_sets import make_7scenes, make_colmap
 from tests.helpers.sequence_files import Walk, as_split_folder
 from tests.helpers.tiny_training import TINY, make_frames, pose
+from vapor.benchmark.regressors.scenes import identity
 from vapor.evaluation.validation import predict
-from vapor.regressors.registry import make_regressor
+from vapor.regressors.network_config import make_regressor
 from vapor.regressors.scene_box import SceneBox
 from vapor.track import main
-from vapor.training.pairs import paired
 from vapor.training.train import train, train_on
-from vapor.training_data.entries import open_sequences
-from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.checks import Colours, said_of_colours
+from vapor.training_data.entries import name_entries, open_sequences, require_no_leakage
+from vapor.training_data.ground import odometry_segments, pass_numbers, some_runs
 from vapor.training_data.load import load_training_set
 from vapor.training_data.training_set import TrainingError
 
@@ -45,13 +47,8 @@ def test_unloaded_images_leave_memory_and_come_back_when_they_are_used():
     training.unload()
     assert loaded - shared_memory_bytes() > 0.9 * images.nbytes
     assert images.sum() == before
-
-
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="what a process shares of memory is told by Linux")
-def test_a_part_of_the_images_is_not_copied_into_memory():
-    training = load_training_set({"a": make_frames(2) * 60}, (400, 300))
     part = training.select(np.arange(0, 120, 2)).select(np.arange(1, 60))
-    assert part.images is training.images
+    assert part.images is images
     np.testing.assert_array_equal(part.rows, np.arange(2, 120, 2))
 
 
@@ -77,15 +74,12 @@ def test_without_odometry_the_same_images_and_poses_are_read(walk_of_25):
     np.testing.assert_array_equal(bare.times_ns, whole.times_ns)
 
 
-def test_each_sequence_of_a_split_has_its_own_name_and_pairs(tmp_path):
+def test_each_sequence_of_a_split_has_its_own_name(tmp_path):
     scene = make_7scenes(tmp_path / "chess", sequences=("seq-01", "seq-02"))
     (scene / "TrainSplit.txt").write_text("sequence1\nsequence2\n")
     loaded = load_training_set(open_sequences([scene / "TrainSplit.txt", scene / "seq-01"]), (32, 24))
     np.testing.assert_array_equal(loaded.sequence, np.repeat([0, 1, 2], 10))
     assert loaded.names == ("chess/TrainSplit.txt, sequence 1", "chess/TrainSplit.txt, sequence 2", "seq-01")
-    rng = np.random.default_rng(0)
-    first, second = np.split(paired(rng.permutation(30).repeat(2)[:60], loaded.sequence, 5, rng=rng), 2)
-    np.testing.assert_array_equal(loaded.sequence[first], loaded.sequence[second])
 
 
 def test_what_is_left_out_of_the_data_is_told(tmp_path, capsys):
@@ -129,7 +123,7 @@ def test_fewer_images_than_a_batch_are_one_batch_and_a_batch_of_one_is_refused(t
     config = replace(TINY, batch_size=64, calibrate=False, validation_fraction=0.0, epochs=2)
     result = train_on({"a": make_frames(5)}, tmp_path / "model.safetensors", config)
     assert result.images_seen == 10
-    with pytest.raises(TrainingError, match="batch_size is 1, expected at least 2"):
+    with pytest.raises(TrainingError, match="batch_size is 1, expected 2 to"):
         replace(TINY, batch_size=1)
 
 
@@ -183,7 +177,7 @@ def test_few_images_are_learned_from_and_told(tmp_path):
     config = replace(TINY, epochs=1, calibrate=False)
     few, none = (
         "10 images to learn from: a place takes hundreds, along every path that will be walked",
-        "no landmarks: no two images show the same from two sides; places stay as coarse as the network says",
+        "no landmarks: no two images show the same from two sides; places stay as coarse as the network's",
     )
     assert train_on(_variety(10), tmp_path / "m.safetensors", config).notices == (few, none)
     assert train_on(_variety(100), tmp_path / "n.safetensors", config).notices == (none,)
@@ -203,3 +197,85 @@ def test_points_of_two_reconstructions_are_not_taken_for_the_same(tmp_path) -> N
     assert not shown[0] & shown[1]
     assert len(loaded.seen_points) == len(loaded) == 6
     assert load_training_set(open_sequences(roots), (32, 24)).seen_points == ()  # they are for landmarks only
+
+
+@pytest.mark.parametrize("split", ["TrainSplit.txt", "transforms_train.json"])
+def test_lists_of_splits_are_named_with_their_folder_as_they_are_all_named_alike(split):
+    assert [*name_entries([f"a/{split}", f"b/{split}@3:5"])] == [f"a/{split}", f"b/{split}@3:5"]
+
+
+@pytest.mark.parametrize("split", ["TrainSplit.txt", "transforms_train.json"])
+def test_a_list_is_another_one_when_an_image_beside_it_changes(split, tmp_path):
+    (tmp_path / split).write_text("")
+    image = tmp_path / "image.png"
+    image.write_bytes(b"one")
+    before = identity(str(tmp_path / split))
+    assert identity(str(tmp_path / split)) == before
+    image.write_bytes(b"another")
+    assert identity(str(tmp_path / split)) != before
+
+
+def spans(numbers: np.ndarray) -> list[tuple[int, int]]:
+    begins = np.flatnonzero(np.diff(numbers, prepend=-1))
+    return list(zip(begins.tolist(), [*begins[1:].tolist(), len(numbers)], strict=True))
+
+
+def test_passes_break_where_sequences_and_time_do():
+    late = [replace(f, time_ns=f.time_ns + (2 * 10**9 if i >= 90 else 0)) for i, f in enumerate(frames_of(150))]
+    slow = frames_of(20, step_ns=2 * 10**9)  # one image in two seconds is usual there
+    images = load_training_set({"a": frames_of(60), "b": late, "slow": slow}, (36, 36))
+    assert spans(pass_numbers(images)) == [(0, 60), (60, 150), (150, 210), (210, 230)]
+
+
+def test_of_many_images_runs_of_ten_are_taken_all_over():
+    np.testing.assert_array_equal(some_runs(70, 70), np.arange(70))
+    chosen = some_runs(1000, 100)
+    assert len(chosen) == 100
+    assert (chosen[0], chosen[-1]) == (0, 999)
+    assert sorted(set(np.diff(chosen).tolist())) == [1, 101]
+    assert len(some_runs(60, 55)) <= 55
+    np.testing.assert_array_equal(some_runs(9, 4), [0, 1, 2, 3])
+
+
+def test_segments_of_odometry_have_one_true_pose_more_than_increments():
+    frames = frames_of(150)
+    frames[60] = replace(frames[60], odometry=None)
+    images = load_training_set({"a": frames, "b": frames_of(30, odometry=False), "c": frames_of(30)}, (36, 36))
+    segments = odometry_segments(images)
+    assert [(len(s.odometry), len(s.truth), s.recording) for s in segments] == [(59, 60, 0), (89, 90, 0), (29, 30, 2)]
+    np.testing.assert_array_equal(segments[1].truth[0].translation, frames[60].world_from_camera.translation)
+    assert images.select(np.arange(5, 9)).odometry == (None, *images.odometry[6:9])
+    assert odometry_segments(images.select(np.arange(0, 150, 2))) == []
+    assert odometry_segments(images.select(np.arange(0))) == []
+
+
+def colours(seed: int, *, warmth: int = 30, swapped: bool = False) -> Colours:
+    """Of images of warm or cold light, each recording a little different."""
+    rng, found = np.random.default_rng(seed), Colours()
+    for _ in range(20):
+        grey = rng.integers(60, 180, (12, 16, 1))
+        image = np.clip(grey + np.array([warmth, 0, -warmth]) + rng.integers(-20, 20, (12, 16, 3)), 0, 255)
+        found.take(np.ascontiguousarray((image[..., ::-1] if swapped else image).astype(np.uint8)))
+    return found
+
+
+def test_of_alike_recordings_nothing_is_said():
+    assert said_of_colours({name: colours(i) for i, name in enumerate("abc")}) == []
+    assert said_of_colours({"a": colours(0)}) == []
+    assert said_of_colours({"grey": colours(0, warmth=0), "warm": colours(1)}) == []
+
+
+def test_the_one_whose_colours_are_swapped_is_named():
+    (said,) = said_of_colours({name: colours(i, swapped=name == "b") for i, name in enumerate("abc")})
+    assert said.startswith("b: red and blue are swapped, beside the other recordings (BGR")
+
+
+def test_of_two_recordings_it_cannot_be_said_which():
+    (said,) = said_of_colours({"a": colours(0), "b": colours(1, swapped=True)})
+    assert said.startswith("a, b do not have the same colours: red and blue of some are swapped")
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_where_all_are_bluish_it_is_asked(count):
+    (said,) = said_of_colours({f"w{i}": colours(i, swapped=True) for i in range(count)})
+    assert "more blue than red in nearly all images" in said

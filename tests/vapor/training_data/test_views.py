@@ -114,7 +114,7 @@ def test_another_focal_length_is_found(factor, frames):
     checks = checked([replace(frame, camera=camera) for frame in frames])
     assert [check.focal for check in checks] == [pytest.approx(1 / factor, rel=0.03)] * 2
     (sentence,) = said_of_views("w", checks)
-    assert sentence.startswith("w: the intrinsics are wrong: what images show moves as through a focal length ")
+    assert sentence.startswith("w: the intrinsics are wrong: the images move as through a focal length ")
     assert float(sentence.split(" times")[0].split()[-1]) == pytest.approx(1 / factor, rel=0.03)
 
 
@@ -135,10 +135,10 @@ def test_images_that_show_nothing_of_the_motion_tell_nothing(frames):
 def test_images_that_follow_no_pose_are_told(change, frames):
     others = [replace(frame, image=change(i, frames)) for i, frame in enumerate(frames)]
     (sentence,) = said_of_views("w", checked(others))
-    assert sentence.startswith("w: images do not move as true poses and odometry say, whichever way they are turned (")
+    assert sentence.startswith("w: images do not move like true poses and odometry, whichever way they are turned (")
     alone = [replace(frame, odometry=None) for frame in others]
     (sentence,) = said_of_views("w", checked(alone))
-    assert sentence.startswith("w: images do not move as true poses say, whichever")
+    assert sentence.startswith("w: images do not move like true poses, whichever")
 
 
 def test_odometry_that_turns_too_little_is_told_by_true_poses_and_is_no_lens(frames):
@@ -149,9 +149,9 @@ def test_odometry_that_turns_too_little_is_told_by_true_poses_and_is_no_lens(fra
 
     less = [replace(frame, odometry=slower(frame.odometry)) for frame in frames]
     (sentence,) = said_of_views("w", checked(less))
-    assert sentence.startswith("w: odometry tells turns too small: what images show fits true poses, and with odometry")
+    assert sentence.startswith("w: odometry has turns too small: the images fit true poses, and with odometry")
     (sentence,) = said_of_views("w", checked([replace(frame, world_from_camera=None) for frame in less]))
-    assert sentence.startswith("w: the intrinsics are wrong or odometry tells turns too large or too small: ")
+    assert sentence.startswith("w: the intrinsics are wrong or odometry has turns too large or too small: ")
 
 
 def test_upside_down_through_another_lens_is_told_as_both(frames):

@@ -15,8 +15,7 @@ from vapor.benchmark import PROGRAM
 from vapor.benchmark.foreign_images import IN_A_ROW, evaluate_flags
 from vapor.commands.console import parse, show
 from vapor.commands.progress import progress
-from vapor.engines.device import Device
-from vapor.engines.engine import EngineConfig
+from vapor.engines.engine import Device, EngineConfig
 from vapor.observation import VaporObservationModel
 
 _MAX_SEED = 2**63

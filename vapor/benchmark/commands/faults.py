@@ -19,7 +19,7 @@ from vapor.benchmark.commands.scenes import SCENE_NAMES, SceneOptions, listed, w
 from vapor.benchmark.faults.benchmark import FaultBenchmark, FaultsConfig
 from vapor.benchmark.faults.metrics import summarise_faults
 from vapor.benchmark.faults.table import FAULTS
-from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.file_format import find_model
 from vapor.commands.console import InputPath, parse, show
 from vapor.commands.progress import progress
 from vapor.commands.workers import workers_for

@@ -12,7 +12,7 @@ import tyro
 from filtering.errors import VaporTrackError
 from sequences.scenes import find_scene, is_scene, scene_names
 from vapor.benchmark.commands.outputs import SharedOutputPath
-from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.file_format import find_model
 from vapor.commands.console import Overwrite
 from vapor.commands.workers import Scheduler
 from vapor.reporting.report import write_report

@@ -17,8 +17,7 @@ from sequences.reader import SequenceReader
 from vapor.benchmark import PROGRAM
 from vapor.benchmark.timing import time_step, untrained
 from vapor.commands.console import parse, show
-from vapor.engines.device import Device
-from vapor.engines.engine import EngineConfig
+from vapor.engines.engine import Device, EngineConfig
 from vapor.observation import VaporObservationModel
 from vapor.threads import limited_threads
 from vapor.training.presets import PRESETS

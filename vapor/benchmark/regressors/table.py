@@ -19,8 +19,7 @@ from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.parallel.jobs import Workers
 from vapor.training.config import TrainConfig
 from vapor.training.presets import METHODS
-from vapor.training_data.entries import parse_entry
-from vapor.training_data.leakage import require_no_leakage
+from vapor.training_data.entries import parse_entry, require_no_leakage
 from vapor.training_data.training_set import TrainingError
 
 

@@ -14,7 +14,7 @@ from sequences.files.structured import read_json
 from vapor.benchmark.regressors.scenes import Scene, identities, identity
 from vapor.cache import digest
 from vapor.checkpoints.file_format import load_checkpoint
-from vapor.engines.device import resolve_device
+from vapor.engines.engine import resolve_device
 from vapor.evaluation.posterior import posterior_metrics
 from vapor.evaluation.validation import exact_log_density, predict
 from vapor.parallel.jobs import Workers, in_parallel

@@ -18,8 +18,7 @@ from vapor.benchmark.trials.kinds import KINDS, Kind, recorded_images, walk_fram
 from vapor.benchmark.trials.trial import Segment
 from vapor.cache import code_digest
 from vapor.checkpoints.checkpoint import Checkpoint
-from vapor.checkpoints.file_format import load_checkpoint
-from vapor.checkpoints.shipped_models import find_model
+from vapor.checkpoints.file_format import find_model, load_checkpoint
 from vapor.engines.engine import EngineConfig
 from vapor.storage import fetched
 
