@@ -42,8 +42,6 @@ class GapConfig:
 @dataclass(frozen=True)
 class LocalizerConfig:
     """Settings of the filter; lengths follow from the measurement noise of the images (`ErrorModel`).
-
-    Settings in metres are also scaled in `vapor.benchmark.evaluation.lengths`.
     """
 
     max_hypotheses: int = 50

@@ -1,6 +1,6 @@
 import pytest
 
-from vapor.benchmark.regressors.scenes import identity
+from vapor.benchmark.regressors.training_runs import identity
 from vapor.training_data.entries import name_entries
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from vapor.benchmark.evaluation.intervals import Interval
+from vapor.benchmark.evaluation import Interval
 
 Aggregate = Mapping[str, Any]
 """What some runs add up to."""

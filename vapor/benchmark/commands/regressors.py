@@ -14,7 +14,7 @@ from rich.table import Table
 
 from sequences.atomic import atomic_output
 from vapor.benchmark import PROGRAM
-from vapor.benchmark.commands.outputs import SharedOutputPath, claim_shared, publish_results
+from vapor.benchmark.commands.options import SharedOutputPath, claim_shared, publish_results
 from vapor.benchmark.regressors.table import TableConfig, TableExperiment, failures, markdown, parse_scene, scene_tables
 from vapor.commands.console import Overwrite, command_line, show
 from vapor.commands.named_settings import Preset, parse_named

@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Int64
 
 from filtering.se3 import Poses
-from vapor.benchmark.faults import timing
-from vapor.benchmark.faults.table import FAULTS, NONE
-from vapor.benchmark.faults.timing import LONG_S, image_after
+from vapor.benchmark.faults import table
+from vapor.benchmark.faults.table import FAULTS, LONG_S, NONE, image_after
 from vapor.evaluation.trajectory import convergence_s, is_right
 from vapor.tracking.belief import Belief
 
@@ -41,8 +40,8 @@ def evaluate_fault(
     right = is_right(belief.best, truth)
     said = {name: np.array([status == name for status in belief.status]) for name in ("converged", "lost")}
     wrong = said["converged"] & ~right
-    settled = image_after(timing.FAULT_S + timing.SETTLED_S, begin, times_ns)
-    noticed = said["lost"][image_after(timing.NOTICED_S, max(begin, during.start), times_ns) : during.stop]
+    settled = image_after(table.FAULT_S + table.SETTLED_S, begin, times_ns)
+    noticed = said["lost"][image_after(table.NOTICED_S, max(begin, during.start), times_ns) : during.stop]
     first, longest = longest_run(wrong)
     elapsed_s = (times_ns - times_ns[0]) / 1e9
     return {

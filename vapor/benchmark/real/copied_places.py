@@ -31,8 +31,7 @@ from sequences.writer import SequenceWriter
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.benchmark.real.trained_network import posterior_of_recorded, trained_model, training_code
 from vapor.benchmark.recordings.record import record_file
-from vapor.benchmark.recordings.settings import FileSettings, seen_digest
-from vapor.benchmark.recordings.storage import load_recording, not_recorded
+from vapor.benchmark.recordings.storage import FileSettings, load_recording, not_recorded, seen_digest
 from vapor.cache import digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
@@ -60,7 +59,6 @@ class CopiedPlaces:
         offsets_m: Where each copy stands.
         own: The copy that the camera walks in.
         rate_hz: Images a second of the walk, whose data have no stamps to be trusted.
-        unit_m: Lengths are evaluated in units of so many metres.
         config: How to train: as `train` does without options.
     """
 
@@ -71,7 +69,6 @@ class CopiedPlaces:
     offsets_m: tuple[tuple[float, float, float], ...]
     own: int
     rate_hz: float
-    unit_m: float = 1.0
     config: TrainConfig = PRESETS["auto"]
 
     @property
@@ -120,7 +117,6 @@ class CopiedPlaces:
             checkpoint.calibration.errors,
             config if fit is None else replace(config, slow_errors=fit.slow_errors),
             {"before": since < 0, f"{_AFTER_S:g} s after": after & (np.cumsum(after) == 1), "after": after},
-            self.unit_m,
             in_sequences=False,
         )
 

@@ -18,8 +18,7 @@ from sequences.datasets.convert import convert
 from sequences.odometry import OdometryNoise
 from vapor.benchmark.real.row import Draw, RowContext
 from vapor.benchmark.recordings.record import record_file
-from vapor.benchmark.recordings.settings import FileSettings, seen_digest
-from vapor.benchmark.recordings.storage import Recording, load_recording, not_recorded
+from vapor.benchmark.recordings.storage import FileSettings, Recording, load_recording, not_recorded, seen_digest
 from vapor.cache import code_digest, digest
 from vapor.checkpoints.checkpoint import Checkpoint
 from vapor.checkpoints.file_format import load_checkpoint
@@ -44,7 +43,6 @@ class TrainedNetwork:
         frames: The first of them, and the one after the last; None: to the end.
         odometry: File of the data with recorded odometry; None: it is simulated.
         evaluated: Which of n images are evaluated, by a name for them.
-        unit_m: Lengths are evaluated in units of so many metres.
         config: How to train: as `train` does without options.
     """
 
@@ -56,7 +54,6 @@ class TrainedNetwork:
     evaluated: Mapping[str, Callable[[int], Bool[np.ndarray, " n"]]] = field(
         default_factory=lambda: {"": lambda n: np.ones(n, bool)}
     )
-    unit_m: float = 1.0
     config: TrainConfig = PRESETS["auto"]
 
     @property

@@ -24,12 +24,13 @@ from sequences.scenes import find_scene
 from sequences.synthesize import synthesize, write_synthetic
 from sequences.synthetic_sequence import SyntheticSequence
 from vapor.benchmark.foreign_images import FOREIGN, Image
-from vapor.benchmark.recordings.settings import FileSettings, RecordingSettings
 from vapor.benchmark.recordings.storage import (
     PATH,
     SAMPLES,
     SETTINGS,
     CameraPath,
+    FileSettings,
+    RecordingSettings,
     load_path,
     to_rows,
     verified_arrays,

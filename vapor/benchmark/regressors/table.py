@@ -13,8 +13,7 @@ import numpy as np
 from filtering.errors import VaporTrackError, require_within
 from sequences.reader import SequenceReader
 from sequences.scenes import is_scene, scene_names
-from vapor.benchmark.regressors.scenes import Scene, render_scenes, rendered_height
-from vapor.benchmark.regressors.training_runs import TrainingRun, carry_out
+from vapor.benchmark.regressors.training_runs import Scene, TrainingRun, carry_out, render_scenes, rendered_height
 from vapor.evaluation.trajectory import RIGHT, THRESHOLDS
 from vapor.parallel.jobs import Workers
 from vapor.training.config import TrainConfig
