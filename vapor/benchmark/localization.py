@@ -189,7 +189,6 @@ def _method(metrics: Results, walks: Walks) -> dict[str, Any]:
 
 
 def _sequences(parts: Results, walks: Walks) -> dict[str, Any]:
-    """How many of all sequences of a length succeed, by method."""
     numbers = [part["sequences"] for part in parts]
     names = dict.fromkeys(name for part in parts for name in part["success"] or ())
     success = {
@@ -288,7 +287,6 @@ def _recovered(belief: Mapping[str, Any]) -> bool:
 
 
 def _mean(values: Sequence[int | float | None], weights: Sequence[int | float] | None = None) -> float | None:
-    """Of the values that are known; None if none is."""
     weights = [1] * len(values) if weights is None else weights
     known = [(value, weight) for value, weight in zip(values, weights, strict=True) if value is not None]
     total = sum(weight for _, weight in known)
@@ -296,6 +294,5 @@ def _mean(values: Sequence[int | float | None], weights: Sequence[int | float] |
 
 
 def _median(values: Sequence[int | float | None]) -> float | None:
-    """Of the values that are known; None if none is."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None

@@ -45,9 +45,9 @@ def test_a_recording_holds_what_reading_and_observing_the_file_gives(directory, 
     assert len(frames) == 12
     for i, frame in enumerate(frames):
         assert recording.times_ns[i] == frame.time_ns
-        np.testing.assert_array_equal(
-            recording.posterior_poses(i).as_matrix(), model.observe(frame.image, rng=rng).samples.as_matrix()
-        )
+        posterior = model.observe(frame.image, rng=rng)
+        np.testing.assert_array_equal(recording.posterior_poses(i).as_matrix(), posterior.samples.as_matrix())
+        assert recording.unfamiliarity[i] == posterior.unfamiliarity
         np.testing.assert_array_equal(
             recording.path.world_from_camera[i].as_matrix(), frame.world_from_camera.as_matrix()
         )
@@ -64,11 +64,6 @@ def test_the_path_is_the_same_before_and_after_recording(directory, tmp_path):
         before.world_from_camera.as_matrix(), after.world_from_camera.as_matrix(), atol=1e-9
     )  # the file has quaternions
     np.testing.assert_array_equal(before.sees_cue, after.sees_cue)
-
-
-def test_what_is_recorded_is_not_recorded_again(directory, checkpoint, monkeypatch):
-    monkeypatch.setattr(record, "record_synthetic", lambda *_: pytest.fail("recorded again"))
-    make_recording(SETTINGS, checkpoint, directory)
 
 
 def test_an_interrupted_recording_leaves_nothing(checkpoint, tmp_path, monkeypatch):
@@ -110,7 +105,10 @@ def test_every_setting_of_a_recording_is_checked():
 
 
 def test_a_kidnap_jumps_in_what_is_seen_but_not_in_time_or_odometry(directory):
-    first, second = (load_recording(replace(SETTINGS, seed=seed), directory) for seed in (5, 6))
+    first, second = (
+        replace(load_recording(replace(SETTINGS, seed=seed), directory), unfamiliarity=seed + np.linspace(0.0, 0.9, 12))
+        for seed in (5, 6)
+    )
     trial = Trial("ceiling", "kidnap", (Segment(5, 2, 6), Segment(6, 3, 4)))
     replay = assemble(trial, lambda segment: {5: first, 6: second}[segment.seed])
     assert len(replay.odometry) == len(replay.truth) == len(replay.times_ns) == 10
@@ -125,6 +123,7 @@ def test_a_kidnap_jumps_in_what_is_seen_but_not_in_time_or_odometry(directory):
         )
         np.testing.assert_array_equal(replay.odometry[i].covariance, moving.covariance)
     assert replay.cue_images == first.path.sees_cue[2:8].sum() + second.path.sees_cue[3:7].sum()
+    np.testing.assert_array_equal(replay.unfamiliarity, [*first.unfamiliarity[2:8], *second.unfamiliarity[3:7]])
 
 
 def test_of_a_faster_recording_every_third_image_is_seen_and_the_motions_between_add_up(checkpoint, tmp_path):
@@ -178,21 +177,6 @@ def test_samples_take_room_as_they_are_written(checkpoint, tmp_path, monkeypatch
     monkeypatch.setattr(VaporObservationModel, "observe", watched)
     make_recording(SETTINGS, checkpoint, tmp_path)
     assert sizes[0] < sizes[-1] < next(tmp_path.rglob("samples.npy")).stat().st_size
-
-
-def test_how_unfamiliar_images_are_is_recorded(checkpoint, tmp_path, monkeypatch):
-    told = iter(np.linspace(0.0, 2.2, 12))
-    observe = VaporObservationModel.observe
-    monkeypatch.setattr(
-        VaporObservationModel,
-        "observe",
-        lambda model, image, *, rng: replace(observe(model, image, rng=rng), unfamiliarity=float(next(told))),
-    )
-    make_recording(SETTINGS, checkpoint, tmp_path)
-    recording = load_recording(SETTINGS, tmp_path)
-    np.testing.assert_array_equal(recording.unfamiliarity, np.linspace(0.0, 2.2, 12))
-    replay = assemble(Trial("ceiling", "cue", (Segment(5, 2, 6),)), lambda segment: recording)
-    np.testing.assert_array_equal(replay.unfamiliarity, recording.unfamiliarity[2:8])
 
 
 def test_a_part_of_a_recording_is_of_the_same_walk(directory, checkpoint, tmp_path):

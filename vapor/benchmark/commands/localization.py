@@ -264,7 +264,6 @@ def _own_figures(like: str, total: Aggregate) -> tuple[str, str]:
 
 
 def _consistency(part: Aggregate) -> list[str]:
-    """Fraction wrong, fractions in the regions and NEES of some images, with their intervals."""
     intervals = part["intervals"]
     regions = [(part["coverage"][region], intervals["coverage"][region]) for region in REGIONS]
     return [

@@ -96,7 +96,6 @@ def _table_page(results: Sequence[Mapping[str, Any]], gamma: float, settings: Ma
 
 
 def _stored(config: TrainConfig) -> dict[str, Any]:
-    """Settings of a training, as JSON."""
     return {key: str(value) if isinstance(value, Path) else value for key, value in asdict(config).items()}
 
 

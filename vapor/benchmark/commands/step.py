@@ -327,7 +327,6 @@ def _models(o: Options, camera: Camera | None) -> dict[str, VaporObservationMode
 
 
 def _frames(recording: Path) -> tuple[list[Frame], Camera | None]:
-    """The first images of a recording, and their camera."""
     reader = SequenceReader(recording)
     frames = list(islice(reader, _IMAGES))
     if not frames:

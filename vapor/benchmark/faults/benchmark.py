@@ -31,7 +31,6 @@ class Chosen:
     """A walk, and when faults begin.
 
     Attributes:
-        walk: Which.
         begin: The image at which faults begin.
         without: The result of the run without any, see `run_fault`.
     """
@@ -46,9 +45,7 @@ class FaultRun:
     """A walk with a fault.
 
     Attributes:
-        walk: Which.
         begin: Image at which the fault begins.
-        fault: Its name.
         film: The recording of what the camera shows during the fault; None if that is nothing or the walk itself.
     """
 
@@ -86,17 +83,8 @@ def run_without(walk: FaultWalk, directory: Path) -> dict[str, Any]:
     return _cached(walk, NONE, directory, compute)
 
 
-def run_fault(
-    walk: FaultWalk, begin: int, fault: str, film: RecordingSettings | FileSettings | None, directory: Path
-) -> dict[str, Any]:
-    """Run a walk with a fault, or take the cached result of a run with the same settings and the same code.
-
-    Args:
-        walk: Which.
-        begin: Image at which the fault begins.
-        fault: Its name.
-        film: The recording of what the camera shows during the fault; None if that is nothing or the walk itself.
-        directory: With `recordings`; results are cached in `faults`.
+def run_fault(run: FaultRun, directory: Path) -> dict[str, Any]:
+    """Run a walk with a fault unless its result is cached in `directory / "faults"`.
 
     Returns:
         JSON: `name`, `scene`, `fault`, `begin`, and `methods`: see `evaluate_fault`.
@@ -104,6 +92,7 @@ def run_fault(
     Raises:
         VaporTrackError: a recording is missing or was made with other settings.
     """
+    walk, begin, fault, film = run.walk, run.begin, run.fault, run.film
 
     def compute() -> dict[str, Any]:
         replay = walk.replay(directory / "recordings")
@@ -135,7 +124,7 @@ def _cached(
     compute: Callable[[], dict[str, Any]],
     more: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    settings = walk.settings() | {"fault": fault, "faults_code": _code(), **more}
+    settings = walk.settings() | {"fault": fault, "faults_code": code_digest("vapor.benchmark.faults"), **more}
     return cached(directory / "faults" / f"{walk.name}-{fault}", settings, compute)
 
 
@@ -154,11 +143,6 @@ def _filmed(
     return shown(
         replay, during, lambda image: recording.posterior_poses(image % count), recording.unfamiliarity[numbers]
     )
-
-
-def _code() -> str:
-    """Digest of the code of faults: those that were changed are run again."""
-    return code_digest("vapor.benchmark.faults")
 
 
 _BARREN = 20  # walks in a row without a moment for a fault, after which there is no hope of another
@@ -314,7 +298,7 @@ class FaultBenchmark:
 
     def localize(self, chosen: Sequence[Chosen]) -> Iterator[dict[str, Any]]:
         """The result of every walk with every fault, in no order; cached ones are not computed again."""
-        jobs = [(run.walk, run.begin, run.fault, run.film, self.directory) for run in self.runs(chosen)]
+        jobs = [(run, self.directory) for run in self.runs(chosen)]
         yield from in_parallel(run_fault, jobs, self._workers)
 
     def runs(self, chosen: Sequence[Chosen]) -> list[FaultRun]:

@@ -90,7 +90,7 @@ def _missing(replay: Replay, images: Collection[int]) -> Replay:
 
 
 def frozen(replay: Replay, during: range) -> Replay:
-    """The last image is repeated, pixel by pixel: it says nothing, but is as unlike the training images as it was."""
+    """The last image is repeated, pixel by pixel. It is uninformative, and its familiarity stays as it was."""
     unfamiliarity = np.full(len(replay.times_ns), replay.unfamiliarity[max(during.start - 1, 0)])
     return shown(replay, during, lambda image: Poses.identity(0), unfamiliarity)
 

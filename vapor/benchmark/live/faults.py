@@ -181,8 +181,6 @@ def wrong_for(times_s: Sequence[float], errors_m: Sequence[float], *, most_s: fl
 
 
 class _Robot:
-    """The process of a robot."""
-
     def __init__(self, config: RobotConfig, *, lossy: bool) -> None:
         command = [sys.executable, "-m", "vapor.benchmark.live.robot", config.word]
         env = {**os.environ, **({"CYCLONEDDS_URI": _LOSSY} if lossy else {})}
@@ -288,7 +286,6 @@ def _outcome(
 
 
 def _errors_m(bases: Sequence[tuple[float, int, Poses]], walk: Walk, walk_ns: int) -> list[float]:
-    """How far poses of the base are off, metres."""
     assert walk.world_from_camera is not None
     if not bases:
         return []

@@ -73,7 +73,7 @@ class TrainedNetwork:
         return tuple(dict.fromkeys([*folders, self.dataset, *([self.odometry] if self.odometry else [])]))
 
     def prepare(self, context: RowContext, seed: int) -> dict[str, Any]:
-        """Convert, train, and ask the network about every image."""
+        """Convert, train, and record the posterior of every image."""
         file, _ = self._sequence(context, seed)
         if not fetched(file).is_file():
             context.advance("converting", seed, None)
@@ -89,11 +89,7 @@ class TrainedNetwork:
             )
             published(file)
         checkpoint = load_checkpoint(self._trained(context))
-        settings, recordings = self._recording(context, seed, checkpoint), context.folder("recordings")
-        if not_recorded([settings], recordings):
-            context.advance("asking the network", seed, None)
-            record_file(settings, file, checkpoint, recordings, engine=context.network.engine)
-        return {"recording": settings.stored, "calibration": asdict(checkpoint.calibration)}
+        return record_posteriors(context, self._recording(context, seed, checkpoint), lambda: file, checkpoint, seed)
 
     def draw(self, context: RowContext, seed: int, config: LocalizerConfig) -> Draw:
         """The posteriors of the network, and the odometry of the converted file."""
@@ -115,7 +111,6 @@ class TrainedNetwork:
         return json.loads(json.dumps(content))
 
     def _trained(self, context: RowContext) -> Path:
-        """The model file."""
         data = [context.data / entry for entry in self.training]
         return trained_model(
             context,
@@ -156,8 +151,19 @@ def trained_model(
     return file
 
 
+def record_posteriors(
+    context: RowContext, settings: FileSettings, file: Callable[[], Path], checkpoint: Checkpoint, seed: int
+) -> dict[str, Any]:
+    """Record the posteriors of a file unless that is done; returns what they depend on, as JSON."""
+    recordings = context.folder("recordings")
+    if not_recorded([settings], recordings):
+        context.advance("computing posteriors", seed, None)
+        record_file(settings, file(), checkpoint, recordings, engine=context.network.engine)
+    return {"recording": settings.stored, "calibration": asdict(checkpoint.calibration)}
+
+
 def posterior_of_recorded(recording: Recording, checkpoint: Checkpoint) -> Callable[[int], PosePosterior]:
-    """What gives the posterior of an image of a recording, by its number."""
+    """The posterior of an image of a recording, by its number."""
     errors, landmarks = checkpoint.calibration.errors, checkpoint.landmarks
 
     def posterior(image: int) -> PosePosterior:

@@ -40,14 +40,10 @@ class RecordingSettings:
     """Everything that the recording of a synthetic sequence depends on.
 
     Attributes:
-        scene: Name of the scene.
         seed: Of the path and of all noise.
         cues: What is unique along the path.
         frames: Number of images of the path.
-        width, height: Image size in pixels.
         network_sha256: Of all that the answer of the network depends on.
-        num_samples: Posterior samples per image.
-        rate_hz: Images a second.
         stand: The image at which the camera stops, and for how many seconds it stands; None if it does not stop.
         part: The first of the images that are recorded, and how many; None for all.
         change: What is done to every image before the network sees it, one of `FOREIGN`; None for nothing.
@@ -55,7 +51,6 @@ class RecordingSettings:
         precision: Of the network's arithmetic; engines agree within rounding.
         camera: The camera that it is rendered with, the numbers of `Camera`; None for that of its scene.
         synthesis: Version of the code that renders.
-        package: Version of this package.
     """
 
     scene: str
@@ -92,14 +87,11 @@ class FileSettings:
     """Everything that the recording of an MCAP file depends on.
 
     Attributes:
-        sequence: Name of the file.
         made: Digest of everything that the file was made from.
         seen_sha256: Of all that samples and familiarity of an image depend on.
         seed: Of the network's latent noise.
-        num_samples: Posterior samples per image.
         images: How many, from the first one on; None for all.
         change: What is done to every image before the network sees it, one of `FOREIGN`; None for nothing.
-        precision: Of the network's arithmetic.
     """
 
     sequence: str

@@ -137,12 +137,7 @@ def trial_settings(trial: Trial, setup: Setup) -> dict[str, Any]:
 
 
 def run_trial(trial: Trial, setup: Setup, directory: Path) -> dict[str, Any]:
-    """Run a trial, or take the cached result of a run with the same settings and the same code.
-
-    Args:
-        trial: Which.
-        setup: With which model and filter.
-        directory: With `recordings`; results are cached in `trials`.
+    """Run a trial unless its result is cached in `directory / "trials"`; recordings lie in `directory / "recordings"`.
 
     Returns:
         JSON: `name`, `scene`, `kind`, `walk` (the seed of the first segment), `variant` (the ablation), `cue_images`,

@@ -76,15 +76,10 @@ class Setup:
     """What trials depend on besides which they are.
 
     Attributes:
-        model: Model file.
-        model_sha256: Of its content.
+        model_sha256: Of the content of the model file.
         network_sha256: Of what it says of an image: samples, and how unlike the training images it is.
         frames: Images of a trial.
-        width, height: Image size in pixels.
-        num_samples: Posterior samples per image.
-        localizer: Settings of the filter.
         ablation: Name of the filter's ablation.
-        network: What runs the network.
         odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
     """
 
