@@ -219,9 +219,9 @@ def evaluate_sequences(
     ablation: Ablation = ABLATIONS["full"],
     baselines: Collection[str] = BASELINES,
 ) -> dict[str, dict[str, Any]]:
-    """Cut a passage into sequences, let filter and baselines begin anew in each, and count those that succeed.
+    """Cut a passage into sequences, start filter and baselines in each, and count those that succeed.
 
-    What each image says is the same as in the passage as a whole; of the filters nothing is kept.
+    Posteriors of images are those of the whole passage; no state of a filter is kept.
 
     Args:
         followed: The passage, with the errors and the settings of its filter.
@@ -248,7 +248,7 @@ def evaluate_sequences(
             rng = np.random.default_rng([*seed, length, start])
             again = follow(sequence, followed.errors, followed.config, rng=rng, ablation=ablation, baselines=baselines)
             for name, poses in again.poses.items():
-                if name != "dead_reckoning":  # which is told where it starts
+                if name != "dead_reckoning":  # its start is given
                     scaled = (Poses(each.rotation, each.translation / unit_m) for each in (poses, sequence.truth))
                     succeeded.setdefault(name, []).append(succeeds(*scaled))
         figures[str(length)] = {

@@ -94,12 +94,10 @@ def evaluate_flags(
         advance: Called with the number of files and folders evaluated and that of all.
 
     Raises:
-        VaporTrackError: the model says nothing about familiarity, or data cannot be read.
+        VaporTrackError: the model has no familiarity, or data cannot be read.
     """
     if model.description.familiarity is None:
-        raise VaporTrackError(
-            "the model does not say what is familiar to it, expected one that does (`vapor-track calibrate` adds it)"
-        )
+        raise VaporTrackError("the model has no familiarity, expected one with it (`vapor-track calibrate` adds it)")
     changes: dict[str, Change] = {"familiar": lambda image, rng: image, **FOREIGN, **CHANGED}
     scores: dict[str, list[Float64[np.ndarray, " n"]]] = {kind: [] for kind in changes}
     total = len(familiar) + len(foreign)

@@ -277,7 +277,7 @@ def _consistency(parts: Results, walks: Walks) -> dict[str, Any]:
 
 
 def _wrong_fraction(belief: Mapping[str, Any]) -> float:
-    """Fraction of all images of a run that say `converged` and are wrong."""
+    """Fraction of all images of a run that are `converged` and wrong."""
     return belief["status"]["converged"] * (belief["said_converged"]["wrong"] or 0.0)
 
 

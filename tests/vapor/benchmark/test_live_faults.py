@@ -61,7 +61,7 @@ def odometry(x: float) -> bytes:
 
 
 def test_a_robot_drops_what_it_is_asked_to_and_sets_its_clock():
-    robot = Robot(anew=False)
+    robot = Robot(restarted=False)
     image, moved = Outgoing(0.0, "/camera", b"1234"), Outgoing(0.0, ODOMETRY, odometry(3.0))
     assert robot.alter(image) == (b"1234", 0)
     robot.request("drop /camera\n")
@@ -72,8 +72,8 @@ def test_a_robot_drops_what_it_is_asked_to_and_sets_its_clock():
     assert robot.alter(image) == (b"1234", -5_000_000_000)
 
 
-def test_a_robot_that_was_started_anew_has_odometry_from_the_identity_on():
-    robot = Robot(anew=True)
+def test_a_robot_that_was_restarted_has_odometry_from_the_identity_on():
+    robot = Robot(restarted=True)
     told = [robot.alter(Outgoing(0.0, ODOMETRY, odometry(x))) for x in (3.0, 3.5)]
     positions = [decoder("nav_msgs/Odometry")(each[0]).pose.pose.position.x for each in told if each is not None]
     assert positions == [0.0, 0.5]

@@ -67,7 +67,7 @@ def fault_tables(summary: Mapping[str, Mapping[str, Aggregate]]) -> Iterator[Tab
             )
         lost = fraction(faults[NONE]["methods"][OURS]["lost_ever"], 1)
         table.caption = (
-            f"In % of the images from the fault's beginning on; it lasts {FAULT_S:g} s where nothing else is said."
+            f"In % of the images from the fault's beginning on; it lasts {FAULT_S:g} s unless stated otherwise."
             f" {SETTLED_S:g} s after: right from {SETTLED_S:g} s after its end on. From {NOTICED_S:g} s: lost from"
             f" {NOTICED_S:g} s after its beginning to its end. At most: the longest that any walk was sure and wrong."
             f" {' and '.join(others)}: success and right."
@@ -93,7 +93,7 @@ def fault_failures(summary: Mapping[str, Mapping[str, Aggregate]]) -> Iterator[s
 
 _CONFIG = with_help(
     FaultsConfig,
-    faults="What breaks, for five seconds if nothing else is said."
+    faults="What breaks, for five seconds unless stated otherwise."
     f" {described({name: fault.meaning for name, fault in FAULTS.items()})}.",
 )
 

@@ -120,7 +120,7 @@ def _methods_table(title: str, total: Aggregate) -> Table:
 
 
 def _consistency_table(total: Aggregate) -> Table:
-    """Two rows a method: over the images that say "converged", and over those from its convergence on."""
+    """Two rows a method: over the "converged" images, and over those from its convergence on."""
     regions = [f"in {region.replace('%', ' %')}\nregion" for region in REGIONS]
     table = new_table(None, "over the images", "number", "wrong", *regions, "median\nNEES (5.3)")
     for method in ours_first():
@@ -131,7 +131,7 @@ def _consistency_table(total: Aggregate) -> Table:
 
 
 def _status_table(total: Aggregate) -> Table:
-    """What the methods say of themselves over all images, and in how many runs and for how long they are wrong.
+    """Statuses of the methods over all images, and in how many runs and for how long they are wrong.
 
     False recoveries with the number of runs that have any; "often": in at least 5 % of a run's images.
     """
@@ -231,7 +231,7 @@ def _comparison_table(title: str | None, what: str, like: str, totals: Mapping[s
     columns = [*_OWN[like], "median\nerror", "right,\nconv.", "wrong", *regions, "NEES"]
     table = new_table(title, what, *columns)
     table.padding = (0, 0)
-    table.caption = "wrong, in regions and NEES: of the images said converged; below figures: 95 % intervals over walks"
+    table.caption = "wrong, in regions and NEES: of the converged images; below figures: 95 % intervals over walks"
     for name, total in totals.items():
         belief, method = total["belief"][OURS], total["methods"][OURS]
         table.add_row(

@@ -89,7 +89,7 @@ def _sequences(summary: Summary) -> Table:
 
 def _consistency(summary: Summary) -> Table:
     regions = [f"in {region.replace('%', ' %')}" for region in REGIONS]
-    table = _table("what the filter says of itself, %", "converged", "of these\nwrong", *regions, "median\nNEES (5.3)")
+    table = _table("confidence of the filter, %", "converged", "of these\nwrong", *regions, "median\nNEES (5.3)")
     table.caption = "regions: of all images evaluated, and in brackets of those called converged"
     for name, row in summary.items():
         figures = row["filter"]
@@ -195,8 +195,8 @@ def main(arguments: Sequence[str]) -> None:
 def _one_by_one(o: Options, rows: Sequence[Row]) -> list[dict[str, Any]]:
     results = []
     for row in rows:
-        with progress(row.name, "") as told:
-            context = RowContext(o.data, o.output, o.config.num_samples, o.config.network, told.at)
+        with progress(row.name, "") as reported:
+            context = RowContext(o.data, o.output, o.config.num_samples, o.config.network, reported.at)
             for of_draw in measure([row], context, o.config):
                 results += of_draw
     return results

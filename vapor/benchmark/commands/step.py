@@ -190,7 +190,7 @@ def _time_filter(
     repetitions: int,
     rng: np.random.Generator,
 ) -> Timing:
-    """Time the filter from samples to estimate, and say how many hypotheses it had."""
+    """Time the filter from samples to estimate, and state how many hypotheses it had."""
     localizer, seen, sizes = ParticleLocalizer(None, config, rng=rng), iter(later), []
     localizer.update(first, None)
 

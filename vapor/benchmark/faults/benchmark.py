@@ -155,7 +155,7 @@ class FaultsConfig(TrialsConfig):
     walks: int = 10
     """Walks of each scene, each without a fault and with every one."""
     faults: tuple[str, ...] = tuple(FAULTS)
-    """What breaks, for five seconds if nothing else is said."""
+    """What breaks, for five seconds unless stated otherwise."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

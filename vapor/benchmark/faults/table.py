@@ -76,7 +76,7 @@ def image_after(duration_s: float, image: int, times_ns: Int64[np.ndarray, " n"]
 
 
 def no_images(replay: Replay, during: range) -> Replay:
-    """The camera gives nothing, odometry continues: an image that says nothing moves the belief as `predict` does."""
+    """The camera gives no images, odometry continues: an uninformative image moves the belief as `predict` does."""
     return _missing(replay, during)
 
 
@@ -118,12 +118,12 @@ def shown(
 
 
 def standing_still(replay: Replay, during: range) -> Replay:
-    """Odometry says that the camera does not move, with the covariance of a robot at rest."""
+    """Odometry reports that the camera does not move, with the covariance of a robot at rest."""
     return _reported(replay, during, lambda odometry: _at_rest(odometry.duration_s))
 
 
 def tripled(replay: Replay, during: range) -> Replay:
-    """Odometry says that the camera moves and turns three times as far, as slipping wheels do."""
+    """Odometry reports that the camera moves and turns three times as far, as slipping wheels do."""
 
     def three_times(odometry: Odometry) -> Odometry:
         return replace(odometry, previous_from_current=Poses.exp(3.0 * odometry.previous_from_current.log()))
@@ -132,7 +132,7 @@ def tripled(replay: Replay, during: range) -> Replay:
 
 
 def too_long(replay: Replay, during: range) -> Replay:
-    """Odometry says that the camera moves a fifth further than it does."""
+    """Odometry reports that the camera moves a fifth further than it does."""
 
     def longer(odometry: Odometry) -> Odometry:
         motion = odometry.previous_from_current

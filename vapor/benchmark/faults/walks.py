@@ -73,7 +73,7 @@ class SyntheticWalk:
         return follow_trial(self.trial, self.setup, replay).beliefs
 
     def films(self) -> Mapping[Film, RecordingSettings | FileSettings]:
-        """The walk upside down and with more images, rendered anew; black, noise and another scene are shared."""
+        """The walk upside down and with more images, rendered again; black, noise and another scene are shared."""
         (segment,), scene = self.trial.segments, self.trial.scene
         own = self.setup.recording(scene, "cue", segment)
         shared = replace(own, seed=self.shared_seed)

@@ -33,8 +33,8 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]
         `median_rotation_deg`, `right` (fraction within 0.3 m, times the unit, and 20°) and `worse_than_0.25m`
         (fraction, the limit times the unit), `position_recall` (likewise); `sequences`: by their length their number
         and, by method, their `success` (likewise); `whole_draws`:
-        the fraction of the draws in which every image is `right`, by method, in which the filter says `converged` of
-        every image, and in which it says so of none; `filter`: `converged` (fraction of the images that are said to be)
+        the fraction of the draws in which every image is `right`, by method, in which the filter is `converged` in
+        every image, and in none; `filter`: `converged` (fraction of the images)
         and `wrong` of these, `coverage` of all images and `coverage_converged` (each by region), `median_nees` of all.
         Every figure is the median of the draws, the lowest and the highest; None if no draw has one.
     """

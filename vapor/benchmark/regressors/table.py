@@ -182,7 +182,7 @@ def _scene_table(scene: str, rows: Sequence[Mapping[str, Any]], gamma: float) ->
     columns = ["method", *(f"recall {t}" for t in THRESHOLDS), f"best mode {RIGHT}", f"any sample {RIGHT}"]
     columns += ["median error of the mean", "of the best mode", "−log p̂", "modes"]
     if filtered:
-        columns += ["filter: success", "median error", "said converged, of these wrong", "smoothed: success"]
+        columns += ["filter: success", "median error", "converged, of these wrong", "smoothed: success"]
     lines: list[tuple[str, ...]] = []
     methods = dict.fromkeys(row["label"] for row in rows)
     by_method = {method: [row for row in rows if row["label"] == method] for method in methods}
@@ -222,13 +222,13 @@ def markdown(results: Sequence[Mapping[str, Any]], gamma: float) -> str:
 def _filtered(reports: Sequence[Mapping[str, Any]]) -> list[str]:
     """Of reports of runs: how many succeed, errors, and how far `converged` can be trusted."""
     runs = [report["filter"] for report in reports]
-    said = [report["consistency"]["images"] for report in reports]
-    wrong = [report["consistency"]["wrong"] or 0.0 for report in reports]  # None where it was never said
+    converged = [report["consistency"]["images"] for report in reports]
+    wrong = [report["consistency"]["wrong"] or 0.0 for report in reports]  # None where it never converged
     images = sum(report["frames_with_true_pose"] for report in reports)
     return [
         f"{sum(bool(run['success']) for run in runs)} of {len(runs)}",
         _error([{k: run[f"median_{k}"] for k in ("translation_m", "rotation_deg")} for run in runs]),
-        f"{100 * sum(said) / images:.0f} %, {_percentage(np.dot(said, wrong), sum(said))}",
+        f"{100 * sum(converged) / images:.0f} %, {_percentage(np.dot(converged, wrong), sum(converged))}",
         f"{sum(bool(report['smoothed']['success']) for report in reports)} of {len(runs)}",
     ]
 

@@ -63,7 +63,7 @@ def _anywhere(entry: str) -> str:
 
 
 def identities(entries: Sequence[str]) -> list[list[str | int]]:
-    """What tells each of some files and folders from others and from itself after a change."""
+    """The identity of each of some files and folders, another one after a change."""
     return [identity(entry) for entry in entries]
 
 

@@ -30,7 +30,7 @@ class TrialKind:
             a wrong place ("no-cue"), or whether it recovers ("kidnap").
         recorded_hz: Images a second of the recordings.
         stride: Only every so many of these images are seen.
-        in_sequences: Whether they are also cut into short sequences, in each of which methods begin anew.
+        in_sequences: Whether they are also cut into short sequences, in each of which methods start without a prior.
     """
 
     meaning: str

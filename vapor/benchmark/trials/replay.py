@@ -37,7 +37,7 @@ class Replay:
         times_ns: Stamps (n,), without a break.
         odometry: Camera motion since the previous image, (n,).
         truth: True poses, batch (n,).
-        posterior_poses: Posterior samples of an image, by its number; none for one that says nothing.
+        posterior_poses: Posterior samples of an image, by its number; none for an uninformative one.
         unfamiliarity: Of each image, (n,).
         cue_images: Number of images that show something unique.
         verified_poses: The poses that landmarks verify, of an image, by its number.

@@ -77,7 +77,7 @@ class Setup:
 
     Attributes:
         model_sha256: Of the content of the model file.
-        network_sha256: Of what it says of an image: samples, and how unlike the training images it is.
+        network_sha256: Of all that samples and familiarity of an image depend on.
         frames: Images of a trial.
         ablation: Name of the filter's ablation.
         odometry_scale: Error of the odometry's distances, as a fraction of them; None for a random one.
