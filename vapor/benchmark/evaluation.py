@@ -68,8 +68,6 @@ class Comparison:
     """What every method made of a passage of n images.
 
     Attributes:
-        times_ns: Stamps, (n,).
-        truth: True poses, batch (n,).
         poses: Poses of every method by its name in `METHODS`, world_from_camera, batches (n,).
         beliefs: What the filter and each baseline believed, by name.
         image_modes: Places of each image's posterior alone, (n,).
@@ -190,9 +188,7 @@ def starts_of_sequences(passage: Passage, length: int, images: Bool[np.ndarray, 
     """First images of sequences without a common image, in order.
 
     Args:
-        passage: n images.
-        length: Images of a sequence.
-        images: Which ones may be in a sequence, (n,).
+        images: Which images may be in a sequence, (n,).
 
     Yields:
         The earliest ones whose sequence has odometry all along, and whose first image has a place.
@@ -225,11 +221,8 @@ def evaluate_sequences(
 
     Args:
         followed: The passage, with the errors and the settings of its filter.
-        seed: Of the filters' draws.
         images: Which images may be in a sequence, (n,); None for all.
         unit_m: Limits are in units of so many metres.
-        ablation: What is different about the filter.
-        baselines: Names of those to run.
 
     Returns:
         For each of `LENGTHS` the number of `sequences`, and `success`: by method, of the single image, the baselines

@@ -60,7 +60,6 @@ class Flagged:
 
     Attributes:
         kind: Name of the data, or of what was done to the familiar images.
-        images: How many.
         median: Median score.
         fraction: Fraction of the images with a score above 1.
         fraction_in_a_row: Of the images with nine before them, the fraction where the median of the ten is above 1; NaN
@@ -90,7 +89,6 @@ def evaluate_flags(
         familiar: Files and folders with images of its place that it was not trained on, or `PATH@START:STOP`.
         foreign: Likewise, of other places.
         every: Take only every so many images of each.
-        seed: Of noise.
         advance: Called with the number of files and folders evaluated and that of all.
 
     Raises:

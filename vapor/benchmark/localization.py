@@ -54,8 +54,6 @@ class LocalizationBenchmark:
     Args:
         scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.
         directory: For recordings and results; an interrupted benchmark continues where it was.
-        config: Settings.
-        workers: Where jobs are done; None for as many processes here as configured.
     """
 
     def __init__(

@@ -24,7 +24,7 @@ def new_table(title: str | None, *columns: str) -> Table:
 
 def fraction(value: float | None, digits: int = 0) -> str:
     """A fraction in per cent, with its unit."""
-    return "–" if value is None else f"{100 * value:.{digits}f} %"
+    return "–" if value is None else f"{percent(value, digits)} %"
 
 
 def percent(value: float | None, digits: int = 0) -> str:

@@ -179,11 +179,8 @@ class FaultBenchmark:
     Args:
         scenes: Names of scenes, each with the model to localize by: a file, or the name of one that ships.
         directory: For recordings and results; an interrupted benchmark continues where it was.
-        config: Settings.
         recordings: MCAP files and rosbag2 folders with odometry and true poses, each a walk, by name.
         model: The model to localize in them by.
-        reading: What to read of them.
-        workers: Where jobs are done; None for as many processes here as configured.
 
     Raises:
         VaporTrackError: a model that cannot be used.

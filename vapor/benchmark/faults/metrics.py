@@ -24,9 +24,7 @@ def evaluate_fault(
     """How well a method did with a fault.
 
     Args:
-        belief: After each of n images.
         times_ns: Stamps (n,), more or less evenly spaced.
-        truth: True poses, batch (n,).
         begin: Image at which the fault begins.
         during: Images that are affected.
 

@@ -218,12 +218,9 @@ def run_fault(
     """Play a walk to `vapor-track live`, and let a fault happen once the estimate was sure for a while.
 
     Args:
-        fault: Which.
-        recording: The walk.
-        walk: The same, read; it has true poses.
+        walk: The recording, read; it has true poses.
         words: Options of `live`, its model among them.
         domain: ROS domain to do it in, of this machine.
-        sleep: Waits for so many seconds.
 
     Raises:
         VaporTrackError: others are in the domain, or `live` does not end well.

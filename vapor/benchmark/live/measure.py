@@ -76,8 +76,6 @@ class Measured:
 
     Attributes:
         rate: Images a second.
-        width: Of images, pixels.
-        height: Of images, pixels.
         speed: Seconds of the recording that were played in one.
         pose: From an image to the pose of the camera.
         base_pose: From odometry to the pose of the base, which is not published while the estimate is not converged.
@@ -267,12 +265,9 @@ def measure(
     """Play a walk to `vapor-track live`, and measure from its first answer on.
 
     Args:
-        walk: What to play.
         words: Options of `live`, its model among them.
         domain: ROS domain to do it in, of this machine.
         rate: Images a second.
-        size: Width and height of the images.
-        duration_s: How long to measure.
         advance: Called with the number of seconds done and of all.
 
     Raises:

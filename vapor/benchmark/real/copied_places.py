@@ -51,7 +51,6 @@ class CopiedPlaces:
     """A place of others' images that stands in the map several times; the camera walks in one of the copies.
 
     Attributes:
-        name: Name of the row.
         training: Folders of the data, `PATH@START:STOP`.
         walk: Folder of the data whose images are walked through, forwards or backwards, from any of them.
         unique: Which of poses, as the data state them, belong to the part that is there once, (n,).

@@ -40,7 +40,6 @@ class StoredPosteriors:
     not trained on; the second half is evaluated.
 
     Attributes:
-        name: Name of the row.
         file: File of the data.
         own_seed: Seed of the draw in the file; those of further draws count up from it.
         simulated: Whether there are several draws of its odometry.
@@ -127,7 +126,6 @@ class PoseEstimates:
     """Pose estimates of others, with simulated odometry.
 
     Attributes:
-        name: Name of the row.
         group: Name of all rows with the same unit.
         files: Files of the data, one for each method.
         truth: File of the data with true poses.

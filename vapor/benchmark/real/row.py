@@ -26,9 +26,6 @@ class RowContext:
     Attributes:
         data: Folder with the recordings of others.
         output: Folder for models, sequences, recordings and results.
-        num_samples: Posterior samples per image.
-        network: What runs networks.
-        advance: Called with the progress.
     """
 
     data: Path

@@ -37,7 +37,6 @@ class TrainedNetwork:
     """A model trained on some images of a place with the settings of `train`, localizing in the rest.
 
     Attributes:
-        name: Name of the row.
         training: Folders of the data, `PATH@START:STOP`.
         dataset: Folder of the data with the images that are localized.
         frames: The first of them, and the one after the last; None: to the end.

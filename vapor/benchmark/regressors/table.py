@@ -86,8 +86,6 @@ class TableExperiment:
     Args:
         scenes: From `parse_scene`.
         directory: For images and results.
-        config: Settings.
-        workers: Where jobs are done; None for as many processes here as configured.
 
     Raises:
         TrainingError: a scene is tested on images that it is trained on.

@@ -99,11 +99,8 @@ def render_scenes(
         names: Of synthetic scenes.
         directory: Sequences lie in its `images`.
         train_walks: Sequences to train on, of `train_frames` images each, seeds from 0.
-        train_frames: See there.
         test_walks: Sequences to test on, of `test_frames` images each.
-        test_frames: See there.
         height: Of the images, pixels; they are 4:3.
-        workers: Where they are rendered.
     """
     size = round(height * 4 / 3), height
     folder = directory / "images"
@@ -154,7 +151,6 @@ class TrainingRun:
     """One training run and how it is tested.
 
     Attributes:
-        scene: Its data.
         label: What sets it apart from the other runs; part of a file name.
         config: How it is trained; its seed is that of the run.
         gamma: Fraction of an image's samples that must be near its true pose.

@@ -90,8 +90,6 @@ class Segment:
 
     Attributes:
         seed: Of the recording.
-        start: The first image.
-        length: The number of images.
         stop: The image of the recording at which its camera stops to stand for `STAND_S`; None if it keeps walking.
     """
 
@@ -106,8 +104,6 @@ class Trial:
     """One run of a benchmark.
 
     Attributes:
-        scene: Name of the scene.
-        kind: What happens.
         segments: What the camera sees, one after the other: two if it is carried off, else one.
         stride: Only every so many of the images are seen; odometry between them adds up.
     """
@@ -141,18 +137,15 @@ def choose_trials(
 ) -> list[Trial]:
     """The first trials of a kind that the seeds from `first_seed` on have; the same for the same arguments.
 
+    Windows begin at a random image and show something unique in at least five images of their first half. A kidnap is
+    two thirds of a window, which shows something unique in five images of its own first half, then a segment of the
+    next seed's walk: more than 2 m away, with something unique in five of its first images, a tenth of the trial's. A
+    camera that stands before something unique stops in the first half second of it from five seconds after the start
+    on.
+
     Args:
-        scene: Name of the scene.
-        kind: Windows begin at a random image and have something unique in view in at least five images of their first
-            half. A kidnap is two thirds of a window with something unique in view in at least five images of its own
-            first half, then a segment of the next seed's walk: more than 2 m away, and with something unique in view in
-            at least five of its first images, a tenth of the trial's. A camera that is to stand before something unique
-            stops in the first half second of it that is five seconds after the start or later.
-        runs: Number of trials.
-        first_seed: Where seeds count up from.
         frames: Images of a trial, at ten a second; those during a stand are added.
-        path: The camera's walk by seed, at ten images a second and `walk_frames` long. Not asked for if the walk is
-            taken whole, or ends where nothing is unique.
+        path: The camera's walk by seed, at ten images a second and `walk_frames` long.
 
     Raises:
         VaporTrackError: seed after seed has no such trial.

@@ -101,14 +101,7 @@ def follow_trial(trial: Trial, setup: Setup, replay: Replay) -> Followed:
 
 
 def follow_replay(replay: Replay, setup: Setup, *, seed: Sequence[int], kidnap_index: int | None = None) -> Followed:
-    """Let filter and baselines follow a replay.
-
-    Args:
-        replay: What they are given.
-        setup: Model and filter.
-        seed: Of the filters' draws.
-        kidnap_index: First image after the camera was carried off; None if it was not.
-    """
+    """Let filter and baselines follow a replay; a camera that is carried off is elsewhere from `kidnap_index` on."""
     checkpoint = setup.checkpoint()
     calibration = checkpoint.calibration
     ablation = ABLATIONS[setup.ablation]
